@@ -1,0 +1,47 @@
+"""SE(3), interpolation, camera models and projection. Knows numpy alone."""
+
+from relocbench.geometry.camera import Camera, CameraModel, camera_from_dict
+from relocbench.geometry.se3 import (
+    apply,
+    compose,
+    hat,
+    interpolate,
+    interpolate_trajectory,
+    invert,
+    is_rotation,
+    make_transform,
+    project_to_rotation,
+    quaternion_from_rotation,
+    rotation_angle,
+    rotation_from_quaternion,
+    se3_exp,
+    se3_log,
+    so3_exp,
+    so3_log,
+    transform_from_tq,
+    transform_to_tq,
+)
+
+__all__ = [
+    "Camera",
+    "CameraModel",
+    "apply",
+    "camera_from_dict",
+    "compose",
+    "hat",
+    "interpolate",
+    "interpolate_trajectory",
+    "invert",
+    "is_rotation",
+    "make_transform",
+    "project_to_rotation",
+    "quaternion_from_rotation",
+    "rotation_angle",
+    "rotation_from_quaternion",
+    "se3_exp",
+    "se3_log",
+    "so3_exp",
+    "so3_log",
+    "transform_from_tq",
+    "transform_to_tq",
+]

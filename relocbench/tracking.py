@@ -1,0 +1,188 @@
+"""The contract between relocbench and a tracker: what it is given, what it answers.
+
+A tracker is any object with a ``track`` method; it inherits nothing. It never sees the ground truth: the views
+below hold none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.geometry import Camera
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframePoints:
+    """Pixels of a keyframe whose depth is known."""
+
+    uv: Array
+    """(N, 2) pixels, centres at integers"""
+    inverse_depth: Array
+    """(N,) 1/m, positive"""
+    sigma: Array
+    """(N,) standard deviation of the inverse depth, 1/m"""
+
+    def __post_init__(self) -> None:
+        n = len(self.uv)
+        if self.uv.shape != (n, 2) or self.inverse_depth.shape != (n,) or self.sigma.shape != (n,):
+            raise ValueError(
+                f"keyframe points need uv (N, 2), inverse_depth (N,), sigma (N,); got {self.uv.shape}, "
+                f"{self.inverse_depth.shape}, {self.sigma.shape}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.uv)
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbour:
+    """Another frame of the reference's own traversal, posed against the reference by the map."""
+
+    timestamp_ns: int
+    image: NDArray[np.uint8]
+    """(H, W) grey or (H, W, 3) RGB"""
+    camera: Camera
+    T_neighbour_ref: Array
+    """(4, 4)"""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A keyframe of the map: image, camera and the depth that is known there."""
+
+    key: str
+    """names the keyframe within the dataset; the same key is the same keyframe"""
+    timestamp_ns: int
+    image: NDArray[np.uint8]
+    """(H, W) grey or (H, W, 3) RGB"""
+    camera: Camera
+    sparse_points: KeyframePoints | None = None
+    """points of a sparse map; None where the keyframe has a dense depth image"""
+    depth: NDArray[np.float32] | None = None
+    """(H, W) metres along z, 0 where unknown; None where the map is sparse"""
+    depth_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """(a, b, c): sigma of a dense depth z is a + b z + c z^2, metres"""
+    neighbours: Sequence[Neighbour] = ()
+
+    @cached_property
+    def points(self) -> KeyframePoints:
+        """All pixels with known depth, whether the map is sparse or dense."""
+        if self.sparse_points is not None:
+            return self.sparse_points
+        if self.depth is None:
+            return KeyframePoints(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+        v, u = np.nonzero(self.depth > 0)
+        z = self.depth[v, u].astype(np.float64)
+        a, b, c = self.depth_sigma
+        sigma_z = a + b * z + c * z * z
+        return KeyframePoints(np.stack([u, v], axis=-1).astype(np.float64), 1.0 / z, sigma_z / (z * z))
+
+    @cached_property
+    def inverse_depth_map(self) -> NDArray[np.float32]:
+        """(H, W) inverse depth in 1/m, 0 where unknown; sparse points rounded to pixels, the nearest one wins."""
+        out = np.zeros((self.camera.height, self.camera.width), dtype=np.float32)
+        if self.depth is not None:
+            known = self.depth > 0
+            out[known] = 1.0 / self.depth[known]
+            return out
+        points = self.points
+        u, v = np.rint(points.uv).astype(int).T
+        inside = (u >= 0) & (v >= 0) & (u < out.shape[1]) & (v < out.shape[0])
+        np.maximum.at(out, (v[inside], u[inside]), points.inverse_depth[inside].astype(np.float32))
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class Query:
+    """An image to be relocalized."""
+
+    key: str
+    timestamp_ns: int
+    image: NDArray[np.uint8]
+    """(H, W) grey or (H, W, 3) RGB"""
+    camera: Camera
+
+
+@dataclass(frozen=True, eq=False)
+class TrackResult:
+    """What a tracker answers: a pose, or a stated failure."""
+
+    T_query_ref: Array | None
+    """(4, 4) maps points of the reference camera to the query camera; None when the method failed"""
+    confidence: float | None = None
+    """higher is surer; any scale, compared within one method only"""
+    message: str = ""
+    """why it failed, or a remark"""
+    info: Mapping[str, Any] = field(default_factory=dict)
+    """free-form numbers and words: inliers, energy, iterations, ..."""
+
+    @classmethod
+    def failure(cls, message: str, **info: Any) -> TrackResult:
+        """No pose, and why."""
+        return cls(T_query_ref=None, message=message, info=info)
+
+    @property
+    def answered(self) -> bool:
+        return self.T_query_ref is not None
+
+
+@runtime_checkable
+class Tracker(Protocol):
+    """A method that answers one pair.
+
+    The parameters of a tracker are the keyword arguments of its constructor, with their annotations and defaults:
+    ``--set key=value`` sets them and ``run.yaml`` keeps them. A parameter called ``seed`` gets the run's seed.
+
+    ``reference`` is what :meth:`SupportsPrepare.prepare` returned where the tracker has it, the
+    :class:`Reference` itself otherwise. ``prior`` is a (4, 4) first guess of ``T_query_ref``, or None; a tracker that
+    uses it says so by a class attribute ``uses_prior = True``. A tracker that wants frames around the keyframe
+    says how many on each side by ``neighbours = N``.
+    """
+
+    def track(self, reference: Any, query: Query, prior: Array | None = None) -> TrackResult: ...
+
+
+@runtime_checkable
+class SupportsPrepare(Protocol):
+    """Optional: work done once a reference and kept for all its queries (features, point selection, ...)."""
+
+    def prepare(self, reference: Reference) -> Any: ...
+
+
+@runtime_checkable
+class SupportsBatch(Protocol):
+    """Optional: answer several queries of one reference together."""
+
+    def track_batch(
+        self, reference: Any, queries: Sequence[Query], priors: Sequence[Array | None]
+    ) -> Sequence[TrackResult]: ...
+
+
+def fault_of(result: object) -> str | None:
+    """What keeps ``result`` from being an answer in the sense of the contract, or None if nothing does."""
+    if not isinstance(result, TrackResult):
+        return f"returned {type(result).__name__}, expected TrackResult"
+    if result.confidence is not None and math.isnan(result.confidence):
+        return "confidence is NaN"
+    if result.T_query_ref is None:
+        return None
+    pose = np.asarray(result.T_query_ref)
+    if pose.shape != (4, 4):
+        return f"T_query_ref has shape {pose.shape}, expected (4, 4)"
+    if not np.issubdtype(pose.dtype, np.floating) or not np.all(np.isfinite(pose)):
+        return "T_query_ref is not finite"
+    rotation = pose[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+        return "T_query_ref is not a rigid transform (its rotation is off SO(3) by more than 1e-3)"
+    if np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-9:
+        return "the last row of T_query_ref is not 0 0 0 1"
+    return None
