@@ -1,0 +1,150 @@
+"""What ``dataset.yaml`` and ``traversal.yaml`` may hold; unknown keys are refused by name."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from relocbench.geometry import Camera, camera_from_dict, transform_from_tq, transform_to_tq
+
+FORMAT_VERSION = 1
+
+
+class Strict(BaseModel):
+    """A record that refuses unknown keys and never changes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Transform(Strict):
+    """A rigid transform as people read it."""
+
+    translation_m: tuple[float, float, float]
+    quaternion_xyzw: tuple[float, float, float, float]
+
+    @model_validator(mode="after")
+    def _unit_quaternion(self) -> Self:
+        norm = float(np.linalg.norm(self.quaternion_xyzw))
+        if not abs(norm - 1.0) <= 1e-3:
+            raise ValueError(f"quaternion_xyzw has norm {norm:.6g}, expected 1")
+        return self
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """(4, 4)"""
+        return transform_from_tq(self.translation_m, self.quaternion_xyzw)
+
+    @classmethod
+    def of(cls, matrix: NDArray[np.float64]) -> Transform:
+        """Of a (4, 4) matrix."""
+        t, q = transform_to_tq(matrix)
+        return cls.model_validate({"translation_m": t.tolist(), "quaternion_xyzw": q.tolist()})
+
+
+class Condition(Strict):
+    """Weather, season and time of day of one traversal."""
+
+    weather: str = "unknown"
+    season: str = "unknown"
+    time_of_day: str = "unknown"
+    tags: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        known = [v for v in (self.weather, self.season, self.time_of_day) if v != "unknown"]
+        return ", ".join([*known, *self.tags]) or "unknown"
+
+
+class CameraEntry(Strict):
+    """One camera of a rig."""
+
+    model: Literal["pinhole", "radtan", "equidistant"]
+    width: int = Field(ge=1)
+    height: int = Field(ge=1)
+    fx: float = Field(gt=0, allow_inf_nan=False)
+    fy: float = Field(gt=0, allow_inf_nan=False)
+    cx: float = Field(allow_inf_nan=False)
+    cy: float = Field(allow_inf_nan=False)
+    distortion: tuple[float, ...] = ()
+    T_rig_cam: Transform
+    depth_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """sigma of a dense depth z is a + b z + c z^2, metres"""
+
+    @model_validator(mode="after")
+    def _possible_camera(self) -> Self:
+        self.camera  # noqa: B018  raises ValueError on the wrong number of coefficients
+        return self
+
+    @property
+    def camera(self) -> Camera:
+        return camera_from_dict(self.model_dump())
+
+    @classmethod
+    def of(
+        cls,
+        camera: Camera,
+        T_rig_cam: NDArray[np.float64] | None = None,
+        depth_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> CameraEntry:
+        """Of a camera, its (4, 4) extrinsics (default: the rig's own frame) and its depth noise."""
+        transform = Transform.of(np.eye(4) if T_rig_cam is None else T_rig_cam)
+        return cls.model_validate(
+            {**camera.to_dict(), "T_rig_cam": transform.model_dump(), "depth_sigma": depth_sigma}
+        )
+
+
+class TraversalFile(Strict):
+    """``traversal.yaml``."""
+
+    name: str
+    condition: Condition = Condition()
+    location: str = ""
+    rate_hz: float | None = None
+    cameras: dict[str, CameraEntry]
+    source: str = ""
+    """what it was imported from, for people"""
+
+    @field_validator("name")
+    @classmethod
+    def _plain_name(cls, name: str) -> str:
+        return check_name(name, "traversal name")
+
+    @field_validator("cameras")
+    @classmethod
+    def _plain_cameras(cls, cameras: dict[str, CameraEntry]) -> dict[str, CameraEntry]:
+        for name in cameras:
+            check_name(name, "camera name")
+        return cameras
+
+
+class DatasetFile(Strict):
+    """``dataset.yaml``."""
+
+    format_version: int
+    name: str
+    licence: str = "unknown"
+    made_by: dict[str, Any] = {}
+    """command, configuration, seed, versions"""
+    splits: dict[str, tuple[str, ...]] = {}
+    """split name -> pair sets"""
+    fingerprint: str
+    """SHA-256 over everything that can change a score"""
+
+    @field_validator("format_version")
+    @classmethod
+    def _known_version(cls, version: int) -> int:
+        if version != FORMAT_VERSION:
+            raise ValueError(f"format_version {version} is not understood, expected {FORMAT_VERSION}")
+        return version
+
+
+def check_name(name: str, what: str) -> str:
+    """A name that can be part of a file name and of ``REF__QUERY__CAM``. Raises ValueError."""
+    allowed = name and all(c.isalnum() or c in "._+-" for c in name.replace("_", ""))
+    if not allowed or name.startswith((".", "-", "_")) or name.endswith("_") or "__" in name:
+        raise ValueError(
+            f"{what} '{name}' must be letters, digits and . _ + - only, without '__', not starting with . - or _"
+        )
+    return name
