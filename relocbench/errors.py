@@ -21,7 +21,11 @@ class RelocbenchError(Exception):
         super().__init__(str(self))
 
     def __reduce__(self) -> tuple[type, tuple[str, Path | None, int | None]]:
-        return type(self), (self.expected, self.path, self.line)  # survives the way back from a worker process
+        return type(self), (
+            self.expected,
+            self.path,
+            self.line,
+        )  # survives the way back from a worker process
 
     def __str__(self) -> str:
         if self.path is None:

@@ -77,9 +77,7 @@ def read_text(path: Path, what: str, error: type[RelocbenchError] = RelocbenchEr
         raise error(f"cannot be read ({bad.strerror}); expected {what}", path) from None
 
 
-def read_rows(
-    path: Path, what: str, error: type[RelocbenchError] = RelocbenchError
-) -> Iterator[tuple[int, list[str]]]:
+def read_rows(path: Path, what: str, error: type[RelocbenchError] = RelocbenchError) -> Iterator[tuple[int, list[str]]]:
     """Line number and fields of each line of a text table; commas or spaces part fields, ``#`` starts a comment."""
     for number, line in enumerate(read_text(path, what, error).splitlines(), start=1):
         content = line.split("#", 1)[0].replace(",", " ").split()
@@ -207,5 +205,3 @@ def read_journal(path: Path) -> list[dict[str, Any]]:
         except json.JSONDecodeError:
             break
     return out
-
-

@@ -90,9 +90,7 @@ class CameraEntry(Strict):
     ) -> CameraEntry:
         """Of a camera, its (4, 4) extrinsics (default: the rig's own frame) and its depth noise."""
         transform = Transform.of(np.eye(4) if T_rig_cam is None else T_rig_cam)
-        return cls.model_validate(
-            {**camera.to_dict(), "T_rig_cam": transform.model_dump(), "depth_sigma": depth_sigma}
-        )
+        return cls.model_validate({**camera.to_dict(), "T_rig_cam": transform.model_dump(), "depth_sigma": depth_sigma})
 
 
 class TraversalFile(Strict):

@@ -1,0 +1,280 @@
+"""A dataset in memory: traversals, keyframes and pairs, read from disk when asked for."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets import fingerprint, images, pairfile
+from relocbench.datasets.layout import DatasetLayout, TraversalLayout, pair_set_name
+from relocbench.datasets.pairfile import Pair, PairKey
+from relocbench.datasets.schema import Condition, DatasetFile, TraversalFile
+from relocbench.errors import DatasetError
+from relocbench.files import load_yaml, parse_timestamp, read_text
+from relocbench.geometry import Camera, invert
+from relocbench.tracking import KeyframePoints, Neighbour, Query, Reference
+
+Array = NDArray[np.float64]
+POSE_COLUMNS = ("timestamp_ns", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+
+
+class Traversal:
+    """One recorded drive. Nothing is read before it is asked for."""
+
+    def __init__(self, layout: TraversalLayout) -> None:
+        self.layout = layout
+        self.file = load_yaml(layout.traversal_yaml, TraversalFile, "a traversal description", DatasetError)
+        if self.file.name != layout.root.name:
+            raise DatasetError(f"key 'name' is '{self.file.name}', expected the folder's name", layout.traversal_yaml)
+
+    @property
+    def name(self) -> str:
+        return self.file.name
+
+    @property
+    def condition(self) -> Condition:
+        return self.file.condition
+
+    @property
+    def cameras(self) -> list[str]:
+        return list(self.file.cameras)
+
+    def camera(self, camera: str) -> Camera:
+        """Model, intrinsics and size."""
+        return self._entry(camera).camera
+
+    def T_rig_cam(self, camera: str) -> Array:
+        """(4, 4)"""
+        return self._entry(camera).T_rig_cam.matrix
+
+    def timestamps(self, camera: str) -> list[int]:
+        """Sorted times of the camera's images, nanoseconds."""
+        return self.layout.timestamps("images", camera)
+
+    def keyframe_timestamps(self, camera: str) -> list[int]:
+        """Sorted times of the camera's images with depth or sparse points, nanoseconds."""
+        known = {*self.layout.timestamps("depth", camera), *self.layout.timestamps("points", camera)}
+        return [t for t in self.timestamps(camera) if t in known]
+
+    @cached_property
+    def poses(self) -> dict[int, Array]:
+        """timestamp_ns -> (4, 4) ``T_world_rig``."""
+        return read_poses(self.layout.poses)
+
+    def T_world_cam(self, camera: str, timestamp_ns: int) -> Array:
+        """(4, 4). Raises DatasetError where the traversal has no pose at that time."""
+        try:
+            return self.poses[timestamp_ns] @ self.T_rig_cam(camera)
+        except KeyError:
+            raise DatasetError(f"no pose at {timestamp_ns}", self.layout.poses) from None
+
+    def image(self, camera: str, timestamp_ns: int) -> NDArray[np.uint8]:
+        """(H, W) grey or (H, W, 3) RGB. Raises DatasetError: missing, truncated, or not of the camera's size."""
+        path = self.layout.find_image(camera, timestamp_ns) or self.layout.image(camera, timestamp_ns)
+        image = images.read_image(path)
+        self._check_size(image, camera, path)
+        return image
+
+    def depth(self, camera: str, timestamp_ns: int) -> NDArray[np.float32] | None:
+        """(H, W) metres, 0 where unknown; None where the keyframe has no dense depth."""
+        path = self.layout.depth(camera, timestamp_ns)
+        if not path.exists() and not path.is_symlink():
+            return None
+        depth = images.read_depth(path)
+        self._check_size(depth, camera, path)
+        return depth
+
+    def points(self, camera: str, timestamp_ns: int) -> KeyframePoints | None:
+        """Sparse points, or None where the keyframe has none."""
+        path = self.layout.points(camera, timestamp_ns)
+        return images.read_points(path) if path.exists() else None
+
+    def reference(self, camera: str, timestamp_ns: int, neighbours: int = 0) -> Reference:
+        """The view of a keyframe that a tracker gets, with ``neighbours`` posed frames on each side."""
+        return Reference(
+            key=f"{self.name}/{camera}/{timestamp_ns}",
+            timestamp_ns=timestamp_ns,
+            image=self.image(camera, timestamp_ns),
+            camera=self.camera(camera),
+            sparse_points=self.points(camera, timestamp_ns),
+            depth=self.depth(camera, timestamp_ns),
+            depth_sigma=self._entry(camera).depth_sigma,
+            neighbours=tuple(self._neighbours(camera, timestamp_ns, neighbours)) if neighbours else (),
+        )
+
+    def query(self, camera: str, timestamp_ns: int) -> Query:
+        """The view of a query that a tracker gets."""
+        return Query(
+            key=f"{self.name}/{camera}/{timestamp_ns}",
+            timestamp_ns=timestamp_ns,
+            image=self.image(camera, timestamp_ns),
+            camera=self.camera(camera),
+        )
+
+    def _entry(self, camera: str) -> Any:
+        try:
+            return self.file.cameras[camera]
+        except KeyError:
+            known = ", ".join(self.file.cameras)
+            raise DatasetError(f"no camera '{camera}'; there is {known}", self.layout.traversal_yaml) from None
+
+    def _neighbours(self, camera: str, timestamp_ns: int, count: int) -> Iterator[Neighbour]:
+        times = [t for t in self.timestamps(camera) if t in self.poses]
+        if timestamp_ns not in times:
+            return
+        at = times.index(timestamp_ns)
+        T_world_ref = self.T_world_cam(camera, timestamp_ns)
+        for t in times[max(0, at - count) : at] + times[at + 1 : at + 1 + count]:
+            T_neighbour_ref = invert(self.T_world_cam(camera, t)) @ T_world_ref
+            yield Neighbour(t, self.image(camera, t), self.camera(camera), T_neighbour_ref)
+
+    def _check_size(self, image: NDArray[Any], camera: str, path: Path) -> None:
+        size = (image.shape[1], image.shape[0])
+        if size != self.camera(camera).size:
+            wanted = "x".join(map(str, self.camera(camera).size))
+            raise DatasetError(f"image is {size[0]}x{size[1]}, camera '{camera}' is {wanted}", path)
+
+
+class PairSet:
+    """All pairs of one reference traversal and one query traversal and camera."""
+
+    def __init__(self, layout: DatasetLayout, name: str) -> None:
+        parts = name.split("__")
+        if len(parts) != 3:
+            raise DatasetError("a pair file is named REF__QUERY__CAM.txt", layout.pair_file(name))
+        self.layout = layout
+        self.name = name
+        self.reference, self.query, self.camera = parts
+
+    @cached_property
+    def all_pairs(self) -> list[Pair]:
+        """Accepted and rejected, in the table's order."""
+        return pairfile.read_pairs(self.layout.pair_file(self.name), self.layout.pair_table(self.name))
+
+    @property
+    def pairs(self) -> list[Pair]:
+        """What a method is asked and scored on: the accepted ones."""
+        return [p for p in self.all_pairs if p.accepted]
+
+    @property
+    def rejected(self) -> list[Pair]:
+        """Pairs whose ground truth was rejected; they are not in the set, their number is printed."""
+        return [p for p in self.all_pairs if not p.accepted]
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether every pair has its pose (challenges withhold them)."""
+        return all(p.T_query_ref is not None for p in self.pairs)
+
+    @cached_property
+    def by_key(self) -> dict[PairKey, Pair]:
+        return {p.key: p for p in self.pairs}
+
+
+class Dataset:
+    """A dataset folder.
+
+    Raises:
+        DatasetError: the folder is not a dataset, is not finished, or does not have the content its fingerprint says.
+    """
+
+    def __init__(self, root: Path | str) -> None:
+        self.root = Path(root)
+        self.layout = DatasetLayout(self.root)
+        if not self.root.is_dir():
+            raise DatasetError("no such folder; expected a dataset", self.root)
+        if not self.layout.dataset_yaml.exists():
+            unfinished = self.layout.build_yaml.exists()
+            why = "the build was not finished; run it again" if unfinished else "expected a dataset with dataset.yaml"
+            raise DatasetError(why, self.root)
+        self.file = load_yaml(self.layout.dataset_yaml, DatasetFile, "a dataset description", DatasetError)
+        fingerprint.check_manifest(self.layout, self.file)
+
+    @property
+    def name(self) -> str:
+        return self.file.name
+
+    @property
+    def fingerprint(self) -> str:
+        return self.file.fingerprint
+
+    @property
+    def splits(self) -> Mapping[str, tuple[str, ...]]:
+        return self.file.splits
+
+    @cached_property
+    def traversal_names(self) -> list[str]:
+        folder = self.layout.traversals
+        return sorted(p.name for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []
+
+    @cached_property
+    def pair_set_names(self) -> list[str]:
+        return sorted(p.stem for p in self.layout.pairs.glob("*.txt"))
+
+    def traversal(self, name: str) -> Traversal:
+        """One traversal; reading is lazy. Raises DatasetError on an unknown name."""
+        if name not in self._traversals:
+            if name not in self.traversal_names:
+                known = ", ".join(self.traversal_names) or "none"
+                raise DatasetError(f"no traversal '{name}'; there is {known}", self.root)
+            self._traversals[name] = Traversal(self.layout.traversal(name))
+        return self._traversals[name]
+
+    def pair_set(self, name: str) -> PairSet:
+        """One pair set; reading is lazy. Raises DatasetError on an unknown name."""
+        if name not in self.pair_set_names:
+            known = ", ".join(self.pair_set_names) or "none"
+            raise DatasetError(f"no pair set '{name}'; there is {known}", self.root)
+        return PairSet(self.layout, name)
+
+    def pair_sets(self, split: str | None = None) -> list[PairSet]:
+        """All pair sets, or those of one split. Raises DatasetError on an unknown split."""
+        if split is None:
+            return [self.pair_set(name) for name in self.pair_set_names]
+        if split not in self.splits:
+            known = ", ".join(self.splits) or "none"
+            raise DatasetError(f"no split '{split}'; there is {known}", self.layout.dataset_yaml)
+        return [self.pair_set(name) for name in self.splits[split]]
+
+    def reference(self, pair_set: PairSet, pair: Pair, neighbours: int = 0) -> Reference:
+        """The tracker's view of a pair's keyframe."""
+        traversal = self.traversal(pair_set.reference)
+        return traversal.reference(pair_set.camera, pair.ref_timestamp_ns, neighbours)
+
+    def query(self, pair_set: PairSet, pair: Pair) -> Query:
+        """The tracker's view of a pair's query."""
+        return self.traversal(pair_set.query).query(pair_set.camera, pair.query_timestamp_ns)
+
+    @cached_property
+    def _traversals(self) -> dict[str, Traversal]:
+        return {}
+
+
+def read_poses(path: Path) -> dict[int, Array]:
+    """``poses.csv``: timestamp_ns -> (4, 4) ``T_world_rig``, in time order.
+
+    Raises:
+        DatasetError: with file and line: wrong header, a value that is not finite, a quaternion that is not of norm 1,
+            times that do not increase.
+    """
+    rows = csv.reader(read_text(path, "poses", DatasetError).splitlines())
+    if tuple(next(rows, [])) != POSE_COLUMNS:
+        raise DatasetError(f"expected the header {','.join(POSE_COLUMNS)}", path, 1)
+    poses: dict[int, Array] = {}
+    last: int | None = None
+    for number, row in enumerate(rows, start=2):
+        time = parse_timestamp(row[0] if row else "", path, number, DatasetError)
+        if last is not None and time <= last:
+            raise DatasetError(f"timestamp {time} does not come after {last}", path, number)
+        poses[time] = pairfile.parse_pose(row[1:], path, number)
+        last = time
+    return poses
+
+
+__all__ = ["Dataset", "PairSet", "Traversal", "pair_set_name", "read_poses"]

@@ -1,0 +1,120 @@
+"""Images, depth and keyframe points on disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import DatasetError
+from relocbench.files import atomic_write, parse_floats, read_text, write_bytes
+from relocbench.tracking import KeyframePoints
+
+DEPTH_SCALE = 256.0
+"""a stored depth of 256 is one metre"""
+_POINT_HEADER = "u,v,inverse_depth,sigma"
+_PNG_START = b"\x89PNG\r\n\x1a\n"
+_PNG_END = b"IEND\xaeB`\x82"
+
+
+def read_image(path: Path) -> NDArray[np.uint8]:
+    """An 8-bit image, (H, W) grey or (H, W, 3) RGB. Raises DatasetError naming the file."""
+    image = _decode(path, cv2.IMREAD_UNCHANGED)
+    if image.dtype == np.uint16:
+        image = (image >> 8).astype(np.uint8)
+    if image.dtype != np.uint8:
+        raise DatasetError(f"pixels are {image.dtype}, expected an 8-bit image", path)
+    if image.ndim == 3 and image.shape[2] in (3, 4):
+        return np.ascontiguousarray(image[..., 2::-1])
+    if image.ndim == 3:
+        return np.ascontiguousarray(image[..., 0])
+    return image
+
+
+def write_image(path: Path, image: NDArray[np.uint8]) -> None:
+    """An 8-bit PNG of (H, W) grey or (H, W, 3) RGB."""
+    write_bytes(path, _encode(image[..., ::-1] if image.ndim == 3 else image))
+
+
+def read_depth(path: Path) -> NDArray[np.float32]:
+    """Depth along z in metres, (H, W), 0 where unknown. Raises DatasetError naming the file."""
+    return read_raw_depth(path, 1.0 / DEPTH_SCALE)
+
+
+def read_raw_depth(path: Path, metres_per_unit: float) -> NDArray[np.float32]:
+    """A 16-bit PNG times ``metres_per_unit``. Raises DatasetError naming the file."""
+    stored = _decode(path, cv2.IMREAD_UNCHANGED)
+    if stored.dtype != np.uint16 or stored.ndim != 2:
+        raise DatasetError(f"pixels are {stored.dtype} x {stored.ndim - 1}, expected a 16-bit depth PNG", path)
+    return stored.astype(np.float32) * np.float32(metres_per_unit)
+
+
+def write_depth(path: Path, depth: NDArray[np.floating]) -> None:
+    """A 16-bit PNG; depths that are not positive, not finite or beyond 256 m become 0 (unknown)."""
+    stored = np.rint(np.nan_to_num(np.asarray(depth, dtype=np.float64) * DEPTH_SCALE, nan=0, posinf=0, neginf=0))
+    stored[(stored < 1) | (stored > 65535)] = 0
+    write_bytes(path, _encode(stored.astype(np.uint16)))
+
+
+def read_points(path: Path) -> KeyframePoints:
+    """Sparse keyframe points. Raises DatasetError with file and line."""
+    lines = read_text(path, f"keyframe points ({_POINT_HEADER})", DatasetError).splitlines()
+    if not lines or lines[0] != _POINT_HEADER:
+        raise DatasetError(f"expected the header {_POINT_HEADER}", path, 1)
+    names = _POINT_HEADER.replace(",", " ")
+    rows = [parse_floats(s.split(","), path, n, names, DatasetError) for n, s in enumerate(lines[1:], start=2)]
+    values = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    bad = np.nonzero((values[:, 2] <= 0) | (values[:, 3] < 0))[0]
+    if bad.size:
+        raise DatasetError("inverse_depth must be positive and sigma not negative", path, int(bad[0]) + 2)
+    return KeyframePoints(values[:, :2].copy(), values[:, 2].copy(), values[:, 3].copy())
+
+
+def write_points(path: Path, points: KeyframePoints) -> None:
+    """One line a point, in the order given."""
+    with atomic_write(path) as stream:
+        stream.write(_POINT_HEADER + "\n")
+        for (u, v), idepth, sigma in zip(
+            points.uv.tolist(), points.inverse_depth.tolist(), points.sigma.tolist(), strict=True
+        ):
+            stream.write(f"{u!r},{v!r},{idepth!r},{sigma!r}\n")
+
+
+def is_whole(path: Path) -> bool:
+    """Whether an image file has its end (cheap: nothing is decoded). Existence is not integrity."""
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(8)
+            if start != _PNG_START:
+                return path.suffix.lower() != ".png" and len(start) == 8
+            stream.seek(-len(_PNG_END), 2)
+            return stream.read() == _PNG_END
+    except OSError:
+        return False
+
+
+def _decode(path: Path, flags: int) -> NDArray[Any]:
+    try:
+        data = np.fromfile(path, dtype=np.uint8)
+    except FileNotFoundError:
+        link = " (a link to a file that is gone)" if path.is_symlink() else ""
+        raise DatasetError(f"missing{link}; expected an image", path) from None
+    except OSError as bad:
+        raise DatasetError(f"cannot be read ({bad.strerror}); expected an image", path) from None
+    # Decoders fill the rest of a truncated PNG with grey and say nothing.
+    if data.size == 0 or not is_whole(path):
+        raise DatasetError("truncated or not an image; expected a whole PNG or JPEG", path)
+    image = cv2.imdecode(data, flags)
+    if image is None:
+        raise DatasetError("cannot be decoded; expected a PNG or JPEG", path)
+    return np.asarray(image)
+
+
+def _encode(image: NDArray[Any]) -> bytes:
+    done, data = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 4])
+    if not done:
+        raise ValueError(f"cannot encode an image of {image.dtype} {image.shape}")
+    return bytes(data)

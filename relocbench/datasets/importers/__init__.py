@@ -1,0 +1,51 @@
+"""Importers: one module an outside format, each turning recordings into a dataset.
+
+An importer module has ``Options``, a subclass of :class:`ImportOptions` whose fields are the command line's options
+and the keys of a configuration file, and ``build(sources, options, out, reporter, run) -> Dataset``. Recordings are
+read, never changed, and linked rather than copied unless asked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from relocbench.datasets.dataset import Dataset
+    from relocbench.datasets.importers.options import ImportOptions
+    from relocbench.progress import Reporter
+
+KINDS: dict[str, str] = {
+    "kitti": "KITTI odometry layout (stereo or velodyne depth)",
+    "tum-rgbd": "TUM RGB-D layout (depth images)",
+    "four-seasons": "4Seasons / MLAD recordings (sparse keyframe points)",
+    "generic": "a minimal documented folder: images, intrinsics, TUM poses, optional depth",
+    "scene": "a small textured room, ray-cast: for demonstrations and tests",
+}
+"""what ``relocbench build-dataset`` can read"""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Where the work of an import runs."""
+
+    workers: int = 1
+    scheduler: str | None = None
+
+
+class Importer(Protocol):
+    """What an importer module offers."""
+
+    Options: type[ImportOptions]
+
+    def build(
+        self, sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run
+    ) -> Dataset: ...
+
+
+def importer(kind: str) -> Importer:
+    """The importer module of one of :data:`KINDS`, loaded now."""
+    module: Importer = import_module(f"relocbench.datasets.importers.{kind.replace('-', '_')}")  # type: ignore[assignment]
+    return module

@@ -1,0 +1,98 @@
+"""Where each file of a dataset lies. Nothing else knows a path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True)
+class DatasetLayout:
+    """Paths below the root of a dataset."""
+
+    root: Path
+
+    @property
+    def dataset_yaml(self) -> Path:
+        return self.root / "dataset.yaml"
+
+    @property
+    def build_yaml(self) -> Path:
+        """The configuration of the build, written first: a folder that has it is ours."""
+        return self.root / "build.yaml"
+
+    @property
+    def manifest(self) -> Path:
+        """path,bytes,sha256 of every file that can change a score."""
+        return self.root / "manifest.csv"
+
+    @property
+    def traversals(self) -> Path:
+        return self.root / "traversals"
+
+    @property
+    def pairs(self) -> Path:
+        return self.root / "pairs"
+
+    @property
+    def correspondences(self) -> Path:
+        return self.root / "correspondences"
+
+    def traversal(self, name: str) -> TraversalLayout:
+        return TraversalLayout(self.traversals / name)
+
+    def pair_file(self, pair_set: str) -> Path:
+        return self.pairs / f"{pair_set}.txt"
+
+    def pair_table(self, pair_set: str) -> Path:
+        return self.pairs / f"{pair_set}.csv"
+
+    def correspondence_file(self, pair_set: str) -> Path:
+        return self.correspondences / f"{pair_set}.parquet"
+
+
+@dataclass(frozen=True)
+class TraversalLayout:
+    """Paths below the folder of a traversal."""
+
+    root: Path
+
+    @property
+    def traversal_yaml(self) -> Path:
+        return self.root / "traversal.yaml"
+
+    @property
+    def poses(self) -> Path:
+        return self.root / "poses.csv"
+
+    def image(self, camera: str, timestamp_ns: int, suffix: str = ".png") -> Path:
+        return self.root / "images" / camera / f"{timestamp_ns}{suffix}"
+
+    def find_image(self, camera: str, timestamp_ns: int) -> Path | None:
+        """The image under any of the known suffixes."""
+        for suffix in IMAGE_SUFFIXES:
+            path = self.image(camera, timestamp_ns, suffix)
+            if path.exists() or path.is_symlink():
+                return path
+        return None
+
+    def depth(self, camera: str, timestamp_ns: int) -> Path:
+        return self.root / "depth" / camera / f"{timestamp_ns}.png"
+
+    def points(self, camera: str, timestamp_ns: int) -> Path:
+        return self.root / "points" / camera / f"{timestamp_ns}.csv"
+
+    def timestamps(self, kind: str, camera: str) -> list[int]:
+        """Sorted timestamps of what lies in ``images``, ``depth`` or ``points`` of a camera."""
+        folder = self.root / kind / camera
+        if not folder.is_dir():
+            return []
+        suffixes = IMAGE_SUFFIXES if kind == "images" else (".png", ".csv")
+        return sorted(int(p.stem) for p in folder.iterdir() if p.suffix.lower() in suffixes and p.stem.isdigit())
+
+
+def pair_set_name(reference: str, query: str, camera: str) -> str:
+    """``REF__QUERY__CAM``."""
+    return f"{reference}__{query}__{camera}"

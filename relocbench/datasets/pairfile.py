@@ -1,0 +1,229 @@
+"""Pair files: the MLAD / 4Seasons relocalization file, and the table of what its nine columns cannot hold.
+
+A line of the first is ``ref_ts query_ts`` or ``ref_ts query_ts tx ty tz qx qy qz qw``, the pose being
+``T_query_ref``, camera to camera. ``#`` starts a comment; commas or spaces part the columns when read, single spaces
+when written.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import DatasetError, RelocbenchError
+from relocbench.files import atomic_write, parse_floats, parse_timestamp, read_rows, read_text, write_text
+from relocbench.geometry import rotation_angle, transform_from_tq, transform_to_tq
+
+Array = NDArray[np.float64]
+PairKey = tuple[int, int]
+"""(reference timestamp, query timestamp), nanoseconds"""
+
+QUATERNION_TOLERANCE = 1e-3
+_POSE_COLUMNS = "tx ty tz qx qy qz qw"
+TABLE_COLUMNS = (
+    "ref_timestamp_ns",
+    "query_timestamp_ns",
+    "group",
+    "distance_m",
+    "angle_deg",
+    "overlap",
+    "sigma_translation_m",
+    "sigma_rotation_deg",
+    "source",
+    "accepted",
+    "reason",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseLine:
+    """One line of a pair or prediction file."""
+
+    ref_timestamp_ns: int
+    query_timestamp_ns: int
+    T_query_ref: Array | None
+    """(4, 4), None where the pose is withheld"""
+
+    @property
+    def key(self) -> PairKey:
+        return self.ref_timestamp_ns, self.query_timestamp_ns
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """One (reference keyframe, query) with the ground truth and what is known about it."""
+
+    ref_timestamp_ns: int
+    query_timestamp_ns: int
+    T_query_ref: Array | None
+    """(4, 4) ground truth, None where it is withheld"""
+    group: str = ""
+    """part of the pair set that tables show on its own, such as ``step_4``"""
+    overlap: float | None = None
+    """share of the reference's pixels with depth that the query sees"""
+    sigma_translation_m: float | None = None
+    """one standard deviation of the true camera centre, a direction"""
+    sigma_rotation_deg: float | None = None
+    source: str = ""
+    """how the truth was obtained"""
+    accepted: bool = True
+    reason: str = ""
+    """why it was rejected"""
+
+    @property
+    def key(self) -> PairKey:
+        return self.ref_timestamp_ns, self.query_timestamp_ns
+
+    @property
+    def distance_m(self) -> float | None:
+        """Between the camera centres."""
+        return None if self.T_query_ref is None else float(np.linalg.norm(self.T_query_ref[:3, 3]))
+
+    @property
+    def angle_deg(self) -> float | None:
+        """Between the viewing directions and about them."""
+        if self.T_query_ref is None:
+            return None
+        return float(np.degrees(rotation_angle(self.T_query_ref[:3, :3])))
+
+
+def read_pose_lines(path: Path, error: type[RelocbenchError] = DatasetError) -> list[PoseLine]:
+    """Parse a pair or prediction file.
+
+    Raises:
+        RelocbenchError: (as ``error``) with file and line: wrong number of columns, no number, a value that is not
+            finite, a quaternion that is not of norm 1, a pair that occurs twice.
+    """
+    lines: list[PoseLine] = []
+    seen: dict[PairKey, int] = {}
+    for number, fields in read_rows(path, "a relocalization file (ref_ts query_ts [tx ty tz qx qy qz qw])", error):
+        if len(fields) not in (2, 9):
+            raise error(
+                f"expected 2 or 9 columns (ref_ts query_ts [{_POSE_COLUMNS}]), found {len(fields)}",
+                path,
+                number,
+            )
+        key = parse_timestamp(fields[0], path, number, error), parse_timestamp(fields[1], path, number, error)
+        if key in seen:
+            raise error(f"pair {key[0]} {key[1]} occurs again (first on line {seen[key]})", path, number)
+        seen[key] = number
+        pose = parse_pose(fields[2:], path, number, error) if len(fields) == 9 else None
+        lines.append(PoseLine(*key, pose))
+    return lines
+
+
+def parse_pose(fields: list[str], path: Path, line: int, error: type[RelocbenchError] = DatasetError) -> Array:
+    """(4, 4) of ``tx ty tz qx qy qz qw``. Raises ``error`` with file and line."""
+    values = parse_floats(fields, path, line, _POSE_COLUMNS, error)
+    norm = float(np.linalg.norm(values[3:]))
+    if abs(norm - 1.0) > QUATERNION_TOLERANCE:
+        raise error(f"quaternion qx qy qz qw has norm {norm:.6g}, expected 1", path, line)
+    return transform_from_tq(values[:3], values[3:])
+
+
+def pose_fields(transform: Array) -> list[str]:
+    """``tx ty tz qx qy qz qw`` in the fewest digits that read back to the same numbers."""
+    translation, quaternion = transform_to_tq(transform)
+    return [repr(float(v) + 0.0) for v in (*translation, *quaternion)]
+
+
+def write_pose_lines(path: Path, lines: Sequence[PoseLine]) -> None:
+    """Write a pair or prediction file in the order given."""
+    write_text(path, "".join(" ".join(pose_line_fields(line)) + "\n" for line in lines))
+
+
+def pose_line_fields(line: PoseLine) -> list[str]:
+    """The two or nine columns of a line."""
+    pose = [] if line.T_query_ref is None else pose_fields(line.T_query_ref)
+    return [str(line.ref_timestamp_ns), str(line.query_timestamp_ns), *pose]
+
+
+def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> None:
+    """Write accepted pairs to the nine-column file and all pairs, with the rest of what is known, to the table."""
+    with atomic_write(pair_table) as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(TABLE_COLUMNS)
+        for p in pairs:
+            table.writerow(
+                [
+                    p.ref_timestamp_ns,
+                    p.query_timestamp_ns,
+                    p.group,
+                    _number(p.distance_m),
+                    _number(p.angle_deg),
+                    _number(p.overlap),
+                    _number(p.sigma_translation_m),
+                    _number(p.sigma_rotation_deg),
+                    p.source,
+                    "true" if p.accepted else "false",
+                    p.reason,
+                ]
+            )
+    accepted = [p for p in pairs if p.accepted]
+    write_pose_lines(pair_file, [PoseLine(p.ref_timestamp_ns, p.query_timestamp_ns, p.T_query_ref) for p in accepted])
+
+
+def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
+    """All pairs of a set, in the table's order; rejected ones have no pose.
+
+    The table may be absent (a pair file from elsewhere): then nothing but the poses is known.
+
+    Raises:
+        DatasetError: with file and line, also when the file and the table do not hold the same pairs.
+    """
+    lines = {line.key: line for line in read_pose_lines(pair_file)}
+    if not pair_table.exists():
+        return [Pair(*key, line.T_query_ref) for key, line in lines.items()]
+    rows = csv.reader(read_text(pair_table, "the table of a pair set", DatasetError).splitlines())
+    header = next(rows, [])
+    if tuple(header) != TABLE_COLUMNS:
+        raise DatasetError(f"expected the columns {','.join(TABLE_COLUMNS)}", pair_table, 1)
+    pairs: list[Pair] = []
+    seen: set[PairKey] = set()
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(TABLE_COLUMNS):
+            raise DatasetError(f"expected {len(TABLE_COLUMNS)} columns, found {len(row)}", pair_table, number)
+        field = dict(zip(TABLE_COLUMNS, row, strict=True))
+        key = (
+            parse_timestamp(field["ref_timestamp_ns"], pair_table, number, DatasetError),
+            parse_timestamp(field["query_timestamp_ns"], pair_table, number, DatasetError),
+        )
+        if key in seen:
+            raise DatasetError(f"pair {key[0]} {key[1]} occurs again", pair_table, number)
+        seen.add(key)
+        if field["accepted"] not in ("true", "false"):
+            raise DatasetError(f"accepted is '{field['accepted']}', expected true or false", pair_table, number)
+        accepted = field["accepted"] == "true"
+        if accepted != (key in lines):
+            where = "is missing from" if accepted else "was rejected but stands in"
+            raise DatasetError(f"pair {key[0]} {key[1]} {where} {pair_file.name}", pair_table, number)
+        pairs.append(
+            Pair(
+                *key,
+                T_query_ref=lines[key].T_query_ref if accepted else None,
+                group=field["group"],
+                overlap=_optional(field["overlap"], "overlap", pair_table, number),
+                sigma_translation_m=_optional(field["sigma_translation_m"], "sigma_translation_m", pair_table, number),
+                sigma_rotation_deg=_optional(field["sigma_rotation_deg"], "sigma_rotation_deg", pair_table, number),
+                source=field["source"],
+                accepted=accepted,
+                reason=field["reason"],
+            )
+        )
+    for key in lines:
+        if key not in seen:
+            raise DatasetError(f"pair {key[0]} {key[1]} is missing from {pair_table.name}", pair_file)
+    return pairs
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else repr(round(float(value), 9))
+
+
+def _optional(text: str, name: str, path: Path, line: int) -> float | None:
+    return parse_floats([text], path, line, name, DatasetError)[0] if text else None

@@ -1,0 +1,209 @@
+"""Where work runs: this process, local worker processes, or a Dask cluster.
+
+A unit of work is a call of one function on one picklable argument: independent, idempotent, its output written
+whole. Only a bounded number of units is in flight, so that memory does not grow with their number.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import Any, TypeVar
+
+from relocbench.errors import ConfigError, RelocbenchError
+
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+
+_THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+)
+_IN_FLIGHT_PER_WORKER = 2
+_TRIES = 2
+
+
+def default_workers() -> int:
+    """The cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_units(
+    function: Callable[[Unit], Result],
+    units: Sequence[Unit],
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+) -> Iterator[tuple[int, Result]]:
+    """Run ``function`` on every unit and yield (index, result) as they finish.
+
+    Args:
+        function: importable by name (a worker process imports it) and picklable, as are its arguments and results.
+        workers: local worker processes; 0 or 1 runs in this process. Each worker computes with one thread.
+        scheduler: address of a Dask scheduler; takes the place of local workers.
+
+    Raises:
+        RelocbenchError: a worker died twice on the same unit, or no scheduler answers.
+        Exception: what ``function`` raises, at once; units already finished have written their output.
+    """
+    if scheduler is not None:
+        yield from _run_on_cluster(function, units, scheduler)
+    elif workers <= 1 or len(units) <= 1:
+        for index, unit in enumerate(units):
+            yield index, function(unit)
+    else:
+        yield from _run_on_processes(function, units, min(workers, len(units)))
+
+
+def pin_threads() -> None:
+    """One thread for each library that would start its own, so that N workers use N cores."""
+    import sys
+
+    if "cv2" in sys.modules:
+        sys.modules["cv2"].setNumThreads(1)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
+
+
+@contextmanager
+def _single_threaded_children() -> Iterator[None]:
+    """Thread counts are read from the environment when a library is loaded: set it before a child starts."""
+    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _call(function: Callable[[Unit], Result], unit: Unit) -> Result:
+    result = function(unit)
+    pin_threads()
+    return result
+
+
+def _run_on_processes(
+    function: Callable[[Unit], Result], units: Sequence[Unit], workers: int
+) -> Iterator[tuple[int, Result]]:
+    """A pool that breaks (a worker was killed or crashed) costs the units in hand one try each.
+
+    Which of them broke it is not known, so that they are tried again one at a time, each in a pool of its own.
+    """
+    suspects: list[int] = []
+    remaining = iter(range(len(units)))
+    with _single_threaded_children():
+        while True:
+            with _pool(workers) as pool:
+                broken = yield from _drain(pool, function, units, remaining, workers * _IN_FLIGHT_PER_WORKER)
+            suspects.extend(broken)
+            if not broken:
+                break
+        for index in suspects:
+            with _pool(1) as pool:
+                try:
+                    yield index, pool.submit(_call, function, units[index]).result()
+                except BrokenProcessPool:
+                    raise RelocbenchError(
+                        f"a worker process died {_TRIES} times on unit {index} ({units[index]!r:.200}); "
+                        "out of memory, or a crash in native code"
+                    ) from None
+
+
+def _drain(
+    pool: Executor,
+    function: Callable[[Unit], Result],
+    units: Sequence[Unit],
+    remaining: Iterator[int],
+    window: int,
+) -> Generator[tuple[int, Result], None, list[int]]:
+    """Yield results until all units are done or the pool breaks; returns the indices that broke with it."""
+    flying: dict[Future[Result], int] = {}
+    broken: list[int] = []
+    try:
+        while not broken:
+            while len(flying) < window and (index := next(remaining, None)) is not None:
+                try:
+                    flying[pool.submit(_call, function, units[index])] = index
+                except BrokenProcessPool:
+                    broken.append(index)
+                    break
+            if not flying:
+                break
+            done, _ = wait(flying, return_when=FIRST_COMPLETED)
+            for future in done:
+                index = flying.pop(future)
+                try:
+                    result = future.result()
+                except BrokenProcessPool:
+                    broken.append(index)
+                else:
+                    yield index, result
+    finally:
+        for future in flying:
+            future.cancel()
+    for future, index in flying.items():
+        if future.done() and not future.cancelled() and future.exception() is None:
+            yield index, future.result()
+        else:
+            broken.append(index)
+    return broken
+
+
+def _pool(workers: int) -> ProcessPoolExecutor:
+    # A fresh interpreter: forking one that holds threads (OpenMP, Open3D, torch) can hang.
+    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=pin_threads)
+
+
+def _run_on_cluster(
+    function: Callable[[Unit], Result], units: Sequence[Unit], scheduler: str
+) -> Iterator[tuple[int, Result]]:
+    try:
+        from distributed import Client, as_completed
+    except ImportError:
+        raise ConfigError("--scheduler needs the optional extra: pip install 'relocbench[cluster]'") from None
+    try:
+        client = Client(scheduler, timeout="10s")
+    except (OSError, TimeoutError, ValueError) as bad:
+        raise ConfigError(f"no Dask scheduler answers at {scheduler} ({bad})") from None
+    with client:
+        threads = sum(client.nthreads().values()) or 1
+        waiting = deque(range(len(units)))
+
+        def submit(index: int) -> Any:
+            future = client.submit(_call, function, units[index], pure=False, retries=0)
+            indices[future.key] = index
+            return future
+
+        indices: dict[Any, int] = {}
+        first = [submit(waiting.popleft()) for _ in range(min(len(waiting), threads * _IN_FLIGHT_PER_WORKER))]
+        queue = as_completed(first)
+        for future in queue:
+            result = future.result()
+            yield indices.pop(future.key), result
+            if waiting:
+                queue.add(submit(waiting.popleft()))
+
+
+def chunks(items: Iterable[Unit], size: int) -> Iterator[list[Unit]]:
+    """Lists of at most ``size`` items, in order."""
+    chunk: list[Unit] = []
+    for item in items:
+        chunk.append(item)
+        if len(chunk) == size:
+            yield chunk
+            chunk = []
+    if chunk:
+        yield chunk
