@@ -43,6 +43,7 @@ def run_units(
     *,
     workers: int = 1,
     scheduler: str | None = None,
+    on_lost: Callable[[Unit], Result] | None = None,
 ) -> Iterator[tuple[int, Result]]:
     """Run ``function`` on every unit and yield (index, result) as they finish.
 
@@ -50,6 +51,7 @@ def run_units(
         function: importable by name (a worker process imports it) and picklable, as are its arguments and results.
         workers: local worker processes; 0 or 1 runs in this process. Each worker computes with one thread.
         scheduler: address of a Dask scheduler; takes the place of local workers.
+        on_lost: makes the result of a unit on which a local worker died twice; without it that is an error.
 
     Raises:
         RelocbenchError: a worker died twice on the same unit, or no scheduler answers.
@@ -61,7 +63,7 @@ def run_units(
         for index, unit in enumerate(units):
             yield index, function(unit)
     else:
-        yield from _run_on_processes(function, units, min(workers, len(units)))
+        yield from _run_on_processes(function, units, min(workers, len(units)), on_lost)
 
 
 def pin_threads() -> None:
@@ -96,7 +98,10 @@ def _call(function: Callable[[Unit], Result], unit: Unit) -> Result:
 
 
 def _run_on_processes(
-    function: Callable[[Unit], Result], units: Sequence[Unit], workers: int
+    function: Callable[[Unit], Result],
+    units: Sequence[Unit],
+    workers: int,
+    on_lost: Callable[[Unit], Result] | None,
 ) -> Iterator[tuple[int, Result]]:
     """A pool that breaks (a worker was killed or crashed) costs the units in hand one try each.
 
@@ -114,12 +119,15 @@ def _run_on_processes(
         for index in suspects:
             with _pool(1) as pool:
                 try:
-                    yield index, pool.submit(_call, function, units[index]).result()
+                    result = pool.submit(_call, function, units[index]).result()
                 except BrokenProcessPool:
-                    raise RelocbenchError(
-                        f"a worker process died {_TRIES} times on unit {index} ({units[index]!r:.200}); "
-                        "out of memory, or a crash in native code"
-                    ) from None
+                    if on_lost is None:
+                        raise RelocbenchError(
+                            f"a worker process died {_TRIES} times on unit {index} ({str(units[index])[:200]}); "
+                            "out of memory, or a crash in native code"
+                        ) from None
+                    result = on_lost(units[index])
+            yield index, result
 
 
 def _drain(

@@ -47,7 +47,9 @@ class PoseLine:
     ref_timestamp_ns: int
     query_timestamp_ns: int
     T_query_ref: Array | None
-    """(4, 4), None where the pose is withheld"""
+    """(4, 4), None where the pose is withheld or, in predictions, not finite"""
+    line: int = 0
+    """1-based, where it was read"""
 
     @property
     def key(self) -> PairKey:
@@ -92,8 +94,14 @@ class Pair:
         return float(np.degrees(rotation_angle(self.T_query_ref[:3, :3])))
 
 
-def read_pose_lines(path: Path, error: type[RelocbenchError] = DatasetError) -> list[PoseLine]:
+def read_pose_lines(
+    path: Path, error: type[RelocbenchError] = DatasetError, *, allow_non_finite: bool = False
+) -> list[PoseLine]:
     """Parse a pair or prediction file.
+
+    Args:
+        error: what is raised.
+        allow_non_finite: take a pose that is not finite for no pose, as the failure policy does with predictions.
 
     Raises:
         RelocbenchError: (as ``error``) with file and line: wrong number of columns, no number, a value that is not
@@ -112,8 +120,9 @@ def read_pose_lines(path: Path, error: type[RelocbenchError] = DatasetError) -> 
         if key in seen:
             raise error(f"pair {key[0]} {key[1]} occurs again (first on line {seen[key]})", path, number)
         seen[key] = number
-        pose = parse_pose(fields[2:], path, number, error) if len(fields) == 9 else None
-        lines.append(PoseLine(*key, pose))
+        withheld = len(fields) == 2 or (allow_non_finite and _any_non_finite(fields[2:]))
+        pose = None if withheld else parse_pose(fields[2:], path, number, error)
+        lines.append(PoseLine(*key, pose, number))
     return lines
 
 
@@ -219,6 +228,10 @@ def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
         if key not in seen:
             raise DatasetError(f"pair {key[0]} {key[1]} is missing from {pair_table.name}", pair_file)
     return pairs
+
+
+def _any_non_finite(fields: list[str]) -> bool:
+    return any(f.lower().lstrip("+-") in ("nan", "inf", "infinity") for f in fields)
 
 
 def _number(value: float | None) -> str:

@@ -1,0 +1,1 @@
+"""Run methods, keep their predictions, score them."""

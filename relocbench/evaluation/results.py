@@ -1,0 +1,337 @@
+"""The results folder: predictions, run records and scores of one or more datasets.
+
+``RESULTS/DATASET@FINGERPRINT/METHOD/`` holds, for each pair set, the predictions (``PAIRSET.txt``), one row a pair on
+how each came about (``PAIRSET.csv``) and, once scored, one row a pair of errors (``PAIRSET.errors.csv``); and
+``run.yaml`` and ``scores.yaml`` for the method. ``dataset.yaml`` beside the methods says what the dataset asks.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from relocbench.datasets.dataset import Dataset, PairSet
+from relocbench.datasets.fingerprint import SHORT
+from relocbench.datasets.pairfile import Pair, PairKey
+from relocbench.datasets.schema import Strict
+from relocbench.errors import PredictionError
+from relocbench.files import atomic_write, dump_yaml, load_yaml, parse_floats, parse_timestamp, read_text, write_text
+
+STATUSES = ("ok", "failed", "error")
+"""answered; the method said it failed; the method broke (exception, crash, breach of the contract)"""
+ANSWER_COLUMNS = ("ref_timestamp_ns", "query_timestamp_ns", "status", "seconds", "confidence", "message", "info")
+ERROR_COLUMNS = (
+    "ref_timestamp_ns",
+    "query_timestamp_ns",
+    "group",
+    "status",
+    "rotation_error_deg",
+    "translation_error_m",
+    "mlad_translation_error_m",
+    "confidence",
+    "seconds",
+    "distance_m",
+    "angle_deg",
+    "sigma_translation_m",
+    "sigma_rotation_deg",
+)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How the answer to one pair came about; the pose itself stands in the prediction file."""
+
+    key: PairKey
+    status: str
+    seconds: float | None = None
+    """wall time of the tracker alone; images read and the reference prepared before"""
+    confidence: float | None = None
+    message: str = ""
+    info: str = ""
+    """JSON: what else the method had to say"""
+
+
+class PairSetRecord(Strict):
+    """What a leaderboard must know about a pair set when the dataset is not at hand."""
+
+    reference: str
+    query: str
+    camera: str
+    reference_condition: str
+    query_condition: str
+    pairs: int
+    rejected: int
+    has_truth: bool
+    groups: tuple[str, ...] = ()
+    median_distance_m: float | None = None
+    median_angle_deg: float | None = None
+    median_sigma_translation_m: float | None = None
+    median_sigma_rotation_deg: float | None = None
+
+
+class DatasetRecord(Strict):
+    """``RESULTS/DATASET@FINGERPRINT/dataset.yaml``."""
+
+    name: str
+    fingerprint: str
+    licence: str
+    splits: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    pair_sets: dict[str, PairSetRecord]
+
+
+class RunRecord(Strict):
+    """``run.yaml``: what made the predictions of one method."""
+
+    method: str
+    target: str
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    seed: int | None = None
+    dataset: str
+    fingerprint: str
+    versions: dict[str, str] = Field(default_factory=dict)
+    machine: dict[str, Any] = Field(default_factory=dict)
+    workers: int | None = None
+    start: str = ""
+    end: str = ""
+
+
+class ScoreRecord(Strict):
+    """``scores.yaml``: the summary of each pair set (and group), and which predictions it was computed from."""
+
+    relocbench: str
+    predictions: dict[str, str]
+    """pair set -> SHA-256 of the prediction file and its table"""
+    pair_sets: dict[str, dict[str, dict[str, float | int | None]]]
+    """pair set -> group ('all' for the whole) -> metric -> value"""
+
+
+@dataclass(frozen=True)
+class PairErrors:
+    """One row of ``PAIRSET.errors.csv``."""
+
+    key: PairKey
+    group: str
+    status: str
+    rotation_error_deg: float
+    translation_error_m: float
+    mlad_translation_error_m: float
+    confidence: float | None
+    seconds: float | None
+    distance_m: float | None
+    angle_deg: float | None
+    sigma_translation_m: float | None
+    sigma_rotation_deg: float | None
+
+
+@dataclass(frozen=True)
+class MethodResults:
+    """The folder of one method."""
+
+    root: Path
+
+    @property
+    def label(self) -> str:
+        return self.root.name
+
+    @property
+    def run_yaml(self) -> Path:
+        return self.root / "run.yaml"
+
+    @property
+    def scores_yaml(self) -> Path:
+        return self.root / "scores.yaml"
+
+    def predictions(self, pair_set: str) -> Path:
+        return self.root / f"{pair_set}.txt"
+
+    def answers(self, pair_set: str) -> Path:
+        return self.root / f"{pair_set}.csv"
+
+    def errors(self, pair_set: str) -> Path:
+        return self.root / f"{pair_set}.errors.csv"
+
+    def journal(self, pair_set: str) -> Path:
+        """Folder that workers append to while they run; gone when the pair set is complete."""
+        return self.root / ".journal" / pair_set
+
+    def complete(self, pair_set: str) -> bool:
+        """Whether the pair set was run to its end."""
+        return self.predictions(pair_set).exists() and self.answers(pair_set).exists()
+
+    def run_record(self) -> RunRecord:
+        """Raises PredictionError with file and line."""
+        return load_yaml(self.run_yaml, RunRecord, "the record of a run", PredictionError)
+
+    def score_record(self) -> ScoreRecord:
+        """Raises PredictionError with file and line."""
+        return load_yaml(self.scores_yaml, ScoreRecord, "the scores of a method", PredictionError)
+
+
+@dataclass(frozen=True)
+class DatasetResults:
+    """The folder of one dataset: ``NAME@FINGERPRINT``."""
+
+    root: Path
+
+    @cached_property
+    def record(self) -> DatasetRecord:
+        """Raises PredictionError with file and line."""
+        path = self.root / "dataset.yaml"
+        return load_yaml(path, DatasetRecord, "the record of a dataset", PredictionError)
+
+    def method(self, label: str) -> MethodResults:
+        return MethodResults(self.root / label)
+
+    def methods(self) -> list[MethodResults]:
+        """Every method with a run record, by name."""
+        return [MethodResults(p.parent) for p in sorted(self.root.glob("*/run.yaml"))]
+
+
+def dataset_results(results: Path, dataset: Dataset) -> DatasetResults:
+    """The folder for a dataset's results; written if absent."""
+    found = DatasetResults(results / f"{dataset.name}@{dataset.fingerprint[:SHORT]}")
+    record = _dataset_record(dataset)
+    path = found.root / "dataset.yaml"
+    text = dump_yaml(record.model_dump(mode="json"))
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        write_text(path, text)
+    return found
+
+
+def all_results(results: Path) -> list[DatasetResults]:
+    """Every dataset's folder below a results folder. Raises PredictionError where there is none."""
+    if not results.is_dir():
+        raise PredictionError("no such folder; expected results of `relocbench evaluate`", results)
+    if (results / "dataset.yaml").exists():
+        return [DatasetResults(results)]
+    found = [DatasetResults(p.parent) for p in sorted(results.glob("*@*/dataset.yaml"))]
+    if not found:
+        raise PredictionError("holds no results (expected DATASET@FINGERPRINT folders)", results)
+    return found
+
+
+def write_answers(path: Path, answers: Sequence[Answer]) -> None:
+    """``PAIRSET.csv``, in the order given."""
+    with atomic_write(path) as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(ANSWER_COLUMNS)
+        for a in answers:
+            table.writerow([*a.key, a.status, _text(a.seconds, 6), _text(a.confidence), a.message, a.info])
+
+
+def read_answers(path: Path) -> dict[PairKey, Answer]:
+    """``PAIRSET.csv``. Raises PredictionError with file and line."""
+    out: dict[PairKey, Answer] = {}
+    for number, field in _rows(path, ANSWER_COLUMNS):
+        key = _key(field, path, number)
+        if key in out:
+            raise PredictionError(f"pair {key[0]} {key[1]} occurs again", path, number)
+        if field["status"] not in STATUSES:
+            raise PredictionError(f"status is '{field['status']}', expected {', '.join(STATUSES)}", path, number)
+        out[key] = Answer(
+            key,
+            field["status"],
+            _value(field, "seconds", path, number),
+            _value(field, "confidence", path, number),
+            field["message"],
+            field["info"],
+        )
+    return out
+
+
+def write_errors(path: Path, rows: Sequence[PairErrors]) -> None:
+    """``PAIRSET.errors.csv``: one row a pair of the set; a failed pair's errors are ``inf``."""
+    with atomic_write(path) as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(ERROR_COLUMNS)
+        for r in rows:
+            table.writerow(
+                [
+                    *r.key,
+                    r.group,
+                    r.status,
+                    *(repr(float(getattr(r, name))) for name in ERROR_COLUMNS[4:7]),
+                    *(_text(getattr(r, name)) for name in ERROR_COLUMNS[7:]),
+                ]
+            )
+
+
+def read_errors(path: Path) -> list[PairErrors]:
+    """``PAIRSET.errors.csv``. Raises PredictionError with file and line."""
+    out = []
+    for number, field in _rows(path, ERROR_COLUMNS):
+        values: dict[str, Any] = Field(default_factory=dict)
+        for name in ERROR_COLUMNS[4:7]:
+            infinite = field[name] == "inf"
+            values[name] = np.inf if infinite else parse_floats([field[name]], path, number, name, PredictionError)[0]
+        values |= {name: _value(field, name, path, number) for name in ERROR_COLUMNS[7:]}
+        out.append(PairErrors(_key(field, path, number), field["group"], field["status"], **values))
+    return out
+
+
+def _dataset_record(dataset: Dataset) -> DatasetRecord:
+    return DatasetRecord(
+        name=dataset.name,
+        fingerprint=dataset.fingerprint,
+        licence=dataset.file.licence,
+        splits=dict(dataset.splits),
+        pair_sets={s.name: _pair_set_record(dataset, s) for s in dataset.pair_sets()},
+    )
+
+
+def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
+    pairs = pair_set.pairs
+    return PairSetRecord(
+        reference=pair_set.reference,
+        query=pair_set.query,
+        camera=pair_set.camera,
+        reference_condition=str(dataset.traversal(pair_set.reference).condition),
+        query_condition=str(dataset.traversal(pair_set.query).condition),
+        pairs=len(pairs),
+        rejected=len(pair_set.rejected),
+        has_truth=pair_set.has_truth,
+        groups=tuple(dict.fromkeys(p.group for p in pairs if p.group)),
+        **{f"median_{name}": _median(pairs, name) for name in _MEDIANS},
+    )
+
+
+_MEDIANS = ("distance_m", "angle_deg", "sigma_translation_m", "sigma_rotation_deg")
+
+
+def _median(pairs: Sequence[Pair], name: str) -> float | None:
+    values = [v for p in pairs if (v := getattr(p, name)) is not None]
+    return round(float(np.median(values)), 6) if values else None
+
+
+def _rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:
+    rows = csv.reader(read_text(path, f"a table ({','.join(columns)})", PredictionError).splitlines())
+    if tuple(next(rows, [])) != columns:
+        raise PredictionError(f"expected the header {','.join(columns)}", path, 1)
+    out = []
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(columns):
+            raise PredictionError(f"expected {len(columns)} columns, found {len(row)}", path, number)
+        out.append((number, dict(zip(columns, row, strict=True))))
+    return out
+
+
+def _key(field: dict[str, str], path: Path, line: int) -> PairKey:
+    ref, query = (parse_timestamp(field[c], path, line, PredictionError) for c in ANSWER_COLUMNS[:2])
+    return ref, query
+
+
+def _value(field: dict[str, str], name: str, path: Path, line: int) -> float | None:
+    return parse_floats([field[name]], path, line, name, PredictionError)[0] if field[name] else None
+
+
+def _text(value: float | None, digits: int | None = None) -> str:
+    if value is None:
+        return ""
+    return repr(round(float(value), digits) if digits is not None else float(value))

@@ -1,0 +1,377 @@
+"""Phase one: ask a method about every pair and keep what it answers.
+
+Every answer goes to a journal at once, so that a killed run loses only the pair in hand; a complete pair set is
+written whole and its journal removed. Nothing here knows the ground truth: workers get timestamps alone.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import platform
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import groupby
+from pathlib import Path
+from typing import IO, Any, Literal
+
+import numpy as np
+
+from relocbench.datasets.dataset import Dataset, PairSet, Traversal
+from relocbench.datasets.layout import DatasetLayout
+from relocbench.datasets.pairfile import PairKey, PoseLine, write_pose_lines
+from relocbench.datasets.writer import versions
+from relocbench.errors import PredictionError
+from relocbench.evaluation.results import Answer, DatasetResults, MethodResults, RunRecord, read_answers, write_answers
+from relocbench.execution import chunks, default_workers, run_units
+from relocbench.files import dump_yaml, read_journal, remove_parts, write_text
+from relocbench.geometry import transform_from_tq, transform_to_tq
+from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
+from relocbench.progress import Reporter
+from relocbench.tracking import Query, SupportsBatch, SupportsPrepare, TrackResult, fault_of
+
+Overwrite = Literal["never", "failed", "always"]
+_PAIRS_A_UNIT = 16
+_BATCH = 8
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Some pairs of one reference, for one worker."""
+
+    spec: MethodSpec
+    dataset: Path
+    reference: str
+    query: str
+    camera: str
+    keys: tuple[PairKey, ...]
+    journal: Path
+
+    def __str__(self) -> str:
+        return f"{self.spec.label} on {self.reference}__{self.query}__{self.camera}, pair {self.keys[0]}"
+
+
+def run_method(
+    dataset: Dataset,
+    pair_sets: Sequence[PairSet],
+    spec: MethodSpec,
+    results: DatasetResults,
+    *,
+    overwrite: Overwrite = "never",
+    workers: int | None = None,
+    scheduler: str | None = None,
+    seed: int = 0,
+    reporter: Reporter,
+) -> MethodResults:
+    """Run what is missing of a method's predictions.
+
+    Args:
+        overwrite: ``never`` keeps every answer there is, ``failed`` asks again where the method failed or broke,
+            ``always`` starts anew.
+
+    Raises:
+        PredictionError: the folder holds answers of the same label made with other parameters or versions.
+        DatasetError: an image, depth or description of the dataset is bad.
+    """
+    folder = results.method(spec.label)
+    workers = default_workers() if workers is None else workers
+    record = _new_record(dataset, spec, workers, seed)
+    if overwrite == "always":
+        _clear(folder, pair_sets)
+    todo = {s.name: _open_pairs(folder, s, overwrite) for s in pair_sets}
+    _refuse_mixture(folder, record, work_left=any(todo.values()))
+    if not any(todo.values()) and all(folder.complete(s.name) for s in pair_sets):
+        return folder
+    folder.root.mkdir(parents=True, exist_ok=True)
+    if not folder.run_yaml.exists():
+        _write_record(folder, record)
+    with reporter.stage(f"{spec.label} on {dataset.name}", sum(map(len, todo.values()))) as advance:
+        for pair_set in pair_sets:
+            _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], workers, scheduler, advance)
+    started = folder.run_record().start
+    _write_record(folder, record.model_copy(update={"start": started, "end": _now()}))
+    return folder
+
+
+def _run_pair_set(
+    dataset: Dataset,
+    pair_set: PairSet,
+    spec: MethodSpec,
+    folder: MethodResults,
+    todo: list[PairKey],
+    workers: int,
+    scheduler: str | None,
+    advance: Callable[[int], None],
+) -> None:
+    if not todo and folder.complete(pair_set.name):
+        return
+    journal = folder.journal(pair_set.name)
+    journal.mkdir(parents=True, exist_ok=True)
+    left = todo
+    while left:
+        units = _units(dataset, pair_set, spec, journal, left)
+        for _, done in run_units(_run_unit, units, workers=workers, scheduler=scheduler, on_lost=_lose_one):
+            advance(done)
+        answered = {entry["key"] for entry in _journal_entries(journal)}
+        left = [key for key in left if key not in answered]  # what a dying worker left of its unit
+    _collect(pair_set, folder, journal)
+
+
+def _units(dataset: Dataset, pair_set: PairSet, spec: MethodSpec, journal: Path, keys: Sequence[PairKey]) -> list[Unit]:
+    ordered = sorted(keys)
+    common = (spec, dataset.root.resolve(), pair_set.reference, pair_set.query, pair_set.camera)
+    return [
+        Unit(*common, tuple(chunk), journal.resolve())
+        for _, group in groupby(ordered, key=lambda key: key[0])
+        for chunk in chunks(group, _PAIRS_A_UNIT)
+    ]
+
+
+def _run_unit(unit: Unit) -> int:
+    """Answer the pairs of a unit; returns how many. Runs in a worker."""
+    tracker = _tracker(unit.spec)
+    neighbours = int(getattr(tracker, "neighbours", 0))
+    keyframe = _traversal(unit.dataset, unit.reference).reference(unit.camera, unit.keys[0][0], neighbours)
+    queries = _traversal(unit.dataset, unit.query)
+    breach: TrackResult | None = None
+    prepared: Any = keyframe
+    if isinstance(tracker, SupportsPrepare):
+        prepared, breach = _guarded(lambda: tracker.prepare(keyframe))
+    with _open_journal(unit.journal) as stream:
+        for batch in chunks(unit.keys, _BATCH if isinstance(tracker, SupportsBatch) else 1):
+            views = [queries.query(unit.camera, key[1]) for key in batch]
+            if breach is not None:
+                answered, seconds = [breach] * len(batch), 0.0
+            else:
+                _warm_up(tracker, prepared, views[0], unit.spec)
+                answered, seconds = _ask(tracker, prepared, views)
+            for key, result in zip(batch, answered, strict=True):
+                stream.write(json.dumps(_entry(key, result, seconds / len(batch))) + "\n")
+            stream.flush()
+    return len(unit.keys)
+
+
+def _ask(tracker: Any, prepared: Any, views: list[Query]) -> tuple[list[TrackResult], float]:
+    """Answers to some queries of one reference and the seconds they took together."""
+    start = time.perf_counter()
+    if isinstance(tracker, SupportsBatch):
+        value, breach = _guarded(lambda: list(tracker.track_batch(prepared, views, [None] * len(views))))
+        if breach is None and len(value) != len(views):
+            breach = _broken(f"track_batch returned {len(value)} results for {len(views)} queries")
+        answered = [breach] * len(views) if breach is not None else value
+    else:
+        value, breach = _guarded(lambda: tracker.track(prepared, views[0], None))
+        answered = [breach if breach is not None else value]
+    seconds = time.perf_counter() - start
+    faults = [fault_of(result) for result in answered]
+    return [_broken(f) if f else r for f, r in zip(faults, answered, strict=True)], seconds
+
+
+def _guarded(call: Callable[[], Any]) -> tuple[Any, TrackResult | None]:
+    """The value of a method's own code, or what to record when it raises: a method's bug costs its pair only."""
+    try:
+        return call(), None
+    except Exception as bad:  # noqa: BLE001  the boundary to code that is not ours
+        return None, _broken(f"{type(bad).__name__}: {bad}")
+
+
+def _broken(message: str) -> TrackResult:
+    return TrackResult.failure(message, status="error")
+
+
+_warm: set[str] = set()
+
+
+def _warm_up(tracker: Any, prepared: Any, view: Query, spec: MethodSpec) -> None:
+    """Compilation and first allocations are not the method's speed: one call a process goes untimed."""
+    if spec.label in _warm or spec.target.startswith(SUBPROCESS):
+        return
+    _warm.add(spec.label)
+    _ask(tracker, prepared, [view])
+
+
+def _entry(key: PairKey, result: TrackResult, seconds: float) -> dict[str, Any]:
+    pose = None
+    if result.T_query_ref is not None:
+        translation, quaternion = transform_to_tq(np.asarray(result.T_query_ref, dtype=np.float64))
+        pose = [*translation.tolist(), *quaternion.tolist()]
+    status = "ok" if pose is not None else str(result.info.get("status", "failed"))
+    return {
+        "key": list(key),
+        "pose": pose,
+        "status": status if status in ("ok", "error") else "failed",
+        "seconds": seconds,
+        "confidence": None if result.confidence is None else float(result.confidence),
+        "message": " ".join(result.message.split())[:500],
+        "info": json.dumps(dict(result.info), default=_plain),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """NumPy numbers and arrays as plain values, anything else as words."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+def _lose_one(unit: Unit) -> int:
+    """A worker died twice on this unit: its first pair without an answer is the one that kills."""
+    done = {entry["key"] for entry in _journal_entries(unit.journal)}
+    culprit = next(key for key in unit.keys if key not in done)
+    with _open_journal(unit.journal) as stream:
+        result = _broken("the worker process died twice on this pair (out of memory, or a crash in native code)")
+        stream.write(json.dumps(_entry(culprit, result, 0.0)) + "\n")
+    return 1
+
+
+def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
+    """Journal, and earlier answers that were kept -> prediction file and table, in the pair set's order."""
+    entries = {entry["key"]: entry for entry in _kept_entries(folder, pair_set)}
+    entries |= {entry["key"]: entry for entry in _journal_entries(journal)}
+    lines, answers = [], []
+    for pair in pair_set.pairs:
+        entry = entries[pair.key]
+        if entry["pose"] is not None:
+            lines.append(PoseLine(*pair.key, transform_from_tq(entry["pose"][:3], entry["pose"][3:])))
+        answers.append(
+            Answer(pair.key, entry["status"], entry["seconds"], entry["confidence"], entry["message"], entry["info"])
+        )
+    write_pose_lines(folder.predictions(pair_set.name), lines)
+    write_answers(folder.answers(pair_set.name), answers)
+    shutil.rmtree(journal)
+
+
+def _open_pairs(folder: MethodResults, pair_set: PairSet, overwrite: Overwrite) -> list[PairKey]:
+    """The pairs of a set that the method is still to be asked about."""
+    done = {e["key"] for e in _kept_entries(folder, pair_set)} if folder.complete(pair_set.name) else set()
+    if overwrite == "failed" and done:
+        answers = read_answers(folder.answers(pair_set.name))
+        done = {key for key in done if answers[key].status == "ok"}
+    done |= {entry["key"] for entry in _journal_entries(folder.journal(pair_set.name))}
+    return [p.key for p in pair_set.pairs if p.key not in done]
+
+
+def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str, Any]]:
+    """Answers of a pair set that was completed before, as journal entries."""
+    from relocbench.evaluation.score import read_predictions
+
+    if not folder.complete(pair_set.name):
+        return
+    poses = read_predictions(folder.predictions(pair_set.name), pair_set)
+    for key, answer in read_answers(folder.answers(pair_set.name)).items():
+        if key not in pair_set.by_key:
+            raise PredictionError(f"unknown pair {key[0]} {key[1]}", folder.answers(pair_set.name))
+        pose = None
+        if key in poses:
+            translation, quaternion = transform_to_tq(poses[key])
+            pose = [*translation.tolist(), *quaternion.tolist()]
+        yield {
+            "key": key,
+            "pose": pose,
+            "status": answer.status,
+            "seconds": answer.seconds,
+            "confidence": answer.confidence,
+            "message": answer.message,
+            "info": answer.info,
+        }
+
+
+def _journal_entries(journal: Path) -> Iterator[dict[str, Any]]:
+    if not journal.is_dir():
+        return
+    for path in sorted(journal.glob("*.jsonl")):
+        for entry in read_journal(path):
+            yield {**entry, "key": tuple(entry["key"])}
+
+
+def _open_journal(journal: Path) -> IO[str]:
+    """A file of this process alone: two writers never meet, and a torn line is always a file's last."""
+    return (journal / f"{time.time_ns()}-{os.getpid()}.jsonl").open("x", encoding="utf-8")
+
+
+@cache
+def _traversal(dataset: Path, name: str) -> Traversal:
+    return Traversal(DatasetLayout(dataset).traversal(name))
+
+
+_trackers: dict[str, Any] = {}
+
+
+def _tracker(spec: MethodSpec) -> Any:
+    """One tracker a process and specification; building it may load weights."""
+    if repr(spec) not in _trackers:
+        _trackers[repr(spec)] = spec.create()
+    return _trackers[repr(spec)]
+
+
+def _new_record(dataset: Dataset, spec: MethodSpec, workers: int, seed: int) -> RunRecord:
+    return RunRecord(
+        method=spec.label,
+        target=spec.target,
+        parameters=json.loads(json.dumps(dict(spec.parameters), default=str)),
+        seed=seed,
+        dataset=dataset.name,
+        fingerprint=dataset.fingerprint,
+        versions={**versions(), "method": distribution_version(spec.target)},
+        machine=machine(),
+        workers=workers,
+        start=_now(),
+    )
+
+
+def _refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool) -> None:
+    """Answers of two configurations never share a folder."""
+    if not folder.run_yaml.exists():
+        return
+    before = folder.run_record()
+    if before.fingerprint != record.fingerprint:
+        raise PredictionError(f"was made for the dataset with fingerprint {before.fingerprint}", folder.run_yaml)
+    way_out = f"give this run a label (LABEL={record.target}) or use --overwrite always"
+    if before.target != record.target:
+        raise PredictionError(
+            f"holds predictions of '{before.target}', this run is '{record.target}'; {way_out}", folder.run_yaml
+        )
+    changed = [
+        f"{k}: {before.parameters.get(k)} there, {record.parameters.get(k)} now"
+        for k in sorted(before.parameters.keys() | record.parameters.keys())
+        if before.parameters.get(k) != record.parameters.get(k)
+    ]
+    if work_left and not changed:
+        changed = [
+            f"{k} {before.versions.get(k)} there, {v} now"
+            for k, v in record.versions.items()
+            if before.versions.get(k) != v
+        ]
+    if changed:
+        raise PredictionError(f"holds predictions made otherwise ({'; '.join(changed)}); {way_out}", folder.run_yaml)
+
+
+def _clear(folder: MethodResults, pair_sets: Sequence[PairSet]) -> None:
+    for pair_set in pair_sets:
+        for path in (folder.predictions, folder.answers, folder.errors):
+            path(pair_set.name).unlink(missing_ok=True)
+        shutil.rmtree(folder.journal(pair_set.name), ignore_errors=True)
+    # Other pair sets that stay keep their record: a mixture is then refused below.
+    if folder.root.is_dir() and not any(folder.root.glob("*__*__*.txt")):
+        folder.run_yaml.unlink(missing_ok=True)
+        remove_parts(folder.root)
+
+
+def _write_record(folder: MethodResults, record: RunRecord) -> None:
+    write_text(folder.run_yaml, dump_yaml(record.model_dump(mode="json")))
+
+
+def machine() -> dict[str, Any]:
+    """The machine that seconds are measured on."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if "model name" in line]
+        model = names[0] if names else model
+    return {"cpu": model, "cores": default_workers(), "system": f"{platform.system()} {platform.machine()}"}
+
+
+def _now() -> str:
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

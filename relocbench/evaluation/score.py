@@ -1,0 +1,165 @@
+"""Phase two: what the metrics make of predictions. Needs the ground truth and nothing of the method."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import relocbench
+from relocbench.datasets.dataset import Dataset, PairSet
+from relocbench.datasets.pairfile import Pair, PairKey, read_pose_lines
+from relocbench.errors import PredictionError
+from relocbench.evaluation.results import (
+    Answer,
+    MethodResults,
+    PairErrors,
+    ScoreRecord,
+    read_answers,
+    write_errors,
+)
+from relocbench.files import dump_yaml, write_text
+from relocbench.metrics import PairSetSummary, PoseErrors, align_predictions, pose_errors, summarize
+
+Array = NDArray[np.float64]
+ALL = "all"
+"""the group that is the whole pair set"""
+
+
+def read_predictions(path: Path, pair_set: PairSet) -> dict[PairKey, Array]:
+    """Poses of a prediction file by pair; a pose that is not finite is no pose.
+
+    Raises:
+        PredictionError: with file and line: a line that cannot be read, an unknown pair, a pair that occurs twice.
+    """
+    lines = read_pose_lines(path, PredictionError, allow_non_finite=True)
+    align_predictions(
+        [p.key for p in pair_set.pairs], [line.key for line in lines], path=path, lines=[line.line for line in lines]
+    )
+    return {line.key: line.T_query_ref for line in lines if line.T_query_ref is not None}
+
+
+def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodResults) -> ScoreRecord:
+    """Score every complete pair set of a method; writes ``PAIRSET.errors.csv`` and ``scores.yaml``.
+
+    Pair sets without ground truth are passed over: their predictions can be exported, not scored.
+
+    Raises:
+        PredictionError: the predictions are for another dataset, or a file is bad.
+    """
+    record = folder.run_record()
+    if record.fingerprint != dataset.fingerprint:
+        raise PredictionError(
+            f"predictions are for {record.dataset}@{record.fingerprint[:12]}, "
+            f"the dataset is {dataset.name}@{dataset.fingerprint[:12]}",
+            folder.run_yaml,
+        )
+    before = folder.score_record() if folder.scores_yaml.exists() else None
+    hashes = dict(before.predictions) if before else {}
+    scores = dict(before.pair_sets) if before else {}
+    for pair_set in pair_sets:
+        if not pair_set.has_truth or not folder.predictions(pair_set.name).exists():
+            continue
+        rows = score_pair_set(pair_set, folder)
+        write_errors(folder.errors(pair_set.name), rows)
+        hashes[pair_set.name] = predictions_hash(folder, pair_set.name)
+        scores[pair_set.name] = {g: _plain(summarize_rows(rows, g)) for g in groups_of(rows)}
+    known = {s for s in dataset.pair_set_names if folder.predictions(s).exists()}
+    score_record = ScoreRecord(
+        relocbench=relocbench.__version__,
+        predictions={k: v for k, v in sorted(hashes.items()) if k in known},
+        pair_sets={k: v for k, v in sorted(scores.items()) if k in known},
+    )
+    write_text(folder.scores_yaml, dump_yaml(score_record.model_dump(mode="json")))
+    return score_record
+
+
+def score_pair_set(pair_set: PairSet, folder: MethodResults) -> list[PairErrors]:
+    """Errors of every accepted pair, in the pair set's order. Raises PredictionError."""
+    poses = read_predictions(folder.predictions(pair_set.name), pair_set)
+    path = folder.answers(pair_set.name)
+    answers = read_answers(path) if path.exists() else {}
+    align_predictions([p.key for p in pair_set.pairs], list(answers), path=path)
+    pairs = pair_set.pairs
+    T_pred = np.array([poses.get(p.key, np.full((4, 4), np.nan)) for p in pairs]).reshape(-1, 4, 4)
+    T_gt = np.array([p.T_query_ref for p in pairs], dtype=np.float64).reshape(-1, 4, 4)
+    errors = pose_errors(T_pred, T_gt, answered=[p.key in poses for p in pairs])
+    return [
+        _row(pair, answers.get(pair.key, _unreported(pair, poses)), *values)
+        for pair, *values in zip(
+            pairs,
+            errors.rotation_error_deg.tolist(),
+            errors.translation_error_m.tolist(),
+            errors.mlad_translation_error_m.tolist(),
+            strict=True,
+        )
+    ]
+
+
+def summarize_rows(rows: Sequence[PairErrors], group: str = ALL) -> PairSetSummary:
+    """Every metric over the rows of one group. Raises DatasetError where there is none."""
+    chosen = [r for r in rows if group in (ALL, r.group)]
+    return summarize(errors_of(chosen), seconds=column(chosen, "seconds"), confidence=column(chosen, "confidence"))
+
+
+def errors_of(rows: Sequence[PairErrors]) -> PoseErrors:
+    """The error arrays of rows."""
+    return PoseErrors(
+        rotation_error_deg=np.array([r.rotation_error_deg for r in rows], dtype=np.float64),
+        translation_error_m=np.array([r.translation_error_m for r in rows], dtype=np.float64),
+        mlad_translation_error_m=np.array([r.mlad_translation_error_m for r in rows], dtype=np.float64),
+    )
+
+
+def column(rows: Sequence[PairErrors], name: str) -> Array | None:
+    """(N,) values, NaN where a row has none; None where no row has one."""
+    values = [getattr(r, name) for r in rows]
+    if all(v is None for v in values):
+        return None
+    return np.array([np.nan if v is None else v for v in values], dtype=np.float64)
+
+
+def groups_of(rows: Sequence[PairErrors]) -> list[str]:
+    """``all`` and the named groups, in order of appearance; a single group is the whole set and not repeated."""
+    named = list(dict.fromkeys(r.group for r in rows if r.group))
+    return [ALL, *named] if len(named) > 1 else [ALL]
+
+
+def predictions_hash(folder: MethodResults, pair_set: str) -> str:
+    """SHA-256 over what was scored: a score whose predictions changed since is stale."""
+    digest = hashlib.sha256(folder.predictions(pair_set).read_bytes())
+    answers = folder.answers(pair_set)
+    digest.update(b"\n" + (answers.read_bytes() if answers.exists() else b""))
+    return digest.hexdigest()
+
+
+def _row(pair: Pair, answer: Answer, rotation: float, translation: float, mlad: float) -> PairErrors:
+    answered = math.isfinite(translation)
+    status = answer.status if answered or answer.status != "ok" else "failed"
+    return PairErrors(
+        key=pair.key,
+        group=pair.group,
+        status=status if not answered else "ok",
+        rotation_error_deg=rotation,
+        translation_error_m=translation,
+        mlad_translation_error_m=mlad,
+        confidence=answer.confidence,
+        seconds=answer.seconds,
+        distance_m=pair.distance_m,
+        angle_deg=pair.angle_deg,
+        sigma_translation_m=pair.sigma_translation_m,
+        sigma_rotation_deg=pair.sigma_rotation_deg,
+    )
+
+
+def _unreported(pair: Pair, poses: dict[PairKey, Array]) -> Answer:
+    """A pair of predictions made elsewhere, which come without a table."""
+    return Answer(pair.key, "ok" if pair.key in poses else "failed")
+
+
+def _plain(summary: PairSetSummary) -> dict[str, float | int | None]:
+    return summary.to_dict()
