@@ -1,0 +1,285 @@
+"""Ground-truth correspondences: which query pixel sees the surface point of a reference pixel, kept as Parquet.
+
+How visibility is decided, and within which tolerances, stands in :mod:`relocbench.datasets.visibility`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from relocbench.datasets import pairfile
+from relocbench.datasets.dataset import Traversal
+from relocbench.datasets.importers import Run
+from relocbench.datasets.layout import pair_set_name
+from relocbench.datasets.pairfile import Pair, PairKey
+from relocbench.datasets.visibility import CHECKS, DepthView, ReferencePoints, see, warp
+from relocbench.datasets.writer import DatasetWriter
+from relocbench.errors import DatasetError
+from relocbench.execution import run_units
+from relocbench.files import atomic_write
+from relocbench.geometry import Camera
+from relocbench.progress import Reporter
+from relocbench.tracking import Reference
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SCHEMA = pa.schema(
+    [
+        ("ref_timestamp_ns", pa.int64()),
+        ("query_timestamp_ns", pa.int64()),
+        ("u_ref", pa.float32()),
+        ("v_ref", pa.float32()),
+        ("depth_ref", pa.float32()),
+        ("u_query", pa.float32()),
+        ("v_query", pa.float32()),
+        ("visible", pa.bool_()),
+        ("check", pa.dictionary(pa.int8(), pa.string())),
+    ]
+)
+_CELLS = 24
+"""samples are spread over cells, this many along the longer side of the image"""
+_OVERLAP_PIXELS = 60_000
+"""of a denser keyframe so many pixels are drawn: the overlap is then right to 0.002 (one sigma)"""
+
+
+@dataclass(frozen=True, eq=False)
+class Correspondences:
+    """Rows of a correspondence file, as arrays of equal length."""
+
+    ref_timestamp_ns: NDArray[np.int64]
+    query_timestamp_ns: NDArray[np.int64]
+    uv_ref: Array
+    """(N, 2) pixels"""
+    depth_ref: Array
+    """(N,) metres along z"""
+    uv_query: Array
+    """(N, 2) pixels, on the query's image"""
+    visible: Mask
+    """(N,) the query sees the point; else something hides it"""
+    check: tuple[str, ...]
+    """how that was decided: both, self or none"""
+
+    def __len__(self) -> int:
+        return len(self.depth_ref)
+
+
+@dataclass(frozen=True, eq=False)
+class PairCorrespondences:
+    """The correspondences of one pair, in raster order of the reference pixels."""
+
+    uv_ref: Array
+    """(N, 2)"""
+    depth_ref: Array
+    """(N,) metres"""
+    uv_query: Array
+    """(N, 2)"""
+    visible: Mask
+    check: NDArray[np.int8]
+    """index into CHECKS"""
+    overlap: float
+    """share of the reference's pixels with depth that the query sees"""
+
+    def __len__(self) -> int:
+        return len(self.depth_ref)
+
+
+def pair_correspondences(
+    reference: Reference, T_query_ref: Array, query: DepthView, count: int, rng: np.random.Generator
+) -> PairCorrespondences:
+    """Up to ``count`` correspondences of a pair, spread over the reference image, and the pair's overlap.
+
+    They are drawn among the reference pixels whose point falls on the query's image, seen there or hidden.
+    """
+    points = ReferencePoints.of(reference)
+    if len(points) > _OVERLAP_PIXELS:
+        points = points.take(np.sort(rng.choice(len(points), _OVERLAP_PIXELS, replace=False)))
+    seen = see(points, T_query_ref, DepthView(reference.camera, reference.depth, reference.depth_sigma), query)
+    overlap = float(np.mean(seen.visible)) if len(points) else 0.0
+    inside = np.nonzero(seen.inside)[0]
+    rows = inside[spread_sample(points.uv[inside], reference.camera, count, rng)]
+    return PairCorrespondences(
+        points.uv[rows], points.depth[rows], seen.uv_query[rows], seen.visible[rows], seen.check[rows], overlap
+    )
+
+
+def spread_sample(pixels: Array, camera: Camera, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Rows of up to ``count`` of the pixels (N, 2), drawn evenly over the cells of the image, in increasing order.
+
+    Every cell gives one pixel before any gives its second.
+    """
+    if len(pixels) <= count:
+        return np.arange(len(pixels))
+    side = max(camera.size) / _CELLS
+    row, column = np.floor(pixels[:, 1] / side).astype(int), np.floor(pixels[:, 0] / side).astype(int)
+    cell = row * (_CELLS + 1) + column
+    shuffled = rng.permutation(len(pixels))
+    by_cell = shuffled[np.argsort(cell[shuffled], kind="stable")]
+    counts = np.unique(cell, return_counts=True)[1]
+    turn = np.empty(len(pixels), dtype=np.int64)
+    turn[by_cell] = np.arange(len(pixels)) - np.repeat(np.cumsum(counts) - counts, counts)
+    first = shuffled[np.argsort(turn[shuffled], kind="stable")[:count]]
+    return np.sort(first)
+
+
+@dataclass(frozen=True, eq=False)
+class _Unit:
+    """One pair, as a worker needs it."""
+
+    reference: Traversal
+    query: Traversal
+    camera: str
+    pair: Pair
+    count: int
+    seed: int
+
+
+def _work(unit: _Unit) -> PairCorrespondences:
+    pair, camera = unit.pair, unit.camera
+    assert pair.T_query_ref is not None
+    entry = unit.query.file.cameras[camera]
+    query = DepthView(entry.camera, unit.query.depth(camera, pair.query_timestamp_ns), entry.depth_sigma)
+    rng = np.random.default_rng([unit.seed, *(time % 2**64 for time in pair.key)])
+    reference = unit.reference.reference(camera, pair.ref_timestamp_ns)
+    return pair_correspondences(reference, pair.T_query_ref, query, unit.count, rng)
+
+
+def write_pair_set(
+    writer: DatasetWriter,
+    reference: str,
+    query: str,
+    camera: str,
+    pairs: Sequence[Pair],
+    *,
+    count: int,
+    seed: int,
+    reporter: Reporter,
+    run: Run,
+) -> str:
+    """A pair set with the overlap of each pair and, for ``count`` > 0, its correspondence file; its name is returned.
+
+    The traversals must have been written before. Pairs that were rejected or have no pose are kept without either.
+    A set that a former run of the same build finished is kept as it is.
+    """
+    name = pair_set_name(reference, query, camera)
+    path = writer.layout.correspondence_file(name)
+    ordered = sorted(pairs, key=lambda p: p.key)
+    if _is_finished(writer, name, ordered, count):
+        return name
+    traversals = [Traversal(writer.layout.traversal(t)) for t in (reference, query)]
+    measured = [p for p in ordered if p.accepted and p.T_query_ref is not None]
+    units = [_Unit(traversals[0], traversals[1], camera, pair, count, seed) for pair in measured]
+    overlaps: dict[PairKey, float] = {}
+    with reporter.stage(f"correspondences of {name}", len(units)) as advance:
+
+        def results() -> Iterator[tuple[PairKey, PairCorrespondences]]:
+            for index, found in _in_order(run_units(_work, units, workers=run.workers, scheduler=run.scheduler)):
+                overlaps[measured[index].key] = found.overlap
+                yield measured[index].key, found
+                advance(1)
+
+        if count:
+            write_correspondences(path, results())
+        else:
+            for _ in results():
+                pass
+    writer.pairs(reference, query, camera, [replace(p, overlap=overlaps.get(p.key, p.overlap)) for p in ordered])
+    return name
+
+
+def write_correspondences(path: Path, pairs: Iterable[tuple[PairKey, PairCorrespondences]]) -> None:
+    """One row group a pair, streamed: memory holds one pair at a time."""
+    with atomic_write(path, "wb") as stream, pq.ParquetWriter(stream, SCHEMA, compression="zstd") as table:
+        for key, found in pairs:
+            if len(found):
+                table.write_table(_table(key, found), row_group_size=len(found))
+
+
+def read_correspondences(path: Path, key: PairKey | None = None) -> Correspondences:
+    """All rows of a correspondence file, or those of one pair (the rest is not read).
+
+    Raises:
+        DatasetError: missing, not a Parquet file, or other columns.
+    """
+    if not path.exists():
+        raise DatasetError("missing; expected correspondences (Parquet)", path)
+    try:
+        file = pq.ParquetFile(path)
+        if file.schema_arrow.names != SCHEMA.names:
+            raise DatasetError(f"expected the columns {','.join(SCHEMA.names)}", path)
+        groups = range(file.num_row_groups)
+        table = file.read_row_groups([g for g in groups if key is None or _key_of(file, g) == key])
+    except (pa.ArrowInvalid, OSError) as bad:
+        raise DatasetError(f"not a whole Parquet file ({bad}); expected correspondences", path) from None
+    column: dict[str, Any] = {name: table[name].to_numpy() for name in SCHEMA.names if name != "check"}
+    return Correspondences(
+        column["ref_timestamp_ns"],
+        column["query_timestamp_ns"],
+        np.column_stack([column["u_ref"], column["v_ref"]]).astype(np.float64),
+        column["depth_ref"].astype(np.float64),
+        np.column_stack([column["u_query"], column["v_query"]]).astype(np.float64),
+        column["visible"],
+        tuple(table["check"].to_pylist()),
+    )
+
+
+def _table(key: PairKey, found: PairCorrespondences) -> pa.Table:
+    columns = [
+        np.full(len(found), key[0], dtype=np.int64),
+        np.full(len(found), key[1], dtype=np.int64),
+        *(v.astype(np.float32) for v in (*found.uv_ref.T, found.depth_ref, *found.uv_query.T)),
+        found.visible,
+        pa.DictionaryArray.from_arrays(pa.array(found.check), pa.array(CHECKS)),
+    ]
+    return pa.Table.from_arrays([pa.array(c) if isinstance(c, np.ndarray) else c for c in columns], schema=SCHEMA)
+
+
+def _key_of(file: pq.ParquetFile, group: int) -> PairKey:
+    """A row group holds one pair: its least time is its only one."""
+    columns = file.metadata.row_group(group)
+    return columns.column(0).statistics.min, columns.column(1).statistics.min
+
+
+def _is_finished(writer: DatasetWriter, name: str, pairs: Sequence[Pair], count: int) -> bool:
+    """Whether a former run wrote this set; the pair file comes after the correspondences."""
+    layout = writer.layout
+    if not (layout.pair_file(name).exists() and layout.pair_table(name).exists()):
+        return False
+    try:
+        if count:
+            pq.ParquetFile(layout.correspondence_file(name)).close()
+        known = pairfile.read_pairs(layout.pair_file(name), layout.pair_table(name))
+    except (pa.ArrowInvalid, OSError, DatasetError):
+        return False
+    return [p.key for p in known] == [p.key for p in pairs]
+
+
+def _in_order(results: Iterable[tuple[int, PairCorrespondences]]) -> Iterator[tuple[int, PairCorrespondences]]:
+    """Results by index, whichever worker is first; those that come early wait."""
+    waiting: dict[int, PairCorrespondences] = {}
+    due = 0
+    for index, result in results:
+        waiting[index] = result
+        while due in waiting:
+            yield due, waiting.pop(due)
+            due += 1
+
+
+__all__ = [
+    "Correspondences",
+    "PairCorrespondences",
+    "pair_correspondences",
+    "read_correspondences",
+    "spread_sample",
+    "warp",
+    "write_correspondences",
+    "write_pair_set",
+]
