@@ -1,0 +1,59 @@
+"""Pose errors, curves, summaries and significance. Knows geometry alone and does no I/O."""
+
+from relocbench.metrics.block_length import automatic_block_length
+from relocbench.metrics.confidence import PrecisionRecall, precision_recall
+from relocbench.metrics.curves import CumulativeCurve, area_shares, cumulative_curve
+from relocbench.metrics.failure_policy import (
+    align_predictions,
+    answered_pairs,
+    infinite_where_failed,
+    mean_over_pair_sets,
+    place_predictions,
+)
+from relocbench.metrics.matching import MatchingQuality, OffsetShare, matching_quality
+from relocbench.metrics.pose_errors import PoseErrors, pose_errors
+from relocbench.metrics.registry import METRICS, Metric, PairScores, metric_named, within
+from relocbench.metrics.significance import (
+    Difference,
+    Interval,
+    bootstrap_interval,
+    common_block_length,
+    paired_difference,
+    rank_with_ties,
+)
+from relocbench.metrics.summary import PairSetSummary, Spread, spread_over_seeds, summarize, totals
+
+__all__ = [
+    "METRICS",
+    "CumulativeCurve",
+    "Difference",
+    "Interval",
+    "MatchingQuality",
+    "Metric",
+    "OffsetShare",
+    "PairScores",
+    "PairSetSummary",
+    "PoseErrors",
+    "PrecisionRecall",
+    "Spread",
+    "align_predictions",
+    "answered_pairs",
+    "area_shares",
+    "automatic_block_length",
+    "bootstrap_interval",
+    "common_block_length",
+    "cumulative_curve",
+    "infinite_where_failed",
+    "matching_quality",
+    "mean_over_pair_sets",
+    "metric_named",
+    "paired_difference",
+    "place_predictions",
+    "pose_errors",
+    "precision_recall",
+    "rank_with_ties",
+    "spread_over_seeds",
+    "summarize",
+    "totals",
+    "within",
+]
