@@ -142,6 +142,18 @@ def load_yaml(path: Path, model: type[Model], what: str, error: type[RelocbenchE
     Raises:
         RelocbenchError: (as ``error``) with file, line and key: no YAML, an unknown key, a wrong type.
     """
+    values, node = load_yaml_values(path, what, error)
+    try:
+        return model.model_validate(values)
+    except ValidationError as bad:
+        message, location = first_fault(bad)
+        raise error(message, path, yaml_line(node, location)) from None
+
+
+def load_yaml_values(
+    path: Path, what: str, error: type[RelocbenchError] = RelocbenchError
+) -> tuple[dict[str, Any], yaml.Node | None]:
+    """The mapping that a YAML file holds, and its tree, which knows lines. Raises ``error`` with file and line."""
     text = read_text(path, what, error)
     try:
         node = yaml.compose(text, Loader=yaml.SafeLoader)
@@ -153,11 +165,7 @@ def load_yaml(path: Path, model: type[Model], what: str, error: type[RelocbenchE
         raise error(f"not valid YAML; expected {what}", path) from None
     if not isinstance(values, dict):
         raise error(f"expected {what} with keys and values", path)
-    try:
-        return model.model_validate(values)
-    except ValidationError as bad:
-        message, location = first_fault(bad)
-        raise error(message, path, _line_of(node, location)) from None
+    return values, node
 
 
 def first_fault(bad: ValidationError) -> tuple[str, tuple[str | int, ...]]:
@@ -176,7 +184,7 @@ def first_fault(bad: ValidationError) -> tuple[str, tuple[str | int, ...]]:
     return message + more, location
 
 
-def _line_of(node: yaml.Node | None, location: tuple[str | int, ...]) -> int | None:
+def yaml_line(node: yaml.Node | None, location: tuple[str | int, ...]) -> int | None:
     """1-based line of the innermost part of ``location`` that exists in the YAML tree."""
     line = None
     for part in location:

@@ -1,0 +1,28 @@
+"""The command line: one small module a command, no maths."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from relocbench.errors import RelocbenchError
+
+USER_ERROR = 2
+INTERRUPTED = 130
+
+
+def main() -> None:
+    """Run the command line; a user's mistake is one line and exit status 2, a bug is a traceback."""
+    from relocbench.cli.app import app
+
+    try:
+        app(prog_name="relocbench", standalone_mode=True)
+    except RelocbenchError as bad:
+        print(f"relocbench: {bad}", file=sys.stderr)
+        sys.exit(USER_ERROR)
+    except KeyboardInterrupt:
+        print("relocbench: interrupted; the same command goes on where it stopped", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)

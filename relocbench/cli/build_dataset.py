@@ -1,0 +1,147 @@
+"""``relocbench build-dataset KIND SOURCE... --out DIR``: one sub-command a kind, made from the importer's options."""
+
+from __future__ import annotations
+
+import inspect
+import typing
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from relocbench.cli.options import Json, Quiet, Scheduler, Workers
+
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
+
+    from relocbench.datasets.importers.options import ImportOptions
+
+_NO_SOURCE = ("scene",)
+_EXAMPLES = {
+    "kitti": "relocbench build-dataset kitti odometry/dataset --sequence 06 --pair-step 1,2,4,8 --out D",
+    "tum-rgbd": "relocbench build-dataset tum-rgbd rgbd_dataset_freiburg1_xyz --pair-step 1,2,4 --out D",
+    "four-seasons": "relocbench build-dataset four-seasons recording_2020-10-07_14-47-51 recording_... --out D",
+    "generic": "relocbench build-dataset generic summer winter --max-distance 3 --out D",
+    "scene": "relocbench build-dataset scene --out D",
+}
+
+
+class _Kinds(TyperGroup):
+    """Loads an importer when its own help or its work is asked for, and no sooner."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        from relocbench.datasets.importers import KINDS
+
+        return list(KINDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        from relocbench.datasets.importers import KINDS
+
+        return _command(cmd_name) if cmd_name in KINDS else None
+
+
+build_dataset = typer.Typer(
+    cls=_Kinds,
+    no_args_is_help=True,
+    help="Make a dataset from recordings: relocbench build-dataset KIND SOURCE... --out DIR",
+    rich_markup_mode="markdown",
+)
+
+
+@build_dataset.callback()
+def _build_dataset() -> None:
+    pass
+
+
+def _command(kind: str) -> TyperCommand:
+    """The sub-command of one kind; its options are the fields of the importer's ``Options``."""
+    from relocbench.datasets.importers import KINDS, importer
+
+    options = importer(kind).Options
+    fields = {name: field for name, field in options.model_fields.items() if _is_option(field)}
+
+    def run(**given: Any) -> None:
+        _build(kind, options, given)
+
+    run.__doc__ = f"{KINDS[kind][0].upper()}{KINDS[kind][1:]}."
+    parameters = {**_common(kind), **{name: _annotation(name, field) for name, field in fields.items()}}
+    run.__annotations__ = {**parameters, "return": None}
+    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [
+            inspect.Parameter(
+                name,
+                inspect.Parameter.KEYWORD_ONLY,
+                annotation=annotation,
+                default=_DEFAULTS.get(name, inspect.Parameter.empty if name in ("sources", "out") else None),
+            )
+            for name, annotation in parameters.items()
+        ]
+    )
+    single = typer.Typer(rich_markup_mode="markdown", pretty_exceptions_enable=False, add_completion=False)
+    single.command(kind, epilog=f"Example: {_EXAMPLES[kind]}")(run)
+    return typing.cast(TyperCommand, typer.main.get_command(single))
+
+
+_DEFAULTS: dict[str, Any] = {"quiet": False, "json": False}
+
+
+def _common(kind: str) -> dict[str, Any]:
+    sources = Annotated[list[Path], typer.Argument(help="Recordings; the first is the reference.", show_default=False)]
+    common: dict[str, Any] = {} if kind in _NO_SOURCE else {"sources": sources}
+    return common | {
+        "out": Annotated[Path, typer.Option("--out", "-o", help="Folder to write the dataset to.")],
+        "config": Annotated[Path | None, typer.Option(help="YAML file with any of these options (pair_step: [1, 2]).")],
+        "workers": Workers,
+        "scheduler": Scheduler,
+        "quiet": Quiet,
+        "json": Json,
+    }
+
+
+def _is_option(field: FieldInfo) -> bool:
+    return typing.get_origin(field.annotation) is not dict
+
+
+def _annotation(name: str, field: FieldInfo) -> Any:
+    """A flag for a bool; for the rest a word that pydantic will understand."""
+    flag = "--" + name.replace("_", "-")
+    text = field.description or ""
+    if field.annotation is bool:
+        return Annotated[bool | None, typer.Option(f"{flag}/--no-{flag[2:]}", help=text, show_default=False)]
+    default = "" if field.is_required() or field.default in (None, "", ()) else f" [default: {_words(field.default)}]"
+    metavar = _metavar(field.annotation)
+    return Annotated[str | None, typer.Option(flag, help=text + default, metavar=metavar, show_default=False)]
+
+
+def _words(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def _metavar(annotation: Any) -> str:
+    arguments = [a for a in typing.get_args(annotation) if a is not type(None)]
+    if typing.get_origin(annotation) is tuple:
+        return f"{_metavar(arguments[0])},..." if arguments else "LIST"
+    if typing.get_origin(annotation) is typing.Literal:
+        return "|".join(map(str, arguments))
+    if arguments:
+        return _metavar(arguments[0])
+    return {int: "INT", float: "FLOAT", Path: "PATH"}.get(annotation, "TEXT")
+
+
+def _build(kind: str, options: type[ImportOptions], given: dict[str, Any]) -> None:
+    from relocbench.cli.configuration import merged
+    from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.inspect import print_summary
+    from relocbench.datasets.importers import Run, importer
+    from relocbench.execution import default_workers
+
+    sources, out = given.pop("sources", []), given.pop("out")
+    config, quiet, as_json = given.pop("config"), given.pop("quiet"), given.pop("json")
+    run = Run(given.pop("workers") or default_workers(), given.pop("scheduler"))
+    chosen = merged(options, config, {name: value for name, value in given.items() if value is not None})
+    dataset = importer(kind).build(list(sources), chosen, out, reporter(quiet), run)
+    if as_json:
+        print_json({"dataset": str(out), "name": dataset.name, "fingerprint": dataset.fingerprint})
+    elif not quiet:
+        print_summary(dataset)

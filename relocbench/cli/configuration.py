@@ -1,0 +1,52 @@
+"""Options from a YAML file and from the command line, checked together by one pydantic model."""
+
+from __future__ import annotations
+
+import typing
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from relocbench.errors import ConfigError
+from relocbench.files import first_fault, load_yaml_values, yaml_line
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def merged(model: type[Model], config: Path | None, given: dict[str, Any]) -> Model:
+    """The model filled from ``config`` and then from ``given``, which wins.
+
+    Raises:
+        ConfigError: naming the option, or the file, line and key.
+    """
+    values: dict[str, Any] = {}
+    node = None
+    if config is not None:
+        values, node = load_yaml_values(config, "options with their values", ConfigError)
+    chosen = {**values, **{name: _parts(model, name, value) for name, value in given.items()}}
+    try:
+        return model.model_validate(chosen)
+    except ValidationError as bad:
+        message, location = first_fault(bad)
+        key = str(location[0]) if location else ""
+        if config is not None and key in values and key not in given:
+            raise ConfigError(message, config, yaml_line(node, location)) from None
+        if not key:
+            raise ConfigError(message) from None
+        option = f"--{key.replace('_', '-')}"
+        detail = message.removeprefix(f"key '{key}': ")
+        if bad.errors()[0]["type"] == "missing":
+            detail = "must be given"
+        raise ConfigError(f"{option}: {detail}") from None
+
+
+def _parts(model: type[BaseModel], name: str, value: Any) -> Any:
+    """Words of an option that takes several: parted by commas."""
+    field = model.model_fields.get(name)
+    if field is None or not isinstance(value, str):
+        return value
+    kinds = [field.annotation, *typing.get_args(field.annotation)]
+    if any(typing.get_origin(kind) is tuple for kind in kinds):
+        return [part.strip() for part in value.split(",") if part.strip()]
+    return value

@@ -1,0 +1,109 @@
+"""What the command line prints: tables and JSON on standard output, progress and notes on standard error."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from relocbench.progress import Advance, Reporter, Silent
+
+_PLAIN_INTERVAL_S = 10.0
+
+
+class ConsoleReporter:
+    """Bars with an estimate on a terminal; plain lines, a few a minute, elsewhere."""
+
+    def __init__(self) -> None:
+        self.console = Console(stderr=True, highlight=False)
+
+    @contextmanager
+    def stage(self, description: str, total: int) -> Iterator[Advance]:
+        if total <= 0:
+            yield lambda count: None
+        elif self.console.is_terminal:
+            with self._bars() as bars:
+                task = bars.add_task(description, total=total)
+                yield lambda count: bars.advance(task, count)
+        else:
+            plain = _PlainStage(description, total)
+            yield plain.advance
+            plain.finish()
+
+    def note(self, message: str) -> None:
+        self.console.print(f"note: {message}", style="dim", markup=False, soft_wrap=True)
+
+    def _bars(self) -> Progress:
+        return Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=self.console,
+        )
+
+
+class _PlainStage:
+    """Progress for logs: a line when something was waited for, and one at the end."""
+
+    def __init__(self, description: str, total: int) -> None:
+        self.description, self.total, self.done = description, total, 0
+        self.start = self.last = time.monotonic()
+
+    def advance(self, count: int) -> None:
+        self.done += count
+        now = time.monotonic()
+        if now - self.last >= _PLAIN_INTERVAL_S and self.done < self.total:
+            self.last = now
+            left = (now - self.start) / max(self.done, 1) * (self.total - self.done)
+            self._print(f"{self.done}/{self.total}, about {left:.0f} s left")
+
+    def finish(self) -> None:
+        self._print(f"{self.done}/{self.total} in {time.monotonic() - self.start:.1f} s")
+
+    def _print(self, text: str) -> None:
+        print(f"{self.description}: {text}", file=sys.stderr, flush=True)
+
+
+def reporter(quiet: bool) -> Reporter:
+    """What long-running work reports to."""
+    return Silent() if quiet else ConsoleReporter()
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table on standard output; columns after the first are aligned right."""
+    table = Table(title=title or None, title_justify="left", header_style="bold")
+    for index, name in enumerate(columns):
+        table.add_column(name, justify="left" if index == 0 else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    # Piped into a file or a pager a table keeps its width instead of being squeezed into 80 columns.
+    console = Console(highlight=False, markup=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, markup=False, width=max(console.width, 200))
+    console.print(table)
+
+
+def print_json(values: Any) -> None:
+    """Strict JSON: a number that is not finite becomes null."""
+    print(json.dumps(_strict(values), ensure_ascii=False, default=str))
+
+
+def _strict(values: Any) -> Any:
+    if isinstance(values, dict):
+        return {str(key): _strict(value) for key, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [_strict(value) for value in values]
+    if isinstance(values, float) and not math.isfinite(values):
+        return None
+    return values

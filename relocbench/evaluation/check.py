@@ -1,0 +1,187 @@
+"""Does a method keep the contract? A few questions, easy and hopeless, and what must hold of the answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.dataset import Dataset
+from relocbench.errors import DatasetError
+from relocbench.geometry import Camera
+from relocbench.methods import MethodSpec
+from relocbench.tracking import KeyframePoints, Query, Reference, SupportsBatch, SupportsPrepare, fault_of
+
+_WIDTH, _HEIGHT, _FOCAL, _WALL_M = 320, 240, 250.0, 4.0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One promise of the contract and whether it was kept."""
+
+    check: str
+    passed: bool
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class _Question:
+    name: str
+    reference: Reference
+    query: Query
+
+
+def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
+    """Try a method. Made-up views show a textured wall; with a dataset, its first pairs are asked too.
+
+    Raises:
+        MethodError: the method cannot be constructed.
+        DatasetError: the dataset is bad.
+    """
+    findings: list[Finding] = []
+    try:
+        tracker = spec.create()
+    except Exception as bad:  # noqa: BLE001  the boundary to code that is not ours
+        return [Finding("is constructed", False, f"{type(bad).__name__}: {bad}")]
+    findings.append(Finding("is constructed", True, ", ".join(f"{k}={v}" for k, v in spec.parameters.items())))
+    if not callable(getattr(tracker, "track", None)):
+        return [*findings, Finding("has track()", False, f"{type(tracker).__name__} has none")]
+    questions = _made_up() + (_from_dataset(dataset) if dataset else [])
+    answers = [_ask(tracker, question) for question in questions]
+    for question, (result, problem) in zip(questions, answers, strict=True):
+        fault = problem or fault_of(result)
+        findings.append(Finding(f"answers {question.name}", fault is None, fault or _words(result)))
+    usable = [i for i, (result, problem) in enumerate(answers) if problem is None and fault_of(result) is None]
+    findings.append(_repeatable(spec, tracker, questions, answers, usable))
+    findings.append(_leaves_input_alone(tracker, questions[0]))
+    if isinstance(tracker, SupportsBatch) and usable:
+        findings.append(_batch_agrees(tracker, questions[usable[0]], answers[usable[0]][0]))
+    if callable(getattr(tracker, "close", None)):
+        tracker.close()
+    return findings
+
+
+def _ask(tracker: Any, question: _Question) -> tuple[Any, str | None]:
+    return _attempt(lambda: tracker.track(_prepared(tracker, question), question.query, None))
+
+
+def _attempt(call: Callable[[], Any]) -> tuple[Any, str | None]:
+    try:
+        return call(), None
+    except Exception as bad:  # noqa: BLE001  the boundary to code that is not ours
+        return None, f"raised {type(bad).__name__}: {bad} (a failure is returned: TrackResult.failure)"
+
+
+def _prepared(tracker: Any, question: _Question) -> Any:
+    return tracker.prepare(question.reference) if isinstance(tracker, SupportsPrepare) else question.reference
+
+
+def _repeatable(
+    spec: MethodSpec, tracker: Any, questions: list[_Question], answers: list[tuple[Any, str | None]], usable: list[int]
+) -> Finding:
+    """The same answer again, from the same and from a fresh tracker, with the questions in another order."""
+    name = "gives the same answer whatever was asked before"
+    fresh = spec.create()
+    for other in (tracker, fresh):
+        for i in reversed(usable):
+            again, problem = _ask(other, questions[i])
+            if problem or not _same_pose(again, answers[i][0]):
+                return Finding(name, False, f"{questions[i].name}: {problem or 'another pose than the first time'}")
+    if callable(getattr(fresh, "close", None)):
+        fresh.close()
+    return Finding(name, True)
+
+
+def _same_pose(a: Any, b: Any) -> bool:
+    if fault_of(a) is not None or a.answered != b.answered:
+        return False
+    return not a.answered or bool(np.array_equal(a.T_query_ref, b.T_query_ref))
+
+
+def _leaves_input_alone(tracker: Any, question: _Question) -> Finding:
+    reference, query = question.reference, question.query
+    before = [reference.image.copy(), query.image.copy(), None if reference.depth is None else reference.depth.copy()]
+    _ask(tracker, question)
+    kept = all(
+        was is None or np.array_equal(was, now)
+        for was, now in zip(before, [reference.image, query.image, reference.depth], strict=True)
+    )
+    return Finding("leaves the images it is given unchanged", kept)
+
+
+def _batch_agrees(tracker: Any, question: _Question, single: Any) -> Finding:
+    name = "track_batch agrees with track"
+    values, problem = _attempt(
+        lambda: list(tracker.track_batch(_prepared(tracker, question), [question.query] * 2, [None, None]))
+    )
+    if problem is None and len(values) != 2:
+        problem = f"{len(values)} results for 2 queries"
+    if problem is None and not all(_close_pose(v, single) for v in values):
+        problem = "another pose than track() by more than 1e-6"
+    return Finding(name, problem is None, problem or "")
+
+
+def _close_pose(a: Any, b: Any) -> bool:
+    if fault_of(a) is not None or a.answered != b.answered:
+        return False
+    return not a.answered or bool(np.abs(np.asarray(a.T_query_ref) - b.T_query_ref).max() < 1e-6)
+
+
+def _words(result: Any) -> str:
+    if not result.answered:
+        return f"failure: {result.message}"
+    confidence = "" if result.confidence is None else f", confidence {result.confidence:.4g}"
+    return f"a pose{confidence}"
+
+
+def _made_up() -> list[_Question]:
+    """A textured wall seen from 4 m, moved sideways; once with sparse points, once against noise, once in colour."""
+    camera = Camera("pinhole", _WIDTH, _HEIGHT, _FOCAL, _FOCAL, _WIDTH / 2 - 0.5, _HEIGHT / 2 - 0.5)
+    rng = np.random.default_rng(0)
+    texture = _smooth(rng.random((_HEIGHT + 80, _WIDTH + 80)))
+    here, moved = texture[40:-40, 40:-40], texture[40:-40, 45:-35]
+    depth = np.full((_HEIGHT, _WIDTH), _WALL_M, dtype=np.float32)
+    noise = (rng.random((_HEIGHT, _WIDTH)) * 255).astype(np.uint8)
+    dense = Reference("check/dense", 0, here, camera, depth=depth)
+    uv = np.stack(np.meshgrid(np.arange(8.0, _WIDTH - 8, 6), np.arange(8.0, _HEIGHT - 8, 6)), -1).reshape(-1, 2)
+    points = KeyframePoints(uv, np.full(len(uv), 1 / _WALL_M), np.full(len(uv), 1e-3))
+    sparse = Reference("check/sparse", 1, here, camera, sparse_points=points)
+    colour = Reference("check/colour", 2, np.stack([here] * 3, axis=-1), camera, depth=depth)
+    nothing = Reference("check/no-depth", 3, here, camera, depth=np.zeros_like(depth))
+    black = np.zeros((_HEIGHT, _WIDTH), dtype=np.uint8)
+    return [
+        _Question("a pair with dense depth", dense, Query("check/a", 10, moved, camera)),
+        _Question("a pair with sparse points", sparse, Query("check/b", 11, moved, camera)),
+        _Question("a pair in colour", colour, Query("check/c", 12, np.stack([moved] * 3, axis=-1), camera)),
+        _Question("a query that shows nothing known", dense, Query("check/d", 13, noise, camera)),
+        _Question("a black query", dense, Query("check/e", 14, black, camera)),
+        _Question("a keyframe without depth", nothing, Query("check/f", 15, moved, camera)),
+    ]
+
+
+def _smooth(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Noise at several scales, so that corners and slopes are there for any method."""
+    total = np.zeros_like(values)
+    for size in (3, 9, 27):
+        kernel = np.ones(size) / size
+        level = values
+        for axis in (0, 1):
+            level = np.apply_along_axis(np.convolve, axis, level, kernel, mode="same")
+        total += (level - level.mean()) / level.std()
+    scaled = (total - total.min()) / (total.max() - total.min())
+    return np.rint(scaled * 255).astype(np.uint8)
+
+
+def _from_dataset(path: Path) -> list[_Question]:
+    dataset = Dataset(path)
+    for pair_set in dataset.pair_sets():
+        if pair_set.pairs:
+            return [
+                _Question(f"pair {p.key[0]} {p.key[1]}", dataset.reference(pair_set, p), dataset.query(pair_set, p))
+                for p in pair_set.pairs[:2]
+            ]
+    raise DatasetError("holds no pair to try the method on", path)

@@ -1,0 +1,134 @@
+"""Both phases for several methods: run what is missing, then score what is there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import Field, model_validator
+
+from relocbench.datasets import fingerprint
+from relocbench.datasets.dataset import Dataset, PairSet
+from relocbench.datasets.schema import Strict
+from relocbench.errors import ConfigError
+from relocbench.evaluation.external import take_predictions
+from relocbench.evaluation.results import MethodResults, dataset_results, read_answers
+from relocbench.evaluation.run import Overwrite, run_method
+from relocbench.evaluation.score import score_method
+from relocbench.methods import parse_methods
+from relocbench.progress import Reporter
+
+
+class EvaluateOptions(Strict):
+    """Fields are options of ``relocbench evaluate`` and keys of its YAML file."""
+
+    dataset: Path
+    methods: tuple[str, ...] = ()
+    set: tuple[str, ...] = ()
+    """key=value or LABEL.key=value"""
+    predictions: Path | None = None
+    out: Path = Path("results")
+    split: str | None = None
+    pair_sets: tuple[str, ...] = ()
+    overwrite: Overwrite = "never"
+    seed: int = Field(0, ge=0)
+    workers: int | None = Field(None, ge=1)
+    scheduler: str | None = None
+
+    @model_validator(mode="after")
+    def _something_to_do(self) -> Self:
+        if not self.methods and self.predictions is None:
+            raise ValueError("nothing to evaluate: give --method NAME or --predictions DIR")
+        if self.predictions is not None and len(self.methods) > 1:
+            raise ValueError("--predictions takes one --method, the label to keep them under")
+        return self
+
+
+@dataclass(frozen=True)
+class Report:
+    """What an evaluation did."""
+
+    dataset: Dataset
+    pair_sets: list[PairSet]
+    folders: list[MethodResults]
+    results: Path
+    broken: list[tuple[str, str]]
+    """label and message for each method that broke on pairs (rather than saying that it failed)"""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for scripts."""
+        return {
+            "dataset": self.dataset.name,
+            "fingerprint": self.dataset.fingerprint,
+            "results": str(self.results),
+            "rejected_pairs": {s.name: len(s.rejected) for s in self.pair_sets},
+            "methods": {f.label: f.score_record().pair_sets for f in self.folders},
+            "broken": [{"method": label, "message": message} for label, message in self.broken],
+        }
+
+
+def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
+    """Run and score.
+
+    Raises:
+        RelocbenchError: a bad dataset, method, option or prediction.
+    """
+    dataset = Dataset(options.dataset)
+    for fault in fingerprint.faults(dataset.layout, content="text"):
+        raise fault
+    pair_sets = _chosen(dataset, options)
+    # Methods are found and configured before anything is written: a typing error must not leave a folder.
+    specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed)
+    results = dataset_results(options.out, dataset)
+    if options.predictions is not None:
+        label = options.methods[0] if options.methods else options.predictions.resolve().name
+        folders = [take_predictions(dataset, pair_sets, options.predictions, label, results)]
+    else:
+        folders = [
+            run_method(
+                dataset,
+                pair_sets,
+                spec,
+                results,
+                overwrite=options.overwrite,
+                workers=options.workers,
+                scheduler=options.scheduler,
+                seed=options.seed,
+                reporter=reporter,
+            )
+            for spec in specs
+        ]
+    for folder in folders:
+        score_method(dataset, pair_sets, folder)
+    return Report(dataset, pair_sets, folders, results.root, [b for f in folders for b in _broken(f, pair_sets)])
+
+
+def _chosen(dataset: Dataset, options: EvaluateOptions) -> list[PairSet]:
+    chosen = dataset.pair_sets(options.split)
+    if options.pair_sets:
+        wanted = [dataset.pair_set(name).name for name in options.pair_sets]
+        chosen = [s for s in chosen if s.name in wanted]
+    if not chosen:
+        raise ConfigError("no pair set is left to evaluate", dataset.root)
+    return chosen
+
+
+def _broken(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
+    answers = [
+        answer
+        for pair_set in pair_sets
+        if folder.answers(pair_set.name).exists()
+        for answer in read_answers(folder.answers(pair_set.name)).values()
+    ]
+    broken = [a for a in answers if a.status == "error"]
+    if not broken:
+        return []
+    first = broken[0]
+    return [
+        (
+            folder.label,
+            f"broke on {len(broken)} of {len(answers)} pairs, counted as failures; "
+            f"first on {first.key[0]} {first.key[1]}: {first.message}",
+        )
+    ]
