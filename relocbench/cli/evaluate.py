@@ -78,7 +78,7 @@ COLUMNS = {
     "median_translation_error_m": "median m",
     "median_rotation_error_deg": "median °",
     "coverage": "coverage",
-    "seconds_median": "s a pair",
+    "median_seconds": "s a pair",
 }
 
 

@@ -131,7 +131,7 @@ def parse_methods(texts: Sequence[str], settings: Sequence[str] = (), seed: int 
 def method_class(target: str) -> Any:
     """What is called with the parameters to get a tracker. Raises MethodError."""
     if target.startswith(SUBPROCESS):
-        from relocbench.evaluation.subprocess_tracker import subprocess_tracker
+        from relocbench.methods.subprocess_tracker import subprocess_tracker
 
         return subprocess_tracker(target.removeprefix(SUBPROCESS))
     if ":" in target:

@@ -1,0 +1,41 @@
+VENV ?= .venv
+RUN := $(VENV)/bin
+
+.PHONY: help setup test lint format demo bench docs constraints clean
+
+help:            ## list the targets
+	@grep -hE '^[a-z]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 16
+
+setup: $(VENV)/.ready ## virtual environment, pinned packages, the one system library
+
+$(VENV)/.ready: tools/setup.sh constraints.txt pyproject.toml
+	VENV=$(VENV) tools/setup.sh
+
+test: setup      ## the test suite, quick ones first
+	$(RUN)/python -m pytest -q
+
+lint: setup      ## style, types, import rules
+	$(RUN)/ruff check .
+	$(RUN)/ruff format --check .
+	$(RUN)/mypy
+	$(RUN)/lint-imports
+
+format: setup    ## format the code
+	$(RUN)/ruff format .
+	$(RUN)/ruff check --fix .
+
+demo: setup      ## small dataset -> three trackers -> leaderboard
+	$(RUN)/relocbench demo --out demo-output
+
+bench: setup     ## every benchmark; each prints one JSON line last
+	@for script in benchmarks/*.py; do echo "== $$script"; $(RUN)/python $$script || exit 1; done
+
+docs: setup      ## check that the commands and links in docs/ and README.md hold
+	$(RUN)/python tools/check_docs.py
+
+constraints: setup ## pin the newest versions that fit
+	$(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --upgrade --generate-hashes \
+	  --no-annotate --no-header --python-version 3.11 -o constraints.txt
+
+clean:           ## remove what was generated
+	rm -rf build dist demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

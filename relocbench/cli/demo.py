@@ -1,0 +1,43 @@
+"""``relocbench demo``: the whole line on a small dataset made on the spot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from relocbench.cli.options import Quiet, Workers
+
+_METHODS = ("identity", "orb-pnp", "dso")
+
+
+def demo(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for dataset, results and leaderboard.")] = Path(
+        "relocbench-demo"
+    ),
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the scene.")] = 0,
+    workers: Workers = None,
+    quiet: Quiet = False,
+) -> None:
+    """Make a small dataset, run three trackers on it and print the leaderboard; takes a minute or two.
+
+    Example: relocbench demo --out demo
+    """
+    from relocbench.cli.console import reporter
+    from relocbench.cli.leaderboard import print_leaderboard
+    from relocbench.datasets.importers import Run, importer
+    from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
+    from relocbench.execution import default_workers
+    from relocbench.leaderboard import write_leaderboard
+
+    report = reporter(quiet)
+    scene = importer("scene")
+    dataset = scene.build([], scene.Options(seed=seed), out / "dataset", report, Run(workers or default_workers()))
+    options = EvaluateOptions(dataset=dataset.root, methods=_METHODS, out=out / "results", workers=workers)
+    evaluate_methods(options, report)
+    board = write_leaderboard(out / "results", out / "leaderboard", reporter=report)
+    print_leaderboard(board)
+    if not quiet:
+        typer.echo(f"\nlook at: {out / 'leaderboard' / 'leaderboard.md'}", err=True)
+        typer.echo(f"pictures of the truth: relocbench inspect {dataset.root} --pictures {out / 'pictures'}", err=True)

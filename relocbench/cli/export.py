@@ -1,0 +1,39 @@
+"""``relocbench export``: predictions or ground truth in other people's formats."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from relocbench.cli.options import DatasetPath, Quiet
+
+
+def export(
+    dataset: DatasetPath,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder (or, for mlad, the zip) to write.")],
+    format: Annotated[
+        Literal["tum", "kitti", "colmap", "mlad"],
+        typer.Option("--format", "-f", help="TUM trajectory, KITTI poses, COLMAP text model, MLAD submission."),
+    ],
+    results: Annotated[Path, typer.Option(help="Results folder that holds the predictions.")] = Path("results"),
+    method: Annotated[
+        str | None, typer.Option("--method", "-m", help="Whose predictions [default: the ground truth].")
+    ] = None,
+    pair_set: Annotated[list[str], typer.Option(help="Only this pair set. Repeat for several.")] = [],  # noqa: B006
+    quiet: Quiet = False,
+) -> None:
+    """Write predictions, or the ground truth, as other tools read them.
+
+    Example: relocbench export -d D --method dso --format mlad --out submission.zip
+    """
+    from relocbench.datasets.dataset import Dataset
+    from relocbench.evaluation.exports import export_poses
+
+    opened = Dataset(dataset)
+    names = [opened.pair_set(name).name for name in pair_set] or opened.pair_set_names
+    written = export_poses(opened, names, format, out, results, method)
+    if not quiet:
+        for path in written:
+            typer.echo(str(path))

@@ -1,0 +1,25 @@
+"""Finding, configuring and speaking to methods."""
+
+from relocbench.methods.discovery import (
+    ENTRY_POINT_GROUP,
+    SUBPROCESS,
+    MethodSpec,
+    Parameter,
+    distribution_version,
+    installed_methods,
+    parameters_of,
+    parse_method,
+    parse_methods,
+)
+
+__all__ = [
+    "ENTRY_POINT_GROUP",
+    "SUBPROCESS",
+    "MethodSpec",
+    "Parameter",
+    "distribution_version",
+    "installed_methods",
+    "parameters_of",
+    "parse_method",
+    "parse_methods",
+]
