@@ -1,0 +1,112 @@
+"""Where work runs: order-free, bounded, surviving a worker's death."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from relocbench.errors import ConfigError, DatasetError, RelocbenchError
+from relocbench.execution import chunks, run_units
+
+
+def square(value: int) -> int:
+    return value * value
+
+
+def environment(_: int) -> tuple[int, str]:
+    return os.getpid(), os.environ.get("OMP_NUM_THREADS", "")
+
+
+def die_once(mark: str) -> str:
+    path = Path(mark)
+    if "die" in path.name and not path.exists():
+        path.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return path.name
+
+
+def die(_: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return 0
+
+
+def user_error(line: int) -> None:
+    raise DatasetError("expected better", Path("file.txt"), line)
+
+
+def count_alive(folder: str) -> int:
+    mark = Path(folder) / f"{os.getpid()}-{time.time_ns()}"
+    mark.touch()
+    return len(list(Path(folder).iterdir()))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_unit_is_done_once_and_comes_with_its_index(workers: int) -> None:
+    results = dict(run_units(square, list(range(7)), workers=workers))
+    assert results == {i: i * i for i in range(7)}
+
+
+def test_workers_are_other_processes_with_one_thread_each() -> None:
+    before = os.environ.get("OMP_NUM_THREADS")
+    results = [result for _, result in run_units(environment, [0, 1, 2, 3], workers=2)]
+    assert all(pid != os.getpid() and threads == "1" for pid, threads in results)
+    assert os.environ.get("OMP_NUM_THREADS") == before
+
+
+def test_a_worker_that_dies_costs_its_unit_a_retry(tmp_path: Path) -> None:
+    units = [str(tmp_path / name) for name in ("a", "die", "b", "c", "d")]
+    results = dict(run_units(die_once, units, workers=2))
+    assert [results[i] for i in range(5)] == ["a", "die", "b", "c", "d"]
+
+
+def test_a_unit_that_kills_every_worker_is_named() -> None:
+    with pytest.raises(RelocbenchError, match="died 2 times on unit"):
+        list(run_units(die, [1, 2], workers=2))
+
+
+def test_a_lost_unit_can_be_given_a_result() -> None:
+    results = dict(run_units(die, [5, 6], workers=2, on_lost=lambda unit: -unit))
+    assert results == {0: -5, 1: -6}
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_users_mistake_keeps_its_file_and_line_across_processes(workers: int) -> None:
+    with pytest.raises(DatasetError, match=r"file\.txt:3: expected better") as caught:
+        list(run_units(user_error, [3, 3], workers=workers))
+    assert caught.value.line == 3
+
+
+def test_only_a_bounded_number_of_units_is_in_flight(tmp_path: Path) -> None:
+    seen = 0
+    for _, _ in run_units(count_alive, [str(tmp_path)] * 40, workers=2):
+        seen += 1
+        started = len(list(tmp_path.iterdir()))
+        assert started <= seen + 2 * 2 + 2
+
+
+def test_no_scheduler_is_one_clear_line() -> None:
+    with pytest.raises(ConfigError, match="no Dask scheduler answers at"):
+        list(run_units(square, [1, 2], scheduler="tcp://127.0.0.1:9"))
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_gives_the_same_results() -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        results = dict(run_units(square, list(range(9)), scheduler=cluster.scheduler_address))
+    assert results == {i: i * i for i in range(9)}
+
+
+def test_chunks_keep_order_and_size() -> None:
+    rng = np.random.default_rng(0)
+    for n in rng.integers(0, 20, 10):
+        parts = list(chunks(range(n), 4))
+        assert [x for part in parts for x in part] == list(range(n))
+        assert all(len(part) == 4 for part in parts[:-1])

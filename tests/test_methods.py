@@ -1,0 +1,97 @@
+"""Finding and configuring methods."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from relocbench.errors import MethodError
+from relocbench.evaluation.check import check
+from relocbench.methods import installed_methods, parameters_of, parse_method, parse_methods
+
+HERE = "trackers_for_tests"
+
+
+def test_installed_methods_are_found_by_entry_point() -> None:
+    found = installed_methods()
+    assert {"identity", "orb-pnp", "sift-pnp", "dso", "dso-multistart"} <= set(found)
+    assert list(found) == sorted(found)
+
+
+@pytest.mark.parametrize(
+    ("text", "label", "target"),
+    [
+        ("identity", "identity", "identity"),
+        ("floor=identity", "floor", "identity"),
+        (f"{HERE}:Shift", "Shift", f"{HERE}:Shift"),
+        (f"mine={HERE}:Shift", "mine", f"{HERE}:Shift"),
+        (f"subprocess:{sys.executable} a=b", Path(sys.executable).stem, f"subprocess:{sys.executable} a=b"),
+        (f"cpp=subprocess:{sys.executable} --x", "cpp", f"subprocess:{sys.executable} --x"),
+    ],
+)
+def test_a_method_is_a_label_and_a_target(text: str, label: str, target: str) -> None:
+    spec = parse_method(text)
+    assert (spec.label, spec.target) == (label, target)
+
+
+def test_parameters_are_the_constructors_keywords_with_their_types() -> None:
+    names = {p.name: (p.type_name, p.default) for p in parameters_of(f"{HERE}:Shift")}
+    assert names == {"metres": ("float", 0.1), "steps": ("int", 3), "loud": ("bool", False), "seed": ("int", 0)}
+
+
+def test_settings_are_converted_and_defaults_are_kept() -> None:
+    spec = parse_method(f"a={HERE}:Shift", ["metres=1e-3", "a.steps=7", "loud=true", "b.steps=9"], seed=5)
+    assert spec.parameters == {"metres": 0.001, "steps": 7, "loud": True, "seed": 5}
+    assert parse_method(f"a={HERE}:Shift", ["seed=9"], seed=5).parameters["seed"] == 9
+
+
+@pytest.mark.parametrize(
+    ("text", "settings", "words"),
+    [
+        ("orb-pmp", [], r"no method 'orb-pmp' \(did you mean 'orb-pnp'\?\)"),
+        ("no_such_module_here:Class", [], "no module 'no_such_module_here'"),
+        (f"{HERE}:Absent", [], "has no 'Absent'"),
+        (f"{HERE}:NotATracker", [], r"has no track\(\)"),
+        (f"{HERE}:Shift", ["metre=1"], r"no parameter 'metre' \(did you mean 'metres'\?\)"),
+        (f"{HERE}:Shift", ["steps=many"], "parameter 'steps=many'.*integer"),
+        (f"{HERE}:Shift", ["metres=-1"], "parameter 'metres=-1'.*greater than or equal to 0"),
+        (f"{HERE}:Shift", ["metres"], "expected key=value"),
+        (f"{HERE}:Required", [], "needs its parameter 'weights'"),
+        ("subprocess:/no/such/program", [], "no program '/no/such/program'"),
+        ("bad__label=identity", [], "method label 'bad__label'"),
+    ],
+)
+def test_a_mistake_is_named(text: str, settings: list[str], words: str) -> None:
+    with pytest.raises(MethodError, match=words):
+        parse_method(text, settings).create()
+
+
+def test_two_methods_of_one_label_are_refused() -> None:
+    with pytest.raises(MethodError, match="two methods are called 'identity'"):
+        parse_methods(["identity", "identity"])
+
+
+def test_a_setting_for_no_method_of_the_run_is_refused() -> None:
+    with pytest.raises(MethodError, match="no method 'dsx' in this run"):
+        parse_methods(["identity"], ["dsx.points=3"])
+
+
+@pytest.mark.parametrize("method", ["identity", "orb-pnp", "sift-pnp", "dso", f"{HERE}:Shift", f"{HERE}:Batched"])
+def test_methods_that_keep_the_contract_pass_the_check(method: str) -> None:
+    findings = check(parse_method(method))
+    assert [f for f in findings if not f.passed] == []
+    assert len(findings) >= 8
+
+
+def test_every_breach_of_the_contract_is_found() -> None:
+    for answer in range(7):
+        findings = check(parse_method(f"{HERE}:WrongAnswers", [f"answer={answer}"]))
+        assert all(not f.passed for f in findings if f.check.startswith("answers")), answer
+
+
+def test_a_method_with_a_memory_and_a_pen_is_found_out() -> None:
+    failed = {f.check for f in check(parse_method(f"{HERE}:Forgetful")) if not f.passed}
+    assert "gives the same answer whatever was asked before" in failed
+    assert "leaves the images it is given unchanged" in failed

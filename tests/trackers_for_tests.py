@@ -1,0 +1,118 @@
+"""Trackers with known behaviour, named by dotted path in tests of the contract."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from relocbench.tracking import Query, Reference, TrackResult
+
+
+@dataclass
+class Shift:
+    """Answers a fixed shift; takes parameters of several kinds."""
+
+    metres: Annotated[float, Field(ge=0)] = 0.1
+    steps: int = 3
+    loud: bool = False
+    seed: int = 0
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        pose = np.eye(4)
+        pose[0, 3] = self.metres
+        return TrackResult(pose, confidence=float(query.timestamp_ns % 7), info={"steps": np.int64(self.steps)})
+
+
+@dataclass
+class Logging(Shift):
+    """A line in ``log`` for each question; sleeps, kills its process, fails or raises where it is told to."""
+
+    log: str = ""
+    sleep_s: float = 0.0
+    dies_at: int = -1
+    dies_once: bool = False
+    fails_at: int = -1
+    raises_at: int = -1
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        with Path(self.log).open("a") as stream:
+            stream.write(f"{reference.timestamp_ns} {query.timestamp_ns}\n")
+        time.sleep(self.sleep_s)
+        if query.timestamp_ns == self.dies_at:
+            mark = Path(self.log + ".died")
+            if not (self.dies_once and mark.exists()):
+                mark.touch()
+                os.kill(os.getpid(), signal.SIGKILL)
+        if query.timestamp_ns == self.fails_at and not Path(self.log + ".healed").exists():
+            return TrackResult.failure("nothing\nfound", tried=1)
+        if query.timestamp_ns == self.raises_at:
+            raise ZeroDivisionError("on purpose")
+        return super().track(reference, query, prior)
+
+
+class Required:
+    """A parameter without default."""
+
+    def __init__(self, weights: str) -> None:
+        self.weights = weights
+
+    def track(self, reference: Any, query: Query, prior: Any = None) -> TrackResult:
+        return TrackResult.failure("no weights")
+
+
+class NotATracker:
+    pass
+
+
+class WrongAnswers:
+    """Breaks the contract in a way that the query's time chooses."""
+
+    ANSWERS = (
+        np.eye(4),
+        None,
+        TrackResult(np.full((4, 4), np.nan)),
+        TrackResult(np.diag([2.0, 1.0, 1.0, 1.0])),
+        TrackResult(np.eye(3)),
+        TrackResult(np.eye(4), confidence=float("nan")),
+        TrackResult(np.diag([-1.0, 1.0, 1.0, 1.0])),
+    )
+
+    def __init__(self, answer: int = 0) -> None:
+        self.answer = answer
+
+    def track(self, reference: Any, query: Query, prior: Any = None) -> Any:
+        return self.ANSWERS[self.answer]
+
+
+class Forgetful:
+    """Answers something else each time, and draws on the image it is given."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        self.calls += 1
+        query.image[0, 0] += 1
+        pose = np.eye(4)
+        pose[0, 3] = self.calls
+        return TrackResult(pose)
+
+
+class Batched:
+    """Prepares, and answers several queries together."""
+
+    def prepare(self, reference: Reference) -> str:
+        return reference.key
+
+    def track(self, reference: str, query: Query, prior: Any = None) -> TrackResult:
+        return TrackResult(np.eye(4), message=reference)
+
+    def track_batch(self, reference: str, queries: list[Query], priors: list[Any]) -> list[TrackResult]:
+        return [self.track(reference, query) for query in queries]
