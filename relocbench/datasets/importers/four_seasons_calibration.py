@@ -1,0 +1,94 @@
+"""Calibration files of 4Seasons and MLAD."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import DatasetError
+from relocbench.files import parse_floats, read_rows
+from relocbench.geometry import Camera, is_rotation, make_transform, project_to_rotation
+
+Array = NDArray[np.float64]
+FOLDER_NAMES = ("Calibration", "calibration")
+_PRINTED_ROTATION = 1e-4
+"""how far off SO(3) a matrix printed with few digits may be"""
+
+
+@dataclass(frozen=True, eq=False)
+class StereoCalibration:
+    """The rectified cameras of a recording: what its undistorted images were made with."""
+
+    cam0: Camera
+    cam1: Camera | None = None
+    T_cam1_cam0: Array | None = None
+    """(4, 4); its x is minus the baseline"""
+
+
+def read_camera(path: Path) -> Camera:
+    """``calib_N.txt`` or ``undistorted_calib_N.txt``.
+
+    The first line is ``Pinhole fx fy cx cy 0 0 0 0`` or ``Equidistant fx fy cx cy k1 k2 k3 k4``, the second the
+    width and height of the image. What follows (how to rectify it, and to which size) is not used.
+
+    Raises:
+        DatasetError: with file and line.
+    """
+    rows = list(read_rows(path, "a calibration (model fx fy cx cy ..., then width height)", DatasetError))
+    if len(rows) < 2:
+        raise DatasetError("expected a line of the model and a line of width and height", path)
+    (line, (model, *fields)), (size_line, size) = rows[:2]
+    numbers = parse_floats(fields, path, line, "fx fy cx cy d1 d2 d3 d4", DatasetError)
+    width, height = parse_floats(size, path, size_line, "width height", DatasetError)
+    (fx, fy, cx, cy), distortion = numbers[:4], tuple(numbers[4:])
+    if model not in ("Pinhole", "Equidistant"):
+        raise DatasetError(f"camera model '{model}' is neither Pinhole nor Equidistant", path, line)
+    if model == "Pinhole" and any(distortion):
+        raise DatasetError("a Pinhole camera has no distortion; expected 0 0 0 0", path, line)
+    try:
+        if model == "Pinhole":
+            return Camera("pinhole", int(width), int(height), fx, fy, cx, cy)
+        return Camera("equidistant", int(width), int(height), fx, fy, cx, cy, distortion)
+    except ValueError as bad:
+        raise DatasetError(str(bad), path, line) from None
+
+
+def read_stereo(path: Path) -> Array:
+    """``calib_stereo.txt`` or ``undistorted_calib_stereo.txt``: (4, 4) ``T_cam1_cam0``.
+
+    The data say so (t_x is minus the baseline), whatever the name that goes with the file says.
+
+    Raises:
+        DatasetError: with file and line.
+    """
+    rows = [parse_floats(f, path, n, "m0 m1 m2 m3", DatasetError) for n, f in read_rows(path, "a 4x4 matrix")]
+    matrix = np.array(rows, dtype=np.float64)
+    if matrix.shape != (4, 4) or not np.array_equal(matrix[3], [0, 0, 0, 1]):
+        raise DatasetError("expected a 4x4 matrix whose last row is 0 0 0 1", path)
+    if not is_rotation(matrix[:3, :3], _PRINTED_ROTATION):
+        raise DatasetError("the upper left 3x3 is no rotation", path)
+    return make_transform(project_to_rotation(matrix[:3, :3]), matrix[:3, 3])
+
+
+def find_calibration(recording: Path) -> Path | None:
+    """The calibration folder in a recording or beside it."""
+    candidates = [folder / name for folder in (recording, recording.resolve().parent) for name in FOLDER_NAMES]
+    return next((c for c in candidates if c.is_dir()), None)
+
+
+def read_calibration(folder: Path) -> StereoCalibration:
+    """The rectified cameras of a calibration folder; the second camera where it is described.
+
+    Raises:
+        DatasetError: no first camera, or a file that is not understood.
+    """
+    cam0 = read_camera(folder / "undistorted_calib_0.txt")
+    if cam0.model != "pinhole":
+        raise DatasetError("expected the Pinhole camera of undistorted images", folder / "undistorted_calib_0.txt")
+    second, stereo = folder / "undistorted_calib_1.txt", folder / "undistorted_calib_stereo.txt"
+    if not (second.exists() and stereo.exists()):
+        return StereoCalibration(cam0)
+    return StereoCalibration(cam0, read_camera(second), read_stereo(stereo))

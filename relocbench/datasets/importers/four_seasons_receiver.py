@@ -1,0 +1,147 @@
+"""The track of the recording's GNSS receiver, to check the poses of a recording against."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import reduce
+from operator import xor
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import DatasetError
+from relocbench.files import seconds_to_ns
+
+Array = NDArray[np.float64]
+
+_SEMI_MAJOR_M = 6378137.0
+_FLATTENING = 1 / 298.257223563
+_ECCENTRICITY2 = _FLATTENING * (2 - _FLATTENING)
+_DAY_NS = 86_400 * 1_000_000_000
+_PATH_STEP_S = 2.0
+"""positions this far apart measure a path: the noise of fixes that follow each other closely would lengthen it"""
+
+
+@dataclass(frozen=True)
+class GgaFix:
+    """One GGA sentence."""
+
+    time_of_day_ns: int
+    """UTC"""
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+    """above the WGS 84 ellipsoid"""
+    quality: int
+    """0 none, 1 single, 2 differential, 4 RTK fixed, 5 RTK float"""
+
+    @property
+    def ecef(self) -> Array:
+        """(3,) metres, earth-centred and earth-fixed (WGS 84)."""
+        return ecef_from_geodetic(self.latitude_deg, self.longitude_deg, self.height_m)
+
+
+def ecef_from_geodetic(latitude_deg: float, longitude_deg: float, height_m: float) -> Array:
+    """(3,) ECEF metres of WGS 84 coordinates (NIMA TR8350.2)."""
+    latitude, longitude = np.radians([latitude_deg, longitude_deg])
+    normal = _SEMI_MAJOR_M / np.sqrt(1 - _ECCENTRICITY2 * np.sin(latitude) ** 2)
+    across = (normal + height_m) * np.cos(latitude)
+    z = (normal * (1 - _ECCENTRICITY2) + height_m) * np.sin(latitude)
+    return np.array([across * np.cos(longitude), across * np.sin(longitude), z])
+
+
+def up_direction(latitude_deg: float, longitude_deg: float) -> Array:
+    """(3,) normal of the ellipsoid."""
+    latitude, longitude = np.radians([latitude_deg, longitude_deg])
+    return np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
+
+
+def read_gga(path: Path) -> list[GgaFix]:
+    """The GGA sentences of an NMEA log that carry a fix; sentences that were cut (checksum) are passed over.
+
+    Raises:
+        DatasetError: missing, or without any fix.
+    """
+    try:
+        text = path.read_text(encoding="ascii", errors="replace")
+    except OSError as bad:
+        raise DatasetError(f"cannot be read ({bad.strerror}); expected an NMEA log", path) from None
+    fixes = [fix for line in text.splitlines() if (fix := _parse_gga(line)) is not None]
+    if not fixes:
+        raise DatasetError("holds no GGA sentence with a fix", path)
+    return fixes
+
+
+def _parse_gga(line: str) -> GgaFix | None:
+    body, star, checksum = line.strip().partition("*")
+    if not (body.startswith("$") and star) or body[3:6] != "GGA":
+        return None
+    if f"{reduce(xor, body[1:].encode('ascii', 'replace'), 0):02X}" != checksum[:2].upper():
+        return None
+    _, clock, latitude, north, longitude, east, quality, _, _, altitude, _, geoid, *_ = body.split(",")
+    if not (clock and latitude and longitude and altitude and geoid) or quality in ("", "0"):
+        return None
+    seconds = seconds_to_ns(clock[4:])
+    return GgaFix(
+        time_of_day_ns=(int(clock[:2]) * 3600 + int(clock[2:4]) * 60) * 1_000_000_000 + seconds,
+        latitude_deg=_degrees(latitude, 2) * (-1 if north == "S" else 1),
+        longitude_deg=_degrees(longitude, 3) * (-1 if east == "W" else 1),
+        height_m=float(altitude) + float(geoid),
+        quality=int(quality),
+    )
+
+
+def _degrees(text: str, digits: int) -> float:
+    """``ddmm.mmm`` or ``dddmm.mmm``."""
+    return int(text[:digits]) + float(text[digits:]) / 60
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How a recording's poses and its receiver's track agree, over the time both have."""
+
+    path_ratio: float
+    """length driven by the poses over the length driven by the receiver"""
+    horizontal_m: float
+    """median distance in the plane, the receiver's lever arm included"""
+    vertical_m: float
+    """median height of the poses over the receiver"""
+
+
+def agreement(positions: Mapping[int, Array], fixes: list[GgaFix]) -> Agreement | None:
+    """Compare ECEF positions (timestamp_ns -> (3,)) with a receiver's track, interpolated to their times.
+
+    None where they share less than a few seconds.
+    """
+    track_times = np.array([f.time_of_day_ns for f in fixes], dtype=np.int64)
+    kept = np.concatenate([[True], np.diff(track_times) > 0])
+    track = np.array([f.ecef for f in fixes])[kept]
+    track_times = track_times[kept]
+    times = np.array([t % _DAY_NS for t in positions], dtype=np.int64)
+    inside = (times >= track_times[0]) & (times <= track_times[-1])
+    if inside.sum() < 2 or np.ptp(times[inside]) < 2e9 * _PATH_STEP_S:
+        return None
+    poses = np.array(list(positions.values()))[inside]
+    start = track_times[0]
+    seconds, track_seconds = (times[inside] - start) * 1e-9, (track_times - start) * 1e-9
+    receiver = _resample(seconds, track_seconds, track)
+    steps = np.arange(seconds.min(), seconds.max(), _PATH_STEP_S)
+    up = up_direction(fixes[0].latitude_deg, fixes[0].longitude_deg)
+    difference = poses - receiver
+    height = difference @ up
+    return Agreement(
+        path_ratio=_path_length(_resample(steps, seconds, poses))
+        / _path_length(_resample(steps, track_seconds, track)),
+        horizontal_m=float(np.median(np.linalg.norm(difference - height[:, None] * up, axis=1))),
+        vertical_m=float(np.median(height)),
+    )
+
+
+def _resample(at: Array, times: Array, positions: Array) -> Array:
+    return np.stack([np.interp(at, times, axis) for axis in positions.T], axis=1)
+
+
+def _path_length(positions: Array) -> float:
+    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
