@@ -82,9 +82,7 @@ def test_a_users_mistake_keeps_its_file_and_line_across_processes(workers: int) 
 
 
 def test_only_a_bounded_number_of_units_is_in_flight(tmp_path: Path) -> None:
-    seen = 0
-    for _, _ in run_units(count_alive, [str(tmp_path)] * 40, workers=2):
-        seen += 1
+    for seen, _ in enumerate(run_units(count_alive, [str(tmp_path)] * 40, workers=2), start=1):
         started = len(list(tmp_path.iterdir()))
         assert started <= seen + 2 * 2 + 2
 

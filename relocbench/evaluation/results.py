@@ -267,7 +267,7 @@ def read_errors(path: Path) -> list[PairErrors]:
     """``PAIRSET.errors.csv``. Raises PredictionError with file and line."""
     out = []
     for number, field in _rows(path, ERROR_COLUMNS):
-        values: dict[str, Any] = Field(default_factory=dict)
+        values: dict[str, Any] = {}
         for name in ERROR_COLUMNS[4:7]:
             infinite = field[name] == "inf"
             values[name] = np.inf if infinite else parse_floats([field[name]], path, number, name, PredictionError)[0]
