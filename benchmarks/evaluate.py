@@ -1,0 +1,139 @@
+"""Pairs per second of an evaluation end to end, how it scales to two workers, and what it holds in memory.
+
+Reference of the ratios: the same evaluation with one worker, in the same run. Throughput is taken from the work
+itself, after the workers have started and compiled (a pool's start-up of some seconds would hide the scaling of any
+short run, and is printed beside). Prints one JSON line last.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.importers import Run, importer
+from relocbench.datasets.pairfile import Pair, write_pairs
+from relocbench.datasets.writer import DatasetWriter
+from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
+from relocbench.evaluation.results import read_answers
+from relocbench.execution import default_workers
+from relocbench.progress import Silent
+
+
+def many_pairs(source: Dataset, out: Path, count: int) -> Dataset:
+    """A dataset of ``count`` pairs on the images of ``source``: frames are linked under new timestamps."""
+    writer = DatasetWriter(out, f"{source.name}-{count}", {"kind": "many-pairs", "count": count})
+    pair_set = next(s for s in source.pair_sets() if s.reference == s.query)
+    traversal = source.traversal(pair_set.reference)
+    writer.traversal(traversal.file, {})
+    camera = pair_set.camera
+    layout = writer.layout.traversal(traversal.name)
+    pairs = []
+    base = pair_set.pairs
+    for index in range(count):
+        pair = base[index % len(base)]
+        ref, query = 2 * index + 1, 2 * index + 2
+        # Sixteen pairs share a keyframe, as in a real set.
+        ref = 2 * (index - index % 16) + 1
+        pair = base[(index // 16) % len(base)]
+        for kind, old, new in (("images", pair.ref_timestamp_ns, ref), ("images", pair.query_timestamp_ns, query)):
+            link(traversal.layout.root / kind / camera / f"{old}.png", layout.root / kind / camera / f"{new}.png")
+        link(
+            traversal.layout.depth(camera, pair.ref_timestamp_ns),
+            layout.depth(camera, ref),
+        )
+        pairs.append(Pair(ref, query, pair.T_query_ref))
+    name = f"{traversal.name}__{traversal.name}__{camera}"
+    write_pairs(writer.layout.pair_file(name), writer.layout.pair_table(name), pairs)
+    return writer.finish({"test": [name]})
+
+
+def link(source: Path, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.exists():
+        path.symlink_to(source.resolve())
+
+
+def measure(dataset: Dataset, method: str, workers: int, out: Path) -> dict[str, float]:
+    """Wall seconds of a run, and of the tracker alone summed over pairs."""
+    shutil.rmtree(out, ignore_errors=True)
+    start = time.perf_counter()
+    options = EvaluateOptions(dataset=dataset.root, methods=(method,), out=out, workers=workers)
+    report = evaluate_methods(options, Silent())
+    wall = time.perf_counter() - start
+    answers = [a for s in report.pair_sets for a in read_answers(report.folders[0].answers(s.name)).values()]
+    return {"wall_s": wall, "tracker_s": sum(a.seconds or 0.0 for a in answers), "pairs": len(answers)}
+
+
+def throughput(small: Dataset, large: Dataset, method: str, workers: int, out: Path) -> dict[str, float]:
+    """Pairs per second between a small and a large run: start-up cancels."""
+    a, b = measure(small, method, workers, out), measure(large, method, workers, out)
+    rate = (b["pairs"] - a["pairs"]) / (b["wall_s"] - a["wall_s"])
+    return {
+        "pairs_per_s": rate,
+        "pairs_per_s_with_start_up": b["pairs"] / b["wall_s"],
+        "start_up_s": a["wall_s"] - a["pairs"] / rate,
+        "tracker_share": b["tracker_s"] / (b["wall_s"] * workers),
+    }
+
+
+def peak_mib(dataset: Path, method: str, out: Path) -> dict[str, float]:
+    """Peak resident memory of the main process and of the largest worker, in a process of its own."""
+    code = (
+        "import resource, sys\n"
+        "from pathlib import Path\n"
+        "from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods\n"
+        "from relocbench.progress import Silent\n"
+        "if __name__ == '__main__':\n"
+        f"    evaluate_methods(EvaluateOptions(dataset=Path({str(dataset)!r}), methods=({method!r},), "
+        f"out=Path({str(out)!r}), workers=2), Silent())\n"
+        "    kib = [resource.getrusage(w).ru_maxrss for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]\n"
+        "    print(*kib)\n"
+    )
+    script = out.parent / "peak.py"
+    script.write_text(code)
+    done = subprocess.run([sys.executable, str(script)], check=True, capture_output=True, text=True)
+    own, child = (int(word) / 1024 for word in done.stdout.split()[-2:])
+    return {"main": own, "largest_worker": child}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--method", default="dso")
+    parser.add_argument("--pairs", type=int, nargs=2, default=(100, 700), help="pairs of the two timed runs")
+    parser.add_argument("--memory-pairs", type=int, nargs=2, default=(20, 2000))
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="relocbench-bench-") as scratch:
+        folder = Path(scratch)
+        scene = importer("scene")
+        source = scene.build([], scene.Options(), folder / "scene", Silent(), Run(default_workers()))
+        sizes = sorted({*arguments.pairs, *arguments.memory_pairs})
+        datasets = {n: many_pairs(source, folder / f"pairs-{n}", n) for n in sizes}
+        small, large = (datasets[n] for n in arguments.pairs)
+        one = throughput(small, large, arguments.method, 1, folder / "out")
+        two = throughput(small, large, arguments.method, 2, folder / "out")
+        memory = {n: peak_mib(datasets[n].root, arguments.method, folder / f"mem-{n}") for n in arguments.memory_pairs}
+    few, many = (memory[n] for n in arguments.memory_pairs)
+    result = {
+        "benchmark": "evaluate",
+        "method": arguments.method,
+        "pairs_per_s_per_core": round(one["pairs_per_s"], 1),
+        "two_workers_ratio": round(two["pairs_per_s"] / one["pairs_per_s"], 2),
+        "one_worker": {k: round(v, 3) for k, v in one.items()},
+        "two_workers": {k: round(v, 3) for k, v in two.items()},
+        "peak_mib": {str(n): {k: round(v, 1) for k, v in m.items()} for n, m in memory.items()},
+        "peak_growth_mib": {k: round(many[k] - few[k], 1) for k in few},
+        "own_peak_mib": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
+    }
+    print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()
