@@ -30,12 +30,13 @@ demo: setup      ## small dataset -> three trackers -> leaderboard
 bench: setup     ## every benchmark; each prints one JSON line last
 	@for script in benchmarks/*.py; do echo "== $$script"; $(RUN)/python $$script || exit 1; done
 
-docs: setup      ## check that the commands and links in docs/ and README.md hold
+docs: setup      ## check links and commands of docs/ and README.md, build the pages into site/
 	$(RUN)/python tools/check_docs.py
+	$(RUN)/mkdocs build --quiet --strict
 
 constraints: setup ## pin the newest versions that fit
 	$(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --upgrade --generate-hashes \
 	  --no-annotate --no-header --python-version 3.11 -o constraints.txt
 
 clean:           ## remove what was generated
-	rm -rf build dist demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf build dist site demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

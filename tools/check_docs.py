@@ -1,0 +1,82 @@
+"""Check that every link in README.md and docs/ leads somewhere and every command shown there exists as shown."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from relocbench.cli.app import app
+
+ROOT = Path(__file__).parents[1]
+_LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+_FENCE = re.compile(r"^```(\w*)\s*$")
+
+
+def pages() -> list[Path]:
+    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def dead_links(page: Path) -> Iterator[str]:
+    for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
+        for target in _LINK.findall(line):
+            if "://" in target or target.startswith(("#", "mailto:")):
+                continue
+            if not (page.parent / target.split("#")[0]).exists():
+                yield f"{page.relative_to(ROOT)}:{number}: link to '{target}', which is not there"
+
+
+def commands(page: Path) -> Iterator[tuple[int, str]]:
+    """Lines of shell blocks that call relocbench, with continued lines joined."""
+    language, start, pending = None, 0, ""
+    for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
+        fence = _FENCE.match(line)
+        if fence:
+            language = fence.group(1) if language is None else None
+            pending = ""
+        elif language in ("bash", "sh", "console"):
+            start = start if pending else number
+            pending += " " + line.strip().removesuffix("\\") if pending else line.strip().removesuffix("\\")
+            if not line.rstrip().endswith("\\"):
+                if pending.startswith("relocbench "):
+                    yield start, pending
+                pending = ""
+
+
+def unknown_words(command: str) -> Iterator[str]:
+    """Sub-commands and options of a shown command that the program does not have."""
+    words = shlex.split(command, comments=True)[1:]
+    context: Any = typer.main.get_command(app)
+    while words and hasattr(context, "get_command"):
+        name = words.pop(0)
+        if name.startswith("-"):
+            return
+        found = context.get_command(None, name)
+        if found is None:
+            yield f"no command '{name}'"
+            return
+        context = found
+    known = {option for parameter in context.params for option in (*parameter.opts, *parameter.secondary_opts)}
+    for word in words:
+        if word.startswith("-") and word.split("=")[0] not in known | {"--help"}:
+            yield f"'{context.name}' has no option {word}"
+
+
+def main() -> int:
+    faults = [fault for page in pages() for fault in dead_links(page)]
+    shown = 0
+    for page in pages():
+        for number, command in commands(page):
+            shown += 1
+            faults += [f"{page.relative_to(ROOT)}:{number}: {fault}" for fault in unknown_words(command)]
+    print("\n".join(faults) or f"{len(pages())} pages, {shown} commands: all links and commands hold")
+    return 1 if faults else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
