@@ -197,11 +197,15 @@ class Camera:
         xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
         yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         cross = x * y * d_radial + 2 * p1 * x + 2 * p2 * y
-        return xd, yd, (
-            radial + x * x * d_radial + 2 * p1 * y + 6 * p2 * x,
-            cross,
-            cross,
-            radial + y * y * d_radial + 6 * p1 * y + 2 * p2 * x,
+        return (
+            xd,
+            yd,
+            (
+                radial + x * x * d_radial + 2 * p1 * y + 6 * p2 * x,
+                cross,
+                cross,
+                radial + y * y * d_radial + 6 * p1 * y + 2 * p2 * x,
+            ),
         )
 
     def _invert_radtan(self, xd: Array, yd: Array) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -241,9 +241,7 @@ def interpolate_trajectory(timestamps_ns: ArrayLike, transforms: ArrayLike, quer
 def is_rotation(rotation: ArrayLike, tolerance: float = 1e-6) -> bool:
     """Whether (3, 3) is a proper rotation to the tolerance."""
     m = np.asarray(rotation, dtype=np.float64)
-    return bool(
-        np.all(np.isfinite(m)) and np.abs(m @ m.T - np.eye(3)).max() <= tolerance and np.linalg.det(m) > 0
-    )
+    return bool(np.all(np.isfinite(m)) and np.abs(m @ m.T - np.eye(3)).max() <= tolerance and np.linalg.det(m) > 0)
 
 
 def project_to_rotation(matrix: ArrayLike) -> Array:
