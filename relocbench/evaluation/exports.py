@@ -7,20 +7,25 @@ A relative pose becomes an absolute one through the map's pose of its keyframe:
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.dataset import Dataset, PairSet, Traversal
+from relocbench.datasets.fingerprint import SHORT
 from relocbench.datasets.pairfile import PairKey, PoseLine, pose_fields, pose_line_fields, read_pose_lines
 from relocbench.errors import DatasetError, PredictionError
+from relocbench.evaluation.results import DatasetResults
+from relocbench.evaluation.score import read_predictions
 from relocbench.files import atomic_write, write_text
 from relocbench.geometry import Camera, apply, invert, transform_to_tq
 
 Array = NDArray[np.float64]
+ExportFormat = Literal["tum", "kitti", "colmap", "mlad"]
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 _NS = 1_000_000_000
 
@@ -34,6 +39,45 @@ class QueryPose:
     """the keyframe that it was found against"""
     T_world_query: Array
     """(4, 4)"""
+
+
+def export_poses(
+    dataset: Dataset, pair_sets: Sequence[str], format: ExportFormat, out: Path, results: Path, method: str | None
+) -> list[Path]:
+    """Export pair sets of a dataset; the files or folders that were written are returned.
+
+    Args:
+        out: folder for ``PAIRSET.txt`` (tum, kitti) or ``PAIRSET/`` (colmap); for mlad the zip itself.
+        results: the results folder that holds the predictions.
+        method: whose predictions; None for the ground truth.
+
+    Raises:
+        PredictionError: no such predictions, none with a pose, or ground truth that is withheld.
+    """
+    lines = {name: _lines_of(dataset, name, results, method) for name in pair_sets}
+    if format == "mlad":
+        export_mlad(dataset, lines, out)
+        return [out]
+    written = []
+    for name, predictions in lines.items():
+        path = out / (name if format == "colmap" else f"{name}.txt")
+        _EXPORTERS[format](dataset, name, predictions, path)
+        written.append(path)
+    return written
+
+
+def _lines_of(dataset: Dataset, pair_set: str, results: Path, method: str | None) -> list[PoseLine]:
+    if method is None:
+        lines = truth_lines(dataset, pair_set)
+        if not lines:
+            raise PredictionError(f"the ground truth of '{pair_set}' is withheld; name a method", dataset.root)
+        return lines
+    folder = DatasetResults(results / f"{dataset.name}@{dataset.fingerprint[:SHORT]}")
+    known = [m.label for m in folder.methods()]
+    if method not in known:
+        raise PredictionError(f"no predictions of '{method}'; there are {', '.join(known) or 'none'}", folder.root)
+    poses = read_predictions(folder.method(method).predictions(pair_set), dataset.pair_set(pair_set))
+    return [PoseLine(*key, pose) for key, pose in poses.items()]
 
 
 def truth_lines(dataset: Dataset, pair_set: str) -> list[PoseLine]:
@@ -247,3 +291,10 @@ def _seconds(timestamp_ns: int) -> str:
 def _digits(value: float) -> str:
     """The fewest digits that read back to the same number."""
     return repr(float(value) + 0.0)
+
+
+_EXPORTERS: dict[str, Callable[[Dataset, str, Sequence[PoseLine], Path], int]] = {
+    "tum": export_tum,
+    "kitti": export_kitti,
+    "colmap": export_colmap,
+}

@@ -13,7 +13,6 @@ from relocbench.datasets.importers.four_seasons_recording import CAMERAS, Record
 from relocbench.datasets.pairfile import Pair, PairKey, PoseLine, read_pose_lines
 from relocbench.datasets.pairing import relative_pose
 from relocbench.errors import DatasetError
-from relocbench.files import read_rows
 from relocbench.geometry import invert, rotation_angle
 from relocbench.progress import Reporter
 
@@ -31,7 +30,6 @@ class ListedPair:
     query: Recording
     line: PoseLine
     file: Path
-    line_number: int
 
     @property
     def group(self) -> str:
@@ -49,15 +47,14 @@ def read_relocalization_files(paths: Sequence[Path], recordings: Sequence[Record
     listed: list[ListedPair] = []
     first: dict[PairKey, ListedPair] = {}
     for file in _expand(paths):
-        numbers = [n for n, _ in read_rows(file, "a relocalization file", DatasetError)]
-        for number, line in zip(numbers, read_pose_lines(file), strict=True):
-            reference = _owner(line.ref_timestamp_ns, "reference", recordings, file, number)
-            query = _owner(line.query_timestamp_ns, "query", recordings, file, number)
-            pair = ListedPair(reference, query, line, file, number)
+        for line in read_pose_lines(file):
+            reference = _owner(line.ref_timestamp_ns, "reference", recordings, file, line.line)
+            query = _owner(line.query_timestamp_ns, "query", recordings, file, line.line)
+            pair = ListedPair(reference, query, line, file)
             if line.key in first:
                 before = first[line.key]
-                where = f"{before.file.name}:{before.line_number}"
-                raise DatasetError(f"pair {line.key[0]} {line.key[1]} stands in {where} already", file, number)
+                where = f"{before.file.name}:{before.line.line}"
+                raise DatasetError(f"pair {line.key[0]} {line.key[1]} stands in {where} already", file, line.line)
             first[line.key] = pair
             listed.append(pair)
     return listed
@@ -141,7 +138,7 @@ def _check_images(pair: ListedPair) -> None:
     ):
         if time not in recording.images[CAMERAS[0]]:
             folder = f"undistorted_images/{CAMERAS[0]}"
-            raise DatasetError(f"{recording.name}/{folder} has no image {time}", pair.file, pair.line_number)
+            raise DatasetError(f"{recording.name}/{folder} has no image {time}", pair.file, pair.line.line)
 
 
 def _owner(time: int, what: str, recordings: Sequence[Recording], file: Path, line: int) -> Recording:
