@@ -1,0 +1,84 @@
+"""``relocbench validate``: every fault of a dataset, of predictions or of results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from relocbench.cli import USER_ERROR
+from relocbench.cli.options import Json, Quiet
+
+if TYPE_CHECKING:
+    from relocbench.datasets.faults import Findings
+    from relocbench.progress import Reporter
+
+
+def validate(
+    path: Annotated[
+        Path,
+        typer.Argument(
+            help="A dataset; a results folder, or one dataset or method in it; a prediction file, or a folder of them.",
+            show_default=False,
+        ),
+    ],
+    dataset: Annotated[
+        Path | None, typer.Option("--dataset", "-d", help="Hold predictions against this dataset.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Neither decode nor hash images.")] = False,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Find every fault, with file and line; exit status 2 where there is one.
+
+    Example: relocbench validate predictions/summer__winter__cam0.txt -d D
+    """
+    from relocbench.cli.console import print_json, reporter
+
+    kind, found = _check(path, dataset, quick, reporter(quiet))
+    found = found.by_place()
+    if json:
+        plain = {
+            name: [{"path": str(f.path) if f.path else None, "line": f.line, "message": f.message} for f in findings]
+            for name, findings in (("faults", found.faults), ("notes", found.notes))
+        }
+        print_json({"path": str(path), "kind": kind, "valid": not found.faults, **plain})
+    else:
+        for finding in found.faults:
+            print(finding)
+        if not quiet:
+            for finding in found.notes:
+                print(f"note: {finding}")
+        print(f"{path}: {_count(len(found.faults))} ({kind})")
+    if found.faults:
+        raise typer.Exit(USER_ERROR)
+
+
+def _count(faults: int) -> str:
+    return {0: "no fault", 1: "1 fault"}.get(faults, f"{faults} faults")
+
+
+def _check(path: Path, dataset: Path | None, quick: bool, reporter: Reporter) -> tuple[str, Findings]:
+    """What ``path`` is, and what is wrong with it. Raises RelocbenchError where it is nothing of ours."""
+    from relocbench.datasets.dataset import Dataset
+    from relocbench.datasets.validation import is_dataset_folder, validate_dataset
+    from relocbench.errors import PredictionError, RelocbenchError
+    from relocbench.evaluation.validation import is_results_folder, validate_prediction_files, validate_results
+
+    if not path.exists():
+        raise RelocbenchError("no such file or folder; expected a dataset, results or predictions", path)
+    against = Dataset(dataset) if dataset is not None else None
+    if path.is_file():
+        if path.suffix != ".txt":
+            raise PredictionError("expected a prediction or pair file (.txt), or a folder", path)
+        return "predictions" if against else "pair file", validate_prediction_files(path, against)
+    if is_dataset_folder(path):
+        if against is not None:
+            raise RelocbenchError("is a dataset; --dataset is for predictions and results", path)
+        return "dataset", validate_dataset(path, reporter, quick=quick)
+    if is_results_folder(path):
+        return "results", validate_results(path, against, reporter)
+    if any(path.glob("*.txt")):
+        return "predictions", validate_prediction_files(path, against)
+    raise RelocbenchError("neither a dataset, nor results, nor predictions (PAIRSET.txt)", path)
