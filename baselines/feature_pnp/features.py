@@ -1,0 +1,150 @@
+"""Keypoints with descriptors, spread evenly over the image, and their matching."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.tracking import Array
+
+Indices = NDArray[np.intp]
+FeatureKind = Literal["orb", "sift"]
+
+_OVERSAMPLING = 4  # keypoints detected for each one kept, so that weakly textured cells have some to offer
+_ORB_SCALE, _ORB_LEVELS, _ORB_FAST_THRESHOLD = 1.2, 8, 5
+_SIFT_CONTRAST, _SIFT_SIGMA = 0.01, 1.6
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Keypoints of one image with their descriptors."""
+
+    uv: Array
+    """(N, 2) pixels, centres at integers"""
+    scale: Array
+    """(N,) size of a pixel of the pyramid level it was found on, in image pixels: the unit of its accuracy"""
+    response: Array
+    """(N,) strength"""
+    descriptors: NDArray[Any]
+    """(N, D) float32 (SIFT) or uint8 (ORB)"""
+
+    def __len__(self) -> int:
+        return len(self.uv)
+
+    def take(self, indices: Indices) -> Features:
+        """The features at ``indices``, in that order."""
+        return Features(self.uv[indices], self.scale[indices], self.response[indices], self.descriptors[indices])
+
+
+def to_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W) grey of a (H, W) grey, (H, W, 1) grey or (H, W, 3) RGB image."""
+    if image.ndim == 2:
+        return np.ascontiguousarray(image)
+    if image.shape[2] == 1:
+        return np.ascontiguousarray(image[..., 0])
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+
+
+def detect(image: NDArray[np.uint8], kind: FeatureKind, budget: int) -> Features:
+    """All features worth a choice, at most four times ``budget``; :func:`spread_evenly` makes the choice."""
+    grey = to_grey(image)
+    if kind == "orb":
+        detector: Any = cv2.ORB.create(
+            nfeatures=_OVERSAMPLING * budget,
+            scaleFactor=_ORB_SCALE,
+            nlevels=_ORB_LEVELS,
+            fastThreshold=_ORB_FAST_THRESHOLD,
+        )
+    else:
+        detector = cv2.SIFT.create(
+            nfeatures=_OVERSAMPLING * budget,
+            contrastThreshold=_SIFT_CONTRAST,
+            sigma=_SIFT_SIGMA,
+            enable_precise_upscale=True,  # without it every keypoint lies a quarter pixel off
+        )
+    keypoints, descriptors = detector.detectAndCompute(grey, None)
+    if not keypoints:
+        width = detector.descriptorSize()
+        dtype = np.uint8 if kind == "orb" else np.float32
+        return Features(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, width), dtype))
+    uv = np.array([k.pt for k in keypoints], dtype=np.float64)
+    octave = np.array([k.octave for k in keypoints])
+    response = np.array([k.response for k in keypoints], dtype=np.float64)
+    if kind == "orb":
+        scale = _ORB_SCALE ** octave.astype(np.float64)
+        # OpenCV multiplies level coordinates by the nominal scale. Pixel centres at integers ask for
+        # (u + 0.5) s - 0.5 with the level's own scale, its size being rounded: a pixel's difference on the coarsest.
+        size = np.array([grey.shape[1], grey.shape[0]], dtype=np.float64)
+        level_size = np.rint(size / scale[:, None])
+        uv = (uv / scale[:, None] + 0.5) * (size / level_size) - 0.5
+    else:
+        # The size of a SIFT keypoint is the diameter of its blur, 2 sigma_0 at the image's own resolution.
+        scale = np.array([k.size for k in keypoints], dtype=np.float64) / (2 * _SIFT_SIGMA)
+    features = Features(uv, np.maximum(scale, 1.0), response, descriptors)
+    # The detector's order may depend on its threads: this one does not.
+    return features.take(np.lexsort((scale, uv[:, 0], uv[:, 1], -response)))
+
+
+def spread_evenly(features: Features, cell_px: int, budget: int) -> Indices:
+    """Indices of at most ``budget`` features: the strongest of every grid cell, then the second strongest, and so on.
+
+    Args:
+        features: strongest first, as :func:`detect` returns them.
+        cell_px: side of a grid cell in pixels.
+        budget: number of features kept.
+    """
+    if len(features) <= budget:
+        return np.arange(len(features))
+    column, row = (features.uv // cell_px).astype(int).T
+    cell = row * (column.max() + 1) + column
+    by_cell = np.argsort(cell, kind="stable")
+    sorted_cell = cell[by_cell]
+    rank = np.empty(len(cell), dtype=int)
+    rank[by_cell] = np.arange(len(cell)) - np.searchsorted(sorted_cell, sorted_cell, side="left")
+    chosen = np.argsort(rank, kind="stable")[:budget]
+    return np.sort(chosen)
+
+
+def match(first: Features, second: Features, ratio: float, mutual: bool) -> Indices:
+    """Nearest neighbours of descriptors, ``first`` to ``second``, that are distinctive.
+
+    Lowe's ratio test (IJCV 2004) on the two nearest; with ``mutual``, the nearest of the nearest must be oneself.
+
+    Returns:
+        (M, 2) indices into ``first`` and ``second``, the most distinctive first, each feature of ``second`` at most
+        once.
+    """
+    if len(first) == 0 or len(second) < 2:
+        return np.zeros((0, 2), dtype=np.intp)
+    distance = _distances(first.descriptors, second.descriptors)
+    rows = np.arange(len(first))
+    two = np.argpartition(distance, 1, axis=1)[:, :2]
+    nearest = np.argmin(distance, axis=1)
+    second_best = np.max(np.take_along_axis(distance, two, axis=1), axis=1)
+    best = distance[rows, nearest]
+    accepted = best < ratio * second_best
+    if mutual:
+        accepted &= np.argmin(distance, axis=0)[nearest] == rows
+    index = np.flatnonzero(accepted)
+    score = best[index] / np.maximum(second_best[index], 1e-12)
+    order = np.lexsort((index, score))
+    index = index[order]
+    _, once = np.unique(nearest[index], return_index=True)  # the most distinctive match of each feature
+    once = np.sort(once)
+    return np.stack([index[once], nearest[index[once]]], axis=-1)
+
+
+def _distances(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float32]:
+    """(N, M) Hamming distances of byte strings, Euclidean distances otherwise.
+
+    The Hamming distance is the squared Euclidean one of the bits. All entries are small integers (SIFT's as well), so
+    float32 holds every sum exactly and its order, hence the number of threads, does not matter.
+    """
+    hamming = a.dtype == np.uint8
+    x, y = (np.unpackbits(d, axis=1).astype(np.float32) if hamming else d for d in (a, b))
+    squared = np.sum(x * x, axis=1)[:, None] + np.sum(y * y, axis=1)[None, :] - 2.0 * (x @ y.T)
+    return squared if hamming else np.sqrt(squared)

@@ -1,0 +1,141 @@
+"""The two trackers: the same pipeline over ORB and over SIFT."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from baselines.feature_pnp.features import FeatureKind, Features, detect, match, spread_evenly
+from baselines.feature_pnp.keyframe_depth import inverse_depth_at
+from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose
+from relocbench.tracking import Array, Query, Reference, TrackResult
+
+_MINIMAL = 4  # three points fix a pose up to four solutions, the fourth tells them apart
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedReference:
+    """The features of a keyframe that have a depth, and where they are."""
+
+    features: Features
+    points: Array
+    """(N, 3) metres, reference camera frame"""
+    depth_direction: Array
+    """(N, 3) metres: what one standard deviation of the depth does to the point"""
+
+
+class _FeaturePnp:
+    """Keypoints, ratio test, MAGSAC perspective-n-point, robust refinement.
+
+    Args:
+        features: keypoints kept in each image.
+        ratio: a match is accepted below this ratio of its distance to the second nearest one's (Lowe); 1 accepts all.
+        mutual: accept only matches that are nearest in both directions.
+        grid_px: side of the grid cells over which the keypoints are spread evenly, pixels.
+        depth_radius_px: how far from a keypoint a point of a sparse map may give it its depth, pixels.
+        reprojection_threshold_px: largest error of an inlier on the finest pyramid level, query pixels.
+        min_inliers: fewer than this is a failure.
+        max_iterations: most minimal samples tried.
+        confidence: probability of having found the best model at which the sampling stops early.
+        seed: of the sampling.
+    """
+
+    kind: ClassVar[FeatureKind]
+
+    def __init__(
+        self,
+        *,
+        features: Annotated[int, Field(ge=4, le=20000)] = 3000,
+        ratio: Annotated[float, Field(gt=0, le=1)] = 0.8,
+        mutual: bool = True,
+        grid_px: Annotated[int, Field(ge=4)] = 32,
+        depth_radius_px: Annotated[float, Field(ge=0)] = 2.0,
+        reprojection_threshold_px: Annotated[float, Field(gt=0)] = 2.0,
+        min_inliers: Annotated[int, Field(ge=4)] = 10,
+        max_iterations: Annotated[int, Field(ge=1)] = 10000,
+        confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999,
+        seed: Annotated[int, Field(ge=0)] = 0,
+    ) -> None:
+        self.features = features
+        self.ratio = ratio
+        self.mutual = mutual
+        self.grid_px = grid_px
+        self.depth_radius_px = depth_radius_px
+        self.reprojection_threshold_px = reprojection_threshold_px
+        self.min_inliers = min_inliers
+        self.max_iterations = max_iterations
+        self.confidence = confidence
+        self.seed = seed
+
+    def prepare(self, reference: Reference) -> PreparedReference:
+        """Features of the keyframe where its depth is known, as points of its frame."""
+        found = detect(reference.image, self.kind, self.features)
+        inverse_depth, sigma = inverse_depth_at(reference, found.uv, self.depth_radius_px)
+        rays, valid = reference.camera.unproject(found.uv)
+        # Depth is along z: a ray that does not reach z = 1 has none.
+        has_point = np.flatnonzero(valid & (inverse_depth > 0) & (rays[:, 2] > 0))
+        kept = has_point[spread_evenly(found.take(has_point), self.grid_px, self.features)]
+        inverse_depth, sigma, rays = inverse_depth[kept], sigma[kept], rays[kept]
+        points = rays / inverse_depth[:, None]
+        # z = 1/rho, hence |dz| = z sigma_rho / rho.
+        depth_direction = points * (sigma / inverse_depth)[:, None]
+        return PreparedReference(found.take(kept), points, depth_direction)
+
+    def track(self, reference: PreparedReference, query: Query, prior: Array | None = None) -> TrackResult:
+        """Pose of the query; the prior is not used."""
+        matches = self._match(reference, query)
+        if len(matches) < max(_MINIMAL, self.min_inliers):
+            return TrackResult.failure(
+                f"{len(matches)} matches, {max(_MINIMAL, self.min_inliers)} needed", matches=len(matches)
+            )
+        threshold = self.reprojection_threshold_px
+        start = ransac_pose(matches, query.camera, threshold, self.max_iterations, self.confidence, self.seed)
+        if start is None:
+            return TrackResult.failure("no pose agrees with the matches", matches=len(matches))
+        refined = refine_pose(start, matches, query.camera, threshold)
+        inliers = len(refined.inliers)
+        translation_sigma, rotation_sigma = refined.sigmas
+        info = {
+            "matches": len(matches),
+            "inliers": inliers,
+            "reprojection_rms_px": _finite_or_none(refined.rms_px),
+            "translation_sigma_m": _finite_or_none(translation_sigma),
+            "rotation_sigma_deg": _finite_or_none(float(np.rad2deg(rotation_sigma))),
+        }
+        if inliers < self.min_inliers:
+            return TrackResult.failure(f"{inliers} inliers, {self.min_inliers} needed", **info)
+        if not np.all(np.isfinite(refined.T_query_ref)):
+            return TrackResult.failure("the pose is not finite", **info)
+        distance = float(np.median(np.linalg.norm(matches.points[refined.inliers], axis=-1)))
+        if not translation_sigma < distance:
+            return TrackResult.failure("degenerate: the inliers do not hold the pose", **info)
+        return TrackResult(refined.T_query_ref, confidence=float(inliers), info=info)
+
+    def _match(self, reference: PreparedReference, query: Query) -> Matches2D3D:
+        found = detect(query.image, self.kind, self.features)
+        found = found.take(spread_evenly(found, self.grid_px, self.features))
+        pairs = match(reference.features, found, self.ratio, self.mutual)
+        of_reference, of_query = pairs[:, 0], pairs[:, 1]
+        return Matches2D3D(
+            points=reference.points[of_reference],
+            pixels=found.uv[of_query],
+            scale=np.maximum(reference.features.scale[of_reference], found.scale[of_query]),
+            depth_direction=reference.depth_direction[of_reference],
+        )
+
+
+def _finite_or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+class OrbPnp(_FeaturePnp):
+    __doc__ = "ORB (Rublee et al., ICCV 2011). " + (_FeaturePnp.__doc__ or "")
+    kind: ClassVar[FeatureKind] = "orb"
+
+
+class SiftPnp(_FeaturePnp):
+    __doc__ = "SIFT (Lowe, IJCV 2004). " + (_FeaturePnp.__doc__ or "")
+    kind: ClassVar[FeatureKind] = "sift"
