@@ -104,12 +104,12 @@ def _same_pose(a: Any, b: Any) -> bool:
 
 def _leaves_input_alone(tracker: Any, question: _Question) -> Finding:
     reference, query = question.reference, question.query
-    before = [reference.image.copy(), query.image.copy(), None if reference.depth is None else reference.depth.copy()]
+    given: list[NDArray[Any]] = [reference.image, query.image]
+    if reference.depth is not None:
+        given.append(reference.depth)
+    before = [array.copy() for array in given]
     _ask(tracker, question)
-    kept = all(
-        was is None or np.array_equal(was, now)
-        for was, now in zip(before, [reference.image, query.image, reference.depth], strict=True)
-    )
+    kept = all(np.array_equal(was, now) for was, now in zip(before, given, strict=True))
     return Finding("leaves the images it is given unchanged", kept)
 
 

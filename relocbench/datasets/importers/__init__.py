@@ -47,5 +47,5 @@ class Importer(Protocol):
 
 def importer(kind: str) -> Importer:
     """The importer module of one of :data:`KINDS`, loaded now."""
-    module: Importer = import_module(f"relocbench.datasets.importers.{kind.replace('-', '_')}")  # type: ignore[assignment]
+    module: Importer = import_module(f"relocbench.datasets.importers.{kind.replace('-', '_')}")
     return module

@@ -1,0 +1,1 @@
+"""The dataset in memory and on disk, its importers, its correspondences."""
