@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +18,8 @@ from pydantic import BaseModel, ValidationError
 from relocbench.errors import RelocbenchError
 
 Model = TypeVar("Model", bound=BaseModel)
+_INTEGER = re.compile(r"[+-]?[0-9]+")
+_DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 @contextmanager
@@ -108,15 +111,16 @@ def parse_timestamp(
     text: str, path: Path, line: int | None = None, error: type[RelocbenchError] = RelocbenchError
 ) -> int:
     """Integer nanoseconds. Raises ``error`` with file and line."""
-    try:
-        return int(text)
-    except ValueError:
-        raise error(f"'{text}' is not a timestamp in integer nanoseconds", path, line) from None
+    if not _INTEGER.fullmatch(text):
+        raise error(f"'{text}' is not a timestamp in integer nanoseconds", path, line)
+    return int(text)
 
 
 def seconds_to_ns(text: str) -> int:
     """Decimal seconds as integer nanoseconds, digit by digit (a float would lose 128 ns today). Raises ValueError."""
-    sign, text = (-1, text[1:]) if text.startswith("-") else (1, text)
+    if not _DECIMAL.fullmatch(text):
+        raise ValueError(f"'{text}' is not a decimal number")
+    sign, text = (-1, text[1:]) if text.startswith("-") else (1, text.removeprefix("+"))
     if "e" in text.lower():
         return sign * round(float(text) * 1e9)
     whole, _, fraction = text.partition(".")

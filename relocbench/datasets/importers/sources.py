@@ -50,9 +50,9 @@ def parse_time(text: str) -> int:
     Raises:
         ValueError: neither.
     """
-    if re.fullmatch(r"[+-]?\d+", text):
+    if re.fullmatch(r"[+-]?[0-9]+", text):
         return int(text)
-    if re.fullmatch(r"[+-]?(\d+\.\d*|\.\d+|\d+(\.\d*)?[eE][+-]?\d+)", text):
+    if re.fullmatch(r"[+-]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(\.[0-9]*)?[eE][+-]?[0-9]+)", text):
         return seconds_to_ns(text)
     raise ValueError(f"'{text}' is not a time: integer nanoseconds, or seconds with a decimal point")
 

@@ -1,0 +1,165 @@
+"""Pair files: read what others write, write what reads back to the same numbers, name every fault by its line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from relocbench.datasets.pairfile import (
+    TABLE_COLUMNS,
+    Pair,
+    PoseLine,
+    pose_fields,
+    read_pairs,
+    read_pose_lines,
+    write_pairs,
+    write_pose_lines,
+)
+from relocbench.errors import DatasetError, PredictionError
+from relocbench.geometry import make_transform, so3_exp
+
+QUARTER_TURN = make_transform(so3_exp([0.0, np.pi / 2, 0.0]), [1.0, -2.0, 0.5])
+finite = st.floats(-1e6, 1e6, allow_nan=False)
+angles = st.floats(-3.0, 3.0, allow_nan=False)
+times = st.integers(0, 2**63 - 1)
+
+
+@settings(max_examples=100, deadline=None)
+@given(times, times, st.tuples(finite, finite, finite), st.tuples(angles, angles, angles))
+def test_what_is_written_reads_back_to_the_same_pose_and_exact_nanoseconds(
+    tmp_path_factory: pytest.TempPathFactory,
+    ref: int,
+    query: int,
+    translation: tuple[float, float, float],
+    rotation: tuple[float, float, float],
+) -> None:
+    path = tmp_path_factory.mktemp("pairs") / "pairs.txt"
+    T_query_ref = make_transform(so3_exp(rotation), translation)
+    write_pose_lines(path, [PoseLine(ref, query, T_query_ref)])
+    (line,) = read_pose_lines(path)
+    assert line.key == (ref, query)
+    assert line.T_query_ref is not None
+    np.testing.assert_array_equal(line.T_query_ref[:3, 3], translation)
+    np.testing.assert_allclose(line.T_query_ref[:3, :3], T_query_ref[:3, :3], atol=1e-14)
+
+
+def test_columns_are_translation_then_quaternion_with_qw_last() -> None:
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(
+        [float(f) for f in pose_fields(QUARTER_TURN)], [1, -2, 0.5, 0, half, 0, half], atol=1e-15
+    )
+
+
+def test_comments_commas_and_blank_lines_are_understood(tmp_path: Path) -> None:
+    path = tmp_path / "pairs.txt"
+    path.write_text("# ref query\n\n1,2\n3, 4, 1,-2,0.5, 0,0.7071067811865476,0,0.7071067811865476 # comment\n 5\t6\n")
+    lines = read_pose_lines(path)
+    assert [line.key for line in lines] == [(1, 2), (3, 4), (5, 6)]
+    assert [line.line for line in lines] == [3, 4, 5]
+    assert lines[0].T_query_ref is None
+    np.testing.assert_allclose(lines[1].T_query_ref, QUARTER_TURN, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 2\n1 2 3\n", r":2: expected 2 or 9 columns"),
+        ("1 2\n3 4\n1 2\n", r":3: pair 1 2 occurs again \(first on line 1\)"),
+        ("1.5 2\n", r":1: '1.5' is not a timestamp in integer nanoseconds"),
+        ("1_0 2\n", r":1: '1_0' is not a timestamp"),
+        ("1 2 0 0 x 0 0 0 1\n", r":1: tz is 'x', expected a number"),
+        ("1 2 0 nan 0 0 0 0 1\n", r":1: ty is nan, expected a finite number"),
+        ("1 2 0 0 0 0 0 0 2\n", r":1: quaternion qx qy qz qw has norm 2, expected 1"),
+        ("1 2 0 0 0 0 0 0 0\n", r":1: quaternion qx qy qz qw has norm 0, expected 1"),
+    ],
+)
+def test_faults_are_named_with_file_and_line(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "pairs.txt"
+    path.write_text(text)
+    with pytest.raises(DatasetError, match=r"pairs\.txt" + message):
+        read_pose_lines(path)
+
+
+def test_predictions_may_hold_poses_that_are_not_finite_and_they_are_no_poses(tmp_path: Path) -> None:
+    path = tmp_path / "predictions.txt"
+    path.write_text("1 2 nan 0 0 0 0 0 1\n3 4 0 0 0 0 0 0 1\n")
+    first, second = read_pose_lines(path, PredictionError, allow_non_finite=True)
+    assert first.T_query_ref is None
+    np.testing.assert_array_equal(second.T_query_ref, np.eye(4))
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(PredictionError, match=r"absent\.txt: missing; expected a relocalization file"):
+        read_pose_lines(tmp_path / "absent.txt", PredictionError)
+
+
+PAIRS = [
+    Pair(1, 10, QUARTER_TURN, "step_1", 0.75, 0.02, 0.1, "poses"),
+    Pair(2, 20, None, source="submap", accepted=False, reason="too few points, all of them flat"),
+    Pair(3, 30, None),
+]
+
+
+def write(folder: Path, pairs: list[Pair] = PAIRS) -> tuple[Path, Path]:
+    files = folder / "pairs.txt", folder / "pairs.csv"
+    write_pairs(*files, pairs)
+    return files
+
+
+def test_a_table_keeps_what_nine_columns_cannot_and_rejected_pairs_stay_out_of_the_pair_file(tmp_path: Path) -> None:
+    pair_file, table = write(tmp_path)
+    assert [line.key for line in read_pose_lines(pair_file)] == [(1, 10), (3, 30)]
+    assert table.read_text().splitlines()[0] == ",".join(TABLE_COLUMNS)
+    back = read_pairs(pair_file, table)
+    for before, after in zip(PAIRS, back, strict=True):
+        bare = replace(before, T_query_ref=None)
+        assert replace(after, T_query_ref=None).__dict__ == bare.__dict__
+    np.testing.assert_allclose(back[0].T_query_ref, QUARTER_TURN, atol=1e-15)
+    assert back[0].distance_m == pytest.approx(np.sqrt(5.25))
+    assert back[0].angle_deg == pytest.approx(90.0)
+    assert back[2].distance_m is None
+
+
+def test_a_pair_file_from_elsewhere_needs_no_table(tmp_path: Path) -> None:
+    pair_file, table = write(tmp_path)
+    table.unlink()
+    assert [p.key for p in read_pairs(pair_file, table)] == [(1, 10), (3, 30)]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("2,20,,,,,,,submap,false", "2,20,,,,,,,submap,true", r"pairs\.csv:3: pair 2 20 is missing from pairs\.txt"),
+        ("1,10,step_1", "1,11,step_1", r"pairs\.csv:2: pair 1 11 is missing from"),
+        ("poses,true", "poses,false", r"pairs\.csv:2: pair 1 10 was rejected but stands in pairs\.txt"),
+        ("0.75", "much", r"pairs\.csv:2: overlap is 'much'"),
+        ("submap,false", "submap,no", r"pairs\.csv:3: accepted is 'no', expected true or false"),
+        ("group", "kind", r"pairs\.csv:1: expected the columns"),
+        ("3,30,", "1,10,", r"pairs\.csv:4: pair 1 10 occurs again"),
+    ],
+)
+def test_a_table_that_does_not_fit_its_pair_file_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    pair_file, table = write(tmp_path)
+    text = table.read_text()
+    assert old in text
+    table.write_text(text.replace(old, new, 1))
+    with pytest.raises(DatasetError, match=message):
+        read_pairs(pair_file, table)
+
+
+def test_a_pair_that_the_table_lacks_is_refused(tmp_path: Path) -> None:
+    pair_file, table = write(tmp_path)
+    table.write_text("\n".join(table.read_text().splitlines()[:-1]) + "\n")
+    with pytest.raises(DatasetError, match=r"pairs\.txt: pair 3 30 is missing from pairs\.csv"):
+        read_pairs(pair_file, table)
+
+
+def test_minus_zero_is_written_as_zero(tmp_path: Path) -> None:
+    path = tmp_path / "pairs.txt"
+    write_pose_lines(path, [PoseLine(1, 2, make_transform(np.eye(3), [-0.0, 0.0, 0.0]))])
+    assert path.read_text() == "1 2 0.0 0.0 0.0 0.0 0.0 0.0 1.0\n"
