@@ -47,6 +47,8 @@ SCHEMA = pa.schema(
 )
 _CELLS = 24
 """samples are spread over cells, this many along the longer side of the image"""
+_WORTH_WORKERS = 40
+"""pairs: fewer are done before worker processes have started"""
 _OVERLAP_PIXELS = 60_000
 """of a denser keyframe so many pixels are drawn: the overlap is then right to 0.002 (one sigma)"""
 
@@ -178,10 +180,11 @@ def write_pair_set(
     measured = [p for p in ordered if p.accepted and p.T_query_ref is not None]
     units = [_Unit(traversals[0], traversals[1], camera, pair, count, seed) for pair in measured]
     overlaps: dict[PairKey, float] = {}
+    workers = run.workers if len(units) >= _WORTH_WORKERS else 1
     with reporter.stage(f"correspondences of {name}", len(units)) as advance:
 
         def results() -> Iterator[tuple[PairKey, PairCorrespondences]]:
-            for index, found in _in_order(run_units(_work, units, workers=run.workers, scheduler=run.scheduler)):
+            for index, found in _in_order(run_units(_work, units, workers=workers, scheduler=run.scheduler)):
                 overlaps[measured[index].key] = found.overlap
                 yield measured[index].key, found
                 advance(1)

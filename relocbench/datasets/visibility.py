@@ -140,7 +140,12 @@ def see(points: ReferencePoints, T_query_ref: Array, reference: DepthView, query
     sigma = points.sigma * np.abs(np.nan_to_num(rays) @ T_query_ref[2, :3])
 
     rows = np.nonzero(inside)[0]
-    if reference.depth is not None:
+    if query.depth is not None:
+        seen, known = agrees(query.depth, uv[rows], z[rows], sigma[rows], query)
+        both, seen, rows = rows[known], seen[known], rows[~known]
+        visible[both] = seen & _returns(points.take(both), uv[both], z[both], T_query_ref, reference, query)
+        check[both] = CHECKS.index("both")
+    if reference.depth is not None and rows.size:
         buffer = reference_z_buffer(T_query_ref, reference, query)
         u, v = np.rint(uv[rows]).astype(int).T
         reach, magnification = _reach(points.depth[rows], z[rows], reference.camera, query.camera)
@@ -148,11 +153,6 @@ def see(points: ReferencePoints, T_query_ref: Array, reference: DepthView, query
         slant = (reach + 1) * _slope(reference.depth, points.uv[rows]) / magnification
         visible[rows] = z[rows] <= buffer[v, u] + tolerance(z[rows], sigma[rows], sigma[rows]) + slant
         check[rows] = CHECKS.index("self")
-    if query.depth is not None:
-        seen, known = agrees(query.depth, uv[rows], z[rows], sigma[rows], query)
-        rows, seen = rows[known], seen[known]
-        visible[rows] = seen & _returns(points.take(rows), uv[rows], T_query_ref, reference, query)
-        check[rows] = CHECKS.index("both")
     return Visibility(uv, inside, visible, check)
 
 
@@ -245,14 +245,13 @@ def _slope(depth: NDArray[np.float32], pixels: Array) -> Array:
 
 
 def _returns(
-    points: ReferencePoints, uv_query: Array, T_query_ref: Array, reference: DepthView, query: DepthView
+    points: ReferencePoints, uv_query: Array, z_query: Array, T_query_ref: Array, reference: DepthView, query: DepthView
 ) -> Mask:
     """Whether the query's own surface at these pixels, warped back, agrees with the reference's depth there."""
     assert query.depth is not None
     found, around, _ = sample_depth(query.depth, uv_query)
-    z_expected = warp(np.column_stack([points.uv, points.depth]), reference.camera, query.camera, T_query_ref)[1]
     with np.errstate(invalid="ignore"):
-        offset = np.where(np.isfinite(around), np.abs(around - z_expected[:, None]), np.inf)
+        offset = np.where(np.isfinite(around), np.abs(around - z_query[:, None]), np.inf)
     nearest = np.take_along_axis(around, np.argmin(offset, axis=1)[:, None], axis=1)[:, 0]
     surface = np.where(np.isfinite(found), found, nearest)
     back, z, valid = warp(np.column_stack([uv_query, surface]), query.camera, reference.camera, invert(T_query_ref))

@@ -1,0 +1,92 @@
+"""What all importers do alike: the record of the build, conditions, and the pair set at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from relocbench.datasets.correspondences import write_pair_set
+from relocbench.datasets.dataset import Traversal
+from relocbench.datasets.importers import Run
+from relocbench.datasets.importers.options import ImportOptions
+from relocbench.datasets.pairing import make_pairs, posed_frames
+from relocbench.datasets.schema import Condition
+from relocbench.datasets.writer import DatasetWriter
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.progress import Reporter
+
+
+def configuration(kind: str, sources: Sequence[Path], options: ImportOptions) -> dict[str, Any]:
+    """Everything that determines the build, as ``build.yaml`` keeps it."""
+    return {
+        "kind": kind,
+        "sources": [str(source.resolve()) for source in sources],
+        "options": options.model_dump(mode="json"),
+    }
+
+
+def condition_of(options: ImportOptions, traversal: str) -> Condition:
+    """The condition given for a traversal, or unknown."""
+    return options.conditions.get(traversal, Condition())
+
+
+def check_conditions(options: ImportOptions, traversals: Sequence[str]) -> None:
+    """Raises ConfigError where a condition is given for a traversal that there is not."""
+    for name in options.conditions:
+        if name not in traversals:
+            raise ConfigError(f"conditions: no traversal '{name}'; there is {', '.join(traversals)}")
+
+
+def check_folder(path: Path, expected: str) -> None:
+    """Raises DatasetError where ``path`` is no folder."""
+    if not path.is_dir():
+        raise DatasetError(f"{'is a file' if path.exists() else 'no such folder'}; expected {expected}", path)
+
+
+def write_pairs(
+    writer: DatasetWriter,
+    reference: str,
+    query: str,
+    camera: str,
+    options: ImportOptions,
+    *,
+    source: str,
+    where: Path,
+    reporter: Reporter,
+    run: Run,
+    numbers: dict[int, int] | None = None,
+    sigma_translation_m: float | None = None,
+    sigma_rotation_deg: float | None = None,
+) -> str:
+    """Pairs by the rule of the options, with their correspondences; the name of the pair set is returned.
+
+    The traversals must have been written, with images and depth.
+
+    Args:
+        source: how the poses were obtained.
+        where: the recording, for messages.
+        numbers: timestamp_ns -> frame number, where one traversal's count has gaps.
+    """
+    traversals = {name: Traversal(writer.layout.traversal(name)) for name in (reference, query)}
+    pairs = make_pairs(
+        posed_frames(traversals[reference], camera, numbers),
+        posed_frames(traversals[query], camera, numbers if query == reference else None),
+        options,
+        same_traversal=query == reference,
+        source=source,
+        where=where,
+        sigma_translation_m=sigma_translation_m,
+        sigma_rotation_deg=sigma_rotation_deg,
+    )
+    return write_pair_set(
+        writer,
+        reference,
+        query,
+        camera,
+        pairs,
+        count=options.correspondences,
+        seed=options.seed,
+        reporter=reporter,
+        run=run,
+    )

@@ -1,0 +1,354 @@
+"""KITTI odometry layout: ``sequences/NN/{image_0..3,velodyne,calib.txt,times.txt}``, ``poses/NN.txt``.
+
+Depth of the keyframes is computed from stereo or projected from lidar scans. Frame i has line i of the poses and of
+the times, whichever frames the folder holds. Geiger et al., Are we ready for autonomous driving?, CVPR 2012.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from relocbench.datasets import images
+from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.importers import Run
+from relocbench.datasets.importers.assembly import (
+    check_conditions,
+    check_folder,
+    condition_of,
+    configuration,
+    write_pairs,
+)
+from relocbench.datasets.importers.options import ImportOptions
+from relocbench.datasets.importers.stereo import StereoGeometry, stereo_depth
+from relocbench.datasets.importers.velodyne import LIDAR_SIGMA, project_scan, read_scan
+from relocbench.datasets.schema import CameraEntry, TraversalFile
+from relocbench.datasets.writer import DatasetWriter
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import run_units
+from relocbench.files import parse_floats, read_rows, read_text, seconds_to_ns
+from relocbench.geometry import Camera, invert, is_rotation, make_transform, project_to_rotation
+from relocbench.progress import Reporter
+
+Array = NDArray[np.float64]
+CameraName = Literal["image_0", "image_1", "image_2", "image_3"]
+
+_CALIBRATION_LINES = ("P0", "P1", "P2", "P3", "Tr")
+_MATRIX = " ".join(f"m{row}{column}" for row in range(3) for column in range(4))
+_ROTATION_TOLERANCE = 1e-3
+
+
+class Options(ImportOptions):
+    """Options of ``relocbench build-dataset kitti``."""
+
+    sequence: tuple[str, ...] = Field(
+        (),
+        max_length=2,
+        description="reference and query sequence, such as 06 or 06,07; default: the only one there is",
+    )
+    depth: Literal["auto", "stereo", "velodyne"] = Field(
+        "auto", description="where depth comes from; auto: stereo if there are right images, else velodyne"
+    )
+    camera: CameraName = Field("image_0", description="camera to use (stereo depth: a left one, image_0 or image_2)")
+    rate_hz: float = Field(10.0, gt=0, description="frames a second where times.txt is missing")
+    max_depth: float = Field(80.0, gt=0, lt=256, description="farthest depth to keep, metres")
+    max_disparity: int = Field(128, ge=16, le=512, multiple_of=16, description="pixels searched by stereo matching")
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """``calib.txt``: lines ``P0`` to ``P3`` and ``Tr``, twelve numbers each, the names optional."""
+
+    path: Path
+    matrices: dict[str, Array]
+    """name -> (3, 4)"""
+
+    @classmethod
+    def read(cls, path: Path) -> Calibration:
+        """Raises DatasetError with file and line."""
+        matrices: dict[str, Array] = {}
+        for order, (number, fields) in enumerate(read_rows(path, "a KITTI calibration", DatasetError)):
+            if fields[0].endswith(":"):
+                name, fields = fields[0][:-1], fields[1:]
+            elif order < len(_CALIBRATION_LINES):
+                name = _CALIBRATION_LINES[order]
+            else:
+                raise DatasetError(f"expected at most the lines {', '.join(_CALIBRATION_LINES)}", path, number)
+            values = parse_floats(fields, path, number, _MATRIX, DatasetError)
+            matrices[name] = np.array(values).reshape(3, 4)
+        return cls(path, matrices)
+
+    def matrix(self, name: str, why: str) -> Array:
+        """(3, 4). Raises DatasetError where the line is missing."""
+        if name not in self.matrices:
+            raise DatasetError(f"line '{name}:' is missing; {why} needs it", self.path)
+        return self.matrices[name]
+
+    def projection(self, camera: str) -> Array:
+        """P of ``image_N``, (3, 4): ``K [I | t]``, from the frame of camera 0."""
+        return self.matrix(f"P{camera[-1]}", camera)
+
+    def T_cam0_cam(self, camera: str) -> Array:
+        """(4, 4) of a rectified camera: ``P = K [I | t]`` has ``T_cam_cam0 = [I | t]``."""
+        p = self.projection(camera)
+        return make_transform(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3]))
+
+    def T_cam0_lidar(self) -> Array:
+        """(4, 4)"""
+        tr = self.matrix("Tr", "velodyne depth")
+        return make_transform(project_to_rotation(tr[:, :3]), tr[:, 3])
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """One sequence folder."""
+
+    root: Path
+    name: str
+
+    @property
+    def folder(self) -> Path:
+        return self.root / "sequences" / self.name
+
+    @property
+    def traversal(self) -> str:
+        return f"kitti_{self.name}"
+
+    @property
+    def poses_file(self) -> Path:
+        return self.root / "poses" / f"{self.name}.txt"
+
+    @cached_property
+    def calibration(self) -> Calibration:
+        return Calibration.read(self.folder / "calib.txt")
+
+    def frames(self, folder: str, suffix: str) -> dict[int, Path]:
+        """Frame number -> file, of a folder that may be absent."""
+        found = (self.folder / folder).glob(f"*{suffix}")
+        return {int(p.stem): p for p in sorted(found) if p.stem.isdigit()}
+
+    def poses(self) -> list[Array]:
+        """``T_world_cam0`` of frame 0, 1, 2, ... Raises DatasetError with file and line."""
+        poses = []
+        for number, fields in read_rows(
+            self.poses_file, f"poses of sequence {self.name} (12 numbers a line)", DatasetError
+        ):
+            m = np.array(parse_floats(fields, self.poses_file, number, _MATRIX, DatasetError)).reshape(3, 4)
+            if not is_rotation(m[:, :3], _ROTATION_TOLERANCE):
+                raise DatasetError("the left 3x3 of the pose is no rotation", self.poses_file, number)
+            poses.append(make_transform(project_to_rotation(m[:, :3]), m[:, 3]))
+        return poses
+
+    def times(self, rate_hz: float, frames: int, reporter: Reporter) -> list[int]:
+        """Nanoseconds of frame 0, 1, 2, ... Raises DatasetError with file and line."""
+        path = self.folder / "times.txt"
+        if not path.exists():
+            reporter.note(f"{self.name}: no times.txt; frames are taken to be {rate_hz:g} a second")
+            return [round(i * 1e9 / rate_hz) for i in range(frames)]
+        times: list[int] = []
+        for number, line in enumerate(read_text(path, "times in seconds", DatasetError).split(), start=1):
+            parse_floats([line], path, number, "seconds", DatasetError)
+            times.append(seconds_to_ns(line))
+            if len(times) > 1 and times[-1] <= times[-2]:
+                raise DatasetError(f"time {line} does not come after the one before", path, number)
+        return times
+
+
+@dataclass(frozen=True)
+class _StereoUnit:
+    left: Path
+    right: Path
+    depth: Path
+    geometry: StereoGeometry
+
+
+@dataclass(frozen=True)
+class _LidarUnit:
+    scan: Path
+    depth: Path
+    camera: Camera
+    T_cam_lidar: Array
+    max_depth: float
+
+
+def _compute_depth(unit: _StereoUnit | _LidarUnit) -> None:
+    if isinstance(unit, _LidarUnit):
+        depth = project_scan(read_scan(unit.scan), unit.camera, unit.T_cam_lidar, unit.max_depth)
+    else:
+        left, right = images.read_image(unit.left), images.read_image(unit.right)
+        if left.shape[:2] != right.shape[:2]:
+            raise DatasetError(f"size differs from that of the left image {unit.left}", unit.right)
+        depth = stereo_depth(left, right, unit.geometry)
+    images.write_depth(unit.depth, depth)
+
+
+def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+    """A dataset of one sequence, or of a reference and a query sequence.
+
+    Args:
+        sources: the folder that holds ``sequences`` and ``poses``, or one sequence folder.
+
+    Raises:
+        DatasetError: with file and line, what is missing or wrong in the recording.
+        ConfigError: options that do not fit it.
+    """
+    assert isinstance(options, Options)
+    sequences = _find_sequences(sources, options)
+    check_conditions(options, [s.traversal for s in sequences])
+    default_name = "kitti_" + "_".join(s.name for s in sequences)
+    settings = configuration("kitti", sources, options)
+    writer = DatasetWriter(out, options.name or default_name, settings, options.licence)
+    reference, query = sequences[0], sequences[-1]
+    numbers = _write_traversal(writer, reference, options, True, reporter, run)
+    if query != reference:
+        _write_traversal(writer, query, options, False, reporter, run)
+    write_pairs(
+        writer,
+        reference.traversal,
+        query.traversal,
+        options.camera,
+        options,
+        source="KITTI odometry poses",
+        where=reference.folder,
+        reporter=reporter,
+        run=run,
+        numbers=numbers,
+    )
+    return writer.finish({})
+
+
+def _find_sequences(sources: list[Path], options: Options) -> list[Sequence]:
+    if len(sources) != 1:
+        raise ConfigError(f"kitti takes one folder (with sequences/ and poses/), got {len(sources)}; see --sequence")
+    root = sources[0].resolve()
+    if (root / "calib.txt").exists() and root.parent.name == "sequences":
+        asked: tuple[str, ...] = options.sequence or (root.name,)
+        root = root.parent.parent
+    else:
+        check_folder(root / "sequences", "the sequences of a KITTI odometry folder")
+        there = sorted(p.name for p in (root / "sequences").iterdir() if p.is_dir())
+        if not options.sequence and len(there) != 1:
+            raise ConfigError(f"--sequence is needed: {root} holds {', '.join(there) or 'none'}")
+        asked = options.sequence or (there[0],)
+    found = [Sequence(root, name) for name in dict.fromkeys(asked)]
+    for sequence in found:
+        check_folder(sequence.folder, f"KITTI sequence {sequence.name}")
+    return found
+
+
+def _write_traversal(
+    writer: DatasetWriter, sequence: Sequence, options: Options, needs_depth: bool, reporter: Reporter, run: Run
+) -> dict[int, int]:
+    """One traversal with its images and what depth there is; timestamp -> frame number of its posed frames."""
+    camera_name, name = options.camera, sequence.traversal
+    found = sequence.frames(camera_name, ".png") or sequence.frames(camera_name, ".jpg")
+    if not found:
+        raise DatasetError("no images (000000.png, ...)", sequence.folder / camera_name)
+    poses = sequence.poses()
+    times = sequence.times(options.rate_hz, len(poses), reporter)
+    frames = {i: path for i, path in found.items() if i < min(len(poses), len(times))}
+    if len(frames) < len(found):
+        reporter.note(f"{sequence.name}: {len(found) - len(frames)} images left out, they have no pose or no time")
+    if not frames:
+        raise DatasetError(f"holds {len(poses)} poses, none for the images there are", sequence.poses_file)
+
+    kind = _depth_kind(sequence, options, needs_depth)
+    camera = _camera(sequence, camera_name, next(iter(frames.values())))
+    depth_files = _depth_files(sequence, options, kind)
+    sigma = {"stereo": lambda: _stereo_geometry(sequence, options).depth_sigma, "velodyne": lambda: (LIDAR_SIGMA, 0, 0)}
+    entry = CameraEntry.of(
+        camera, sequence.calibration.T_cam0_cam(camera_name), sigma[kind]() if kind else (0.0, 0.0, 0.0)
+    )
+    file = TraversalFile(
+        name=name,
+        condition=condition_of(options, name),
+        rate_hz=_rate(times),
+        cameras={camera_name: entry},
+        source=f"KITTI odometry sequence {sequence.name}, depth from {kind or 'nothing'}",
+    )
+    writer.traversal(file, {times[i]: poses[i] for i in frames})
+    with reporter.stage(f"images of {name}", len(frames)) as advance:
+        for i, path in frames.items():
+            writer.link_image(name, camera_name, times[i], path, copy=options.copy_images)
+            advance(1)
+
+    keyframes = [i for i in frames if i in depth_files]
+    if kind and len(keyframes) < len(frames):
+        lacking = "right image" if kind == "stereo" else "lidar scan"
+        reporter.note(
+            f"{sequence.name}: {len(frames) - len(keyframes)} of {len(frames)} frames are no keyframes, "
+            f"they have no {lacking}"
+        )
+    due = [i for i in keyframes if writer.needs_depth(name, camera_name, times[i])]
+    target = writer.layout.traversal(name)
+    units: list[_StereoUnit | _LidarUnit] = []
+    for i in due:
+        path = target.depth(camera_name, times[i])
+        if kind == "stereo":
+            units.append(_StereoUnit(frames[i], depth_files[i], path, _stereo_geometry(sequence, options)))
+        else:
+            T_cam_lidar = invert(sequence.calibration.T_cam0_cam(camera_name)) @ sequence.calibration.T_cam0_lidar()
+            units.append(_LidarUnit(depth_files[i], path, camera, T_cam_lidar, options.max_depth))
+    with reporter.stage(f"depth of {name} from {kind}", len(units)) as advance:
+        for _ in run_units(_compute_depth, units, workers=run.workers, scheduler=run.scheduler):
+            advance(1)
+    return {times[i]: i for i in frames}
+
+
+def _depth_kind(sequence: Sequence, options: Options, needs_depth: bool) -> Literal["stereo", "velodyne"] | None:
+    """Where the depth of a sequence comes from; None where a query sequence has none."""
+    right = _right_of(options.camera)
+    has_right = right is not None and bool(sequence.frames(right, ".png") or sequence.frames(right, ".jpg"))
+    has_scans = bool(sequence.frames("velodyne", ".bin"))
+    if options.depth == "stereo" and right is None:
+        raise ConfigError(f"stereo depth is that of a left camera (image_0 or image_2), not of {options.camera}")
+    if options.depth != "velodyne" and has_right:
+        return "stereo"
+    if options.depth != "stereo" and has_scans:
+        return "velodyne"
+    if not needs_depth:
+        return None
+    wanted = {"auto": f"{right or 'image_1'}/ or velodyne/", "stereo": f"{right}/", "velodyne": "velodyne/"}
+    raise DatasetError(f"no depth for the keyframes; expected {wanted[options.depth]}", sequence.folder)
+
+
+def _right_of(camera: str) -> str | None:
+    return {"image_0": "image_1", "image_2": "image_3"}.get(camera)
+
+
+def _depth_files(sequence: Sequence, options: Options, kind: str | None) -> dict[int, Path]:
+    """Frame number -> right image or scan."""
+    if kind == "stereo":
+        right = str(_right_of(options.camera))
+        return sequence.frames(right, ".png") or sequence.frames(right, ".jpg")
+    return sequence.frames("velodyne", ".bin") if kind == "velodyne" else {}
+
+
+def _stereo_geometry(sequence: Sequence, options: Options) -> StereoGeometry:
+    left = sequence.calibration.projection(options.camera)
+    right = sequence.calibration.matrix(f"P{int(options.camera[-1]) + 1}", "stereo depth")
+    focal_baseline = float(left[0, 3] - right[0, 3])
+    if focal_baseline <= 0:
+        raise DatasetError("the right camera does not lie to the right of the left one", sequence.calibration.path)
+    offset = float(left[0, 2] - right[0, 2])
+    return StereoGeometry(focal_baseline, offset, options.max_depth, options.max_disparity)
+
+
+def _camera(sequence: Sequence, camera: str, example: Path) -> Camera:
+    """Intrinsics from P, size from an image."""
+    p = sequence.calibration.projection(camera)
+    height, width = images.read_image(example).shape[:2]
+    try:
+        return Camera("pinhole", width, height, p[0, 0], p[1, 1], p[0, 2], p[1, 2])
+    except ValueError as bad:
+        raise DatasetError(f"line 'P{camera[-1]}:' is no projection ({bad})", sequence.calibration.path) from None
+
+
+def _rate(times: list[int]) -> float | None:
+    return round(1e9 / float(np.median(np.diff(times))), 3) if len(times) > 1 else None
