@@ -1,0 +1,180 @@
+"""DSO's coarse tracker as a relocalization tracker, from one start or from several.
+
+Engel, Koltun and Cremers, Direct Sparse Odometry, PAMI 2018. About 2000 pixels of large gradient with known depth are
+carried to all pyramid levels and aligned to the query, coarse to fine, together with an affine change of brightness.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product, takewhile
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from baselines.alignment import (
+    Alignment,
+    LevelPoints,
+    Settings,
+    align_best,
+    coarse_points,
+    image_pyramid,
+    select_pixels,
+)
+from baselines.alignment.pyramid import Level
+from relocbench.geometry import make_transform, rotation_from_quaternion
+from relocbench.tracking import KeyframePoints, Query, Reference, TrackResult
+
+Array = NDArray[np.float64]
+
+SMALL_ROTATION = 0.02
+"""quaternion component before normalising: 2.3, 3.2 and 4.0 degrees about one, two and three axes"""
+LARGEST_LOG_GAIN = 1.2
+LARGEST_OFFSET = 200.0
+"""grey levels; beyond these two DSO holds the tracking of consecutive frames for failed"""
+MIN_VALID_SHARE = 0.1
+"""of the reference's points must project into the query for an answer"""
+
+
+@dataclass(frozen=True, eq=False)
+class DsoReference:
+    """A prepared keyframe."""
+
+    levels: tuple[LevelPoints, ...]
+    """finest first"""
+    selected: int
+    """points chosen, before they were carried to the levels"""
+
+
+def small_rotations() -> list[Array]:
+    """DSO's 26 small rotations: quaternion (x, y, z, 1) with components in {-0.02, 0, 0.02}, not all zero. (4, 4)."""
+    components = product((0.0, -SMALL_ROTATION, SMALL_ROTATION), repeat=3)
+    return [
+        make_transform(rotation_from_quaternion([*vector, 1.0]), np.zeros(3)) for vector in components if any(vector)
+    ]
+
+
+class Dso:
+    """Direct alignment of raw intensities from the prior, or from the identity without one.
+
+    Confidence, 0 to 1: the mean over all points of the reference of 1 - energy / largest energy at the final pose,
+    where a point out of view counts 0. It is 1 for a perfect fit of all points and 0 if none fits.
+
+    Args:
+        points: about so many pixels are chosen from a dense depth; points of a sparse map are all used.
+        huber: grey levels; larger residuals weigh less.
+        cutoff: grey levels; larger residuals are held for outliers.
+        cutoff_levels: on so many of the finest levels; coarser ones only have the Huber loss. DSO has the cutoff on
+            all (set ``max_levels`` for that), where a motion model gives a near start; from the identity it costs
+            half of the distance that can be bridged.
+        max_levels: of the image pyramid.
+        affine: estimate gain and offset of the brightness between the two images.
+        min_points: fewer points with depth are a stated failure.
+        dso_failure_test: refuse answers with |log gain| > 1.2 or |offset| > 200, as DSO does. Meant for consecutive
+            frames; between seasons it would reject good answers. What it would have said is in the result either way.
+        seed: of the choice of points.
+    """
+
+    uses_prior = True
+
+    def __init__(
+        self,
+        points: Annotated[int, Field(ge=1)] = 2000,
+        huber: Annotated[float, Field(gt=0)] = 9.0,
+        cutoff: Annotated[float, Field(gt=0)] = 20.0,
+        cutoff_levels: Annotated[int, Field(ge=1)] = 1,
+        max_levels: Annotated[int, Field(ge=1, le=16)] = 6,
+        affine: bool = True,
+        min_points: Annotated[int, Field(ge=8)] = 30,
+        dso_failure_test: bool = False,
+        seed: int = 0,
+    ) -> None:
+        self.points = points
+        self.settings = Settings(huber=huber, cutoff=cutoff, cutoff_levels=cutoff_levels, affine=affine)
+        self.max_levels = max_levels
+        self.min_points = min_points
+        self.dso_failure_test = dso_failure_test
+        self.seed = seed
+
+    def prepare(self, reference: Reference) -> DsoReference:
+        """Choose points and carry them to all levels.
+
+        Raises:
+            MethodError: the camera is not pinhole.
+        """
+        levels = image_pyramid(reference.image, reference.camera, self.max_levels)
+        chosen = self._choose(reference, levels)
+        return DsoReference(tuple(coarse_points(chosen, levels)), len(chosen))
+
+    def track(self, reference: DsoReference, query: Query, prior: Array | None = None) -> TrackResult:
+        """Align a query to a prepared reference.
+
+        Raises:
+            MethodError: the camera is not pinhole.
+        """
+        levels = image_pyramid(query.image, query.camera, self.max_levels)
+        if min(reference.selected, len(reference.levels[0])) < self.min_points:
+            return TrackResult.failure(
+                f"{reference.selected} reference points with depth, at least {self.min_points} are needed"
+            )
+        first = np.eye(4) if prior is None else np.asarray(prior, dtype=np.float64)
+        # Few points of a sparse map can leave too few pixels on a coarse level: then a finer one is the first.
+        usable = list(takewhile(lambda level: len(level) >= self.min_points, reference.levels))
+        return self._answer(align_best(usable, levels, self._starts(first), self.settings))
+
+    def _starts(self, first: Array) -> list[Array]:
+        return [first]
+
+    def _choose(self, reference: Reference, levels: list[Level]) -> KeyframePoints:
+        if reference.sparse_points is not None or reference.depth is None:
+            return reference.points
+        known = np.isfinite(reference.depth) & (reference.depth > 0)
+        uv = select_pixels(levels, known, self.points, np.random.default_rng(self.seed))
+        z = reference.depth[uv[:, 1], uv[:, 0]].astype(np.float64)
+        a, b, c = reference.depth_sigma
+        return KeyframePoints(uv.astype(np.float64), 1.0 / z, (a + b * z + c * z * z) / (z * z))
+
+    def _answer(self, found: Alignment) -> TrackResult:
+        info = self._info(found)
+        if found.trouble:
+            return TrackResult.failure(found.trouble, **info)
+        if found.final.valid < max(self.min_points, MIN_VALID_SHARE * found.points):
+            return TrackResult.failure(
+                f"only {found.final.valid} of {found.points} points project into the query", **info
+            )
+        if self.dso_failure_test and info["dso_would_reject"]:
+            return TrackResult.failure(
+                f"brightness changes by gain exp({found.a:.2f}) and offset {found.b:.0f}: beyond DSO's limits", **info
+            )
+        return TrackResult(found.T_query_ref, confidence=self._confidence(found), info=info)
+
+    def _confidence(self, found: Alignment) -> float:
+        h, c = self.settings.huber, self.settings.cutoff * found.final.cutoff_factor
+        largest = 2 * h * c - h * h if c > h else c * c
+        agreement = max(0.0, 1.0 - found.final.energy / largest)
+        return float(agreement * found.final.valid / found.points)
+
+    def _info(self, found: Alignment) -> dict[str, Any]:
+        final = found.final
+        return {
+            "energy": float(final.energy),
+            "points": found.points,
+            "valid": int(final.valid),
+            "saturated_share": float(final.saturated / final.valid) if final.valid else 1.0,
+            "levels": [outcome.level for outcome in found.outcomes],
+            "iterations": [int(outcome.iterations) for outcome in found.outcomes],
+            "energies": [float(outcome.energy) for outcome in found.outcomes],
+            "cutoff_factors": [float(outcome.cutoff_factor) for outcome in found.outcomes],
+            "a": float(found.a),
+            "b": float(found.b),
+            "dso_would_reject": bool(abs(found.a) > LARGEST_LOG_GAIN or abs(found.b) > LARGEST_OFFSET),
+        }
+
+
+class DsoMultiStart(Dso):
+    """As :class:`Dso`, started also from 26 small rotations of the query camera; the lowest final energy wins."""
+
+    def _starts(self, first: Array) -> list[Array]:
+        return [first, *(rotation @ first for rotation in small_rotations())]
