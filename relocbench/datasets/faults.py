@@ -117,7 +117,7 @@ def read_pose_table(path: Path, found: Findings) -> dict[int, Array]:
         with found.catching():
             time = parse_timestamp(row[0] if row else "", path, number, DatasetError)
             if last is not None and time <= last:
-                found.fault(f"timestamp {time} does not come after {last}", path, number)
+                raise DatasetError(f"timestamp {time} does not come after {last}", path, number)
             last = time
             poses[time] = parse_pose(row[1:], path, number)
     return poses

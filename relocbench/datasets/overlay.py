@@ -238,6 +238,8 @@ def _captions(pair: Pair, agreement: Agreement, title: str) -> list[tuple[str, t
         facts.append(f"sigma {pair.sigma_translation_m:.3g} m")
     if pair.source:
         facts.append(f"truth: {pair.source}")
+    if not np.isfinite(agreement.difference):
+        return [(title, _WHITE), (", ".join(facts), _WHITE), ("THE QUERY SEES NO POINT BY THE TRUTH", _RED)]
     verdict = "lowest at the truth" if agreement.truth_is_best else "NOT LOWEST AT THE TRUTH"
     said = (
         f"grey levels differ by {agreement.difference:.1f}; turned left, right, up, down by 0.4 % of the width: "

@@ -1,0 +1,137 @@
+"""``relocbench inspect``: what is in a dataset, and pictures that show whether the truth is right."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_dataset import ACROSS, WITHIN, make_small_dataset, render, small_camera, small_pose
+from typer.testing import CliRunner
+
+from relocbench.cli.app import app
+from relocbench.datasets.images import read_image
+from relocbench.datasets.inspection import take_inventory
+from relocbench.datasets.overlay import measure_agreement, spread_pairs, warp_image, write_pictures
+from relocbench.datasets.pairfile import Pair
+from relocbench.geometry import invert, make_transform, so3_exp
+from relocbench.progress import Silent
+from relocbench.tracking import Query, Reference
+
+
+def two_views(size: tuple[int, int] = (160, 120)) -> tuple[Reference, Query, np.ndarray]:
+    """A keyframe with depth, a query half a metre ahead and 3 degrees turned, and ``T_query_ref``."""
+    camera = small_camera(*size)
+    T_world_ref, T_world_query = small_pose(0), small_pose(3, lateral_m=0.1, yaw_deg=3.0)
+    image, depth = render(camera, T_world_ref)
+    seen, _ = render(camera, T_world_query)
+    return (
+        Reference("r", 0, image, camera, depth=depth),
+        Query("q", 1, seen, camera),
+        invert(T_world_query) @ T_world_ref,
+    )
+
+
+def test_the_inventory_counts_what_is_there(tmp_path: Path) -> None:
+    found = take_inventory(make_small_dataset(tmp_path / "D", frames=5, rejected=2))
+    summer = found.traversals[0]
+    assert (summer.name, summer.images, summer.keyframes, summer.poses) == ("summer", 5, 5, 5)
+    assert summer.length_m == pytest.approx(4 * 0.15)
+    across = next(s for s in found.pair_sets if s.name == ACROSS)
+    assert across.pairs == 5 + 4 - 2
+    assert across.rejected == {"too few points agree": 2}
+    assert across.angle_deg is not None
+    assert across.angle_deg.greatest == pytest.approx(2.0)
+    within = next(s for s in found.pair_sets if s.name == WITHIN)
+    assert within.groups == {"step_1": 4, "step_2": 3}
+    assert within.distance_m is not None
+    assert [within.distance_m.least, within.distance_m.greatest] == pytest.approx([0.15, 0.3])
+
+
+def test_the_warped_keyframe_is_the_query_where_the_pose_is_true() -> None:
+    reference, query, T_query_ref = two_views()
+    warped, known = warp_image(reference, query.camera, T_query_ref)
+    assert known.mean() > 0.7
+    error = np.abs(warped.astype(float) - query.image)[known]
+    assert np.median(error) < 3.0
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_wrong_pose_agrees_less_than_the_true_one(axis: int, sign: int) -> None:
+    reference, query, T_query_ref = two_views()
+    offset = np.zeros(6)
+    offset[axis] = sign * (0.15 if axis < 3 else np.radians(1.5))
+    wrong = make_transform(so3_exp(offset[3:]), offset[:3]) @ T_query_ref
+    right = measure_agreement(reference, query, T_query_ref)
+    assert right.truth_is_best
+    assert measure_agreement(reference, query, wrong).difference > 2 * right.difference
+
+
+def test_agreement_does_not_mind_gain_and_offset() -> None:
+    reference, query, T_query_ref = two_views()
+    darker = Query("q", 1, (0.5 * query.image + 20).astype(np.uint8), query.camera)
+    assert measure_agreement(reference, darker, T_query_ref).truth_is_best
+
+
+def test_agreement_is_undefined_where_the_query_sees_no_point() -> None:
+    reference, query, _ = two_views()
+    away = make_transform(so3_exp([0, np.pi, 0]), [0, 0, 0])
+    found = measure_agreement(reference, query, away)
+    assert np.isnan(found.difference)
+    assert not found.truth_is_best
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+def test_pictures_tell_a_wrong_truth_from_a_right_one(tmp_path: Path, sparse: bool) -> None:
+    fault = make_transform(so3_exp([0, np.radians(2.0), 0]), [0.1, 0, 0])
+    pictures, images = {}, {}
+    for name, pose_fault in (("right", None), ("wrong", fault)):
+        made = make_small_dataset(tmp_path / name, frames=3, sparse=sparse, pose_fault=pose_fault)
+        pictures[name] = write_pictures(made, [made.pair_set(ACROSS)], tmp_path / f"{name}-pictures", 2, 0, Silent())
+        images[name] = [read_image(tmp_path / f"{name}-pictures" / p.file) for p in pictures[name]]
+    for right, wrong in zip(pictures["right"], pictures["wrong"], strict=True):
+        assert right.file == wrong.file
+        assert right.truth_is_best
+        assert not wrong.truth_is_best
+        assert wrong.difference > 3 * right.difference
+    for right_image, wrong_image in zip(images["right"], images["wrong"], strict=True):
+        assert fringes(wrong_image) > 1.5 * fringes(right_image)
+
+
+def fringes(picture: np.ndarray) -> float:
+    """Mean difference of red and cyan in the last panel, the lower right one."""
+    height, width = picture.shape[:2]
+    panel = picture[int(0.6 * height) :, width // 2 + 10 :].astype(float)
+    return float(np.mean(np.abs(panel[..., 0] - panel[..., 1])))
+
+
+def test_the_same_seed_draws_the_same_bytes(tmp_path: Path) -> None:
+    made = make_small_dataset(tmp_path / "D", frames=3)
+    drawn = [write_pictures(made, [made.pair_set(ACROSS)], tmp_path / f"{i}", 1, 3, Silent())[0].file for i in range(2)]
+    assert (tmp_path / "0" / drawn[0]).read_bytes() == (tmp_path / "1" / drawn[1]).read_bytes()
+
+
+@pytest.mark.parametrize(("count", "rows"), [(1, [0]), (2, [0, 9]), (4, [0, 3, 6, 9]), (50, list(range(10)))])
+def test_pairs_are_spread_over_the_drive(count: int, rows: list[int]) -> None:
+    pairs = [Pair(i, i, np.eye(4)) for i in range(10)]
+    withheld = Pair(99, 99, None)
+    assert [p.ref_timestamp_ns for p in spread_pairs([*pairs, withheld], count)] == rows
+
+
+def test_the_command_prints_tables_or_json_and_draws(tmp_path: Path) -> None:
+    made = make_small_dataset(tmp_path / "D", rejected=1)
+    runner = CliRunner()
+    tables = runner.invoke(app, ["inspect", str(made.root)])
+    assert tables.exit_code == 0
+    for word in ("summer", "snow, winter, day", ACROSS, "1 rejected: too few points agree", "CC0-1.0"):
+        assert word in tables.stdout
+    assert made.fingerprint[:12] in tables.stdout
+    options = ["--pictures", str(tmp_path / "pictures"), "--pairs", "2", "--pair-set", ACROSS, "--json", "-q"]
+    result = runner.invoke(app, ["inspect", str(made.root), *options])
+    assert result.exit_code == 0
+    plain = json.loads(result.stdout)
+    assert plain["fingerprint"] == made.fingerprint
+    assert [p["pair_set"] for p in plain["pictures"]] == [ACROSS, ACROSS]
+    assert sorted(p.name for p in (tmp_path / "pictures").iterdir()) == sorted(p["file"] for p in plain["pictures"])
