@@ -1,0 +1,80 @@
+"""``relocbench leaderboard``: tables, plots and a page from a results folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from relocbench.cli.options import Json, Quiet
+
+if TYPE_CHECKING:
+    from relocbench.leaderboard.model import Board, DatasetBoard, Table
+    from relocbench.metrics import Metric
+
+
+def leaderboard(
+    results: Annotated[Path, typer.Argument(help="Results folder of `relocbench evaluate`.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
+    metric: Annotated[str, typer.Option(help="Ranks methods; any metric that is a mean over pairs.")] = "t_auc@0.5m",
+    split: Annotated[str | None, typer.Option(help="Only the pair sets of this split.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
+    plots: Annotated[bool, typer.Option("--plots/--no-plots", help="Draw the cumulative error curves.")] = True,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Compare methods: CSV, Markdown and cumulative error curves.
+
+    Needs the results folder alone, not the dataset. The same results give the same bytes.
+
+    Example: relocbench leaderboard results --out leaderboard
+    """
+    from relocbench.cli.console import print_json, reporter
+    from relocbench.leaderboard import write_leaderboard
+    from relocbench.leaderboard.long_form import leaderboard_rows
+
+    board = write_leaderboard(
+        results, out, metric=metric, split=split, seed=seed, plots=plots, reporter=reporter(quiet)
+    )
+    if json:
+        print_json({"metric": metric, "seed": seed, "split": split, "rows": leaderboard_rows(board)})
+    elif not quiet:
+        print_leaderboard(board)
+        typer.echo(f"written: {out / 'leaderboard.md'}", err=True)
+
+
+def print_leaderboard(board: Board) -> None:
+    """A compact table for each pair set, and the totals."""
+    for dataset in board.datasets:
+        for table in [*dataset.pair_sets, *(t for t in dataset.totals if len(t.pair_sets) > 1)]:
+            _print_table(board, dataset, table)
+
+
+def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
+    from relocbench.cli.console import print_table
+    from relocbench.leaderboard.markdown import shown_metrics
+    from relocbench.leaderboard.text import number
+
+    metrics = [m for m in shown_metrics(board) if m in (*board.with_interval, *shown_metrics(board)[:3])]
+    of_split = f" {table.split}" if table.pair_set == "total" and table.split else ""
+    rejected = f", {table.rejected} rejected" if table.rejected else ""
+    title = f"{dataset.entry.title}: {table.pair_set}{of_split} ({table.pairs} pairs{rejected})"
+    columns = ["method", "rank", *(_short(m) for m in metrics), "s a pair"]
+    rows = [
+        [
+            row.method.label,
+            "" if row.rank is None else str(row.rank),
+            *(number(row.values[m.name], m.unit) for m in metrics),
+            number(row.values["median_seconds"], "s"),
+        ]
+        for row in table.rows
+    ]
+    print_table(title, columns, rows)
+
+
+def _short(metric: Metric) -> str:
+    """A heading that leaves room for the others on a narrow terminal."""
+    if metric.name.startswith("median_"):
+        return "median °" if metric.unit == "deg" else "median m"
+    return f"{metric.name} %"

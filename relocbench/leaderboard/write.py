@@ -1,0 +1,92 @@
+"""Write a leaderboard: the same results give the same bytes."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from relocbench.files import atomic_write, write_bytes, write_text
+from relocbench.leaderboard.load import load_results
+from relocbench.leaderboard.long_form import Value, error_rows, leaderboard_rows, seed_rows
+from relocbench.leaderboard.markdown import curve_file, drawn, markdown
+from relocbench.leaderboard.model import Board
+from relocbench.leaderboard.tables import RANKING, make_board, ranking_metric
+from relocbench.progress import Reporter, Silent
+
+
+def write_leaderboard(
+    results: Path,
+    out: Path,
+    *,
+    metric: str = RANKING,
+    split: str | None = None,
+    seed: int = 0,
+    plots: bool = True,
+    reporter: Reporter | None = None,
+) -> Board:
+    """Compare what a results folder holds, and write it.
+
+    Args:
+        results: ``RESULTS``, or one ``DATASET@FINGERPRINT`` folder of it; read only.
+        out: folder for the files of :func:`write_board`.
+        metric: ranks methods; a mean over pairs.
+        split: only the pair sets of this split.
+        seed: of the bootstrap.
+        plots: draw the curves.
+        reporter: hears of missing results and of progress.
+
+    Raises:
+        PredictionError: no results, a bad file, scores that are missing or stale.
+        ConfigError: unknown metric or split.
+    """
+    ranking_metric(metric)  # a typing error should not have to wait for the bootstrap
+    report = Silent() if reporter is None else reporter
+    entries = load_results(results, split)
+    for entry in entries:
+        for method in entry.methods:
+            for pair_set in (name for name in entry.used if name in method.missing):
+                report.note(f"{entry.title}: {method.label} has no result on {pair_set}: {method.missing[pair_set]}")
+    board = make_board(entries, metric=metric, seed=seed, split=split, reporter=report)
+    write_board(board, out, plots=plots, reporter=report)
+    return board
+
+
+def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Reporter) -> list[Path]:
+    """``leaderboard.csv``, ``leaderboard.md``, ``errors.csv``, ``seeds.csv`` if there are seeds, and ``curves/*.png``.
+
+    Each file appears whole or not at all; there are no dates in them. Returns the files.
+    """
+    rows = leaderboard_rows(board)
+    paths = [out / "leaderboard.csv", out / "errors.csv"]
+    _write_table(paths[0], [list(rows[0]), *([row[c] for c in rows[0]] for row in rows)] if rows else [])
+    _write_table(paths[1], error_rows(board))
+    seeds = seed_rows(board)
+    if seeds:
+        paths.append(out / "seeds.csv")
+        _write_table(paths[-1], [list(seeds[0]), *(list(row.values()) for row in seeds)])
+    if plots:
+        paths += _write_plots(board, out, reporter)
+    paths.append(out / "leaderboard.md")
+    write_text(paths[-1], markdown(board, plots=plots))
+    return paths
+
+
+def _write_plots(board: Board, out: Path, reporter: Reporter) -> list[Path]:
+    from relocbench.leaderboard.plots import curve_picture
+
+    tables = [(dataset, table) for dataset in board.datasets for table in dataset.pair_sets if drawn(table)]
+    paths = []
+    with reporter.stage("curves", len(tables)) as advance:
+        for dataset, table in tables:
+            paths.append(out / curve_file(dataset, table))
+            write_bytes(paths[-1], curve_picture(board, dataset, table))
+            advance(1)
+    return paths
+
+
+def _write_table(path: Path, rows: Iterable[Sequence[Value]]) -> None:
+    with atomic_write(path) as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        for row in rows:
+            table.writerow(["" if v is None else repr(v) if isinstance(v, float) else v for v in row])

@@ -1,0 +1,412 @@
+"""The leaderboard's tables and files, from results folders written here without running any method."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from relocbench.datasets.pairfile import PoseLine, write_pose_lines
+from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.results import (
+    Answer,
+    DatasetRecord,
+    MethodResults,
+    PairErrors,
+    PairSetRecord,
+    RunRecord,
+    ScoreRecord,
+    write_answers,
+    write_errors,
+)
+from relocbench.evaluation.score import groups_of, predictions_hash, summarize_rows
+from relocbench.files import dump_yaml, write_text
+from relocbench.leaderboard import Board, Row, Table, load_results, make_board, write_leaderboard
+
+FINGERPRINT = hashlib.sha256(b"a dataset").hexdigest()
+TITLE = f"town@{FINGERPRINT[:12]}"
+STEPS = ("step_1", "step_2", "step_8", "step_10")
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a method answers on one pair set: errors of each pair, inf where it fails."""
+
+    translation_m: Sequence[float]
+    rotation_deg: Sequence[float]
+    broke: frozenset[int] = frozenset()
+    seconds: float = 0.25
+
+
+@dataclass
+class MadeResults:
+    """Writes a results folder as `relocbench evaluate` would."""
+
+    root: Path
+    pair_sets: Mapping[str, int]
+    groups: tuple[str, ...] = ()
+    sigma_m: float | None = 0.02
+    rejected: int = 3
+    splits: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def folder(self) -> Path:
+        return self.root / TITLE
+
+    def write_dataset(self) -> None:
+        sets = {name: self._record(name, pairs) for name, pairs in self.pair_sets.items()}
+        record = DatasetRecord(
+            name="town", fingerprint=FINGERPRINT, licence="CC-BY-4.0", splits=self.splits, pair_sets=sets
+        )
+        write_text(self.folder / "dataset.yaml", dump_yaml(record.model_dump(mode="json")))
+
+    def add(self, label: str, answers: Mapping[str, Made], target: str = "", **run: Any) -> MethodResults:
+        """A method with its predictions, errors and scores; pair sets that are not named stay without."""
+        folder = MethodResults(self.folder / label)
+        record = RunRecord(
+            method=label,
+            target=target or label,
+            dataset="town",
+            fingerprint=FINGERPRINT,
+            **{
+                "seed": 0,
+                "workers": 2,
+                "versions": {"relocbench": "0.1.0", "method": "relocbench 0.1.0"},
+                "machine": {"cpu": "Test CPU", "cores": 2},
+                "start": "2024-01-01T00:00:00+00:00",
+            }
+            | run,
+        )
+        write_text(folder.run_yaml, dump_yaml(record.model_dump(mode="json")))
+        hashes, scores = {}, {}
+        for name, made in answers.items():
+            rows = [self._row(i, made) for i in range(self.pair_sets[name])]
+            lines = [PoseLine(*r.key, np.eye(4)) for r in rows if r.status == "ok"]
+            write_pose_lines(folder.predictions(name), lines)
+            write_answers(folder.answers(name), [Answer(r.key, r.status, r.seconds) for r in rows])
+            write_errors(folder.errors(name), rows)
+            hashes[name] = predictions_hash(folder, name)
+            scores[name] = {g: summarize_rows(rows, g).to_dict() for g in groups_of(rows)}
+        score = ScoreRecord(relocbench="0.1.0", predictions=hashes, pair_sets=scores)
+        write_text(folder.scores_yaml, dump_yaml(score.model_dump(mode="json")))
+        return folder
+
+    def board(self, **options: Any) -> Board:
+        return make_board(load_results(self.root), **options)
+
+    def _record(self, name: str, pairs: int) -> PairSetRecord:
+        reference, query, camera = name.split("__")
+        return PairSetRecord(
+            reference=reference,
+            query=query,
+            camera=camera,
+            reference_condition="clear, summer",
+            query_condition=query,
+            pairs=pairs,
+            rejected=self.rejected,
+            has_truth=True,
+            groups=self.groups,
+            median_distance_m=0.84,
+            median_angle_deg=1.5,
+            median_sigma_translation_m=self.sigma_m,
+            median_sigma_rotation_deg=None if self.sigma_m is None else 0.05,
+        )
+
+    def _row(self, i: int, made: Made) -> PairErrors:
+        answered = bool(np.isfinite(made.translation_m[i]))
+        return PairErrors(
+            key=(1_600_000_000_000_000_000 + 100_000_000 * i, 1_700_000_000_000_000_000 + 100_000_000 * i),
+            group=self.groups[i % len(self.groups)] if self.groups else "",
+            status="ok" if answered else "error" if i in made.broke else "failed",
+            rotation_error_deg=float(made.rotation_deg[i]) if answered else np.inf,
+            translation_error_m=float(made.translation_m[i]),
+            mlad_translation_error_m=float(made.translation_m[i]),
+            confidence=None,
+            seconds=made.seconds,
+            distance_m=0.8 + 0.1 * (i % 4),
+            angle_deg=1.5,
+            sigma_translation_m=self.sigma_m,
+            sigma_rotation_deg=None if self.sigma_m is None else 0.05,
+        )
+
+
+def made(seed: int, pairs: int, metres: float, *, degrees: float | None = None, failing: float = 0.0) -> Made:
+    """Errors about that large (Rayleigh), independent from pair to pair, with a share that fails."""
+    rng = np.random.default_rng(seed)
+    translation = rng.rayleigh(metres, pairs)
+    rotation = rng.rayleigh(metres if degrees is None else degrees, pairs)
+    translation[rng.random(pairs) < failing] = np.inf
+    return Made(translation, rotation)
+
+
+WINTER, NIGHT = "summer__winter__cam0", "summer__night__cam0"
+
+
+@pytest.fixture
+def two_sets(tmp_path: Path) -> MadeResults:
+    """Two pair sets; `good` is far better than `identity`, `partial` misses the second set."""
+    results = MadeResults(tmp_path / "results", {WINTER: 120, NIGHT: 80}, groups=STEPS)
+    results.write_dataset()
+    results.add("identity", {WINTER: made(1, 120, 0.8), NIGHT: made(2, 80, 0.8)})
+    results.add("good", {WINTER: made(3, 120, 0.05, failing=0.1), NIGHT: made(4, 80, 0.06)}, parameters={"points": 7})
+    results.add("partial", {WINTER: made(5, 120, 0.01)})
+    return results
+
+
+def table(board: Board, pair_set: str, group: str = "all") -> Table:
+    return next(t for d in board.datasets for t in d.tables if (t.pair_set, t.group) == (pair_set, group))
+
+
+def row(board: Board, pair_set: str, method: str, group: str = "all") -> Row:
+    return next(r for r in table(board, pair_set, group).rows if r.method.label == method)
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def cells(page: str, heading: str, method: str) -> list[str]:
+    """The cells of a method's first table row after a heading."""
+    after = page[page.index(heading) :].splitlines()
+    line = next(line for line in after if line.startswith("|") and f" {method} " in line)
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def test_the_csv_holds_the_formulas_of_the_metrics_in_full(tmp_path: Path) -> None:
+    results = MadeResults(tmp_path / "results", {WINTER: 4})
+    results.write_dataset()
+    answers = Made([0.05, 0.2, np.inf, 0.6], [0.5, 1.5, np.inf, 0.25], broke=frozenset([2]), seconds=0.5)
+    results.add("mine", {WINTER: answers})
+    write_leaderboard(results.root, tmp_path / "out", plots=False)
+    found = next(r for r in read_csv(tmp_path / "out" / "leaderboard.csv") if r["pair_set"] == WINTER)
+    # By hand: 1/4 (0.9 + 0.6 + 0 + 0); 1/4 (0 + 0 + 0 + 0.5); two of four within 0.25 m and 2 deg.
+    assert float(found["t_auc@0.5m"]) == pytest.approx(0.375, abs=1e-15)
+    assert float(found["r_auc@0.5deg"]) == pytest.approx(0.125, abs=1e-15)
+    assert float(found["recall@(0.25m,2deg)"]) == 0.5
+    assert float(found["median_translation_error_m"]) == pytest.approx(0.4, abs=1e-15)
+    assert float(found["coverage"]) == 0.75
+    assert float(found["median_seconds"]) == 0.5
+    assert [found[c] for c in ("pairs", "rejected", "answered", "failed", "broke")] == ["4", "3", "3", "0", "1"]
+    assert found["machine"] == "Test CPU"
+
+
+def test_a_total_is_the_mean_over_pair_sets_each_counting_the_same(two_sets: MadeResults) -> None:
+    board = two_sets.board()
+    for name in ("t_auc@0.5m", "recall@(0.25m,2deg)", "median_rotation_error_deg"):
+        one, two = (row(board, s, "good").values[name] for s in (WINTER, NIGHT))
+        assert one is not None
+        assert two is not None
+        assert row(board, "total", "good").values[name] == pytest.approx((one + two) / 2, rel=1e-12)
+
+
+def test_a_method_that_misses_a_pair_set_has_blank_totals_and_no_rank(two_sets: MadeResults, tmp_path: Path) -> None:
+    board = write_leaderboard(two_sets.root, tmp_path / "out", plots=False)
+    assert row(board, WINTER, "partial").rank == 1
+    total = row(board, "total", "partial")
+    assert total.rank is None
+    assert total.missing == (NIGHT,)
+    assert all(value is None for value in total.values.values())
+    found = [r for r in read_csv(tmp_path / "out" / "leaderboard.csv") if r["method"] == "partial"]
+    last = next(r for r in found if r["pair_set"] == "total" and r["group"] == "all")
+    assert (last["rank"], last["t_auc@0.5m"], last["coverage"], last["missing"]) == ("", "", "", NIGHT)
+    page = (tmp_path / "out" / "leaderboard.md").read_text()
+    assert set(cells(page, "### Total", "partial (missing)")) == {"", "partial (missing)"}
+    assert f"`partial` on `{NIGHT}`: not run" in page
+
+
+def test_a_run_that_was_killed_is_missing_and_its_command_is_named(two_sets: MadeResults, tmp_path: Path) -> None:
+    folder = MethodResults(two_sets.folder / "good")
+    folder.answers(NIGHT).unlink()  # killed between the two files
+    folder.journal(NIGHT).mkdir(parents=True)
+    lines = [json.dumps({"key": [1, k]}) for k in (1, 2, 2)]
+    (folder.journal(NIGHT) / "1-1.jsonl").write_text("\n".join(lines) + '\n{"key": [1, 3')
+    board = write_leaderboard(two_sets.root, tmp_path / "out", plots=False)
+    assert row(board, "total", "good").rank is None
+    page = (tmp_path / "out" / "leaderboard.md").read_text()
+    assert f"`good` on `{NIGHT}`: the run was stopped after 2 of 80 pairs" in page
+    assert "relocbench evaluate --dataset DATASET --out RESULTS --method good --set good.points=7" in page
+
+
+def test_a_pair_set_that_every_method_left_unfinished_is_still_shown(tmp_path: Path) -> None:
+    results = MadeResults(tmp_path / "results", {WINTER: 10})
+    results.write_dataset()
+    results.add("mine", {}).journal(WINTER).mkdir(parents=True)
+    board = write_leaderboard(results.root, tmp_path / "out")
+    assert row(board, WINTER, "mine").missing == (WINTER,)
+    assert "the run was stopped after 0 of 10 pairs" in (tmp_path / "out" / "leaderboard.md").read_text()
+    assert not (tmp_path / "out" / "curves").exists()
+
+
+def test_predictions_that_changed_since_they_were_scored_are_refused(two_sets: MadeResults) -> None:
+    path = two_sets.folder / "good" / f"{NIGHT}.txt"
+    path.write_text(path.read_text() + "\n")
+    with pytest.raises(PredictionError, match="changed since it was scored; score again: relocbench evaluate") as bad:
+        load_results(two_sets.root)
+    assert bad.value.path == path
+
+
+def test_a_table_of_answers_that_changed_is_refused_too(two_sets: MadeResults) -> None:
+    path = two_sets.folder / "good" / f"{NIGHT}.csv"
+    path.write_text(path.read_text().replace("0.25", "0.01"))
+    with pytest.raises(PredictionError, match="changed since it was scored"):
+        load_results(two_sets.root)
+
+
+def test_errors_that_disagree_with_the_scores_are_refused(two_sets: MadeResults) -> None:
+    path = two_sets.folder / "good" / f"{NIGHT}.errors.csv"
+    lines = path.read_text().splitlines(keepends=True)
+    fields = lines[1].split(",")
+    lines[1] = ",".join([*fields[:5], "0.000001", *fields[6:]])
+    path.write_text("".join(lines))
+    with pytest.raises(PredictionError, match=r"here and .* in scores\.yaml") as bad:
+        load_results(two_sets.root)
+    assert bad.value.path == path
+
+
+def test_errors_that_lost_a_pair_are_refused(two_sets: MadeResults) -> None:
+    path = two_sets.folder / "good" / f"{NIGHT}.errors.csv"
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:-1]))
+    with pytest.raises(PredictionError, match="79 rows, expected one for each of the 80 pairs"):
+        load_results(two_sets.root)
+
+
+def test_predictions_without_scores_are_refused_with_the_command_that_scores_them(two_sets: MadeResults) -> None:
+    path = two_sets.folder / "good" / "scores.yaml"
+    path.unlink()
+    with pytest.raises(PredictionError, match=r"not scored; score again: relocbench evaluate .*--method good") as bad:
+        load_results(two_sets.root)
+    assert bad.value.path == path
+
+
+def test_results_of_another_dataset_are_refused(two_sets: MadeResults) -> None:
+    run = two_sets.folder / "good" / "run.yaml"
+    run.write_text(run.read_text().replace(FINGERPRINT, "f" * 64))
+    with pytest.raises(PredictionError, match="was made for town@ffffffffffff"):
+        load_results(two_sets.root)
+
+
+def test_methods_that_do_not_differ_significantly_share_a_place(tmp_path: Path) -> None:
+    results = MadeResults(tmp_path / "results", {WINTER: 300})
+    results.write_dataset()
+    first = made(1, 300, 0.1)
+    results.add("a", {WINTER: first})
+    results.add("b", {WINTER: Made(list(reversed(first.translation_m)), first.rotation_deg)})
+    results.add("c", {WINTER: made(2, 300, 0.4)})
+    board = results.board()
+    assert {r.method.label: r.rank for r in table(board, WINTER).rows} == {"a": 1, "b": 1, "c": 3}
+
+
+def test_with_too_few_pairs_nothing_is_significant_and_the_page_says_so(tmp_path: Path) -> None:
+    results = MadeResults(tmp_path / "results", {WINTER: 4})
+    results.write_dataset()
+    results.add("a", {WINTER: made(1, 4, 0.01)})
+    results.add("b", {WINTER: made(2, 4, 5.0)})
+    board = write_leaderboard(results.root, tmp_path / "out", plots=False)
+    assert [r.rank for r in table(board, WINTER).rows] == [1, 1]
+    assert "Too few pairs for intervals" in (tmp_path / "out" / "leaderboard.md").read_text()
+
+
+def test_the_interval_contains_the_value(two_sets: MadeResults) -> None:
+    found = row(two_sets.board(), WINTER, "good")
+    interval, value = found.intervals["t_auc@0.5m"], found.values["t_auc@0.5m"]
+    assert interval is not None
+    assert value is not None
+    assert interval.low < value < interval.high
+
+
+def test_what_else_is_in_the_folder_does_not_change_a_methods_numbers(two_sets: MadeResults) -> None:
+    before = row(two_sets.board(), WINTER, "good")
+    two_sets.add("another", {WINTER: made(9, 120, 0.2), NIGHT: made(9, 80, 0.2)})
+    after = row(two_sets.board(), WINTER, "good")
+    assert after.values == before.values
+    assert after.intervals == before.intervals
+
+
+def test_groups_have_rows_of_their_own_in_natural_order(two_sets: MadeResults) -> None:
+    board = two_sets.board()
+    assert [t.group for t in board.datasets[0].groups_of(table(board, WINTER))] == [
+        "step_1",
+        "step_2",
+        "step_8",
+        "step_10",
+    ]
+    errors = np.asarray(made(3, 120, 0.05, failing=0.1).translation_m)[STEPS.index("step_8") :: len(STEPS)]
+    found = row(board, WINTER, "good", "step_8")
+    assert found.values["t_auc@0.5m"] == pytest.approx(np.mean(np.maximum(0, 1 - errors / 0.5)), abs=1e-12)
+    assert found.pairs == 30
+    assert found.rank is None
+
+
+def test_another_metric_can_rank_and_one_that_is_no_mean_cannot(two_sets: MadeResults) -> None:
+    assert two_sets.board(metric="recall@(1m,5deg)").metric.name == "recall@(1m,5deg)"
+    with pytest.raises(ConfigError, match="no mean over pairs"):
+        two_sets.board(metric="median_translation_error_m")
+    with pytest.raises(ConfigError, match="unknown metric"):
+        two_sets.board(metric="best")
+
+
+def test_a_split_limits_tables_and_totals(tmp_path: Path) -> None:
+    splits = {"train": (NIGHT,), "test": (WINTER,)}
+    results = MadeResults(tmp_path / "results", {WINTER: 30, NIGHT: 20}, splits=splits)
+    results.write_dataset()
+    results.add("mine", {WINTER: made(1, 30, 0.1)})
+    board = make_board(load_results(results.root, "test"), split="test")
+    assert [(t.pair_set, t.split) for t in board.datasets[0].tables] == [(WINTER, "test"), ("total", "test")]
+    assert row(board, "total", "mine").rank == 1
+    with pytest.raises(ConfigError, match="no split 'val'; there is test, train"):
+        load_results(results.root, "val")
+
+
+def test_runs_that_differ_by_their_seed_alone_get_a_mean_and_a_deviation(two_sets: MadeResults, tmp_path: Path) -> None:
+    values = []
+    for seed in (0, 1, 2):
+        answers = {WINTER: made(20 + seed, 120, 0.1), NIGHT: made(30 + seed, 80, 0.1)}
+        two_sets.add(f"net-{seed}", answers, target="net", seed=seed, parameters={"points": 5, "seed": seed})
+    two_sets.add("net-wide", {WINTER: made(40, 120, 0.1)}, target="net", seed=3, parameters={"points": 9, "seed": 3})
+    board = write_leaderboard(two_sets.root, tmp_path / "out", plots=False)
+    values = [row(board, WINTER, f"net-{seed}").values["t_auc@0.5m"] for seed in (0, 1, 2)]
+    (found,) = table(board, WINTER).seeds
+    spread = found.spread["t_auc@0.5m"]
+    assert found.labels == ("net-0", "net-1", "net-2")
+    assert spread is not None
+    assert spread.mean == pytest.approx(np.mean(np.array(values, dtype=float)), rel=1e-12)
+    assert spread.standard_deviation == pytest.approx(np.std(np.array(values, dtype=float), ddof=1), rel=1e-12)
+    rows = read_csv(tmp_path / "out" / "seeds.csv")
+    assert {r["methods"] for r in rows} == {"net-0 net-1 net-2"}
+    page = (tmp_path / "out" / "leaderboard.md").read_text()
+    assert "*net, 3 seeds, mean ± sd*" in page
+    assert "Runs of `net` differ in:" in page
+
+
+def test_the_table_of_all_pairs_holds_every_method_and_pair(two_sets: MadeResults, tmp_path: Path) -> None:
+    write_leaderboard(two_sets.root, tmp_path / "out", plots=False)
+    rows = read_csv(tmp_path / "out" / "errors.csv")
+    assert len(rows) == 120 * 3 + 80 * 2
+    mine = [r for r in rows if r["method"] == "good" and r["pair_set"] == WINTER]
+    given = made(3, 120, 0.05, failing=0.1)
+    assert [float(r["translation_error_m"]) for r in mine] == list(given.translation_m)
+
+
+def test_the_same_results_give_the_same_bytes(two_sets: MadeResults, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_leaderboard(two_sets.root, tmp_path / name)
+    files = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*") if p.is_file())
+    assert {f.suffix for f in files} == {".csv", ".md", ".png"}
+    for file in files:
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
+    assert sorted(p.relative_to(tmp_path / "b") for p in (tmp_path / "b").rglob("*") if p.is_file()) == files
+    assert "2024-01-01" not in (tmp_path / "a" / "leaderboard.md").read_text()
+
+
+def test_the_seed_changes_the_resampling_and_nothing_else(two_sets: MadeResults) -> None:
+    one, two = (row(two_sets.board(seed=seed), WINTER, "good") for seed in (0, 1))
+    assert one.values == two.values
+    assert one.intervals != two.intervals

@@ -1,0 +1,175 @@
+"""What the leaderboard's page, pictures and command tell a person."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from test_leaderboard import NIGHT, TITLE, WINTER, Made, MadeResults, cells, made, read_csv, row, table
+from typer.testing import CliRunner
+
+from relocbench.cli.leaderboard import leaderboard
+from relocbench.errors import PredictionError
+from relocbench.evaluation.results import RunRecord
+from relocbench.leaderboard import write_leaderboard
+from relocbench.leaderboard.load import evaluate_command
+
+
+def page_of(results: MadeResults, out: Path, *, plots: bool = False) -> str:
+    write_leaderboard(results.root, out, plots=plots)
+    return (out / "leaderboard.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def one_set(tmp_path: Path) -> MadeResults:
+    results = MadeResults(tmp_path / "results", {WINTER: 100})
+    results.write_dataset()
+    results.add("good", {WINTER: made(1, 100, 0.05)})
+    return results
+
+
+def test_without_the_identity_the_page_says_that_the_floor_is_missing(one_set: MadeResults, tmp_path: Path) -> None:
+    assert "**The floor is missing:**" in page_of(one_set, tmp_path / "out")
+    one_set.add("identity", {WINTER: made(2, 100, 0.8)})
+    page = page_of(one_set, tmp_path / "out")
+    assert "**The floor is missing:**" not in page
+    assert cells(page, f"### {WINTER}".replace("_", "\\_"), "*identity* (the floor)")[0] == "2"
+
+
+def test_the_floor_is_known_by_what_ran_not_by_its_label(one_set: MadeResults, tmp_path: Path) -> None:
+    one_set.add("identity", {WINTER: made(2, 100, 0.8)}, target="dso")
+    assert "**The floor is missing:**" in page_of(one_set, tmp_path / "out")
+    one_set.add("nothing", {WINTER: made(2, 100, 0.8)}, target="baselines.identity:Identity")
+    assert "*nothing* (the floor)" in page_of(one_set, tmp_path / "out")
+
+
+def test_a_method_no_better_than_the_floor_is_named(one_set: MadeResults, tmp_path: Path) -> None:
+    floor = made(2, 100, 0.3)
+    one_set.add("identity", {WINTER: floor})
+    one_set.add("idle", {WINTER: Made(list(reversed(floor.translation_m)), floor.rotation_deg)})
+    page = page_of(one_set, tmp_path / "out")
+    assert f"on `{WINTER}`: `idle`" in page
+    found = row(write_leaderboard(one_set.root, tmp_path / "out", plots=False), WINTER, "good")
+    assert found.above_floor is not None
+    assert found.above_floor.significant
+
+
+@pytest.mark.parametrize(("sigma", "grey"), [(0.04, False), (0.06, True), (None, False)])
+def test_thresholds_finer_than_two_sigma_are_grey(tmp_path: Path, sigma: float | None, grey: bool) -> None:
+    results = MadeResults(tmp_path / "results", {WINTER: 50}, sigma_m=sigma)
+    results.write_dataset()
+    results.add("mine", {WINTER: made(1, 50, 0.1)})
+    page = page_of(results, tmp_path / "out")
+    assert ("| recall@(0.1m,1deg), % † |" in page) == grey
+    assert ("<sub>" in page.split("## town")[1]) == grey
+    assert ("`recall@(0.1m,1deg)`." in page) == grey
+    finer = read_csv(tmp_path / "out" / "leaderboard.csv")[0]["finer_than_truth"]
+    assert ("recall@(0.1m,1deg)" in finer.split()) == grey
+    assert "recall@(0.5m,5deg)" not in finer.split()
+
+
+def test_ranks_by_a_grey_metric_come_with_a_warning(tmp_path: Path) -> None:
+    results = MadeResults(tmp_path / "results", {WINTER: 50}, sigma_m=0.3)
+    results.write_dataset()
+    results.add("mine", {WINTER: made(1, 50, 0.1)})
+    assert "the ranks here are not to be relied on" in page_of(results, tmp_path / "out")
+
+
+def test_a_median_over_mostly_failed_pairs_is_inf(one_set: MadeResults, tmp_path: Path) -> None:
+    errors = [0.01] * 40 + [np.inf] * 60
+    one_set.add("shy", {WINTER: Made(errors, errors, broke=frozenset(range(90, 100)))})
+    page = page_of(one_set, tmp_path / "out")
+    found = cells(page, "### summer", "shy")
+    assert found[2:5] == ["40.0", "inf", "inf"]
+    assert found[-1] == "50 / 10"
+    line = next(r for r in read_csv(tmp_path / "out" / "leaderboard.csv") if r["method"] == "shy")
+    assert line["median_translation_error_m"] == "inf"
+
+
+def test_the_page_names_fingerprint_licence_rejected_pairs_and_machine(one_set: MadeResults, tmp_path: Path) -> None:
+    page = page_of(one_set, tmp_path / "out")
+    for fact in ("CC-BY-4.0", "100 pairs in 1 pair sets; 3 more were rejected", "Test CPU, 2 cores", "0.840"):
+        assert fact in page
+    assert f"Fingerprint `{TITLE.split('@')[1]}" in page
+    assert str(tmp_path) not in page
+
+
+def test_every_table_of_the_page_has_as_many_cells_as_columns(tmp_path: Path) -> None:
+    results = MadeResults(tmp_path / "results", {WINTER: 40, NIGHT: 40}, groups=("a|b", "step_2"))
+    results.write_dataset()
+    for seed in (0, 1):
+        results.add(f"net-{seed}", {WINTER: made(seed, 40, 0.1)}, target="net", seed=seed, parameters={"x": "a|b"})
+    width = 0
+    for line in page_of(results, tmp_path / "out").replace("\\|", "").splitlines():
+        count = line.count("|") if line.startswith("|") else 0
+        assert count in (0, width) or width == 0, line
+        width = count
+
+
+def test_the_command_of_a_method_can_be_pasted_into_a_shell() -> None:
+    run = RunRecord(
+        method="mine",
+        target="subprocess:./track --fast",
+        parameters={"points": 5, "name": "a b", "off": None, "seed": 4},
+        seed=4,
+        dataset="town",
+        fingerprint="0",
+    )
+    words = shlex.split(evaluate_command(run))
+    assert words[words.index("--method") + 1] == "mine=subprocess:./track --fast"
+    assert [w for w in words if w.startswith("mine.")] == ["mine.points=5", "mine.name=a b", "mine.off=null"]
+    assert words[-2:] == ["--seed", "4"]
+    outside = RunRecord(method="theirs", target="predictions:folder", dataset="town", fingerprint="0")
+    assert evaluate_command(outside).endswith("--method theirs --predictions folder")
+
+
+def test_each_pair_set_has_a_picture_in_which_curves_rise(one_set: MadeResults, tmp_path: Path) -> None:
+    one_set.add("identity", {WINTER: made(2, 100, 0.8)})
+    page = page_of(one_set, tmp_path / "out", plots=True)
+    name = f"curves/{TITLE}__{WINTER}.png"
+    assert f"({name.replace('@', '%40')})" in page
+    picture = cv2.imread(str(tmp_path / "out" / name))
+    assert picture is not None
+    assert picture.shape[1] > 1000
+    blue, grey = np.array([0xB2, 0x72, 0x00]), np.array([0x76, 0x76, 0x76])  # B, G, R
+    left = picture[:, : picture.shape[1] // 2]
+    end = np.nonzero(np.all(left == blue, axis=-1))[1].max()  # where the curves reach 1 m
+    heights = [np.median(np.nonzero(np.all(left[:, end - 30 : end] == c, axis=-1))[0]) for c in (blue, grey)]
+    assert heights[0] < heights[1]  # image rows count downwards: the better method's curve ends higher
+    assert b"Software" not in (tmp_path / "out" / name).read_bytes()
+
+
+def run_command(*arguments: str) -> tuple[int, str, BaseException | None]:
+    app = typer.Typer()
+    app.command()(leaderboard)
+    result = CliRunner().invoke(app, list(arguments))
+    return result.exit_code, result.stdout, result.exception
+
+
+def test_the_command_prints_a_table_or_json(one_set: MadeResults, tmp_path: Path) -> None:
+    out = str(tmp_path / "out")
+    code, text, _ = run_command(str(one_set.root), "--out", out, "--no-plots")
+    assert code == 0
+    assert "good" in text
+    assert "t_auc@0.5m" in text
+    code, text, _ = run_command(str(one_set.root), "--out", out, "--no-plots", "--json", "--quiet")
+    rows = json.loads(text)["rows"]
+    assert code == 0
+    assert {r["pair_set"] for r in rows} == {WINTER, "total"}
+    assert rows[0]["rank"] == 1
+
+
+def test_a_folder_without_results_is_a_users_mistake(tmp_path: Path) -> None:
+    _, _, bad = run_command(str(tmp_path), "--out", str(tmp_path / "out"))
+    assert isinstance(bad, PredictionError)
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_datasets_folder_can_be_given_alone(one_set: MadeResults, tmp_path: Path) -> None:
+    board = write_leaderboard(one_set.folder, tmp_path / "out", plots=False)
+    assert table(board, WINTER).pairs == 100
