@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +18,9 @@ from relocbench.datasets.importers import Run
 from relocbench.datasets.importers import generic as importer
 from relocbench.datasets.importers.sources import parse_time, read_trajectory, timed_files, traversal_names
 from relocbench.datasets.pairfile import pose_fields
+from relocbench.datasets.schema import TraversalFile
 from relocbench.errors import DatasetError
+from relocbench.files import load_yaml
 from relocbench.geometry import Camera, interpolate, invert, make_transform, so3_exp
 from relocbench.progress import Silent
 from relocbench.tracking import KeyframePoints
@@ -345,3 +349,51 @@ def test_quaternion_order_of_a_trajectory_is_what_the_caller_says(tmp_path: Path
     path.write_text(f"1.0 {' '.join([*t, w, x, y, z])}\n")
     np.testing.assert_allclose(read_trajectory(path, "wxyz")[10**9], expected, atol=1e-12)
     assert not np.allclose(read_trajectory(path)[10**9], expected, atol=0.1)
+
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def code_blocks(document: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", (DOCS / document).read_text(), re.MULTILINE | re.DOTALL)
+
+
+def test_camera_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
+    traversal, single, rig = code_blocks("file-formats.md", "yaml")
+    path = tmp_path / "camera.yaml"
+    path.write_text(single)
+    assert load_yaml(path, importer.SingleCameraFile, "a camera").camera.model == "radtan"
+    path.write_text(rig)
+    T_rig_right = load_yaml(path, importer.RigFile, "cameras").cameras["right"].T_rig_cam.matrix
+    np.testing.assert_array_equal(T_rig_right, make_transform(np.eye(3), [0.3, 0, 0]))
+    path.write_text(traversal)
+    assert load_yaml(path, TraversalFile, "a traversal").condition.tags == ("wet road",)
+
+
+def test_the_importer_worked_out_in_the_documentation_works(tmp_path: Path) -> None:
+    (code,) = code_blocks("add-a-data-format.md", "python")
+    example: dict[str, Any] = {"__name__": "posed_images"}
+    exec(compile(code, "add-a-data-format.md", "exec"), example)
+    sources = []
+    for name, lateral_m in (("summer", 0.0), ("winter", 0.1)):
+        folder = tmp_path / name
+        (folder / "depth").mkdir(parents=True)
+        camera = PINHOLE
+        (folder / "intrinsics.txt").write_text(f"96 72 {camera.fx} {camera.fy} {camera.cx} {camera.cy}\n")
+        lines = []
+        for frame in range(3):
+            image, depth = render(camera, pose(frame, lateral_m))
+            images.write_image(folder / "images" / f"{frame}.png", image)
+            cv2.imwrite(str(folder / "depth" / f"{frame}.png"), np.rint(depth * 1000).astype(np.uint16))
+            tx, ty, tz, qx, qy, qz, qw = pose_fields(invert(pose(frame, lateral_m)))
+            lines.append(f"{frame}.png {qw} {qx} {qy} {qz} {tx} {ty} {tz}\n")
+        (folder / "poses.txt").write_text("".join(lines))
+        sources.append(folder)
+    dataset = example["build"](sources, example["Options"](correspondences=20), tmp_path / "out", Silent(), Run())
+    (pair_set,) = dataset.pair_sets()
+    assert pair_set.name == "summer__winter__cam0"
+    assert len(pair_set.pairs) == 3
+    for frame, pair in enumerate(pair_set.pairs):
+        np.testing.assert_allclose(pair.T_query_ref, invert(pose(frame, 0.1)) @ pose(frame), atol=1e-9)
+        assert pair.overlap is not None
+        assert pair.overlap > 0.7

@@ -293,21 +293,13 @@ def undistort(image: NDArray[Any], camera: Camera, nearest: bool = False) -> NDA
 
 def undistort_points(points: KeyframePoints, camera: Camera) -> KeyframePoints:
     """Points of a distorted image on the one of ``camera.pinhole()``; those whose ray is not known are left out."""
-    rays, valid = camera.unproject(points.uv)
-    valid = valid & (rays[:, 2] > 0)
-    pixels, inside = camera.pinhole().project(rays[valid])
-    rows = np.nonzero(valid)[0][inside]
-    return KeyframePoints(pixels[inside], points.inverse_depth[rows], points.sigma[rows])
+    pixels, valid = camera.undistort(points.uv, camera.pinhole())
+    return KeyframePoints(pixels[valid], points.inverse_depth[valid], points.sigma[valid])
 
 
 @lru_cache(maxsize=8)
 def _undistortion_map(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Where each pixel of the pinhole image lies on the distorted one, (H, W) each; far outside where nowhere."""
-    v, u = np.indices((camera.height, camera.width), dtype=np.float64)
-    rays, _ = camera.pinhole().unproject(np.stack([u, v], axis=-1))
-    pixels, valid = camera.project(rays)
-    pixels = np.where(valid[..., None], pixels, -10.0).astype(np.float32)
-    return np.ascontiguousarray(pixels[..., 0]), np.ascontiguousarray(pixels[..., 1])
+    return camera.undistortion_map()
 
 
 def _undistorted_entry(camera: GenericCamera) -> CameraEntry:
