@@ -1,8 +1,8 @@
 """Pictures that let a person check the truth of a pair by eye.
 
 Four panels: the keyframe with its points, coloured by depth; the query with the same points where the truth says they
-are; and the keyframe warped into the query by the truth, once in squares that alternate with the query and once in red
-over the query in cyan. Where the truth is right, numbered corners sit on the same things, edges run on from square to
+are; and the keyframe warped into the query by the truth, once in squares that alternate with the query (of a sparse
+keyframe: in patches on it) and once in red over the query in cyan. Where the truth is right, numbered corners sit on the same things, edges run on from square to
 square, and the last panel is without coloured fringes.
 """
 
@@ -18,6 +18,21 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.correspondences import spread_sample
 from relocbench.datasets.dataset import Dataset, PairSet
+from relocbench.datasets.drawing import (
+    RED,
+    WHITE,
+    YELLOW,
+    Colour,
+    Image,
+    compose,
+    depth_colours,
+    draw_points,
+    enlarge,
+    match_brightness,
+    mixed,
+    red_cyan,
+    rgb,
+)
 from relocbench.datasets.images import write_image
 from relocbench.datasets.pairfile import Pair
 from relocbench.datasets.visibility import DepthView, ReferencePoints, reference_z_buffer, see, warp
@@ -26,7 +41,6 @@ from relocbench.progress import Reporter
 from relocbench.tracking import Query, Reference
 
 Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _POINTS = 3000
 """drawn at most; more hide the image"""
@@ -36,10 +50,9 @@ _TURN = 0.004
 """how far the image moves under the turned poses that the truth is compared with, by its width; a pixel at least"""
 _SPARSE = 0.3
 """a keyframe with depth at fewer of its pixels is filled in around them for the warped view"""
-_PATCH_RADIUS = 4
+_PATCH_RADIUS = 5
+"""pixels of an image 1000 pixels wide"""
 _PANEL_WIDTH = 640
-_MARGIN = 6
-_WHITE, _YELLOW, _RED = (255, 255, 255), (255, 225, 60), (255, 90, 70)
 
 
 @dataclass(frozen=True)
@@ -174,10 +187,16 @@ def warp_image(reference: Reference, query: Camera, T_query_ref: Array) -> tuple
     return np.asarray(image), where[..., 0] >= 0
 
 
+def is_sparse(reference: Reference) -> bool:
+    """Whether the warped view of a keyframe has to be made of patches around its points."""
+    inverse = reference.inverse_depth_map
+    return bool(np.count_nonzero(inverse) < _SPARSE * inverse.size)
+
+
 def _filled_depth(reference: Reference) -> NDArray[np.float32]:
     """Dense depth for the warped view; around sparse points a patch takes the depth of the nearest surface."""
     inverse = reference.inverse_depth_map
-    if np.count_nonzero(inverse) < _SPARSE * inverse.size:
+    if is_sparse(reference):
         radius = max(1, round(_PATCH_RADIUS * reference.camera.width / 1000))
         patch = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
         inverse = np.asarray(cv2.dilate(inverse, patch), dtype=np.float32)
@@ -200,37 +219,31 @@ def draw_pair(
     points = ReferencePoints.of(reference)
     points = points.take(spread_sample(points.uv, reference.camera, _POINTS, rng))
     seen = see(points, pair.T_query_ref, DepthView(reference.camera, reference.depth, reference.depth_sigma), view)
-    colours = _depth_colours(points.depth)
+    colours = depth_colours(points.depth)
     corners = _corner_rows(reference.image, points.uv, seen.visible)
     everywhere = np.ones(len(points), dtype=np.bool_)
     warped, known = warp_image(reference, query.camera, pair.T_query_ref)
-    other = _rgb(query.image)
-    warped = _match_brightness(_rgb(warped), other, known)
+    other = rgb(query.image)
+    warped = match_brightness(rgb(warped), other, known)
     near, far = np.percentile(points.depth, [5, 95]) if len(points) else (np.nan, np.nan)
     scale = max(1, round(_PANEL_WIDTH / query.camera.width))
     panels = [
         (
             f"keyframe: points, red {near:.3g} m to blue {far:.3g} m",
-            _draw_points(_rgb(reference.image), points.uv, colours, everywhere, corners, scale),
+            draw_points(rgb(reference.image), points.uv, colours, everywhere, corners, scale),
         ),
         (
             f"query: the same points by the truth; {np.count_nonzero(seen.visible)} seen, "
             f"{np.count_nonzero(seen.inside & ~seen.visible)} hidden (grey)",
-            _draw_points(other, seen.uv_query, colours, seen.visible, corners, scale, seen.inside),
+            draw_points(other, seen.uv_query, colours, seen.visible, corners, scale, seen.inside),
         ),
-        (
-            "squares: keyframe warped / query; edges must run on",
-            _enlarge(_squares(warped, known, _rgb(query.image)), scale),
-        ),
-        (
-            "keyframe warped in red, query in cyan; no fringes",
-            _enlarge(_red_cyan(warped, known, _rgb(query.image)), scale),
-        ),
+        mixed(warped, known, other, scale, patches=is_sparse(reference)),
+        ("keyframe warped in red, query in cyan; no fringes", enlarge(red_cyan(warped, known, other), scale)),
     ]
-    return _compose(panels, _captions(pair, agreement, title))
+    return compose(panels, _captions(pair, agreement, title))
 
 
-def _captions(pair: Pair, agreement: Agreement, title: str) -> list[tuple[str, tuple[int, int, int]]]:
+def _captions(pair: Pair, agreement: Agreement, title: str) -> list[tuple[str, Colour]]:
     facts = [f"{pair.distance_m:.3f} m", f"{pair.angle_deg:.2f} deg"]
     if pair.overlap is not None:
         facts.append(f"overlap {pair.overlap:.2f}")
@@ -239,24 +252,13 @@ def _captions(pair: Pair, agreement: Agreement, title: str) -> list[tuple[str, t
     if pair.source:
         facts.append(f"truth: {pair.source}")
     if not np.isfinite(agreement.difference):
-        return [(title, _WHITE), (", ".join(facts), _WHITE), ("THE QUERY SEES NO POINT BY THE TRUTH", _RED)]
+        return [(title, WHITE), (", ".join(facts), WHITE), ("THE QUERY SEES NO POINT BY THE TRUTH", RED)]
     verdict = "lowest at the truth" if agreement.truth_is_best else "NOT LOWEST AT THE TRUTH"
     said = (
         f"grey levels differ by {agreement.difference:.1f}; turned left, right, up, down by 0.4 % of the width: "
         f"{agreement.difference_turned:.1f} or more: {verdict}"
     )
-    return [(title, _WHITE), (", ".join(facts), _WHITE), (said, _YELLOW if agreement.truth_is_best else _RED)]
-
-
-def _depth_colours(depth: Array) -> NDArray[np.uint8]:
-    """(N, 3) RGB: near is red, far is blue, even in inverse depth."""
-    if len(depth) == 0:
-        return np.zeros((0, 3), dtype=np.uint8)
-    inverse = 1.0 / depth
-    low, high = np.percentile(inverse, [5, 95])
-    share = np.clip((inverse - low) / max(high - low, 1e-12), 0, 1)
-    levels = np.rint(25 + 215 * share).astype(np.uint8)[:, None]
-    return np.asarray(cv2.applyColorMap(levels, cv2.COLORMAP_TURBO))[:, 0, ::-1]
+    return [(title, WHITE), (", ".join(facts), WHITE), (said, YELLOW if agreement.truth_is_best else RED)]
 
 
 def _corner_rows(image: Image, uv: Array, visible: NDArray[np.bool_]) -> list[int]:
@@ -276,106 +278,6 @@ def _corner_rows(image: Image, uv: Array, visible: NDArray[np.bool_]) -> list[in
     return found
 
 
-def _draw_points(
-    image: Image,
-    uv: Array,
-    colours: NDArray[np.uint8],
-    shown: NDArray[np.bool_],
-    corners: list[int],
-    scale: int,
-    also_hidden: NDArray[np.bool_] | None = None,
-) -> Image:
-    """Dots on a dimmed image; hidden ones as small grey dots; corners numbered."""
-    canvas = _enlarge((image * 0.65).astype(np.uint8), scale)
-    at = np.where(np.isfinite(uv), (uv + 0.5) * scale - 0.5, -1e4)
-    radius = max(1, canvas.shape[1] // 640)
-    if also_hidden is not None:
-        for place in at[also_hidden & ~shown]:
-            cv2.circle(canvas, _pixel(place), 1, (150, 150, 150), -1, cv2.LINE_AA)
-    for place, colour in zip(at[shown], colours[shown].tolist(), strict=True):
-        cv2.circle(canvas, _pixel(place), radius, colour, -1, cv2.LINE_AA)
-    for number, place in enumerate(at[corners], start=1):
-        _draw_number(canvas, _pixel(place), str(number))
-    return canvas
-
-
-def _draw_number(canvas: Image, at: tuple[int, int], number: str) -> None:
-    size = max(6, canvas.shape[1] // 110)
-    for colour, thickness in (((0, 0, 0), 4), (_WHITE, 2)):
-        cv2.circle(canvas, at, size, colour, thickness, cv2.LINE_AA)
-    place = (at[0] + size + 2, at[1] - size + 2)
-    for colour, thickness in (((0, 0, 0), 4), (_YELLOW, 1)):
-        cv2.putText(canvas, number, place, cv2.FONT_HERSHEY_SIMPLEX, size / 14, colour, thickness, cv2.LINE_AA)
-
-
-def _squares(warped: Image, known: NDArray[np.bool_], query: Image) -> Image:
-    """Squares of the warped keyframe between squares of the query; unknown pixels show the query, dimmed."""
-    side = max(8, query.shape[1] // 16)
-    v, u = np.indices(known.shape)
-    of_keyframe = (u // side + v // side) % 2 == 0
-    out = query.copy()
-    out[of_keyframe & known] = warped[of_keyframe & known]
-    out[of_keyframe & ~known] //= 3
-    return out
-
-
-def _red_cyan(warped: Image, known: NDArray[np.bool_], query: Image) -> Image:
-    red, cyan = (np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)) for image in (warped, query))
-    out: Image = np.stack([red, cyan, cyan], axis=-1).astype(np.uint8)
-    out[~known] = cyan[~known, None] // 3
-    return out
-
-
-def _match_brightness(warped: Image, query: Image, known: NDArray[np.bool_]) -> Image:
-    """The warped keyframe with the query's mean and contrast."""
-    if not np.any(known):
-        return warped
-    a, b = warped[known].astype(np.float64), query[known].astype(np.float64)
-    gain = b.std() / a.std() if a.std() > 0 else 1.0
-    return np.clip((warped - a.mean()) * gain + b.mean(), 0, 255).astype(np.uint8)
-
-
-def _compose(panels: list[tuple[str, Image]], captions: list[tuple[str, tuple[int, int, int]]]) -> Image:
-    """Two by two panels, each under its caption, all under the lines of the head."""
-    labelled = [np.vstack([_bar([(text, _WHITE)], image.shape[1]), image]) for text, image in panels]
-    height = max(image.shape[0] for image in labelled)
-    width = max(image.shape[1] for image in labelled)
-    grid = [_padded(image, height, width) for image in labelled]
-    gap = np.full((height, _MARGIN, 3), 255, dtype=np.uint8)
-    rows = [np.hstack([grid[i], gap, grid[i + 1]]) for i in (0, 2)]
-    line = np.full((_MARGIN, rows[0].shape[1], 3), 255, dtype=np.uint8)
-    return np.vstack([_bar(captions, rows[0].shape[1]), line, rows[0], line, rows[1]])
-
-
-def _bar(lines: list[tuple[str, tuple[int, int, int]]], width: int) -> Image:
-    """Lines of text, made as small as they must be to fit."""
-    out = np.zeros((22 * len(lines) + 4, width, 3), dtype=np.uint8)
-    for index, (text, colour) in enumerate(lines):
-        plain = text.encode("ascii", "replace").decode()
-        size = 0.5
-        needed = cv2.getTextSize(plain, cv2.FONT_HERSHEY_SIMPLEX, size, 1)[0][0]
-        size *= min(1.0, (width - 12) / max(needed, 1))
-        cv2.putText(out, plain, (6, 22 * index + 17), cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
-    return out
-
-
-def _padded(image: Image, height: int, width: int) -> Image:
-    out = np.zeros((height, width, 3), dtype=np.uint8)
-    out[: image.shape[0], : image.shape[1]] = image
-    return out
-
-
-def _enlarge(image: Image, scale: int) -> Image:
-    if scale == 1:
-        return np.ascontiguousarray(image)
-    enlarged = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
-    return np.asarray(enlarged).astype(np.uint8, copy=False)
-
-
-def _rgb(image: Image) -> Image:
-    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
-
-
 def _smooth_grey(image: Image) -> Array:
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     return np.asarray(cv2.GaussianBlur(grey, (0, 0), 1.0), dtype=np.float64)
@@ -389,7 +291,3 @@ def _sample(image: NDArray[Any], uv: Array) -> Array:
     top = image[v0, u0] * (1 - fu) + image[v0, u0 + 1] * fu
     bottom = image[v0 + 1, u0] * (1 - fu) + image[v0 + 1, u0 + 1] * fu
     return np.asarray(top * (1 - fv) + bottom * fv, dtype=np.float64)
-
-
-def _pixel(at: Array) -> tuple[int, int]:
-    return round(float(at[0])), round(float(at[1]))
