@@ -2,8 +2,8 @@
 
 Four panels: the keyframe with its points, coloured by depth; the query with the same points where the truth says they
 are; and the keyframe warped into the query by the truth, once in squares that alternate with the query (of a sparse
-keyframe: in patches on it) and once in red over the query in cyan. Where the truth is right, numbered corners sit on the same things, edges run on from square to
-square, and the last panel is without coloured fringes.
+keyframe: in patches on it) and once in red over the query in cyan. Where the truth is right, numbered corners sit on
+the same things, edges run on, and the last panel is without coloured fringes.
 """
 
 from __future__ import annotations
