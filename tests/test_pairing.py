@@ -49,19 +49,28 @@ def test_only_frames_with_depth_are_references() -> None:
 def test_the_nearest_rule_takes_the_nearest_keyframe_within_both_limits() -> None:
     reference = row_of_cameras([0.0, 1.0, 2.0])
     query = row_of_cameras([0.4, 1.8, 9.0], first_time=100)
-    assert nearest_matches(reference, query, 1.0, 10.0) == [(0, 0, "nearest"), (2, 1, "nearest")]
+    assert nearest_matches(reference, query, 1.0, 10.0, same_traversal=False) == [(0, 0, "nearest"), (2, 1, "nearest")]
 
 
 def test_the_nearest_rule_passes_over_a_near_keyframe_that_looks_elsewhere() -> None:
     near = row_of_cameras([0.0], yaw_deg=90)
     far = row_of_cameras([0.5])
     both = PosedFrames((0, 1), np.concatenate([near.T_world_cam, far.T_world_cam]), frozenset({0, 1}))
-    assert nearest_matches(both, row_of_cameras([0.0], first_time=9), 1.0, 60.0) == [(1, 0, "nearest")]
+    assert nearest_matches(both, row_of_cameras([0.0], first_time=9), 1.0, 60.0, same_traversal=False) == [
+        (1, 0, "nearest")
+    ]
 
 
 def test_a_frame_is_never_its_own_query() -> None:
     frames = row_of_cameras([0.0, 1.0])
-    assert nearest_matches(frames, frames, 5.0, 60.0) == [(1, 0, "nearest"), (0, 1, "nearest")]
+    found = nearest_matches(frames, frames, 5.0, 60.0, same_traversal=True)
+    assert found == [(1, 0, "nearest"), (0, 1, "nearest")]
+
+
+def test_frames_of_two_traversals_may_have_the_same_time() -> None:
+    frames = row_of_cameras([0.0, 1.0])
+    found = nearest_matches(frames, frames, 5.0, 60.0, same_traversal=False)
+    assert found == [(0, 0, "nearest"), (1, 1, "nearest")]
 
 
 @pytest.mark.parametrize(
@@ -118,5 +127,5 @@ def test_the_nearest_rule_agrees_with_looking_at_all(seed: int, distance: float,
     reference, query = se3_exp(rng.normal(size=(12, 6))), se3_exp(rng.normal(size=(7, 6)))
     frames = PosedFrames(tuple(range(12)), reference, frozenset(range(12)))
     others = PosedFrames(tuple(range(100, 107)), query, frozenset())
-    got = {q: r for r, q, _ in nearest_matches(frames, others, distance, angle)}
+    got = {q: r for r, q, _ in nearest_matches(frames, others, distance, angle, same_traversal=False)}
     assert [got.get(q, -1) for q in range(7)] == brute_force(reference, query, distance, angle)

@@ -95,9 +95,15 @@ def make_pairs(
     if rule == "step":
         found = step_matches(reference, options.pair_step)
     else:
-        found = nearest_matches(reference, query, options.max_distance, options.max_angle)
+        limits = options.max_distance, options.max_angle
+        found = nearest_matches(reference, query, *limits, same_traversal=same_traversal)
     if not found:
-        raise DatasetError(_why_empty(rule, reference, query, options), where)
+        why = (
+            _why_no_step(reference, options.pair_step)
+            if rule == "step"
+            else _why_none_near(reference, query, options, same_traversal)
+        )
+        raise DatasetError(why, where)
     return [
         Pair(
             reference.timestamps[r],
@@ -133,7 +139,7 @@ def step_matches(frames: PosedFrames, steps: Sequence[int]) -> list[tuple[int, i
 
 
 def nearest_matches(
-    reference: PosedFrames, query: PosedFrames, max_distance: float, max_angle: float
+    reference: PosedFrames, query: PosedFrames, max_distance: float, max_angle: float, *, same_traversal: bool
 ) -> list[tuple[int, int, str]]:
     """(reference row, query row, group ``nearest``): each query frame with the nearest admissible keyframe.
 
@@ -141,11 +147,11 @@ def nearest_matches(
         max_distance: metres between the camera centres.
         max_angle: degrees of the relative rotation.
 
-    A frame is never paired with itself. Of keyframes equally near the earlier wins.
+    Within the same traversal a frame is never paired with itself. Of keyframes equally near the earlier wins.
     """
     rows = reference.keyframe_rows
     found = []
-    for q, near, distances, angles in _within(reference, query, max_distance):
+    for q, near, distances, angles in _within(reference, query, max_distance, same_traversal):
         admissible = angles <= max_angle
         if np.any(admissible):
             best = near[admissible][np.argmin(distances[admissible])]
@@ -154,7 +160,7 @@ def nearest_matches(
 
 
 def _within(
-    reference: PosedFrames, query: PosedFrames, max_distance: float
+    reference: PosedFrames, query: PosedFrames, max_distance: float, same_traversal: bool
 ) -> Iterator[tuple[int, NDArray[np.int64], Array, Array]]:
     """For each query row: keyframes (as positions in ``keyframe_rows``) within reach, their distances and angles."""
     rows = reference.keyframe_rows
@@ -164,7 +170,8 @@ def _within(
     for q, T_world_query in enumerate(query.T_world_cam):
         centre = T_world_query[:3, 3]
         near = np.array(tree.query_ball_point(centre, max_distance, return_sorted=True), dtype=np.int64)
-        near = near[key_times[near] != query.timestamps[q]]
+        if same_traversal:
+            near = near[key_times[near] != query.timestamps[q]]
         if near.size:
             distances = np.linalg.norm(keys[near, :3, 3] - centre, axis=1)
             yield q, near, distances, _angles_deg(T_world_query, keys[near])
@@ -176,13 +183,11 @@ def _angles_deg(T_world_query: Array, T_world_ref: Array) -> Array:
     return np.degrees(np.asarray(rotation_angle(relative)))
 
 
-def _why_empty(rule: str, reference: PosedFrames, query: PosedFrames, options: ImportOptions) -> str:
-    if rule == "step":
-        return _why_no_step(reference, options.pair_step)
+def _why_none_near(reference: PosedFrames, query: PosedFrames, options: ImportOptions, same_traversal: bool) -> str:
     limits = f"--max-distance is {options.max_distance:g} m, --max-angle {options.max_angle:g} deg"
     within = [
         (a, d)
-        for _, _, ds, angles in _within(reference, query, options.max_distance)
+        for _, _, ds, angles in _within(reference, query, options.max_distance, same_traversal)
         for a, d in zip(angles.round(6), ds, strict=True)
     ]
     if within:
@@ -191,7 +196,9 @@ def _why_empty(rule: str, reference: PosedFrames, query: PosedFrames, options: I
             f"no pair: of the keyframes within reach of a query the best aligned is {distance:.3g} m and "
             f"{angle:.3g} deg away; {limits}: widen --max-angle"
         )
-    everywhere = [(float(d.min()), float(a[d.argmin()])) for _, _, d, a in _within(reference, query, np.inf)]
+    everywhere = [
+        (float(d.min()), float(a[d.argmin()])) for _, _, d, a in _within(reference, query, np.inf, same_traversal)
+    ]
     if not everywhere:
         return f"no pair: the only keyframe is the only query ({limits})"
     distance, angle = min(everywhere)

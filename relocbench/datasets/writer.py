@@ -126,7 +126,8 @@ class DatasetWriter:
             raise DatasetError("is a file; expected a folder to write the dataset to", root)
         if root.is_dir() and any(root.iterdir()) and not mark.exists():
             raise DatasetError("holds something else; --out must be new, empty, or an unfinished build", root)
-        if mark.exists():
+        # A build that failed before it wrote anything binds nobody to its options.
+        if mark.exists() and any(p != mark for p in root.iterdir()):
             before = yaml.safe_load(mark.read_text(encoding="utf-8"))
             if before != self.configuration:
                 changed = sorted(

@@ -1,0 +1,351 @@
+"""KITTI odometry recordings become datasets."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relocbench.datasets import images
+from relocbench.datasets.correspondences import read_correspondences
+from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.importers import Run, kitti
+from relocbench.datasets.importers.stereo import StereoGeometry, stereo_depth
+from relocbench.datasets.importers.velodyne import hidden, project_scan, read_scan
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.geometry import Camera, invert, rotation_angle
+from relocbench.progress import Silent
+
+WIDTH, HEIGHT, FOCAL, BASELINE = 160, 96, 100.0, 0.5
+CALIBRATION = (
+    "P0: 100 0 80 0  0 100 48 0  0 0 1 0\nP1: 100 0 80 -50  0 100 48 0  0 0 1 0\nTr: 0 -1 0 0  0 0 -1 0  1 0 0 0\n"
+)
+
+
+class Notes(Silent):
+    """A reporter that keeps what it was told."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def note(self, message: str) -> None:
+        self.notes.append(message)
+
+
+def wall_image(x: float, depth: float) -> NDArray[np.uint8]:
+    """A textured wall at ``depth`` seen by a camera at (x, 0, 0)."""
+    texture = np.random.default_rng(5).integers(0, 255, size=(HEIGHT // 2, 400)).astype(np.uint8)
+    texture = cv2.GaussianBlur(cv2.resize(texture, (800, HEIGHT)), (0, 0), 1.0)
+    u, v = np.meshgrid(np.arange(WIDTH, dtype=np.float32), np.arange(HEIGHT, dtype=np.float32))
+    return np.asarray(cv2.remap(texture, u + np.float32(300 + FOCAL * x / depth), v, cv2.INTER_LINEAR))
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Sequence 03 of a made-up recording: frames 2, 3, 4, 6 move 0.2 m to the right each; a wall at 5 m.
+
+    Frame 6 has no right image; frame 9 has no pose.
+    """
+    root = tmp_path / "recording"
+    folder = root / "sequences" / "03"
+    for number in (2, 3, 4, 6, 9):
+        images.write_image(folder / "image_0" / f"{number:06d}.png", wall_image(0.2 * number, 5.0))
+        if number < 6:
+            right = wall_image(0.2 * number + BASELINE, 5.0)
+            images.write_image(folder / "image_1" / f"{number:06d}.png", right)
+    (folder / "calib.txt").write_text(CALIBRATION)
+    (folder / "times.txt").write_text("".join(f"{0.1 * i:.6e}\n" for i in range(10)))
+    (root / "poses").mkdir()
+    lines = [f"1 0 0 {0.2 * i!r} 0 1 0 0 0 0 1 0\n" for i in range(8)]
+    (root / "poses" / "03.txt").write_text("".join(lines))
+    return root
+
+
+def build(root: Path, out: Path, notes: Notes | None = None, workers: int = 1, **options: object) -> Dataset:
+    settings = {"correspondences": 100, "max_disparity": 64, **options}
+    return kitti.build([root], kitti.Options.model_validate(settings), out, notes or Notes(), Run(workers))
+
+
+def test_frames_keep_their_numbers_times_and_poses(recording: Path, tmp_path: Path) -> None:
+    notes = Notes()
+    dataset = build(recording, tmp_path / "out", notes, pair_step=(1, 2))
+    traversal = dataset.traversal("kitti_03")
+    assert traversal.timestamps("image_0") == [200_000_000, 300_000_000, 400_000_000, 600_000_000]
+    assert traversal.keyframe_timestamps("image_0") == [200_000_000, 300_000_000, 400_000_000]
+    pairs = dataset.pair_set("kitti_03__kitti_03__image_0").pairs
+    tenths = [(p.ref_timestamp_ns // 10**8, p.query_timestamp_ns // 10**8, p.group) for p in pairs]
+    assert tenths == [(2, 3, "step_1"), (2, 4, "step_2"), (3, 4, "step_1"), (4, 6, "step_2")]
+    for pair, step in zip(pairs, (1, 2, 1, 2), strict=True):
+        assert pair.T_query_ref is not None
+        np.testing.assert_allclose(pair.T_query_ref[:3, 3], [-0.2 * step, 0, 0], atol=1e-12)
+    assert any("1 images left out" in note for note in notes.notes)
+    assert any("1 of 4 frames are no keyframes" in note for note in notes.notes)
+
+
+def test_stereo_depth_of_a_wall_is_its_distance(recording: Path, tmp_path: Path) -> None:
+    traversal = build(recording, tmp_path / "out").traversal("kitti_03")
+    depth = traversal.depth("image_0", 200_000_000)
+    assert depth is not None
+    known = depth > 0
+    assert known.mean() > 0.8
+    # A quarter of a pixel in ten.
+    assert np.median(np.abs(depth[known] - 5.0)) < 0.125
+
+
+def test_correspondences_of_the_wall_shift_by_the_disparity_of_the_step(recording: Path, tmp_path: Path) -> None:
+    dataset = build(recording, tmp_path / "out")
+    path = dataset.layout.correspondence_file("kitti_03__kitti_03__image_0")
+    rows = read_correspondences(path, (200_000_000, 300_000_000))
+    assert len(rows) == 100
+    shift = (rows.uv_query - rows.uv_ref)[rows.visible]
+    np.testing.assert_allclose(np.median(shift, axis=0), [-FOCAL * 0.2 / 5.0, 0], atol=0.2)
+
+
+def test_images_are_links_unless_copies_are_asked_for(recording: Path, tmp_path: Path) -> None:
+    linked = build(recording, tmp_path / "a").traversal("kitti_03").layout.image("image_0", 200_000_000)
+    copied = build(recording, tmp_path / "b", copy_images=True).traversal("kitti_03")
+    assert linked.resolve() == recording / "sequences" / "03" / "image_0" / "000002.png"
+    assert not copied.layout.image("image_0", 200_000_000).is_symlink()
+
+
+def test_workers_do_not_change_the_bytes(recording: Path, tmp_path: Path) -> None:
+    assert build(recording, tmp_path / "a").fingerprint == build(recording, tmp_path / "b", workers=2).fingerprint
+
+
+def test_a_build_that_was_interrupted_ends_with_the_same_bytes(recording: Path, tmp_path: Path) -> None:
+    whole, torn = tmp_path / "whole", tmp_path / "torn"
+    fingerprint = build(recording, whole).fingerprint
+    build(recording, torn)
+    layout = Dataset(torn).layout
+    traversal = layout.traversal("kitti_03")
+    layout.dataset_yaml.unlink()
+    layout.manifest.unlink()
+    shutil.rmtree(layout.pairs)
+    traversal.depth("image_0", 300_000_000).unlink()
+    half = traversal.depth("image_0", 400_000_000)
+    half.write_bytes(half.read_bytes()[:-30])
+    (half.parent / ".400000000.dead.part.png").write_bytes(b"")
+    kept = traversal.depth("image_0", 200_000_000)
+    before = kept.stat().st_mtime_ns
+    assert build(recording, torn).fingerprint == fingerprint
+    assert kept.stat().st_mtime_ns == before
+    assert not list(torn.rglob(".*.part*"))
+
+
+@pytest.mark.slow
+def test_a_killed_build_resumes_to_the_same_bytes(recording: Path, tmp_path: Path) -> None:
+    code = (
+        "import os, sys; from pathlib import Path\n"
+        "from relocbench.datasets import images\n"
+        "from relocbench.datasets.importers import Run, kitti\n"
+        "from relocbench.progress import Silent\n"
+        "write, left = images.write_depth, [2]\n"
+        "def write_then_die(path, depth):\n"
+        "    if not left[0]: os.kill(os.getpid(), 9)\n"
+        "    left[0] -= 1; write(path, depth)\n"
+        "images.write_depth = write_then_die\n"
+        "options = kitti.Options(correspondences=100, max_disparity=64)\n"
+        "kitti.build([Path(sys.argv[1])], options, Path(sys.argv[2]), Silent(), Run(1))\n"
+    )
+    out = tmp_path / "out"
+    killed = subprocess.run([sys.executable, "-c", code, str(recording), str(out)], check=False, cwd=Path.cwd())
+    assert killed.returncode == -9
+    assert len(list(out.rglob("depth/image_0/*.png"))) == 2
+    with pytest.raises(DatasetError, match="not finished"):
+        Dataset(out)
+    assert build(recording, out).fingerprint == build(recording, tmp_path / "whole").fingerprint
+
+
+def test_a_folder_with_something_else_is_left_alone(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "thesis"
+    out.mkdir()
+    (out / "chapter.tex").write_text("years of work")
+    with pytest.raises(DatasetError, match="holds something else"):
+        build(recording, out)
+    assert [p.name for p in out.iterdir()] == ["chapter.tex"]
+
+
+def test_the_recording_is_not_touched(recording: Path, tmp_path: Path) -> None:
+    def state() -> list[tuple[str, int, int]]:
+        return [(str(p), p.stat().st_size, p.stat().st_mtime_ns) for p in sorted(recording.rglob("*"))]
+
+    before = state()
+    build(recording, tmp_path / "out")
+    assert state() == before
+
+
+def replace_line(path: Path, number: int, line: str | None) -> None:
+    """Put ``line`` in place of the 1-based line, or take it out."""
+    lines = path.read_text().splitlines()
+    lines[number - 1 : number] = [] if line is None else [line]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_a_missing_calibration_line_is_named(recording: Path, tmp_path: Path) -> None:
+    replace_line(recording / "sequences/03/calib.txt", 2, None)
+    with pytest.raises(DatasetError, match=r"calib\.txt: line 'P1:' is missing; stereo depth needs it"):
+        build(recording, tmp_path / "out")
+
+
+def test_a_missing_lidar_calibration_is_named(recording: Path, tmp_path: Path) -> None:
+    replace_line(recording / "sequences/03/calib.txt", 3, None)
+    scans = recording / "sequences/03/velodyne"
+    scans.mkdir()
+    (scans / "000002.bin").write_bytes(np.array([[5, 0, 0, 0]], dtype="<f4").tobytes())
+    with pytest.raises(DatasetError, match=r"calib\.txt: line 'Tr:' is missing; velodyne depth needs it"):
+        build(recording, tmp_path / "out", depth="velodyne")
+
+
+def test_a_calibration_without_names_is_read_in_order(recording: Path, tmp_path: Path) -> None:
+    path = recording / "sequences/03/calib.txt"
+    lines = [line.split(": ")[1] for line in CALIBRATION.splitlines()]
+    path.write_text("\n".join(lines[:2]) + "\n")
+    assert build(recording, tmp_path / "out").traversal("kitti_03").camera("image_0").fx == FOCAL
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("1 0 0 nan 0 1 0 0 0 0 1 0", r"03\.txt:3: m03 is nan, expected a finite number"),
+        ("1 0 0 0 0 1 0 0 0 0 1", r"03\.txt:3: expected 12 numbers .* found 11"),
+        ("1 0 0 0 0 1 0 0 0 0 2 0", r"03\.txt:3: the left 3x3 of the pose is no rotation"),
+        ("1 0 0 0 0 one 0 0 0 0 1 0", r"03\.txt:3: m11 is 'one', expected a number"),
+    ],
+)
+def test_a_bad_pose_is_named_with_its_line(recording: Path, tmp_path: Path, line: str, said: str) -> None:
+    replace_line(recording / "poses/03.txt", 3, line)
+    with pytest.raises(DatasetError, match=said):
+        build(recording, tmp_path / "out")
+
+
+@pytest.mark.parametrize("folder", ["image_0", "image_1"])
+def test_a_truncated_image_is_named(recording: Path, tmp_path: Path, folder: str) -> None:
+    path = recording / "sequences/03" / folder / "000003.png"
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(DatasetError, match=rf"{folder}/000003\.png: truncated"):
+        build(recording, tmp_path / "out")
+
+
+def test_missing_poses_are_named(recording: Path, tmp_path: Path) -> None:
+    (recording / "poses/03.txt").unlink()
+    with pytest.raises(DatasetError, match=r"poses/03\.txt: missing; expected poses of sequence 03"):
+        build(recording, tmp_path / "out")
+
+
+def test_missing_times_are_said_and_replaced_by_the_rate(recording: Path, tmp_path: Path) -> None:
+    (recording / "sequences/03/times.txt").unlink()
+    notes = Notes()
+    dataset = build(recording, tmp_path / "out", notes, rate_hz=5.0)
+    assert dataset.traversal("kitti_03").timestamps("image_0")[0] == 400_000_000
+    assert any("no times.txt" in note and "5 a second" in note for note in notes.notes)
+
+
+def test_times_that_go_back_are_named(recording: Path, tmp_path: Path) -> None:
+    replace_line(recording / "sequences/03/times.txt", 4, "1.0e-01")
+    with pytest.raises(DatasetError, match=r"times\.txt:4: time 1\.0e-01 does not come after"):
+        build(recording, tmp_path / "out")
+
+
+def test_stereo_depth_of_a_right_camera_is_refused(recording: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="left camera"):
+        build(recording, tmp_path / "out", camera="image_1", depth="stereo")
+
+
+def test_the_second_camera_stands_a_baseline_to_the_right(recording: Path) -> None:
+    calibration = kitti.Calibration.read(recording / "sequences/03/calib.txt")
+    np.testing.assert_allclose(calibration.T_cam0_cam("image_1")[:3, 3], [BASELINE, 0, 0], atol=1e-12)
+
+
+def test_two_sequences_are_paired_across(recording: Path, tmp_path: Path) -> None:
+    shutil.copytree(recording / "sequences/03", recording / "sequences/04")
+    shutil.copy(recording / "poses/03.txt", recording / "poses/04.txt")
+    dataset = build(recording, tmp_path / "out", sequence=("03", "04"))
+    assert dataset.pair_set_names == ["kitti_03__kitti_04__image_0"]
+    pairs = dataset.pair_set("kitti_03__kitti_04__image_0").pairs
+    assert [p.distance_m for p in pairs] == pytest.approx([0, 0, 0, 0.4], abs=1e-9)
+
+
+def test_a_lidar_point_seen_through_a_nearer_surface_is_hidden() -> None:
+    nearest = np.full((60, 60), np.inf, dtype=np.float32)
+    nearest[::4, ::3] = 5.0
+    nearest[30, 31] = 20.0
+    assert np.argwhere(hidden(nearest)).tolist() == [[30, 31]]
+
+
+def test_a_road_does_not_hide_itself() -> None:
+    nearest = np.full((120, 60), np.inf, dtype=np.float32)
+    rows = np.arange(10, 120, 5)
+    nearest[rows, ::3] = (150.0 / rows)[:, None]
+    assert not hidden(nearest).any()
+
+
+def test_half_a_scan_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "000000.bin"
+    path.write_bytes(b"\0" * 30)
+    with pytest.raises(DatasetError, match=r"000000\.bin: 30 bytes are no whole number of points"):
+        read_scan(path)
+
+
+def test_real_lidar_and_stereo_agree(real_data: Callable[[str], Path]) -> None:
+    folder = real_data("kitti_odometry") / "sequences" / "00"
+    calibration = kitti.Calibration.read(folder / "calib.txt")
+    left, right = (images.read_image(folder / c / "000000.png") for c in ("image_0", "image_1"))
+    p0, p1 = calibration.projection("image_0"), calibration.projection("image_1")
+    geometry = StereoGeometry(p0[0, 3] - p1[0, 3])
+    camera = Camera("pinhole", left.shape[1], left.shape[0], p0[0, 0], p0[1, 1], p0[0, 2], p0[1, 2])
+    stereo = stereo_depth(left, right, geometry)
+    scan = read_scan(folder / "velodyne" / "000000.bin")
+    lidar = project_scan(scan, camera, calibration.T_cam0_lidar())
+    both = (stereo > 0) & (lidar > 0)
+    error = np.abs(geometry.focal_baseline / stereo[both] - geometry.focal_baseline / lidar[both])
+    assert both.sum() > 10_000
+    # The data's description gives a median of 0.42 px and 88 % below 2 px before hidden points are removed.
+    assert np.median(error) < 0.5
+    assert np.mean(error < 2) > 0.90
+
+
+def test_real_stereo_depth_carries_pose_estimation_to_centimetres(
+    real_data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    notes = Notes()
+    dataset = build(real_data("kitti_odometry"), tmp_path / "out", notes, sequence=("06",), max_disparity=128)
+    assert any("20 of 25 frames are no keyframes" in note for note in notes.notes)
+    pair_set = dataset.pair_sets()[0]
+    assert len(pair_set.pairs) == 5
+    sift = cv2.SIFT_create(3000)
+    errors = []
+    for pair in pair_set.pairs:
+        reference, query = dataset.reference(pair_set, pair), dataset.query(pair_set, pair)
+        assert reference.depth is not None
+        assert pair.T_query_ref is not None
+        assert pair.distance_m == pytest.approx(1.2, abs=0.05)
+        keys, described = zip(*(sift.detectAndCompute(i, None) for i in (reference.image, query.image)), strict=True)
+        matches = [m for m, n in cv2.BFMatcher().knnMatch(*described, k=2) if m.distance < 0.8 * n.distance]
+        uv = np.array([keys[0][m.queryIdx].pt for m in matches])
+        seen = np.array([keys[1][m.trainIdx].pt for m in matches])
+        z = reference.depth[tuple(np.rint(uv[:, ::-1]).astype(int).T)].astype(np.float64)
+        near = (z > 0) & (z < 40)
+        points = reference.camera.unproject(uv)[0] * z[:, None]
+        k = reference.camera.matrix
+        found = cv2.solvePnPRansac(points[near], seen[near], k, None, reprojectionError=2, iterationsCount=500)
+        inliers = found[3][:, 0]
+        r, t = cv2.solvePnPRefineLM(points[near][inliers], seen[near][inliers], k, None, found[1], found[2])
+        estimate = np.eye(4)
+        estimate[:3, :3], estimate[:3, 3] = cv2.Rodrigues(r)[0], t[:, 0]
+        delta = pair.T_query_ref @ invert(estimate)
+        errors.append((np.linalg.norm(delta[:3, 3]), np.degrees(rotation_angle(delta[:3, :3]))))
+    # The data's description gives 1 to 2 cm and below 0.1 degrees one frame on.
+    assert np.mean(errors, axis=0)[0] < 0.03
+    assert np.mean(errors, axis=0)[1] < 0.1
+
+
+def test_a_real_sequence_without_poses_names_the_file(real_data: Callable[[str], Path], tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"poses/00\.txt: missing"):
+        build(real_data("kitti_odometry"), tmp_path / "out", sequence=("00",))

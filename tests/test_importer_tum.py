@@ -1,0 +1,250 @@
+"""TUM RGB-D recordings become datasets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from relocbench.datasets import images
+from relocbench.datasets.correspondences import read_correspondences
+from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.importers import Run, tum_rgbd
+from relocbench.datasets.importers.tum_rgbd import INTRINSICS
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.geometry import apply, invert, rotation_angle
+from relocbench.progress import Silent
+
+SECONDS = "1305031102"
+
+
+class Notes(Silent):
+    """A reporter that keeps what it was told."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def note(self, message: str) -> None:
+        self.notes.append(message)
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """A made-up freiburg3 sequence: images at .1, .2, .3, .9 s, of which the third has no depth within 0.02 s.
+
+    The camera moves along x at 1 m/s: at .1 s it is at 0.1 m. The image listed at .4 s is not there, and the truth
+    ends at .5 s.
+    """
+    folder = tmp_path / "rgbd_dataset_freiburg3_made_up"
+    rng = np.random.default_rng(0)
+    for tenth in (1, 2, 3, 9):
+        noise = cv2.resize(rng.integers(0, 255, (60, 80), dtype=np.uint8), (640, 480))
+        images.write_image(folder / f"rgb/{SECONDS}.{tenth}00000.png", np.dstack([noise, noise, noise]))
+    (folder / "depth").mkdir()
+    for name in (f"{SECONDS}.115000", f"{SECONDS}.190000", f"{SECONDS}.330000"):
+        cv2.imwrite(str(folder / f"depth/{name}.png"), np.full((480, 640), 10_000, dtype=np.uint16))
+    rgb = [f"{SECONDS}.{t}00000 rgb/{SECONDS}.{t}00000.png" for t in (1, 2, 3, 4, 9)]
+    depth = [f"{SECONDS}.{t} depth/{SECONDS}.{t}.png" for t in ("115000", "190000", "330000")]
+    truth = [f"{SECONDS}.{t:04d} {t / 1e4!r} 0 0 0 0 0 1" for t in range(0, 5001, 250)]
+    for name, lines in (("rgb", rgb), ("depth", depth), ("groundtruth", truth)):
+        (folder / f"{name}.txt").write_text("\n".join(["# made up", *lines]) + "\n")
+    return folder
+
+
+def build(sources: list[Path], out: Path, notes: Notes | None = None, workers: int = 1, **options: object) -> Dataset:
+    settings = tum_rgbd.Options.model_validate({"correspondences": 100, **options})
+    return tum_rgbd.build(sources, settings, out, notes or Notes(), Run(workers))
+
+
+def test_images_depth_and_truth_are_put_together_by_time(recording: Path, tmp_path: Path) -> None:
+    notes = Notes()
+    dataset = build([recording], tmp_path / "out", notes)
+    traversal = dataset.traversal(recording.name)
+    times = [int(f"{SECONDS}{t}00000000") for t in (1, 2, 3)]
+    assert traversal.timestamps("rgb") == times
+    assert traversal.keyframe_timestamps("rgb") == times[:2]
+    np.testing.assert_allclose(traversal.T_world_cam("rgb", times[0])[:3, 3], [0.1, 0, 0], atol=1e-9)
+    depth = traversal.depth("rgb", times[0])
+    assert depth is not None
+    np.testing.assert_allclose(depth, 2.0, atol=1 / 512)
+    assert any("1 of 5 images in rgb.txt are not there" in n for n in notes.notes)
+    assert any("1 of 4 images left out, the truth has a gap there" in n for n in notes.notes)
+    assert any("1 of 3 images are no keyframes" in n for n in notes.notes)
+
+
+def test_the_truth_is_that_of_the_images_time_plus_the_offset(recording: Path, tmp_path: Path) -> None:
+    # 1 m/s and -0.02 s: 2 cm back, between two rows of the truth.
+    traversal = build([recording], tmp_path / "out", time_offset=(-0.02,)).traversal(recording.name)
+    pose = traversal.T_world_cam("rgb", int(f"{SECONDS}100000000"))
+    np.testing.assert_allclose(pose[:3, 3], [0.08, 0, 0], atol=1e-9)
+
+
+def test_nothing_is_interpolated_over_a_gap_of_the_truth(recording: Path, tmp_path: Path) -> None:
+    lines = (recording / "groundtruth.txt").read_text().splitlines()
+    kept = [line for line in lines if not f"{SECONDS}.16" < line < f"{SECONDS}.27"]
+    (recording / "groundtruth.txt").write_text("\n".join(kept) + "\n")
+    dataset = build([recording], tmp_path / "out", pair_step=(1,))
+    assert dataset.traversal(recording.name).timestamps("rgb") == [
+        int(f"{SECONDS}100000000"),
+        int(f"{SECONDS}300000000"),
+    ]
+
+
+def test_images_without_distortion_are_linked(recording: Path, tmp_path: Path) -> None:
+    traversal = build([recording], tmp_path / "out").traversal(recording.name)
+    path = traversal.layout.image("rgb", int(f"{SECONDS}100000000"))
+    assert path.resolve() == (recording / f"rgb/{SECONDS}.100000.png").resolve()
+
+
+def test_distorted_images_and_depth_become_those_of_a_pinhole_camera(recording: Path, tmp_path: Path) -> None:
+    camera = INTRINSICS["fr1"]
+    image = np.zeros((480, 640), dtype=np.uint8)
+    points = np.array([[-0.5, -0.35, 1.0], [0.4, 0.3, 1.0], [0.0, 0.0, 1.0]])
+    for u, v in camera.project(points)[0]:
+        cv2.circle(image, (round(u), round(v)), 4, 255, -1)
+    path = recording / f"rgb/{SECONDS}.100000.png"
+    images.write_image(path, image)
+    traversal = build([recording], tmp_path / "out", intrinsics=("fr1",)).traversal(recording.name)
+    assert traversal.camera("rgb") == camera.pinhole()
+    found = traversal.image("rgb", int(f"{SECONDS}100000000"))
+    centres = cv2.connectedComponentsWithStats((found > 127).astype(np.uint8))[3][1:]
+    expected = camera.pinhole().project(points)[0]
+    for pixel in expected:
+        assert np.min(np.linalg.norm(centres - pixel, axis=1)) < 0.8
+    # Nearest neighbour: no depth that was not there.
+    depth = traversal.depth("rgb", int(f"{SECONDS}100000000"))
+    assert depth is not None
+    assert set(np.unique(depth)) <= {np.float32(0.0), np.float32(2.0)}
+
+
+def test_workers_and_interruptions_do_not_change_the_bytes(recording: Path, tmp_path: Path) -> None:
+    one = build([recording], tmp_path / "one", intrinsics=("fr1",))
+    two = build([recording], tmp_path / "two", workers=2, intrinsics=("fr1",))
+    assert one.fingerprint == two.fingerprint
+    torn = two.traversal(recording.name).layout.image("rgb", int(f"{SECONDS}200000000"))
+    torn.write_bytes(torn.read_bytes()[:1000])
+    two.layout.dataset_yaml.unlink()
+    assert build([recording], tmp_path / "two", intrinsics=("fr1",)).fingerprint == one.fingerprint
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (f"{SECONDS}.1000 0.1 0 nan 0 0 0 1", r"groundtruth\.txt:6: tz is nan, expected a finite number"),
+        (f"{SECONDS}.1000 0.1 0 0 0 0 0 1.1", r"groundtruth\.txt:6: quaternion .* has norm 1\.1, expected 1"),
+        (f"{SECONDS}.1000 0.1 0 0 0 0 1", r"groundtruth\.txt:6: expected 8 columns"),
+        (f"{SECONDS}.0010 0.1 0 0 0 0 0 1", r"groundtruth\.txt:6: time .* does not come after"),
+        ("noon 0.1 0 0 0 0 0 1", r"groundtruth\.txt:6: 'noon' is not a time"),
+    ],
+)
+def test_a_bad_pose_is_named_with_its_line(recording: Path, tmp_path: Path, line: str, said: str) -> None:
+    path = recording / "groundtruth.txt"
+    lines = path.read_text().splitlines()
+    lines[5] = line
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(DatasetError, match=said):
+        build([recording], tmp_path / "out")
+
+
+@pytest.mark.parametrize(("folder", "name"), [("rgb", "100000"), ("depth", "115000")])
+def test_a_truncated_image_is_named(recording: Path, tmp_path: Path, folder: str, name: str) -> None:
+    path = recording / folder / f"{SECONDS}.{name}.png"
+    path.write_bytes(path.read_bytes()[:-50])
+    with pytest.raises(DatasetError, match=rf"{folder}/{SECONDS}\.{name}\.png: truncated"):
+        build([recording], tmp_path / "out")
+
+
+def test_an_image_of_another_size_is_named(recording: Path, tmp_path: Path) -> None:
+    images.write_image(recording / f"rgb/{SECONDS}.200000.png", np.zeros((48, 64), dtype=np.uint8))
+    with pytest.raises(DatasetError, match=rf"{SECONDS}\.200000\.png: image is 64x48, expected 640x480"):
+        build([recording], tmp_path / "out", intrinsics=("fr1",))
+
+
+def test_a_folder_that_does_not_tell_its_camera_needs_the_option(recording: Path, tmp_path: Path) -> None:
+    renamed = recording.rename(recording.with_name("office"))
+    with pytest.raises(ConfigError, match="--intrinsics is needed"):
+        build([renamed], tmp_path / "out")
+    assert build([renamed], tmp_path / "out", intrinsics=("ros-default",)).traversal("office").camera("rgb").fx == 525
+
+
+@pytest.mark.parametrize("name", ["rgb.txt", "depth.txt", "groundtruth.txt"])
+def test_a_missing_list_is_named(recording: Path, tmp_path: Path, name: str) -> None:
+    (recording / name).unlink()
+    with pytest.raises(DatasetError, match=rf"{name}: missing"):
+        build([recording], tmp_path / "out")
+
+
+def mean_rotation_error_of_pnp_deg(dataset: Dataset) -> float:
+    """SIFT and PnP from the depth of the keyframe against the dataset's truth, mean over the pairs."""
+    pair_set = dataset.pair_sets()[0]
+    sift = cv2.SIFT_create(2000)
+    errors = []
+    for pair in pair_set.pairs:
+        reference, query = dataset.reference(pair_set, pair), dataset.query(pair_set, pair)
+        assert reference.depth is not None
+        assert pair.T_query_ref is not None
+        grey = [cv2.cvtColor(i, cv2.COLOR_RGB2GRAY) for i in (reference.image, query.image)]
+        keys, described = zip(*(sift.detectAndCompute(i, None) for i in grey), strict=True)
+        matches = [m for m, n in cv2.BFMatcher().knnMatch(*described, k=2) if m.distance < 0.8 * n.distance]
+        uv = np.array([keys[0][m.queryIdx].pt for m in matches])
+        seen = np.array([keys[1][m.trainIdx].pt for m in matches])
+        z = reference.depth[tuple(np.rint(uv[:, ::-1]).astype(int).T)].astype(np.float64)
+        points = (reference.camera.unproject(uv)[0] * z[:, None])[z > 0]
+        found = cv2.solvePnPRansac(points, seen[z > 0], reference.camera.matrix, None, reprojectionError=2)
+        R = cv2.Rodrigues(found[1])[0]
+        errors.append(np.degrees(rotation_angle(pair.T_query_ref[:3, :3] @ R.T)))
+    return float(np.mean(errors))
+
+
+def test_the_clock_of_a_real_recording_is_mended_by_the_offset(
+    real_data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    desk = real_data("tum_rgbd") / "rgbd_dataset_freiburg1_desk"
+    notes = Notes()
+    plain = build([desk], tmp_path / "a", notes, pair_step=(3,))
+    mended = build([desk], tmp_path / "b", notes, pair_step=(3,), time_offset=(-0.02,))
+    # rgb.txt of the whole sequence stands beside nine of its images.
+    assert any("604 of 613 images in rgb.txt are not there" in n for n in notes.notes)
+    assert mean_rotation_error_of_pnp_deg(mended) < 0.5 * mean_rotation_error_of_pnp_deg(plain)
+
+
+def test_real_correspondences_lie_on_the_same_surface(real_data: Callable[[str], Path], tmp_path: Path) -> None:
+    desk = real_data("tum_rgbd") / "rgbd_dataset_freiburg1_desk"
+    dataset = build([desk], tmp_path / "out", time_offset=(-0.02,), correspondences=500)
+    pair_set = dataset.pair_sets()[0]
+    pair = pair_set.pairs[0]
+    assert pair.overlap is not None
+    assert pair.overlap > 0.9
+    assert pair.T_query_ref is not None
+    rows = read_correspondences(dataset.layout.correspondence_file(pair_set.name), pair.key)
+    assert len(rows) == 500
+    camera = dataset.traversal(pair_set.query).camera("rgb")
+    lifted = camera.unproject(rows.uv_ref)[0] * rows.depth_ref[:, None]
+    there = camera.project(apply(pair.T_query_ref, lifted))[0]
+    np.testing.assert_allclose(there, rows.uv_query, atol=1e-3)
+    grey = [
+        np.asarray(v.image).mean(axis=2) for v in (dataset.reference(pair_set, pair), dataset.query(pair_set, pair))
+    ]
+    a, b = (
+        g[tuple(np.rint(uv[:, ::-1]).astype(int).T)] for g, uv in zip(grey, (rows.uv_ref, rows.uv_query), strict=True)
+    )
+    # The same surface has the same brightness 30 ms on; other pixels have not.
+    assert np.median(np.abs(a - b)[rows.visible]) < 0.2 * np.median(np.abs(a - np.roll(b, 100)))
+
+
+def test_two_real_sessions_are_paired_across(real_data: Callable[[str], Path], tmp_path: Path) -> None:
+    folder = real_data("tum_rgbd")
+    sources = [folder / "rgbd_dataset_freiburg1_xyz", folder / "rgbd_dataset_freiburg1_desk"]
+    with pytest.raises(DatasetError, match=r"no pair: .*widen --max-angle"):
+        build(sources, tmp_path / "a", max_angle=30)
+    dataset = build(sources, tmp_path / "b", max_angle=70, time_offset=(0.0, -0.02))
+    pairs = dataset.pair_sets()[0].pairs
+    assert len(pairs) == 9
+    # The data's description: the view turns by 55 to 65 degrees.
+    assert all(p.angle_deg is not None and 55 < p.angle_deg < 66 for p in pairs)
+    T_query_ref = pairs[0].T_query_ref
+    assert T_query_ref is not None
+    assert np.allclose(invert(T_query_ref) @ T_query_ref, np.eye(4), atol=1e-12)
