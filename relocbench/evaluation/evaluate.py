@@ -13,7 +13,7 @@ from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.schema import Strict
 from relocbench.errors import ConfigError
 from relocbench.evaluation.external import take_predictions
-from relocbench.evaluation.results import MethodResults, dataset_results, read_answers
+from relocbench.evaluation.results import MethodResults, dataset_results, read_answers, write_dataset_record
 from relocbench.evaluation.run import Overwrite, run_method
 from relocbench.evaluation.score import score_method
 from relocbench.methods import parse_methods
@@ -84,7 +84,9 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     if options.predictions is not None:
         label = options.methods[0] if options.methods else options.predictions.resolve().name
         folders = [take_predictions(dataset, pair_sets, options.predictions, label, results)]
+        write_dataset_record(results, dataset)
     else:
+        write_dataset_record(results, dataset)
         folders = [
             run_method(
                 dataset,

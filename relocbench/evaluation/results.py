@@ -195,14 +195,16 @@ class DatasetResults:
 
 
 def dataset_results(results: Path, dataset: Dataset) -> DatasetResults:
-    """The folder for a dataset's results; written if absent."""
-    found = DatasetResults(results / f"{dataset.name}@{dataset.fingerprint[:SHORT]}")
-    record = _dataset_record(dataset)
-    path = found.root / "dataset.yaml"
-    text = dump_yaml(record.model_dump(mode="json"))
+    """The folder for a dataset's results; nothing is written."""
+    return DatasetResults(results / f"{dataset.name}@{dataset.fingerprint[:SHORT]}")
+
+
+def write_dataset_record(folder: DatasetResults, dataset: Dataset) -> None:
+    """Keep beside the results what the dataset asks."""
+    path = folder.root / "dataset.yaml"
+    text = dump_yaml(_dataset_record(dataset).model_dump(mode="json"))
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         write_text(path, text)
-    return found
 
 
 def all_results(results: Path) -> list[DatasetResults]:

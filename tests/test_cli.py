@@ -1,0 +1,202 @@
+"""The command line: quick help, one line and exit status 2 for a mistake, plain output without a terminal."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import relocbench
+from small_dataset import ACROSS, make_small_dataset
+
+from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.importers import KINDS
+
+HEAVY = ("torch", "open3d", "matplotlib", "pandas", "cv2", "numba", "scipy", "pydantic", "numpy")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return make_small_dataset(tmp_path_factory.mktemp("data") / "small")
+
+
+def test_help_and_version_import_nothing_heavy() -> None:
+    code = (
+        "import sys; from relocbench.cli.app import app\n"
+        "try: app(['--help'])\n"
+        "except SystemExit: pass\n"
+        f"print('heavy:', sorted(m for m in {HEAVY!r} if m in sys.modules))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "build-dataset" in out
+    assert out.splitlines()[-1] == "heavy: []"
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["demo", "evaluate", "leaderboard", "inspect", "validate", "methods", "check-method", "export", "build-dataset"],
+)
+def test_every_command_explains_itself(command: str) -> None:
+    shown = relocbench(command, "--help")
+    assert shown.status == 0
+    assert len(shown.out.split()) > 20
+    if command != "build-dataset":
+        assert "Example: relocbench" in " ".join(shown.out.split())
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_every_kind_of_dataset_explains_its_options(kind: str) -> None:
+    shown = relocbench("build-dataset", kind, "--help")
+    assert shown.status == 0
+    assert "--out" in shown.out
+    assert "--config" in shown.out
+    assert "Example:" in shown.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["evaluate", "-d", "{d}", "-m", "orb-pmp"], "no method 'orb-pmp' (did you mean 'orb-pnp'?)"),
+        (["evaluate", "-d", "{d}", "-m", "dso", "--set", "pints=3"], "no parameter 'pints' (did you mean 'points'?)"),
+        (["evaluate", "-d", "{d}"], "nothing to evaluate: give --method NAME or --predictions DIR"),
+        (["evaluate", "-m", "identity"], "--dataset: must be given"),
+        (["evaluate", "-d", "{d}/absent", "-m", "identity"], "absent: no such folder; expected a dataset"),
+        (["evaluate", "-d", "{d}/pairs", "-m", "identity"], "pairs: expected a dataset with dataset.yaml"),
+        (["evaluate", "-d", "{d}", "-m", "identity", "--split", "tset"], "no split 'tset'; there is test, all"),
+        (["evaluate", "-d", "{d}", "-m", "identity", "--pair-set", "a"], "no pair set 'a'"),
+        (["evaluate", "-d", "{d}", "--predictions", "{d}/absent"], "absent: no such folder"),
+        (["methods", "absent"], "no method 'absent'"),
+        (["leaderboard", "{d}/absent", "--out", "{d}/board"], "absent: no such folder"),
+        (["inspect", "{d}/absent"], "absent: no such folder"),
+        (["build-dataset", "kitti", "{d}/absent", "--sequence", "06", "--out", "{t}/o"], "absent"),
+        (["build-dataset", "kitti", "{d}", "--sequence", "06", "--pair-step", "1,x", "--out", "{t}/o"], "--pair-step"),
+        (["build-dataset", "kitti", "{d}", "--sequence", "06", "--pair-step", "0", "--out", "{t}/o"], "pair_step"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    outcome = relocbench(*(a.format(d=dataset.root, t=tmp_path) for a in arguments))
+    assert outcome.status == 2
+    assert words in outcome.complaint
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_key_in_a_configuration_is_named_with_its_line(dataset: Dataset, tmp_path: Path) -> None:
+    config = tmp_path / "run.yaml"
+    config.write_text(f"dataset: {dataset.root}\nmethods: [identity]\noverwirte: always\n")
+    assert f"{config}:3: unknown key 'overwirte'" in relocbench("evaluate", "--config", config).complaint
+    config.write_text("pair_step: [1]\n# comment\nmax_dist: 3\n")
+    outcome = relocbench("build-dataset", "scene", "--config", config, "--out", tmp_path / "o")
+    assert (outcome.status, f"{config}:3: unknown key 'max_dist'" in outcome.complaint) == (2, True)
+    config.write_text("pair_step: [1, two]\n")
+    outcome = relocbench("build-dataset", "scene", "--config", config, "--out", tmp_path / "o")
+    assert f"{config}:1: key 'pair_step.1'" in outcome.complaint
+    config.write_text("a: [1\n")
+    assert f"{config}:2: not valid YAML" in relocbench("evaluate", "--config", config).complaint
+
+
+def test_a_configuration_file_sets_everything_and_the_command_line_wins(dataset: Dataset, tmp_path: Path) -> None:
+    config = tmp_path / "run.yaml"
+    config.write_text(
+        f"dataset: {dataset.root}\nmethods: [identity, floor=identity]\nout: {tmp_path / 'a'}\nworkers: 1\n"
+    )
+    outcome = relocbench("evaluate", "--config", config, "--out", tmp_path / "b", "--json")
+    assert outcome.status == 0, outcome.err
+    assert sorted(json.loads(outcome.out)["methods"]) == ["floor", "identity"]
+    assert (tmp_path / "b").is_dir()
+    assert not (tmp_path / "a").exists()
+
+
+def test_json_is_one_strict_object_and_quiet_is_silent(dataset: Dataset, tmp_path: Path) -> None:
+    common = ("evaluate", "-d", dataset.root, "-m", "identity", "--out", tmp_path, "-j", "1")
+    shown = json.loads(relocbench(*common, "--json").out, parse_constant=pytest.fail)
+    assert shown["methods"]["identity"][ACROSS]["all"]["coverage"] == 1.0
+    silent = relocbench(*common, "--quiet")
+    assert (silent.status, silent.out, silent.err) == (0, "", "")
+
+
+def test_output_without_a_terminal_is_plain(dataset: Dataset, tmp_path: Path) -> None:
+    shown = relocbench("evaluate", "-d", dataset.root, "-m", "identity", "--out", tmp_path, "-j", "1")
+    assert "\x1b" not in shown.out + shown.err
+    assert "identity on small: " in shown.err
+    assert "t_auc 0.5 m" in shown.out
+
+
+def test_a_bug_is_a_traceback(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("relocbench.evaluation.evaluate.evaluate_methods", broken)
+    with pytest.raises(ZeroDivisionError):
+        relocbench("evaluate", "-d", dataset.root, "-m", "identity")
+
+
+def test_an_interrupted_command_says_that_it_goes_on(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("relocbench.evaluation.evaluate.evaluate_methods", interrupted)
+    outcome = relocbench("evaluate", "-d", dataset.root, "-m", "identity")
+    assert outcome.status == 130
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "words"),
+    [
+        ("traversals/summer/poses.csv", "0.0", "nan", r"poses\.csv:2: t. is nan, expected a finite number"),
+        ("traversals/summer/traversal.yaml", "rate_hz", "rate_khz", r"traversal\.yaml:\d+: unknown key 'rate_khz'"),
+        (f"pairs/{ACROSS}.txt", " ", " x", r"txt:1: 'x\d+' is not a timestamp"),
+    ],
+)
+def test_a_damaged_dataset_is_named_with_file_and_line(
+    tmp_path: Path, file: str, old: str, new: str, words: str
+) -> None:
+    import re
+
+    made = make_small_dataset(tmp_path / "d")
+    path = made.root / file
+    path.write_text(path.read_text().replace(old, new, 1))
+    outcome = relocbench("validate", made.root)
+    assert outcome.status == 2
+    assert re.search(words, outcome.out + outcome.err), outcome.out + outcome.err
+    refused = relocbench("evaluate", "-d", made.root, "-m", "identity", "--out", tmp_path / "out")
+    assert refused.status == 2
+    assert path.name in refused.complaint
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("kind", ["tum", "kitti", "colmap", "mlad"])
+def test_predictions_and_truth_are_exported(dataset: Dataset, tmp_path: Path, kind: str) -> None:
+    relocbench("evaluate", "-d", dataset.root, "-m", "identity", "--out", tmp_path / "r", "-j", "1", "-q")
+    for method in ([], ["--method", "identity"]):
+        out = tmp_path / f"out-{len(method)}"
+        options = ("--results", tmp_path / "r", "--pair-set", ACROSS, *method)
+        outcome = relocbench("export", "-d", dataset.root, "-f", kind, "--out", out, *options)
+        assert outcome.status == 0, outcome.err
+        written = [Path(line) for line in outcome.out.splitlines()]
+        assert written
+        assert all(p.exists() and p.stat().st_size for p in written)
+
+
+def test_exported_truth_is_read_by_evo(dataset: Dataset, tmp_path: Path) -> None:
+    from evo.tools import file_interface
+
+    from relocbench.geometry import invert
+
+    out = tmp_path / "tum"
+    outcome = relocbench("export", "-d", dataset.root, "-f", "tum", "--out", out, "--pair-set", ACROSS)
+    trajectory = file_interface.read_tum_trajectory_file(outcome.out.splitlines()[0])
+    pair_set = dataset.pair_set(ACROSS)
+    summer, winter = dataset.traversal("summer"), dataset.traversal("winter")
+    for time, pose in zip(trajectory.timestamps, trajectory.poses_se3, strict=True):
+        query = min((p.query_timestamp_ns for p in pair_set.pairs), key=lambda t: abs(t / 1e9 - time))
+        assert np.allclose(pose, winter.T_world_cam("cam0", query), atol=1e-6)
+    pair = pair_set.pairs[0]
+    assert pair.T_query_ref is not None
+    chain = summer.T_world_cam("cam0", pair.ref_timestamp_ns) @ invert(pair.T_query_ref)
+    assert np.allclose(chain, winter.T_world_cam("cam0", pair.query_timestamp_ns), atol=1e-9)
