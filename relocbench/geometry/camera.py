@@ -5,7 +5,9 @@ Axes: x right, y down, z forward. The centre of the top-left pixel is (0, 0). Al
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -92,6 +94,7 @@ class Camera:
         inside = (u >= border) & (u <= self.width - 1 - border)
         return inside & (v >= border) & (v <= self.height - 1 - border)
 
+    @np.errstate(all="ignore")  # what is not finite comes out as not valid
     def project(self, points: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
         """Pixels of points in the camera frame.
 
@@ -107,8 +110,8 @@ class Camera:
         if self.model == "equidistant":
             radius = np.hypot(x, y)
             theta = np.arctan2(radius, z)
-            theta_d, slope = self._theta_d(theta)
-            valid = np.isfinite(theta) & (slope > 0) & ((radius > 0) | (z > 0))
+            theta_d, _ = self._theta_d(theta)
+            valid = (theta < self._fold) & ((radius > 0) | (z > 0))
             scale = np.where(radius > 1e-12, theta_d / np.where(radius > 1e-12, radius, 1.0), 1.0)
             xd, yd = x * scale, y * scale
         else:
@@ -119,7 +122,7 @@ class Camera:
                 xu, yu = xd, yd
                 xd, yd, jacobian = self._radtan(xu, yu)
                 determinant = jacobian[0] * jacobian[3] - jacobian[1] * jacobian[2]
-                valid = valid & (determinant > 0) & (xu * xd + yu * yd >= 0)
+                valid = valid & (determinant > 0) & (np.hypot(xu, yu) < self._fold)
         pixels = np.stack([self.fx * xd + self.cx, self.fy * yd + self.cy], axis=-1)
         valid = valid & np.all(np.isfinite(pixels), axis=-1)
         return np.where(valid[..., None], pixels, np.nan), valid
@@ -145,7 +148,7 @@ class Camera:
             rays = np.stack([x, y, np.ones_like(x)], axis=-1)
         else:
             theta_d = np.hypot(xd, yd)
-            theta, valid = self._invert_theta(theta_d)
+            theta, valid = _invert_growing(self._theta_d, theta_d, self._fold)
             direction = np.where(theta_d > 1e-12, np.sin(theta) / np.where(theta_d > 1e-12, theta_d, 1.0), 1.0)
             rays = np.stack([xd * direction, yd * direction, np.cos(theta)], axis=-1)
             forward = rays[..., 2] > 1e-6
@@ -208,10 +211,37 @@ class Camera:
             ),
         )
 
+    def _radial(self, r: Array) -> tuple[Array, Array]:
+        """Distorted radius and its derivative, the tangential part left out."""
+        zero = np.zeros_like(r)
+        k1, k2, _, _, *higher = self.distortion
+        untilted = replace(self, distortion=(k1, k2, 0.0, 0.0, *higher))
+        value, _, jacobian = untilted._radtan(r, zero)
+        return value, jacobian[0]
+
+    @cached_property
+    def _fold(self) -> float:
+        """Radius r (radtan) or angle theta (equidistant) up to which the distortion grows: beyond it lie the ghosts.
+
+        The first positive root of its derivative, a polynomial in the square; a pole of the rational model as well.
+        """
+        if self.model == "equidistant":
+            k1, k2, k3, k4 = self.distortion
+            return min(_first_root([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0]), np.pi)
+        k1, k2, _, _, k3, k4, k5, k6 = (*self.distortion, 0.0, 0.0, 0.0, 0.0)[:8]
+        top, bottom = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
+        growth = top * bottom + np.poly1d([2.0, 0.0]) * (top.deriv() * bottom - top * bottom.deriv())
+        return min(_first_root(growth.coeffs), _first_root(bottom.coeffs))
+
     def _invert_radtan(self, xd: Array, yd: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Newton's method on the distortion, from the distorted point."""
-        x, y = xd.copy(), yd.copy()
+        """Newton's method in two dimensions, from where the radial part alone puts the point."""
+        rd = np.hypot(xd, yd)
+        r, _ = _invert_growing(self._radial, rd, self._fold)
         with np.errstate(all="ignore"):
+            outward = np.where(rd > 0, r / np.where(rd > 0, rd, 1.0), 1.0)
+            # Just past the end of the radial part the tangential one may still reach: start at the distorted point.
+            outward = np.where(np.isfinite(outward), outward, 1.0)
+            x, y = xd * outward, yd * outward
             for _ in range(_NEWTON_STEPS):
                 px, py, (a, b, c, d) = self._radtan(x, y)
                 ex, ey = px - xd, py - yd
@@ -221,7 +251,7 @@ class Camera:
                 if not np.any(np.abs(dx) + np.abs(dy) > _CONVERGED):
                     break
             px, py, (a, b, c, d) = self._radtan(x, y)
-            valid = (np.hypot(px - xd, py - yd) < 1e-9) & (a * d - b * c > 0) & (x * xd + y * yd >= 0)
+            valid = (np.hypot(px - xd, py - yd) < 1e-9) & (a * d - b * c > 0) & (np.hypot(x, y) < self._fold)
         return x, y, valid
 
     def _theta_d(self, theta: Array) -> tuple[Array, Array]:
@@ -232,18 +262,44 @@ class Camera:
         slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
         return value, slope
 
-    def _invert_theta(self, theta_d: Array) -> tuple[Array, NDArray[np.bool_]]:
-        theta = np.minimum(theta_d, np.pi)
-        with np.errstate(all="ignore"):
-            for _ in range(_NEWTON_STEPS):
-                value, slope = self._theta_d(theta)
-                step = (value - theta_d) / slope
-                theta = theta - step
-                if not np.any(np.abs(step) > _CONVERGED):
-                    break
-            value, slope = self._theta_d(theta)
-            valid = (np.abs(value - theta_d) < 1e-9) & (slope > 0) & (theta >= 0) & (theta <= np.pi)
-        return theta, valid
+
+def _first_root(coefficients: ArrayLike) -> float:
+    """Square root of the smallest positive real root, infinite if there is none; highest power first."""
+    roots = np.roots(np.asarray(coefficients))
+    real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0)]
+    return float(np.sqrt(real.min(initial=np.inf)))
+
+
+def _invert_growing(
+    function: Callable[[Array], tuple[Array, Array]], target: Array, end: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Solve ``function(x) = target`` for x in [0, end), where the function grows from 0; ``end`` may be infinite.
+
+    Newton's method kept in a bracket: next to a fold, where the function is nearly flat, it alone jumps beyond.
+
+    Args:
+        function: value and derivative.
+        target: (...) at least 0; NaN is not valid.
+        end: of the interval.
+
+    Returns:
+        x (...), NaN where not valid, and valid (...).
+    """
+    with np.errstate(all="ignore"):
+        low, high = np.zeros_like(target), np.full_like(target, end)
+        x = np.minimum(target, 0.5 * end)
+        for _ in range(_NEWTON_STEPS):
+            value, slope = function(x)
+            low, high = np.where(value <= target, x, low), np.where(value >= target, x, high)
+            middle = np.where(np.isfinite(high), 0.5 * (low + high), 2.0 * low + 1.0)
+            newton = x - (value - target) / slope
+            following = np.where((newton >= low) & (newton <= high), newton, middle)
+            moved, x = np.abs(following - x), following
+            if not np.any(moved > _CONVERGED):
+                break
+        value, _ = function(x)
+        valid = (np.abs(value - target) < 1e-9) & (x < end)
+    return np.where(valid, x, np.nan), valid
 
 
 def camera_from_dict(values: dict[str, Any]) -> Camera:

@@ -8,8 +8,6 @@ chapter 7; Eade, Lie Groups for 2D and 3D Transformations). Quaternions are ``(q
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -219,13 +217,16 @@ def interpolate_trajectory(timestamps_ns: ArrayLike, transforms: ArrayLike, quer
         (M, 4, 4) ``T_world_body``.
 
     Raises:
-        ValueError: times not increasing, or a query outside the span (nothing is ever extrapolated).
+        ValueError: times not integers or not increasing, another number of poses than times, or a query outside
+            the span (nothing is ever extrapolated).
     """
-    times: NDArray[Any] = np.asarray(timestamps_ns, dtype=np.int64)
+    times = _integer_times(timestamps_ns)
     poses = np.asarray(transforms, dtype=np.float64)
-    query: NDArray[Any] = np.atleast_1d(np.asarray(query_ns, dtype=np.int64))
+    query = _integer_times(query_ns)
     if times.size == 0 or np.any(np.diff(times) <= 0):
         raise ValueError("trajectory timestamps must be strictly increasing and not empty")
+    if poses.shape != (times.size, 4, 4):
+        raise ValueError(f"{times.size} times need poses ({times.size}, 4, 4), got {poses.shape}")
     outside = (query < times[0]) | (query > times[-1])
     if np.any(outside):
         raise ValueError(f"time {int(query[outside][0])} ns is outside {int(times[0])}..{int(times[-1])} ns")
@@ -236,6 +237,14 @@ def interpolate_trajectory(timestamps_ns: ArrayLike, transforms: ArrayLike, quer
     # Differences are taken as integers: float64 cannot hold a present-day nanosecond count.
     fraction = (query - times[left]) / (times[right] - times[left])
     return interpolate(poses[left], poses[right], fraction)
+
+
+def _integer_times(times_ns: ArrayLike) -> NDArray[np.int64]:
+    """(N,) int64; seconds as floats would lose their digits without a word."""
+    times = np.atleast_1d(np.asarray(times_ns))
+    if times.size and times.dtype.kind not in "iu":
+        raise ValueError(f"times must be integer nanoseconds, got {times.dtype}")
+    return times.astype(np.int64)
 
 
 def is_rotation(rotation: ArrayLike, tolerance: float = 1e-6) -> bool:
