@@ -17,6 +17,7 @@ from relocbench.datasets import images
 from relocbench.datasets.correspondences import read_correspondences
 from relocbench.datasets.dataset import Dataset
 from relocbench.datasets.importers import Run, kitti
+from relocbench.datasets.importers.kitti_files import Calibration
 from relocbench.datasets.importers.stereo import StereoGeometry, stereo_depth
 from relocbench.datasets.importers.velodyne import hidden, project_scan, read_scan
 from relocbench.errors import ConfigError, DatasetError
@@ -259,7 +260,7 @@ def test_stereo_depth_of_a_right_camera_is_refused(recording: Path, tmp_path: Pa
 
 
 def test_the_second_camera_stands_a_baseline_to_the_right(recording: Path) -> None:
-    calibration = kitti.Calibration.read(recording / "sequences/03/calib.txt")
+    calibration = Calibration.read(recording / "sequences/03/calib.txt")
     np.testing.assert_allclose(calibration.T_cam0_cam("image_1")[:3, 3], [BASELINE, 0, 0], atol=1e-12)
 
 
@@ -295,7 +296,7 @@ def test_half_a_scan_is_named(tmp_path: Path) -> None:
 
 def test_real_lidar_and_stereo_agree(real_data: Callable[[str], Path]) -> None:
     folder = real_data("kitti_odometry") / "sequences" / "00"
-    calibration = kitti.Calibration.read(folder / "calib.txt")
+    calibration = Calibration.read(folder / "calib.txt")
     left, right = (images.read_image(folder / c / "000000.png") for c in ("image_0", "image_1"))
     p0, p1 = calibration.projection("image_0"), calibration.projection("image_1")
     geometry = StereoGeometry(p0[0, 3] - p1[0, 3])

@@ -7,7 +7,6 @@ the times, whichever frames the folder holds. Geiger et al., Are we ready for au
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -25,6 +24,7 @@ from relocbench.datasets.importers.assembly import (
     configuration,
     write_pairs,
 )
+from relocbench.datasets.importers.kitti_files import Sequence
 from relocbench.datasets.importers.options import ImportOptions
 from relocbench.datasets.importers.stereo import StereoGeometry, stereo_depth
 from relocbench.datasets.importers.velodyne import LIDAR_SIGMA, project_scan, read_scan
@@ -32,16 +32,11 @@ from relocbench.datasets.schema import CameraEntry, TraversalFile
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import run_units
-from relocbench.files import parse_floats, read_rows, read_text, seconds_to_ns
-from relocbench.geometry import Camera, invert, is_rotation, make_transform, project_to_rotation
+from relocbench.geometry import Camera, invert
 from relocbench.progress import Reporter
 
 Array = NDArray[np.float64]
 CameraName = Literal["image_0", "image_1", "image_2", "image_3"]
-
-_CALIBRATION_LINES = ("P0", "P1", "P2", "P3", "Tr")
-_MATRIX = " ".join(f"m{row}{column}" for row in range(3) for column in range(4))
-_ROTATION_TOLERANCE = 1e-3
 
 
 class Options(ImportOptions):
@@ -59,105 +54,6 @@ class Options(ImportOptions):
     rate_hz: float = Field(10.0, gt=0, description="frames a second where times.txt is missing")
     max_depth: float = Field(80.0, gt=0, lt=256, description="farthest depth to keep, metres")
     max_disparity: int = Field(128, ge=16, le=512, multiple_of=16, description="pixels searched by stereo matching")
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """``calib.txt``: lines ``P0`` to ``P3`` and ``Tr``, twelve numbers each, the names optional."""
-
-    path: Path
-    matrices: dict[str, Array]
-    """name -> (3, 4)"""
-
-    @classmethod
-    def read(cls, path: Path) -> Calibration:
-        """Raises DatasetError with file and line."""
-        matrices: dict[str, Array] = {}
-        for order, (number, fields) in enumerate(read_rows(path, "a KITTI calibration", DatasetError)):
-            if fields[0].endswith(":"):
-                name, fields = fields[0][:-1], fields[1:]
-            elif order < len(_CALIBRATION_LINES):
-                name = _CALIBRATION_LINES[order]
-            else:
-                raise DatasetError(f"expected at most the lines {', '.join(_CALIBRATION_LINES)}", path, number)
-            values = parse_floats(fields, path, number, _MATRIX, DatasetError)
-            matrices[name] = np.array(values).reshape(3, 4)
-        return cls(path, matrices)
-
-    def matrix(self, name: str, why: str) -> Array:
-        """(3, 4). Raises DatasetError where the line is missing."""
-        if name not in self.matrices:
-            raise DatasetError(f"line '{name}:' is missing; {why} needs it", self.path)
-        return self.matrices[name]
-
-    def projection(self, camera: str) -> Array:
-        """P of ``image_N``, (3, 4): ``K [I | t]``, from the frame of camera 0."""
-        return self.matrix(f"P{camera[-1]}", camera)
-
-    def T_cam0_cam(self, camera: str) -> Array:
-        """(4, 4) of a rectified camera: ``P = K [I | t]`` has ``T_cam_cam0 = [I | t]``."""
-        p = self.projection(camera)
-        return make_transform(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3]))
-
-    def T_cam0_lidar(self) -> Array:
-        """(4, 4)"""
-        tr = self.matrix("Tr", "velodyne depth")
-        return make_transform(project_to_rotation(tr[:, :3]), tr[:, 3])
-
-
-@dataclass(frozen=True)
-class Sequence:
-    """One sequence folder."""
-
-    root: Path
-    name: str
-
-    @property
-    def folder(self) -> Path:
-        return self.root / "sequences" / self.name
-
-    @property
-    def traversal(self) -> str:
-        return f"kitti_{self.name}"
-
-    @property
-    def poses_file(self) -> Path:
-        return self.root / "poses" / f"{self.name}.txt"
-
-    @cached_property
-    def calibration(self) -> Calibration:
-        return Calibration.read(self.folder / "calib.txt")
-
-    def frames(self, folder: str, suffix: str) -> dict[int, Path]:
-        """Frame number -> file, of a folder that may be absent."""
-        found = (self.folder / folder).glob(f"*{suffix}")
-        return {int(p.stem): p for p in sorted(found) if p.stem.isdigit()}
-
-    def poses(self) -> list[Array]:
-        """``T_world_cam0`` of frame 0, 1, 2, ... Raises DatasetError with file and line."""
-        poses = []
-        for number, fields in read_rows(
-            self.poses_file, f"poses of sequence {self.name} (12 numbers a line)", DatasetError
-        ):
-            m = np.array(parse_floats(fields, self.poses_file, number, _MATRIX, DatasetError)).reshape(3, 4)
-            if not is_rotation(m[:, :3], _ROTATION_TOLERANCE):
-                raise DatasetError("the left 3x3 of the pose is no rotation", self.poses_file, number)
-            poses.append(make_transform(project_to_rotation(m[:, :3]), m[:, 3]))
-        return poses
-
-    def times(self, rate_hz: float, frames: int, reporter: Reporter) -> list[int]:
-        """Nanoseconds of frame 0, 1, 2, ... Raises DatasetError with file and line."""
-        path = self.folder / "times.txt"
-        if not path.exists():
-            reporter.note(f"{self.name}: no times.txt; frames are taken to be {rate_hz:g} a second")
-            return [round(i * 1e9 / rate_hz) for i in range(frames)]
-        times: list[int] = []
-        for number, line in enumerate(read_text(path, "times in seconds", DatasetError).split(), start=1):
-            parse_floats([line], path, number, "seconds", DatasetError)
-            times.append(seconds_to_ns(line))
-            if len(times) > 1 and times[-1] <= times[-2]:
-                raise DatasetError(f"time {line} does not come after the one before", path, number)
-        return times
 
 
 @dataclass(frozen=True)
