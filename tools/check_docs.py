@@ -63,7 +63,8 @@ def unknown_words(command: str) -> Iterator[str]:
         context = found
     known = {option for parameter in context.params for option in (*parameter.opts, *parameter.secondary_opts)}
     for word in words:
-        if word.startswith("-") and word.split("=")[0] not in known | {"--help"}:
+        is_option = word.startswith("-") and not word[1:2].isdigit()
+        if is_option and word.split("=")[0] not in known | {"--help"}:
             yield f"'{context.name}' has no option {word}"
 
 
