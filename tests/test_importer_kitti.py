@@ -254,6 +254,12 @@ def test_times_that_go_back_are_named(recording: Path, tmp_path: Path) -> None:
         build(recording, tmp_path / "out")
 
 
+def test_options_that_give_no_pair_leave_no_folder_behind(recording: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"the nearest frame to a keyframe is [+-]1 frames away .*try --pair-step"):
+        build(recording, tmp_path / "out", pair_step=(7,))
+    assert not (tmp_path / "out").exists()
+
+
 def test_stereo_depth_of_a_right_camera_is_refused(recording: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="left camera"):
         build(recording, tmp_path / "out", camera="image_1", depth="stereo")

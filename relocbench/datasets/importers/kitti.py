@@ -28,6 +28,7 @@ from relocbench.datasets.importers.kitti_files import Sequence
 from relocbench.datasets.importers.options import ImportOptions
 from relocbench.datasets.importers.stereo import StereoGeometry, stereo_depth
 from relocbench.datasets.importers.velodyne import LIDAR_SIGMA, project_scan, read_scan
+from relocbench.datasets.pairing import PosedFrames, make_pairs
 from relocbench.datasets.schema import CameraEntry, TraversalFile
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import ConfigError, DatasetError
@@ -54,6 +55,33 @@ class Options(ImportOptions):
     rate_hz: float = Field(10.0, gt=0, description="frames a second where times.txt is missing")
     max_depth: float = Field(80.0, gt=0, lt=256, description="farthest depth to keep, metres")
     max_disparity: int = Field(128, ge=16, le=512, multiple_of=16, description="pixels searched by stereo matching")
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What of a sequence goes into the dataset."""
+
+    sequence: Sequence
+    frames: dict[int, Path]
+    """frame number -> image, of the frames with a pose and a time"""
+    poses: list[Array]
+    """``T_world_cam0`` of frame 0, 1, 2, ..."""
+    times: list[int]
+    """nanoseconds of frame 0, 1, 2, ..."""
+    kind: Literal["stereo", "velodyne"] | None
+    depth_files: dict[int, Path]
+    """frame number -> right image or scan"""
+    camera: Camera
+
+    def posed_frames(self) -> PosedFrames:
+        """For pairing; the rig's frame, camera 0, stands for the camera."""
+        numbers = tuple(self.frames)
+        return PosedFrames(
+            tuple(self.times[i] for i in numbers),
+            np.array([self.poses[i] for i in numbers]),
+            frozenset(self.times[i] for i in self.depth_files),
+            numbers,
+        )
 
 
 @dataclass(frozen=True)
@@ -99,22 +127,31 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     check_conditions(options, [s.traversal for s in sequences])
     default_name = "kitti_" + "_".join(s.name for s in sequences)
     settings = configuration("kitti", sources, options)
+    plans = [_read(s, options, needs_depth=s is sequences[0], reporter=reporter) for s in sequences]
+    reference, query = plans[0], plans[-1]
+    # Options that give no pair are told before the depth of a long recording is computed.
+    make_pairs(
+        reference.posed_frames(),
+        query.posed_frames(),
+        options,
+        same_traversal=query is reference,
+        source="",
+        where=reference.sequence.folder,
+    )
     writer = DatasetWriter(out, options.name or default_name, settings, options.licence)
-    reference, query = sequences[0], sequences[-1]
-    numbers = _write_traversal(writer, reference, options, True, reporter, run)
-    if query != reference:
-        _write_traversal(writer, query, options, False, reporter, run)
+    for plan in plans:
+        _write_traversal(writer, plan, options, reporter, run)
     write_pairs(
         writer,
-        reference.traversal,
-        query.traversal,
+        reference.sequence.traversal,
+        query.sequence.traversal,
         options.camera,
         options,
         source="KITTI odometry poses",
-        where=reference.folder,
+        where=reference.sequence.folder,
         reporter=reporter,
         run=run,
-        numbers=numbers,
+        numbers={reference.times[i]: i for i in reference.frames},
     )
     return writer.finish({})
 
@@ -138,14 +175,11 @@ def _find_sequences(sources: list[Path], options: Options) -> list[Sequence]:
     return found
 
 
-def _write_traversal(
-    writer: DatasetWriter, sequence: Sequence, options: Options, needs_depth: bool, reporter: Reporter, run: Run
-) -> dict[int, int]:
-    """One traversal with its images and what depth there is; timestamp -> frame number of its posed frames."""
-    camera_name, name = options.camera, sequence.traversal
-    found = sequence.frames(camera_name, ".png") or sequence.frames(camera_name, ".jpg")
+def _read(sequence: Sequence, options: Options, needs_depth: bool, reporter: Reporter) -> _Plan:
+    """What a sequence holds that can be used; nothing is written."""
+    found = sequence.frames(options.camera, ".png") or sequence.frames(options.camera, ".jpg")
     if not found:
-        raise DatasetError("no images (000000.png, ...)", sequence.folder / camera_name)
+        raise DatasetError("no images (000000.png, ...)", sequence.folder / options.camera)
     poses = sequence.poses()
     times = sequence.times(options.rate_hz, len(poses), reporter)
     frames = {i: path for i, path in found.items() if i < min(len(poses), len(times))}
@@ -153,48 +187,56 @@ def _write_traversal(
         reporter.note(f"{sequence.name}: {len(found) - len(frames)} images left out, they have no pose or no time")
     if not frames:
         raise DatasetError(f"holds {len(poses)} poses, none for the images there are", sequence.poses_file)
-
     kind = _depth_kind(sequence, options, needs_depth)
-    camera = _camera(sequence, camera_name, next(iter(frames.values())))
-    depth_files = _depth_files(sequence, options, kind)
-    sigma = {"stereo": lambda: _stereo_geometry(sequence, options).depth_sigma, "velodyne": lambda: (LIDAR_SIGMA, 0, 0)}
-    entry = CameraEntry.of(
-        camera, sequence.calibration.T_cam0_cam(camera_name), sigma[kind]() if kind else (0.0, 0.0, 0.0)
-    )
+    depth_files = {i: path for i, path in _depth_files(sequence, options, kind).items() if i in frames}
+    if kind and len(depth_files) < len(frames):
+        lacking = "right image" if kind == "stereo" else "lidar scan"
+        reporter.note(
+            f"{sequence.name}: {len(frames) - len(depth_files)} of {len(frames)} frames are no keyframes, "
+            f"they have no {lacking}"
+        )
+    camera = _camera(sequence, options.camera, next(iter(frames.values())))
+    return _Plan(sequence, frames, poses, times, kind, depth_files, camera)
+
+
+def _write_traversal(writer: DatasetWriter, plan: _Plan, options: Options, reporter: Reporter, run: Run) -> None:
+    """One traversal with its images and what depth there is."""
+    name, calibration = plan.sequence.traversal, plan.sequence.calibration
+    sigma = (0.0, 0.0, 0.0)
+    if plan.kind:
+        sigma = _stereo_geometry(plan.sequence, options).depth_sigma if plan.kind == "stereo" else (LIDAR_SIGMA, 0, 0)
     file = TraversalFile(
         name=name,
         condition=condition_of(options, name),
-        rate_hz=_rate(times),
-        cameras={camera_name: entry},
-        source=f"KITTI odometry sequence {sequence.name}, depth from {kind or 'nothing'}",
+        rate_hz=_rate(plan.times),
+        cameras={options.camera: CameraEntry.of(plan.camera, calibration.T_cam0_cam(options.camera), sigma)},
+        source=f"KITTI odometry sequence {plan.sequence.name}, depth from {plan.kind or 'nothing'}",
     )
-    writer.traversal(file, {times[i]: poses[i] for i in frames})
-    with reporter.stage(f"images of {name}", len(frames)) as advance:
-        for i, path in frames.items():
-            writer.link_image(name, camera_name, times[i], path, copy=options.copy_images)
+    writer.traversal(file, {plan.times[i]: plan.poses[i] for i in plan.frames})
+    with reporter.stage(f"images of {name}", len(plan.frames)) as advance:
+        for i, path in plan.frames.items():
+            writer.link_image(name, options.camera, plan.times[i], path, copy=options.copy_images)
             advance(1)
-
-    keyframes = [i for i in frames if i in depth_files]
-    if kind and len(keyframes) < len(frames):
-        lacking = "right image" if kind == "stereo" else "lidar scan"
-        reporter.note(
-            f"{sequence.name}: {len(frames) - len(keyframes)} of {len(frames)} frames are no keyframes, "
-            f"they have no {lacking}"
-        )
-    due = [i for i in keyframes if writer.needs_depth(name, camera_name, times[i])]
-    target = writer.layout.traversal(name)
-    units: list[_StereoUnit | _LidarUnit] = []
-    for i in due:
-        path = target.depth(camera_name, times[i])
-        if kind == "stereo":
-            units.append(_StereoUnit(frames[i], depth_files[i], path, _stereo_geometry(sequence, options)))
-        else:
-            T_cam_lidar = invert(sequence.calibration.T_cam0_cam(camera_name)) @ sequence.calibration.T_cam0_lidar()
-            units.append(_LidarUnit(depth_files[i], path, camera, T_cam_lidar, options.max_depth))
-    with reporter.stage(f"depth of {name} from {kind}", len(units)) as advance:
+    units = _depth_units(writer, plan, options)
+    with reporter.stage(f"depth of {name} from {plan.kind}", len(units)) as advance:
         for _ in run_units(_compute_depth, units, workers=run.workers, scheduler=run.scheduler):
             advance(1)
-    return {times[i]: i for i in frames}
+
+
+def _depth_units(writer: DatasetWriter, plan: _Plan, options: Options) -> list[_StereoUnit | _LidarUnit]:
+    """The depth images that are not there yet."""
+    name, sequence = plan.sequence.traversal, plan.sequence
+    units: list[_StereoUnit | _LidarUnit] = []
+    for i, source in plan.depth_files.items():
+        if not writer.needs_depth(name, options.camera, plan.times[i]):
+            continue
+        path = writer.layout.traversal(name).depth(options.camera, plan.times[i])
+        if plan.kind == "stereo":
+            units.append(_StereoUnit(plan.frames[i], source, path, _stereo_geometry(sequence, options)))
+        else:
+            T_cam_lidar = invert(sequence.calibration.T_cam0_cam(options.camera)) @ sequence.calibration.T_cam0_lidar()
+            units.append(_LidarUnit(source, path, plan.camera, T_cam_lidar, options.max_depth))
+    return units
 
 
 def _depth_kind(sequence: Sequence, options: Options, needs_depth: bool) -> Literal["stereo", "velodyne"] | None:
