@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from baselines.alignment.depth_map import LevelPoints
 from baselines.alignment.levenberg import NO_RESIDUALS, SINGULAR, minimise_level
 from baselines.alignment.pyramid import Level
+from relocbench.errors import MethodError
 from relocbench.geometry import Camera, compose
 
 Array = NDArray[np.float64]
@@ -21,7 +22,11 @@ ABANDON_FACTOR = 1.5
 
 @dataclass(frozen=True)
 class Settings:
-    """What the solver can be told; the defaults are DSO's."""
+    """What the solver can be told; the defaults are DSO's but for ``cutoff_levels``.
+
+    Raises:
+        MethodError: the cutoff is below the Huber threshold: a saturated residual would cost less than one that fits.
+    """
 
     huber: float = 9.0
     """in units of the values: below it the loss is quadratic, above linear"""
@@ -36,6 +41,10 @@ class Settings:
     """estimate gain and offset of the brightness; one channel only"""
     per_channel: bool = False
     """with several channels: robust loss on each channel's residual, else on the norm over all channels"""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.huber <= self.cutoff:
+            raise MethodError(f"cutoff ({self.cutoff}) must be at least huber ({self.huber}), both positive")
 
 
 @dataclass(frozen=True)
