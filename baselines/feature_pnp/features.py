@@ -120,15 +120,15 @@ def match(first: Features, second: Features, ratio: float, mutual: bool) -> Indi
     """
     if len(first) == 0 or len(second) < 2:
         return np.zeros((0, 2), dtype=np.intp)
-    distance = _distances(first.descriptors, second.descriptors)
-    rows = np.arange(len(first))
-    two = np.argpartition(distance, 1, axis=1)[:, :2]
-    nearest = np.argmin(distance, axis=1)
-    second_best = np.max(np.take_along_axis(distance, two, axis=1), axis=1)
-    best = distance[rows, nearest]
+    hamming = first.descriptors.dtype == np.uint8
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING if hamming else cv2.NORM_L2)
+    two = matcher.knnMatch(first.descriptors, second.descriptors, k=2)
+    best, second_best = np.array([[m.distance, n.distance] for m, n in two]).T
+    nearest = np.array([m.trainIdx for m, _ in two])
     accepted = best < ratio * second_best
     if mutual:
-        accepted &= np.argmin(distance, axis=0)[nearest] == rows
+        back = np.array([m.trainIdx for m in matcher.match(second.descriptors, first.descriptors)])
+        accepted &= back[nearest] == np.arange(len(first))
     index = np.flatnonzero(accepted)
     score = best[index] / np.maximum(second_best[index], 1e-12)
     order = np.lexsort((index, score))
@@ -136,15 +136,3 @@ def match(first: Features, second: Features, ratio: float, mutual: bool) -> Indi
     _, once = np.unique(nearest[index], return_index=True)  # the most distinctive match of each feature
     once = np.sort(once)
     return np.stack([index[once], nearest[index[once]]], axis=-1)
-
-
-def _distances(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float32]:
-    """(N, M) Hamming distances of byte strings, Euclidean distances otherwise.
-
-    The Hamming distance is the squared Euclidean one of the bits. All entries are small integers (SIFT's as well), so
-    float32 holds every sum exactly and its order, hence the number of threads, does not matter.
-    """
-    hamming = a.dtype == np.uint8
-    x, y = (np.unpackbits(d, axis=1).astype(np.float32) if hamming else d for d in (a, b))
-    squared = np.sum(x * x, axis=1)[:, None] + np.sum(y * y, axis=1)[None, :] - 2.0 * (x @ y.T)
-    return squared if hamming else np.sqrt(squared)

@@ -22,6 +22,10 @@ def export(
         str | None, typer.Option("--method", "-m", help="Whose predictions [default: the ground truth].")
     ] = None,
     pair_set: Annotated[list[str], typer.Option(help="Only this pair set. Repeat for several.")] = [],  # noqa: B006
+    relocalization_file: Annotated[
+        list[Path],
+        typer.Option(help="A challenge's own pair file: the MLAD zip takes its name and line order. Repeat."),
+    ] = [],  # noqa: B006
     quiet: Quiet = False,
 ) -> None:
     """Write predictions, or the ground truth, as other tools read them.
@@ -33,7 +37,7 @@ def export(
 
     opened = Dataset(dataset)
     names = [opened.pair_set(name).name for name in pair_set] or opened.pair_set_names
-    written = export_poses(opened, names, format, out, results, method)
+    written = export_poses(opened, names, format, out, results, method, relocalization_file)
     if not quiet:
         for path in written:
             typer.echo(str(path))

@@ -104,9 +104,15 @@ class DatasetWriter:
         pairfile.write_pairs(self.layout.pair_file(name), self.layout.pair_table(name), ordered)
         return name
 
-    def finish(self, splits: Mapping[str, Sequence[str]]) -> Dataset:
-        """Hash the content, write ``dataset.yaml`` and open the dataset."""
+    def finish(self, splits: Mapping[str, Sequence[str]] | None = None) -> Dataset:
+        """Hash the content, write ``dataset.yaml`` and open the dataset.
+
+        Args:
+            splits: split name -> pair sets. A recording that says nothing else is for testing: all pair sets are.
+        """
         remove_parts(self.layout.root)
+        everything = sorted(path.stem for path in self.layout.pairs.glob("*.txt"))
+        splits = splits if splits is not None else {"test": everything} if everything else {}
         plain = {split: tuple(names) for split, names in splits.items()}
         fingerprint.write_manifest(self.layout)
         file = DatasetFile(

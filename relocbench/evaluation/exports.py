@@ -42,7 +42,13 @@ class QueryPose:
 
 
 def export_poses(
-    dataset: Dataset, pair_sets: Sequence[str], format: ExportFormat, out: Path, results: Path, method: str | None
+    dataset: Dataset,
+    pair_sets: Sequence[str],
+    format: ExportFormat,
+    out: Path,
+    results: Path,
+    method: str | None,
+    relocalization_files: Sequence[Path] = (),
 ) -> list[Path]:
     """Export pair sets of a dataset; the files or folders that were written are returned.
 
@@ -50,13 +56,14 @@ def export_poses(
         out: folder for ``PAIRSET.txt`` (tum, kitti) or ``PAIRSET/`` (colmap); for mlad the zip itself.
         results: the results folder that holds the predictions.
         method: whose predictions; None for the ground truth.
+        relocalization_files: for mlad, the challenge's files whose names and line order the zip takes.
 
     Raises:
         PredictionError: no such predictions, none with a pose, or ground truth that is withheld.
     """
     lines = {name: _lines_of(dataset, name, results, method) for name in pair_sets}
     if format == "mlad":
-        export_mlad(dataset, lines, out)
+        export_mlad(dataset, lines, out, relocalization_files)
         return [out]
     written = []
     for name, predictions in lines.items():

@@ -79,6 +79,9 @@ def write_pairs(
         sigma_translation_m=sigma_translation_m,
         sigma_rotation_deg=sigma_rotation_deg,
     )
+    _note_unpaired(
+        traversals[query], camera, {p.query_timestamp_ns for p in pairs}, options, query == reference, reporter
+    )
     return write_pair_set(
         writer,
         reference,
@@ -90,3 +93,18 @@ def write_pairs(
         reporter=reporter,
         run=run,
     )
+
+
+def _note_unpaired(
+    query: Traversal, camera: str, paired: set[int], options: ImportOptions, same_traversal: bool, reporter: Reporter
+) -> None:
+    """Under the nearest rule every query frame should find its keyframe: what is left out is said."""
+    if options.pair_rule == "step" or (same_traversal and options.pair_rule is None):
+        return
+    frames = [t for t in query.timestamps(camera) if t in query.poses]
+    left_out = sum(t not in paired for t in frames)
+    if left_out:
+        reporter.note(
+            f"{query.name}: {left_out} of {len(frames)} query frames are in no pair, no keyframe is within "
+            f"--max-distance {options.max_distance:g} m and --max-angle {options.max_angle:g} deg"
+        )

@@ -112,7 +112,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         for query in others or [reference]:
             if reference.has_images and query.has_images and query.name in frames:
                 _write_by_rule(writer, reference, query, options, reporter, run)
-    return writer.finish({})
+    return writer.finish()
 
 
 @dataclass(frozen=True, eq=False)

@@ -143,7 +143,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
                 reporter=reporter,
                 run=run,
             )
-    return writer.finish({})
+    return writer.finish()
 
 
 def read_folder(root: Path, name: str) -> GenericFolder:

@@ -153,7 +153,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         run=run,
         numbers={reference.times[i]: i for i in reference.frames},
     )
-    return writer.finish({})
+    return writer.finish()
 
 
 def _find_sequences(sources: list[Path], options: Options) -> list[Sequence]:

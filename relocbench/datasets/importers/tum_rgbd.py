@@ -58,6 +58,8 @@ INTRINSICS: dict[Preset, Camera] = {
 class Options(ImportOptions):
     """Options of ``relocbench build-dataset tum-rgbd``."""
 
+    # A hand-held camera turns more than a car does.
+    max_angle: float = Field(90.0, gt=0, le=180, description="widest pair in degrees (nearest rule)")
     intrinsics: tuple[Literal["auto", "fr1", "fr2", "fr3", "ros-default"], ...] = Field(
         ("auto",),
         min_length=1,
@@ -163,7 +165,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         reporter=reporter,
         run=run,
     )
-    return writer.finish({})
+    return writer.finish()
 
 
 def _write_traversal(
