@@ -126,10 +126,11 @@ def match(first: Features, second: Features, ratio: float, mutual: bool) -> Indi
     best, second_best = np.array([[m.distance, n.distance] for m, n in two]).T
     nearest = np.array([m.trainIdx for m, _ in two])
     accepted = best < ratio * second_best
-    if mutual:
-        back = np.array([m.trainIdx for m in matcher.match(second.descriptors, first.descriptors)])
-        accepted &= back[nearest] == np.arange(len(first))
     index = np.flatnonzero(accepted)
+    if mutual and index.size:
+        # Only what passed the ratio test is asked back.
+        back = matcher.match(second.descriptors[nearest[index]], first.descriptors)
+        index = index[np.array([m.trainIdx for m in back]) == index]
     score = best[index] / np.maximum(second_best[index], 1e-12)
     order = np.lexsort((index, score))
     index = index[order]

@@ -157,7 +157,7 @@ class PairSet:
         """Accepted and rejected, in the table's order."""
         return pairfile.read_pairs(self.layout.pair_file(self.name), self.layout.pair_table(self.name))
 
-    @property
+    @cached_property
     def pairs(self) -> list[Pair]:
         """What a method is asked and scored on: the accepted ones."""
         return [p for p in self.all_pairs if p.accepted]
@@ -231,7 +231,9 @@ class Dataset:
         if name not in self.pair_set_names:
             known = ", ".join(self.pair_set_names) or "none"
             raise DatasetError(f"no pair set '{name}'; there is {known}", self.root)
-        return PairSet(self.layout, name)
+        if name not in self._pair_sets:
+            self._pair_sets[name] = PairSet(self.layout, name)
+        return self._pair_sets[name]
 
     def pair_sets(self, split: str | None = None) -> list[PairSet]:
         """All pair sets, or those of one split. Raises DatasetError on an unknown split."""
@@ -250,6 +252,10 @@ class Dataset:
     def query(self, pair_set: PairSet, pair: Pair) -> Query:
         """The tracker's view of a pair's query."""
         return self.traversal(pair_set.query).query(pair_set.camera, pair.query_timestamp_ns)
+
+    @cached_property
+    def _pair_sets(self) -> dict[str, PairSet]:
+        return {}
 
     @cached_property
     def _traversals(self) -> dict[str, Traversal]:

@@ -8,8 +8,10 @@ when written.
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -81,12 +83,12 @@ class Pair:
     def key(self) -> PairKey:
         return self.ref_timestamp_ns, self.query_timestamp_ns
 
-    @property
+    @cached_property
     def distance_m(self) -> float | None:
         """Between the camera centres."""
         return None if self.T_query_ref is None else float(np.linalg.norm(self.T_query_ref[:3, 3]))
 
-    @property
+    @cached_property
     def angle_deg(self) -> float | None:
         """Between the viewing directions and about them."""
         if self.T_query_ref is None:
@@ -107,38 +109,50 @@ def read_pose_lines(
         RelocbenchError: (as ``error``) with file and line: wrong number of columns, no number, a value that is not
             finite, a quaternion that is not of norm 1, a pair that occurs twice.
     """
-    lines: list[PoseLine] = []
-    seen: dict[PairKey, int] = {}
+    keys: dict[PairKey, int] = {}
+    poses: dict[int, list[float]] = {}
     for number, fields in read_rows(path, "a relocalization file (ref_ts query_ts [tx ty tz qx qy qz qw])", error):
         if len(fields) not in (2, 9):
-            raise error(
-                f"expected 2 or 9 columns (ref_ts query_ts [{_POSE_COLUMNS}]), found {len(fields)}",
-                path,
-                number,
-            )
+            wanted = f"expected 2 or 9 columns (ref_ts query_ts [{_POSE_COLUMNS}])"
+            raise error(f"{wanted}, found {len(fields)}", path, number)
         key = parse_timestamp(fields[0], path, number, error), parse_timestamp(fields[1], path, number, error)
-        if key in seen:
-            raise error(f"pair {key[0]} {key[1]} occurs again (first on line {seen[key]})", path, number)
-        seen[key] = number
+        if key in keys:
+            raise error(f"pair {key[0]} {key[1]} occurs again (first on line {keys[key]})", path, number)
+        keys[key] = number
         withheld = len(fields) == 2 or (allow_non_finite and _any_non_finite(fields[2:]))
-        pose = None if withheld else parse_pose(fields[2:], path, number, error)
-        lines.append(PoseLine(*key, pose, number))
-    return lines
+        if not withheld:
+            poses[number] = parse_pose_numbers(fields[2:], path, number, error)
+    values = np.array(list(poses.values()), dtype=np.float64).reshape(-1, 7)
+    transforms = dict(zip(poses, transform_from_tq(values[:, :3], values[:, 3:]), strict=True))
+    return [PoseLine(*key, transforms.get(number), number) for key, number in keys.items()]
+
+
+def parse_pose_numbers(
+    fields: list[str], path: Path, line: int, error: type[RelocbenchError] = DatasetError
+) -> list[float]:
+    """``tx ty tz qx qy qz qw`` as seven finite numbers with a unit quaternion. Raises ``error`` with file and line."""
+    values = parse_floats(fields, path, line, _POSE_COLUMNS, error)
+    norm = math.hypot(*values[3:])
+    if abs(norm - 1.0) > QUATERNION_TOLERANCE:
+        raise error(f"quaternion qx qy qz qw has norm {norm:.6g}, expected 1", path, line)
+    return values
 
 
 def parse_pose(fields: list[str], path: Path, line: int, error: type[RelocbenchError] = DatasetError) -> Array:
     """(4, 4) of ``tx ty tz qx qy qz qw``. Raises ``error`` with file and line."""
-    values = parse_floats(fields, path, line, _POSE_COLUMNS, error)
-    norm = float(np.linalg.norm(values[3:]))
-    if abs(norm - 1.0) > QUATERNION_TOLERANCE:
-        raise error(f"quaternion qx qy qz qw has norm {norm:.6g}, expected 1", path, line)
+    values = parse_pose_numbers(fields, path, line, error)
     return transform_from_tq(values[:3], values[3:])
 
 
 def pose_fields(transform: Array) -> list[str]:
     """``tx ty tz qx qy qz qw`` in the fewest digits that read back to the same numbers."""
     translation, quaternion = transform_to_tq(transform)
-    return [repr(float(v) + 0.0) for v in (*translation, *quaternion)]
+    return number_fields([*translation.tolist(), *quaternion.tolist()])
+
+
+def number_fields(pose: Sequence[float]) -> list[str]:
+    """Seven numbers as text, in the fewest digits that read back to the same numbers; -0 is written as 0."""
+    return [repr(value + 0.0) for value in pose]
 
 
 def write_pose_lines(path: Path, lines: Sequence[PoseLine]) -> None:

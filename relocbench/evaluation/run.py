@@ -23,13 +23,13 @@ import numpy as np
 
 from relocbench.datasets.dataset import Dataset, PairSet, Traversal
 from relocbench.datasets.layout import DatasetLayout
-from relocbench.datasets.pairfile import PairKey, PoseLine, write_pose_lines
+from relocbench.datasets.pairfile import PairKey, number_fields, parse_pose_numbers
 from relocbench.datasets.writer import versions
 from relocbench.errors import PredictionError
 from relocbench.evaluation.results import Answer, DatasetResults, MethodResults, RunRecord, read_answers, write_answers
 from relocbench.execution import chunks, default_workers, run_units
-from relocbench.files import dump_yaml, read_journal, remove_parts, write_text
-from relocbench.geometry import transform_from_tq, transform_to_tq
+from relocbench.files import dump_yaml, read_journal, read_rows, remove_parts, write_text
+from relocbench.geometry import transform_to_tq
 from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
 from relocbench.progress import Reporter
 from relocbench.tracking import Query, SupportsBatch, SupportsPrepare, TrackResult, fault_of
@@ -144,13 +144,15 @@ def _run_unit(unit: Unit) -> int:
     with _open_journal(unit.journal) as stream:
         for batch in chunks(unit.keys, _BATCH if isinstance(tracker, SupportsBatch) else 1):
             views = [queries.query(unit.camera, key[1]) for key in batch]
+            seconds: float | None
             if breach is not None:
-                answered, seconds = [breach] * len(batch), 0.0
+                answered, seconds = [breach] * len(batch), None
             else:
                 _warm_up(tracker, prepared, views[0], unit.spec)
                 answered, seconds = _ask(tracker, prepared, views)
             for key, result in zip(batch, answered, strict=True):
-                stream.write(json.dumps(_entry(key, result, seconds / len(batch))) + "\n")
+                each = None if seconds is None else seconds / len(batch)
+                stream.write(json.dumps(_entry(key, result, each)) + "\n")
             stream.flush()
     return len(unit.keys)
 
@@ -194,7 +196,7 @@ def _warm_up(tracker: Any, prepared: Any, view: Query, spec: MethodSpec) -> None
     _ask(tracker, prepared, [view])
 
 
-def _entry(key: PairKey, result: TrackResult, seconds: float) -> dict[str, Any]:
+def _entry(key: PairKey, result: TrackResult, seconds: float | None) -> dict[str, Any]:
     pose = None
     if result.T_query_ref is not None:
         translation, quaternion = transform_to_tq(np.asarray(result.T_query_ref, dtype=np.float64))
@@ -222,7 +224,7 @@ def _lose_one(unit: Unit) -> int:
     culprit = next(key for key in unit.keys if key not in done)
     with _open_journal(unit.journal) as stream:
         result = _broken("the worker process died twice on this pair (out of memory, or a crash in native code)")
-        stream.write(json.dumps(_entry(culprit, result, 0.0)) + "\n")
+        stream.write(json.dumps(_entry(culprit, result, None)) + "\n")
     return 1
 
 
@@ -234,13 +236,15 @@ def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
     for pair in pair_set.pairs:
         entry = entries[pair.key]
         if entry["pose"] is not None:
-            lines.append(PoseLine(*pair.key, transform_from_tq(entry["pose"][:3], entry["pose"][3:])))
+            lines.append(" ".join([*map(str, pair.key), *number_fields(entry["pose"])]) + "\n")
         answers.append(
             Answer(pair.key, entry["status"], entry["seconds"], entry["confidence"], entry["message"], entry["info"])
         )
-    write_pose_lines(folder.predictions(pair_set.name), lines)
+    write_text(folder.predictions(pair_set.name), "".join(lines))
     write_answers(folder.answers(pair_set.name), answers)
     shutil.rmtree(journal)
+    if not any(journal.parent.iterdir()):
+        journal.parent.rmdir()
 
 
 def _open_pairs(folder: MethodResults, pair_set: PairSet, overwrite: Overwrite) -> list[PairKey]:
@@ -259,17 +263,19 @@ def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str
 
     if not folder.complete(pair_set.name):
         return
-    poses = read_predictions(folder.predictions(pair_set.name), pair_set)
+    path = folder.predictions(pair_set.name)
+    read_predictions(path, pair_set)
+    # The numbers as they stand: what is kept is written again to the same bytes.
+    poses = {
+        (int(fields[0]), int(fields[1])): parse_pose_numbers(fields[2:], path, number, PredictionError)
+        for number, fields in read_rows(path, "predictions", PredictionError)
+    }
     for key, answer in read_answers(folder.answers(pair_set.name)).items():
         if key not in pair_set.by_key:
             raise PredictionError(f"unknown pair {key[0]} {key[1]}", folder.answers(pair_set.name))
-        pose = None
-        if key in poses:
-            translation, quaternion = transform_to_tq(poses[key])
-            pose = [*translation.tolist(), *quaternion.tolist()]
         yield {
             "key": key,
-            "pose": pose,
+            "pose": poses.get(key),
             "status": answer.status,
             "seconds": answer.seconds,
             "confidence": answer.confidence,
