@@ -96,6 +96,16 @@ class Pair:
         return float(np.degrees(rotation_angle(self.T_query_ref[:3, :3])))
 
 
+def distances_and_angles(pairs: Sequence[Pair]) -> list[tuple[float | None, float | None]]:
+    """``distance_m`` and ``angle_deg`` of many pairs at once, which is much faster than one by one."""
+    known = [p.T_query_ref for p in pairs if p.T_query_ref is not None]
+    T = np.array(known, dtype=np.float64).reshape(-1, 4, 4)
+    distances = np.linalg.norm(T[:, :3, 3], axis=1).tolist()
+    angles = np.degrees(rotation_angle(T[:, :3, :3])).tolist()
+    values = iter(zip(distances, angles, strict=True))
+    return [(None, None) if p.T_query_ref is None else next(values) for p in pairs]
+
+
 def read_pose_lines(
     path: Path, error: type[RelocbenchError] = DatasetError, *, allow_non_finite: bool = False
 ) -> list[PoseLine]:
@@ -171,14 +181,14 @@ def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> Non
     with atomic_write(pair_table) as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(TABLE_COLUMNS)
-        for p in pairs:
+        for p, (distance_m, angle_deg) in zip(pairs, distances_and_angles(pairs), strict=True):
             table.writerow(
                 [
                     p.ref_timestamp_ns,
                     p.query_timestamp_ns,
                     p.group,
-                    _number(p.distance_m),
-                    _number(p.angle_deg),
+                    _number(distance_m),
+                    _number(angle_deg),
                     _number(p.overlap),
                     _number(p.sigma_translation_m),
                     _number(p.sigma_rotation_deg),

@@ -19,7 +19,7 @@ from pydantic import Field
 
 from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.fingerprint import SHORT
-from relocbench.datasets.pairfile import Pair, PairKey
+from relocbench.datasets.pairfile import PairKey, distances_and_angles
 from relocbench.datasets.schema import Strict
 from relocbench.errors import PredictionError
 from relocbench.files import atomic_write, dump_yaml, load_yaml, parse_floats, parse_timestamp, read_text, write_text
@@ -290,6 +290,7 @@ def _dataset_record(dataset: Dataset) -> DatasetRecord:
 
 def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
     pairs = pair_set.pairs
+    between = distances_and_angles(pairs)
     return PairSetRecord(
         reference=pair_set.reference,
         query=pair_set.query,
@@ -300,16 +301,16 @@ def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
         rejected=len(pair_set.rejected),
         has_truth=pair_set.has_truth,
         groups=tuple(dict.fromkeys(p.group for p in pairs if p.group)),
-        **{f"median_{name}": _median(pairs, name) for name in _MEDIANS},
+        median_distance_m=_median([distance for distance, _ in between]),
+        median_angle_deg=_median([angle for _, angle in between]),
+        median_sigma_translation_m=_median([p.sigma_translation_m for p in pairs]),
+        median_sigma_rotation_deg=_median([p.sigma_rotation_deg for p in pairs]),
     )
 
 
-_MEDIANS = ("distance_m", "angle_deg", "sigma_translation_m", "sigma_rotation_deg")
-
-
-def _median(pairs: Sequence[Pair], name: str) -> float | None:
-    values = [v for p in pairs if (v := getattr(p, name)) is not None]
-    return round(float(np.median(values)), 6) if values else None
+def _median(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return round(float(np.median(known)), 6) if known else None
 
 
 def _rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:

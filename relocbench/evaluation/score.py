@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import relocbench
 from relocbench.datasets.dataset import Dataset, PairSet
-from relocbench.datasets.pairfile import Pair, PairKey, read_pose_lines
+from relocbench.datasets.pairfile import Pair, PairKey, distances_and_angles, read_pose_lines
 from relocbench.errors import PredictionError
 from relocbench.evaluation.results import (
     Answer,
@@ -89,9 +89,10 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> list[PairErrors]
     T_gt = np.array([p.T_query_ref for p in pairs], dtype=np.float64).reshape(-1, 4, 4)
     errors = pose_errors(T_pred, T_gt, answered=[p.key in poses for p in pairs])
     return [
-        _row(pair, answers.get(pair.key, _unreported(pair, poses)), *values)
-        for pair, *values in zip(
+        _row(pair, answers.get(pair.key) or _unreported(pair, poses), *between, *values)
+        for pair, between, *values in zip(
             pairs,
+            distances_and_angles(pairs),
             errors.rotation_error_deg.tolist(),
             errors.translation_error_m.tolist(),
             errors.mlad_translation_error_m.tolist(),
@@ -137,7 +138,15 @@ def predictions_hash(folder: MethodResults, pair_set: str) -> str:
     return digest.hexdigest()
 
 
-def _row(pair: Pair, answer: Answer, rotation: float, translation: float, mlad: float) -> PairErrors:
+def _row(
+    pair: Pair,
+    answer: Answer,
+    distance_m: float | None,
+    angle_deg: float | None,
+    rotation: float,
+    translation: float,
+    mlad: float,
+) -> PairErrors:
     answered = math.isfinite(translation)
     status = answer.status if answered or answer.status != "ok" else "failed"
     return PairErrors(
@@ -149,8 +158,8 @@ def _row(pair: Pair, answer: Answer, rotation: float, translation: float, mlad: 
         mlad_translation_error_m=mlad,
         confidence=answer.confidence,
         seconds=answer.seconds,
-        distance_m=pair.distance_m,
-        angle_deg=pair.angle_deg,
+        distance_m=distance_m,
+        angle_deg=angle_deg,
         sigma_translation_m=pair.sigma_translation_m,
         sigma_rotation_deg=pair.sigma_rotation_deg,
     )
