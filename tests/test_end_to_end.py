@@ -1,0 +1,109 @@
+"""Recording -> dataset -> predictions -> scores -> leaderboard, by the commands a user types."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import pytest
+from command_line import relocbench
+
+from relocbench.evaluation.results import PairErrors, all_results, read_errors
+
+pytestmark = pytest.mark.slow
+METHODS = ("-m", "identity", "-m", "orb-pnp", "-m", "dso")
+
+
+def run(*arguments: object) -> str:
+    outcome = relocbench(*arguments)
+    assert outcome.status == 0, outcome.err
+    return outcome.out
+
+
+def errors_by_method(results: Path) -> dict[str, list[PairErrors]]:
+    (folder,) = all_results(results)
+    (pair_set,) = folder.record.pair_sets
+    return {m.label: read_errors(m.errors(pair_set)) for m in folder.methods()}
+
+
+def medians(rows: list[PairErrors], *groups: str) -> tuple[float, float]:
+    """(metres, degrees) over all pairs of the groups, failed ones included."""
+    chosen = [r for r in rows if r.group in groups]
+    assert chosen
+    return median(r.translation_error_m for r in chosen), median(r.rotation_error_deg for r in chosen)
+
+
+def board_rows(board: Path) -> list[dict[str, str]]:
+    with (board / "leaderboard.csv").open(encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_the_whole_line_on_a_small_rendered_street(tmp_path: Path) -> None:
+    dataset, results, board = tmp_path / "d", tmp_path / "r", tmp_path / "b"
+    built = json.loads(
+        run("build-dataset", "scene", "--out", dataset, "--frames", "6", "--width", "160", "--height", "120", "--json")
+    )
+    assert "no fault" in run("validate", dataset)
+    run("evaluate", "-d", dataset, *METHODS, "--out", results, "-q")
+    run("leaderboard", results, "--out", board, "-q")
+    rows = board_rows(board)
+    assert {r["method"] for r in rows} == {"identity", "orb-pnp", "dso"}
+    assert {r["fingerprint"] for r in rows} == {built["fingerprint"]}
+    page = (board / "leaderboard.md").read_text()
+    assert built["fingerprint"][:12] in page
+    assert list((board / "curves").glob("*.png"))
+    again = tmp_path / "b2"
+    run("evaluate", "-d", dataset, *METHODS, "--out", results, "-q")
+    run("leaderboard", results, "--out", again, "-q")
+    for path in sorted(p for p in board.rglob("*") if p.is_file()):
+        assert (again / path.relative_to(board)).read_bytes() == path.read_bytes(), path.name
+
+
+def test_kitti_is_tracked_to_centimetres_and_what_fails_farther_off_is_in_the_table(
+    tmp_path: Path, real_data: Callable[[str], Path]
+) -> None:
+    dataset, results, board = tmp_path / "d", tmp_path / "r", tmp_path / "b"
+    source = real_data("kitti_odometry")
+    run("build-dataset", "kitti", source, "--sequence", "06", "--pair-step", "1,2,4,8", "--out", dataset, "-q")
+    run("evaluate", "-d", dataset, *METHODS, "--out", results, "-q")
+    run("leaderboard", results, "--out", board, "-q")
+    errors = errors_by_method(results)
+    for method in ("orb-pnp", "dso"):
+        metres, degrees = medians(errors[method], "step_1", "step_2")
+        assert metres <= 0.05, method
+        assert degrees <= 0.1, method
+    assert medians(errors["identity"], "step_1", "step_2")[0] > 1.0
+    # The basin of raw intensities ends between 2.4 m and 4.8 m (reference/direct alignment on these frames).
+    assert medians(errors["dso"], "step_4")[0] > 1.0
+    shown = {(r["method"], r["group"]) for r in board_rows(board)}
+    assert {(m, f"step_{k}") for m in errors for k in (1, 2, 4, 8)} <= shown
+
+
+def test_a_desk_is_tracked_within_a_session_and_failures_across_sessions_count(
+    tmp_path: Path, real_data: Callable[[str], Path]
+) -> None:
+    source = real_data("tum_rgbd")
+    xyz, desk = source / "rgbd_dataset_freiburg1_xyz", source / "rgbd_dataset_freiburg1_desk"
+    run("build-dataset", "tum-rgbd", xyz, "--pair-step", "1,2,4", "--out", tmp_path / "d", "-q")
+    run("evaluate", "-d", tmp_path / "d", *METHODS, "--out", tmp_path / "r", "-q")
+    for method, rows in errors_by_method(tmp_path / "r").items():
+        metres, degrees = medians(rows, "step_1", "step_2", "step_4")
+        if method != "identity":
+            assert metres <= 0.015, method
+            assert degrees <= 0.6, method
+    run("build-dataset", "tum-rgbd", xyz, desk, "--out", tmp_path / "d2", "-q")
+    report: dict[str, Any] = json.loads(
+        run("evaluate", "-d", tmp_path / "d2", *METHODS, "--out", tmp_path / "r2", "--json")
+    )
+    for method, rows in errors_by_method(tmp_path / "r2").items():
+        assert len(rows) == 9, "every frame of the second session is a query"
+        failed = sum(r.status != "ok" for r in rows)
+        assert sum(math.isinf(r.translation_error_m) for r in rows) == failed
+        (summary,) = (groups["all"] for groups in report["methods"][method].values())
+        assert summary["coverage"] == pytest.approx(1 - failed / 9)
+    assert any(r.status != "ok" for r in errors_by_method(tmp_path / "r2")["dso"])
