@@ -1,7 +1,8 @@
 VENV ?= .venv
 RUN := $(VENV)/bin
+RECORDINGS ?= ../shared/data
 
-.PHONY: help setup test lint format demo bench docs constraints clean
+.PHONY: help setup test lint format demo bench docs leaderboard constraints clean
 
 help:            ## list the targets
 	@grep -hE '^[a-z]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 16
@@ -33,6 +34,9 @@ bench: setup     ## every benchmark; each prints one JSON line last
 docs: setup      ## check links and commands of docs/ and README.md, build the pages into site/
 	$(RUN)/python tools/check_docs.py
 	$(RUN)/mkdocs build --quiet --strict
+
+leaderboard: setup ## make the published results again (RECORDINGS=folder of kitti_odometry/ and tum_rgbd/)
+	tools/publish_leaderboard.sh $(RECORDINGS)
 
 constraints: setup ## pin the newest versions that fit
 	$(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --upgrade --generate-hashes \

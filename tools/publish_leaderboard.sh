@@ -1,0 +1,28 @@
+#!/usr/bin/env bash
+# Make the results in leaderboard/ again: datasets and predictions in a scratch folder, tables and curves in the repository.
+#   tools/publish_leaderboard.sh RECORDINGS [SCRATCH]
+# RECORDINGS holds kitti_odometry/ (official layout, sequence 06) and tum_rgbd/ (freiburg1_xyz, freiburg1_desk).
+set -euo pipefail
+recordings=$(realpath "${1:?usage: tools/publish_leaderboard.sh RECORDINGS [SCRATCH]}")
+scratch=${2:-$(mktemp -d)}
+cd "$(dirname "$0")/.."
+export PATH="$PWD/${VENV:-.venv}/bin:$PATH"
+
+kitti=$recordings/kitti_odometry
+xyz=$recordings/tum_rgbd/rgbd_dataset_freiburg1_xyz
+desk=$recordings/tum_rgbd/rgbd_dataset_freiburg1_desk
+by_nc="CC BY-NC-SA 3.0 (KITTI)"
+by="CC BY 4.0 (TUM RGB-D)"
+
+relocbench build-dataset kitti "$kitti" --sequence 06 --pair-step 1,2,4,8 --licence "$by_nc" --out "$scratch/kitti_06" -q
+relocbench build-dataset tum-rgbd "$xyz" --pair-step 1,2,4 --name fr1_xyz --licence "$by" --out "$scratch/fr1_xyz" -q
+relocbench build-dataset tum-rgbd "$xyz" "$desk" --name fr1_xyz_to_desk --licence "$by" --out "$scratch/fr1_xyz_to_desk" -q
+relocbench build-dataset scene --out "$scratch/scene" -q
+
+for dataset in kitti_06 fr1_xyz fr1_xyz_to_desk scene; do
+  relocbench evaluate -d "$scratch/$dataset" --out "$scratch/results" --workers 1 --overwrite always -q \
+    -m identity -m orb-pnp -m sift-pnp -m dso -m dso-full-cutoff=dso --set dso-full-cutoff.cutoff_levels=16 \
+    -m dso-multistart
+done
+rm -rf leaderboard/curves leaderboard/*.csv leaderboard/leaderboard.md
+relocbench leaderboard "$scratch/results" --out leaderboard
