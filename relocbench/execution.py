@@ -187,7 +187,11 @@ def _run_on_cluster(
     except (OSError, TimeoutError, ValueError) as bad:
         raise ConfigError(f"no Dask scheduler answers at {scheduler} ({bad})") from None
     with client:
-        threads = sum(client.nthreads().values()) or 1
+        threads_of = client.nthreads()
+        if any(threads > 1 for threads in threads_of.values()):
+            # Workers keep trackers, and a tracker need not be safe to call from two threads at once.
+            raise ConfigError(f"workers of {scheduler} run several threads each; start them with --nthreads 1")
+        threads = len(threads_of) or 1
         waiting = deque(range(len(units)))
 
         def submit(index: int) -> Any:

@@ -102,6 +102,16 @@ def test_a_dask_cluster_gives_the_same_results() -> None:
     assert results == {i: i * i for i in range(9)}
 
 
+@pytest.mark.slow
+def test_workers_with_several_threads_are_refused() -> None:
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as cluster,
+        pytest.raises(ConfigError, match="--nthreads 1"),
+    ):
+        list(run_units(square, [1, 2], scheduler=cluster.scheduler_address))
+
+
 def test_chunks_keep_order_and_size() -> None:
     rng = np.random.default_rng(0)
     for n in rng.integers(0, 20, 10):
