@@ -1,0 +1,124 @@
+"""Triangles of a district, with what the renderer and the truth must know of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Material(IntEnum):
+    """What a triangle is made of; the renderer knows how each looks, dry and wet, under snow and at night."""
+
+    ASPHALT = 0
+    COBBLES = 1
+    PAVEMENT = 2
+    KERB = 3
+    LANE_MARKING = 4
+    GRASS = 5
+    SOIL = 6
+    BRICK = 7
+    PLASTER = 8
+    STONE = 9
+    CONCRETE = 10
+    ROOF_TILES = 11
+    ROOF_FLAT = 12
+    WINDOW = 13
+    """glass in a wall; reflects the sky, some are lit at night"""
+    SHOP_WINDOW = 14
+    DOOR = 15
+    SHOP_SIGN = 16
+    WOOD = 17
+    METAL = 18
+    BARK = 19
+    LEAF = 20
+    HEDGE = 21
+    CAR_PAINT = 22
+    CAR_GLASS = 23
+    RUBBER = 24
+    TRAFFIC_SIGN = 25
+    LAMP = 26
+    """the shining part of a street lamp or headlight"""
+    PLASTIC = 27
+
+
+class Semantic(IntEnum):
+    """Class of an object, as written to semantic masks."""
+
+    NONE = 0
+    ROAD = 1
+    PAVEMENT = 2
+    MARKING = 3
+    TERRAIN = 4
+    BUILDING = 5
+    TREE = 6
+    HEDGE = 7
+    POLE = 8
+    SIGN = 9
+    FURNITURE = 10
+    PARKED_CAR = 11
+    MOVING_CAR = 12
+    SKY = 255
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """T triangles over V vertices."""
+
+    vertices: NDArray[np.float32]
+    """(V, 3) metres, world frame"""
+    triangles: NDArray[np.uint32]
+    """(T, 3) rows of :attr:`vertices`, counter-clockwise seen from outside"""
+    uv: NDArray[np.float32]
+    """(T, 3, 2) coordinates of the corners on their surface, in metres, so that a texture has one density everywhere"""
+    material: NDArray[np.uint8]
+    """(T,) :class:`Material`"""
+    semantic: NDArray[np.uint8]
+    """(T,) :class:`Semantic`"""
+    instance: NDArray[np.uint32]
+    """(T,) object: one building, one car, one tree; unique in a district, 0 is the ground"""
+    variant: NDArray[np.uint32]
+    """(T,) seed of the object's own look (colour, pattern)"""
+    rank: NDArray[np.float32]
+    """(T,) in [0, 1]: a leaf is there when the foliage exceeds its rank; 0 for what is always there"""
+
+    def __post_init__(self) -> None:
+        t = len(self.triangles)
+        shapes = {
+            "vertices": (len(self.vertices), 3),
+            "triangles": (t, 3),
+            "uv": (t, 3, 2),
+            **{name: (t,) for name in ("material", "semantic", "instance", "variant", "rank")},
+        }
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"mesh: {name} is {getattr(self, name).shape}, expected {shape}")
+
+    def __len__(self) -> int:
+        return len(self.triangles)
+
+    def select(self, keep: NDArray[np.bool_]) -> Mesh:
+        """The triangles (T,) that are marked; all vertices stay."""
+        return Mesh(
+            self.vertices,
+            *(
+                getattr(self, n)[keep]
+                for n in ("triangles", "uv", "material", "semantic", "instance", "variant", "rank")
+            ),
+        )
+
+
+def merge(meshes: Sequence[Mesh]) -> Mesh:
+    """One mesh of several, in order; instance numbers are kept as they are."""
+    offsets = np.cumsum([0, *(len(m.vertices) for m in meshes)])[:-1]
+    return Mesh(
+        np.concatenate([m.vertices for m in meshes]).astype(np.float32),
+        np.concatenate([m.triangles + np.uint32(o) for m, o in zip(meshes, offsets, strict=True)]).astype(np.uint32),
+        *(
+            np.concatenate([getattr(m, name) for m in meshes])
+            for name in ("uv", "material", "semantic", "instance", "variant", "rank")
+        ),
+    )
