@@ -91,7 +91,7 @@ class Mesh:
             "vertices": (len(self.vertices), 3),
             "triangles": (t, 3),
             "uv": (t, 3, 2),
-            **{name: (t,) for name in ("material", "semantic", "instance", "variant", "rank")},
+            **dict.fromkeys(("material", "semantic", "instance", "variant", "rank"), (t,)),
         }
         for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
