@@ -9,6 +9,7 @@ import re
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
+from decimal import ROUND_HALF_UP, Decimal
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
@@ -19,6 +20,10 @@ from relocbench.errors import RelocbenchError
 
 Model = TypeVar("Model", bound=BaseModel)
 _INTEGER = re.compile(r"[+-]?[0-9]+")
+_MOST_NS = 2**63 - 1
+"""times are kept as 64-bit integers"""
+_MOST_DIGITS = 30
+_MOST_SECONDS = 9_000_000_000
 _DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
@@ -36,6 +41,9 @@ def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
             stream.flush()
             os.fsync(stream.fileno())
         part.replace(path)
+    except OSError as bad:
+        bad.filename = bad.filename or str(path)  # a full disk does not say which file did not fit
+        raise
     finally:
         part.unlink(missing_ok=True)
 
@@ -69,7 +77,8 @@ def remove_parts(folder: Path) -> None:
 def read_text(path: Path, what: str, error: type[RelocbenchError] = RelocbenchError) -> str:
     """The text of a UTF-8 file. Raises ``error`` naming the file and what it should have been."""
     try:
-        return path.read_text(encoding="utf-8")
+        # Editors on Windows begin a file with a byte order mark, which is no part of its first word.
+        return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise error(f"missing; expected {what}", path) from None
     except IsADirectoryError:
@@ -113,6 +122,8 @@ def parse_timestamp(
     """Integer nanoseconds. Raises ``error`` with file and line."""
     if not _INTEGER.fullmatch(text):
         raise error(f"'{text}' is not a timestamp in integer nanoseconds", path, line)
+    if len(text) > _MOST_DIGITS or abs(int(text)) > _MOST_NS:
+        raise error(f"{text[:30]} is out of range; expected nanoseconds that fit 64 bits", path, line)
     return int(text)
 
 
@@ -120,13 +131,10 @@ def seconds_to_ns(text: str) -> int:
     """Decimal seconds as integer nanoseconds, digit by digit (a float would lose 128 ns today). Raises ValueError."""
     if not _DECIMAL.fullmatch(text):
         raise ValueError(f"'{text}' is not a decimal number")
-    sign, text = (-1, text[1:]) if text.startswith("-") else (1, text.removeprefix("+"))
-    if "e" in text.lower():
-        return sign * round(float(text) * 1e9)
-    whole, _, fraction = text.partition(".")
-    digits = (fraction + "000000000")[:10]
-    rounded = int(digits[:9]) + (len(digits) > 9 and digits[9] >= "5")
-    return sign * (int(whole or "0") * 1_000_000_000 + rounded)
+    seconds = Decimal(text)
+    if not -_MOST_SECONDS < seconds < _MOST_SECONDS:
+        raise ValueError(f"'{text}' is out of range")
+    return int((seconds * 1_000_000_000).to_integral_value(ROUND_HALF_UP))
 
 
 def sha256_file(path: Path) -> str:

@@ -17,6 +17,7 @@ from relocbench.files import (
     link_file,
     load_yaml,
     parse_floats,
+    parse_timestamp,
     read_journal,
     read_rows,
     read_text,
@@ -60,8 +61,9 @@ def test_a_full_disk_leaves_no_part_behind(tmp_path: Path, monkeypatch: pytest.M
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("relocbench.files.os.fsync", full)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, match="No space left") as raised:
         write_bytes(tmp_path / "image.png", b"1234")
+    assert raised.value.filename == str(tmp_path / "image.png")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -103,6 +105,8 @@ def test_a_link_replaces_what_was_there_and_follows_to_the_source(tmp_path: Path
         (".5", 500_000_000),
         ("7", 7_000_000_000),
         ("1.5e3", 1_500_000_000_000),
+        ("1.602074877390449152e9", 1602074877390449152),
+        ("1602074877390449152e-9", 1602074877390449152),
     ],
 )
 def test_decimal_seconds_become_exact_nanoseconds(text: str, nanoseconds: int) -> None:
@@ -118,6 +122,25 @@ def test_no_nanosecond_is_lost_on_the_way_through_seconds(time: int) -> None:
 def test_what_is_no_decimal_number_of_seconds_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="is not a decimal number"):
         seconds_to_ns(text)
+
+
+@pytest.mark.parametrize("text", ["1e400", "-1e30", "9" * 40 + ".5", "1e99999999999"])
+def test_seconds_that_no_clock_shows_are_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="out of range"):
+        seconds_to_ns(text)
+
+
+def test_a_timestamp_beyond_64_bits_is_refused_with_its_line() -> None:
+    for text in (str(2**63), "-" + "9" * 5000):
+        with pytest.raises(RelocbenchError, match=r"pairs.txt:3: .* out of range"):
+            parse_timestamp(text, Path("pairs.txt"), 3)
+    assert parse_timestamp(str(2**63 - 1), Path("pairs.txt"), 3) == 2**63 - 1
+
+
+def test_a_byte_order_mark_is_no_part_of_the_first_word(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_bytes(b"\xef\xbb\xbf1 2\r\n3 4\r\n")
+    assert list(read_rows(path, "rows")) == [(1, ["1", "2"]), (2, ["3", "4"])]
 
 
 def test_rows_carry_their_line_numbers_past_comments_and_blank_lines(tmp_path: Path) -> None:

@@ -51,6 +51,8 @@ def parse_time(text: str) -> int:
         ValueError: neither.
     """
     if re.fullmatch(r"[+-]?[0-9]+", text):
+        if len(text) > 30 or abs(int(text)) >= 2**63:
+            raise ValueError(f"'{text[:30]}' is out of range: integer nanoseconds must fit 64 bits")
         return int(text)
     if re.fullmatch(r"[+-]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(\.[0-9]*)?[eE][+-]?[0-9]+)", text):
         return seconds_to_ns(text)
