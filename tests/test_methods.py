@@ -68,6 +68,31 @@ def test_a_mistake_is_named(text: str, settings: list[str], words: str) -> None:
         parse_method(text, settings).create()
 
 
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        ("1 / 0", r"cannot be imported: ZeroDivisionError: division by zero \(.*broken_method.py, line 1\)"),
+        ("class T(:", r"cannot be imported: SyntaxError: .*broken_method.py, line 1"),
+        ("import sys\nsys.exit(5)", "cannot be imported: SystemExit: 5"),
+        ("import no_such_module_here", "no module 'no_such_module_here'"),
+        (
+            "class T:\n  def __init__(self): raise OSError('no weights')\n  def track(self, *a): pass",
+            "OSError: no weights",
+        ),
+        ("class T:\n  def __init__(self): import no_such_module_here\n  def track(self, *a): pass", "No module named"),
+    ],
+)
+def test_a_method_that_cannot_be_loaded_is_one_line_that_says_where(
+    code: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken_method.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "broken_method", raising=False)
+    with pytest.raises(MethodError, match=words) as raised:
+        parse_method("broken_method:T").create()
+    assert "\n" not in str(raised.value)
+
+
 def test_two_methods_of_one_label_are_refused() -> None:
     with pytest.raises(MethodError, match="two methods are called 'identity'"):
         parse_methods(["identity", "identity"])

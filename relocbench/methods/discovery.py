@@ -14,7 +14,8 @@ from __future__ import annotations
 import difflib
 import inspect
 import sys
-from collections.abc import Mapping, Sequence
+import traceback
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module, metadata
 from pathlib import Path
@@ -24,7 +25,7 @@ import yaml
 from pydantic import TypeAdapter, ValidationError
 
 from relocbench.datasets.schema import check_name
-from relocbench.errors import MethodError
+from relocbench.errors import MethodError, RelocbenchError
 from relocbench.files import first_fault
 
 ENTRY_POINT_GROUP = "relocbench.methods"
@@ -43,7 +44,8 @@ class MethodSpec:
 
     def create(self) -> Any:
         """The tracker, constructed. Raises MethodError."""
-        return method_class(self.target)(**self.parameters)
+        factory = method_class(self.target)
+        return _of_theirs(f"method '{self.label}' cannot be made", lambda: factory(**self.parameters))
 
 
 @dataclass(frozen=True)
@@ -197,11 +199,7 @@ def _load_dotted(target: str) -> Any:
     # A class beside the user's data, without installing anything, as `python -m` would find it.
     if "" not in sys.path and str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
-    try:
-        module = import_module(module_name)
-    except ModuleNotFoundError as bad:
-        raise MethodError(f"method '{target}': no module '{bad.name}' (looked on the Python path and here)") from bad
-    found: Any = module
+    found = _of_theirs(f"method '{target}' cannot be imported", lambda: _import(module_name, target))
     for part in attribute.split("."):
         found = getattr(found, part, None)
     if found is None:
@@ -211,6 +209,26 @@ def _load_dotted(target: str) -> Any:
     if not callable(found):
         raise MethodError(f"method '{target}': '{attribute}' is not a class or function that makes a tracker")
     return found
+
+
+def _import(module_name: str, target: str) -> Any:
+    try:
+        return import_module(module_name)
+    except ModuleNotFoundError as bad:
+        raise MethodError(f"method '{target}': no module '{bad.name}' (looked on the Python path and here)") from bad
+
+
+def _of_theirs(failed: str, call: Callable[[], Any]) -> Any:
+    """What code that is not ours returns. Raises MethodError with what it raised, and where."""
+    try:
+        return call()
+    except RelocbenchError:
+        raise
+    except (Exception, SystemExit) as bad:
+        last = traceback.extract_tb(bad.__traceback__)[-1]
+        told = " ".join(str(bad).split())
+        place = "" if isinstance(bad, SyntaxError) else f" ({last.filename}, line {last.lineno})"
+        raise MethodError(f"{failed}: {type(bad).__name__}: {told}{place}") from bad
 
 
 def _validated(label: str, parameter: Parameter, value: Any, text: str) -> Any:
