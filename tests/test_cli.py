@@ -143,6 +143,15 @@ def test_an_interrupted_command_says_that_it_goes_on(dataset: Dataset, monkeypat
     monkeypatch.setattr("relocbench.evaluation.evaluate.evaluate_methods", interrupted)
     outcome = relocbench("evaluate", "-d", dataset.root, "-m", "identity")
     assert outcome.status == 130
+    assert "the same command goes on where it stopped" in outcome.err
+
+
+def test_what_the_system_refuses_is_one_line_with_the_file(dataset: Dataset, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    outcome = relocbench("evaluate", "-d", dataset.root, "-m", "identity", "--out", tmp_path / "file" / "results")
+    assert outcome.status == 2
+    assert outcome.err.strip().endswith("Not a directory")
+    assert str(tmp_path / "file") in outcome.err
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 
@@ -9,6 +10,11 @@ from relocbench.errors import RelocbenchError
 
 USER_ERROR = 2
 INTERRUPTED = 130
+_SURROUNDINGS = {
+    getattr(errno, name)
+    for name in ("EACCES", "EDQUOT", "EIO", "EISDIR", "ELOOP", "ENAMETOOLONG", "ENOSPC", "ENOTDIR", "EPERM", "EROFS")
+}
+"""what the system refuses: no mistake of the program"""
 
 
 def main() -> None:
@@ -20,9 +26,15 @@ def main() -> None:
     except RelocbenchError as bad:
         print(f"relocbench: {bad}", file=sys.stderr)
         sys.exit(USER_ERROR)
-    except KeyboardInterrupt:
-        print("relocbench: interrupted; the same command goes on where it stopped", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+    except SystemExit as done:
+        if done.code == INTERRUPTED:  # what typer makes of Ctrl-C
+            print("relocbench: interrupted; the same command goes on where it stopped", file=sys.stderr)
+        raise
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+    except OSError as bad:
+        if bad.errno not in _SURROUNDINGS or not bad.filename:
+            raise
+        print(f"relocbench: {bad.filename}: {bad.strerror}", file=sys.stderr)
+        sys.exit(USER_ERROR)
