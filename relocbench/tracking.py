@@ -167,6 +167,30 @@ class SupportsBatch(Protocol):
     ) -> Sequence[TrackResult]: ...
 
 
+@runtime_checkable
+class SupportsMatching(Protocol):
+    """Optional: say where single pixels of a reference are in a query, for the measure of matching quality.
+
+    ``uv_ref`` (N, 2) are pixels of the reference, ``uv_start`` (N, 2) pixels of the query to start from, float64,
+    centres at integers. The answer is (N, 2) pixels of the query, NaN where there is none. It is what the method's own
+    per-pixel Gauss-Newton walks to: each pixel is answered from its own start alone, whatever else is asked with it.
+    """
+
+    def match(self, reference: Any, query: Query, uv_ref: Array, uv_start: Array) -> Array: ...
+
+
+def match_fault_of(ends: object, count: int) -> str | None:
+    """What keeps ``ends`` from being the answer to ``count`` pixels, or None if nothing does."""
+    if not isinstance(ends, np.ndarray) or not np.issubdtype(ends.dtype, np.floating):
+        kind = f"an array of {ends.dtype}" if isinstance(ends, np.ndarray) else type(ends).__name__
+        return f"match returned {kind}, expected an array of floats"
+    if ends.shape != (count, 2):
+        return f"match returned shape {ends.shape}, expected ({count}, 2)"
+    if np.isinf(ends).any():
+        return "match returned an infinite pixel; no answer is NaN"
+    return None
+
+
 def fault_of(result: object) -> str | None:
     """What keeps ``result`` from being an answer in the sense of the contract, or None if nothing does."""
     if not isinstance(result, TrackResult):

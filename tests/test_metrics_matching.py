@@ -49,3 +49,11 @@ def test_starts_outside_the_groups_and_wrong_shapes_are_refused() -> None:
         matching_quality(np.zeros((2, 2)), np.zeros((1, 2)), [1.0])
     with pytest.raises(ValueError, match="matching needs"):
         matching_quality(np.zeros((0, 2)), np.zeros((0, 2)), [])
+
+
+def test_a_solver_that_does_not_move_finds_what_the_starts_found() -> None:
+    rng = np.random.default_rng(1)
+    truth, angle = rng.uniform(0, 500, (400, 2)), rng.uniform(0, 2 * np.pi, 400)
+    start = truth + np.repeat([1.0, 3.0], 200)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    quality = matching_quality(start, truth, start - truth)
+    assert quality.share == quality.start_share == {"match@1px": 0.5, "match@3px": 1.0}

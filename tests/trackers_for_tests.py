@@ -116,3 +116,42 @@ class Batched:
 
     def track_batch(self, reference: str, queries: list[Query], priors: list[Any]) -> list[TrackResult]:
         return [self.track(reference, query) for query in queries]
+
+
+@dataclass
+class Matching(Shift):
+    """Says of every pixel that it is where it was asked to start, moved by ``moves_px``; logs, breaks and dies as told.
+
+    Pixels of the left half of the reference it does not answer.
+    """
+
+    moves_px: float = 0.0
+    log: str = ""
+    raises_at: int = -1
+    dies_at: int = -1
+    answer: str = "pixels"
+
+    def match(self, reference: Reference, query: Query, uv_ref: Any, uv_start: Any) -> Any:
+        if self.log:
+            with Path(self.log).open("a") as stream:
+                stream.write(f"{reference.timestamp_ns} {query.timestamp_ns} {len(uv_start)}\n")
+        if query.timestamp_ns == self.raises_at:
+            raise ZeroDivisionError("on purpose")
+        if query.timestamp_ns == self.dies_at:
+            os.kill(os.getpid(), signal.SIGKILL)
+        ends = uv_start + np.array([self.moves_px, 0.0])
+        ends[uv_ref[:, 0] < reference.camera.width / 2] = np.nan
+        uv_start[:] = 0
+        return {"pixels": ends, "few": ends[1:], "words": "nowhere", "infinite": np.full_like(ends, np.inf)}[
+            self.answer
+        ]
+
+
+class MatchesTogether:
+    """Lets the pixels of one question influence each other."""
+
+    def track(self, reference: Any, query: Query, prior: Any = None) -> TrackResult:
+        return TrackResult(np.eye(4))
+
+    def match(self, reference: Reference, query: Query, uv_ref: Any, uv_start: Any) -> Any:
+        return uv_start - uv_start.mean(axis=0) if len(uv_start) else uv_start

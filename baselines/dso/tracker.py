@@ -8,19 +8,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product, takewhile
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from baselines.alignment import (
+    DSO_PATTERN,
     Alignment,
     LevelPoints,
+    MatchSettings,
     Settings,
     align_best,
     coarse_points,
     image_pyramid,
+    match_pixels,
     select_pixels,
 )
 from baselines.alignment.pyramid import Level
@@ -34,6 +37,8 @@ SMALL_ROTATION = 0.02
 LARGEST_LOG_GAIN = 1.2
 LARGEST_OFFSET = 200.0
 """grey levels; beyond these two DSO holds the tracking of consecutive frames for failed"""
+MATCH_DAMPING = 0.01
+"""where a single pixel is matched: what DSO's tracker damps its first step by"""
 MIN_VALID_SHARE = 0.1
 """of the reference's points must project into the query for an answer"""
 
@@ -46,6 +51,8 @@ class DsoReference:
     """finest first"""
     selected: int
     """points chosen, before they were carried to the levels"""
+    maps: tuple[Level, ...]
+    """the keyframe's pyramid, finest first"""
 
 
 def small_rotations() -> list[Array]:
@@ -106,7 +113,7 @@ class Dso:
         """
         levels = image_pyramid(reference.image, reference.camera, self.max_levels)
         chosen = self._choose(reference, levels)
-        return DsoReference(tuple(coarse_points(chosen, levels)), len(chosen))
+        return DsoReference(tuple(coarse_points(chosen, levels)), len(chosen), tuple(levels))
 
     def track(self, reference: DsoReference, query: Query, prior: Array | None = None) -> TrackResult:
         """Align a query to a prepared reference.
@@ -123,6 +130,27 @@ class Dso:
         # Few points of a sparse map can leave too few pixels on a coarse level: then a finer one is the first.
         usable = list(takewhile(lambda level: len(level) >= self.min_points, reference.levels))
         return self._answer(align_best(usable, levels, self._starts(first), self.settings))
+
+    def match(self, reference: DsoReference, query: Query, uv_ref: Array, uv_start: Array) -> Array:
+        """Where single pixels of the keyframe are in the query, by Gauss-Newton on raw intensities from given starts.
+
+        One intensity cannot place a pixel in two directions, so that the eight of DSO's residual pattern around it are
+        taken. The tracker's one gain and offset for the whole image are not known here: with ``affine`` mean and
+        contrast are taken out of each pattern instead.
+
+        Args:
+            uv_ref, uv_start: (N, 2) pixels of the keyframe, and of the query to start from.
+
+        Returns:
+            (N, 2) pixels of the query; NaN where the pattern leaves the image or has no contrast.
+
+        Raises:
+            MethodError: the camera is not pinhole.
+        """
+        levels = image_pyramid(query.image, query.camera, self.max_levels)
+        light: Literal["affine", "none"] = "affine" if self.settings.affine else "none"
+        settings = MatchSettings(DSO_PATTERN, light, damping=MATCH_DAMPING)
+        return match_pixels(reference.maps, levels, uv_ref, uv_start, settings)
 
     def _starts(self, first: Array) -> list[Array]:
         return [first]

@@ -29,6 +29,13 @@ def evaluate(
         Literal["never", "failed", "always"] | None,
         typer.Option(help="Which answers to ask for again: none, failed ones, or all [default: never]."),
     ] = None,
+    matching: Annotated[
+        bool | None,
+        typer.Option(
+            "--matching/--no-matching",
+            help="Measure too how often single pixels are found again, of methods that offer it [default: no].",
+        ),
+    ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed for methods that have one [default: 0].")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with any of these options.")] = None,
     workers: Workers = None,
@@ -54,6 +61,7 @@ def evaluate(
         "split": split,
         "pair_sets": pair_set or None,
         "overwrite": overwrite,
+        "matching": matching,
         "seed": seed,
         "workers": workers,
         "scheduler": scheduler,
@@ -65,7 +73,7 @@ def evaluate(
     if json:
         print_json(report.to_dict())
     elif not quiet:
-        _print_report(report.dataset, report.pair_sets, report.folders)
+        _print_report(report.dataset, report.pair_sets, report.folders, matching=options.matching)
         for label, message in report.broken:
             typer.echo(f"{label}: {message}", err=True)
         typer.echo(f"results: {report.results}", err=True)
@@ -82,7 +90,7 @@ COLUMNS = {
 }
 
 
-def _print_report(dataset: Dataset, pair_sets: list[PairSet], folders: list[MethodResults]) -> None:
+def _print_report(dataset: Dataset, pair_sets: list[PairSet], folders: list[MethodResults], *, matching: bool) -> None:
     from relocbench.cli.console import print_table
 
     for pair_set in pair_sets:
@@ -96,6 +104,26 @@ def _print_report(dataset: Dataset, pair_sets: list[PairSet], folders: list[Meth
             print_table(title, ["method", "pairs of", *COLUMNS.values()], rows)
         elif not pair_set.has_truth:
             typer.echo(f"{pair_set.name}: ground truth is withheld; predictions are kept, not scored", err=True)
+        if matching:
+            _print_matching(f"{dataset.name}: {pair_set.name}", pair_set.name, folders)
+
+
+def _print_matching(title: str, pair_set: str, folders: list[MethodResults]) -> None:
+    from relocbench.cli.console import print_table
+    from relocbench.evaluation.matching_table import ALL
+
+    scores = {f.label: f.score_record().matching.get(pair_set, {}).get(ALL) for f in folders}
+    known = {label: summary for label, summary in scores.items() if summary}
+    if not known:
+        return
+    offsets = list(next(iter(known.values())))
+    rows = [
+        [label, within, *(cell(summary[offset][f"match@{within.replace(' ', '')}"], "share") for offset in offsets)]
+        for label, summary in known.items()
+        for within in ("1 px", "3 px")
+    ]
+    columns = [offset.replace("px", " px") for offset in offsets]
+    print_table(f"{title}, pixels found again by the start's offset", ["method", "within", *columns], rows)
 
 
 def _cells(values: dict[str, Any]) -> list[str]:

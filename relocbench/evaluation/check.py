@@ -14,7 +14,16 @@ from relocbench.datasets.dataset import Dataset
 from relocbench.errors import DatasetError
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
-from relocbench.tracking import KeyframePoints, Query, Reference, SupportsBatch, SupportsPrepare, fault_of
+from relocbench.tracking import (
+    KeyframePoints,
+    Query,
+    Reference,
+    SupportsBatch,
+    SupportsMatching,
+    SupportsPrepare,
+    fault_of,
+    match_fault_of,
+)
 
 _WIDTH, _HEIGHT, _FOCAL, _WALL_M = 320, 240, 250.0, 4.0
 
@@ -60,6 +69,9 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
     findings.append(_leaves_input_alone(tracker, questions[0]))
     if isinstance(tracker, SupportsBatch) and usable:
         findings.append(_batch_agrees(tracker, questions[usable[0]], answers[usable[0]][0]))
+    if isinstance(tracker, SupportsMatching):
+        findings += [_matches(tracker, question) for question in questions]
+        findings.append(_matches_by_pixel(spec, tracker, questions[0]))
     if callable(getattr(tracker, "close", None)):
         tracker.close()
     return findings
@@ -122,6 +134,41 @@ def _batch_agrees(tracker: Any, question: _Question, single: Any) -> Finding:
         problem = f"{len(values)} results for 2 queries"
     if problem is None and not all(_close_pose(v, single) for v in values):
         problem = "another pose than track() by more than 1e-6"
+    return Finding(name, problem is None, problem or "")
+
+
+def _pixels(question: _Question) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Pixels of the reference and starts in the query: a grid that reaches into the corners, and starts beside it."""
+    camera = question.reference.camera
+    u, v = np.meshgrid(np.linspace(0, camera.width - 1, 9), np.linspace(0, camera.height - 1, 7))
+    uv_ref = np.stack([u, v], axis=-1).reshape(-1, 2)
+    return uv_ref, np.clip(uv_ref + np.array([2.5, -1.5]), 0, np.array(camera.size) - 1)
+
+
+def _match(tracker: Any, question: _Question, rows: slice = slice(None)) -> tuple[Any, str | None]:
+    uv_ref, uv_start = (uv[rows].copy() for uv in _pixels(question))
+    ends, problem = _attempt(lambda: tracker.match(_prepared(tracker, question), question.query, uv_ref, uv_start))
+    return ends, problem or match_fault_of(ends, len(uv_ref))
+
+
+def _matches(tracker: Any, question: _Question) -> Finding:
+    ends, problem = _match(tracker, question)
+    told = problem or f"{np.isfinite(ends).all(axis=1).sum()} of {len(ends)} pixels answered"
+    return Finding(f"match answers {question.name}", problem is None, told)
+
+
+def _matches_by_pixel(spec: MethodSpec, tracker: Any, question: _Question) -> Finding:
+    """The same pixels to the last bit, from a fresh tracker, with half of the questions, with none at all."""
+    name = "match answers each pixel by itself, and the same again"
+    fresh = spec.create()
+    whole, problem = _match(tracker, question)
+    for other, rows in ((fresh, slice(None)), (tracker, slice(1, None, 2)), (fresh, slice(0, 0))):
+        again, fault = _match(other, question, rows)
+        problem = problem or fault
+        if problem is None and not np.array_equal(again, whole[rows], equal_nan=True):
+            problem = "other pixels than the first time"
+    if callable(getattr(fresh, "close", None)):
+        fresh.close()
     return Finding(name, problem is None, problem or "")
 
 

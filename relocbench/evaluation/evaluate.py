@@ -13,10 +13,12 @@ from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.schema import Strict
 from relocbench.errors import ConfigError
 from relocbench.evaluation.external import take_predictions
+from relocbench.evaluation.matching import match_method, supports_matching
+from relocbench.evaluation.matching_table import read_matching
 from relocbench.evaluation.results import MethodResults, dataset_results, read_answers, write_dataset_record
 from relocbench.evaluation.run import Overwrite, run_method
 from relocbench.evaluation.score import score_method
-from relocbench.methods import parse_methods
+from relocbench.methods import MethodSpec, parse_methods
 from relocbench.progress import Reporter
 
 
@@ -32,6 +34,8 @@ class EvaluateOptions(Strict):
     split: str | None = None
     pair_sets: tuple[str, ...] = ()
     overwrite: Overwrite = "never"
+    matching: bool = False
+    """measure matching quality too, of methods that have ``match`` on pair sets with correspondences"""
     seed: int = Field(0, ge=0)
     workers: int | None = Field(None, ge=1)
     scheduler: str | None = None
@@ -42,6 +46,8 @@ class EvaluateOptions(Strict):
             raise ValueError("nothing to evaluate: give --method NAME or --predictions DIR")
         if self.predictions is not None and len(self.methods) > 1:
             raise ValueError("--predictions takes one --method, the label to keep them under")
+        if self.predictions is not None and self.matching:
+            raise ValueError("--matching asks a method, and predictions are only a file of answers")
         return self
 
 
@@ -64,6 +70,7 @@ class Report:
             "results": str(self.results),
             "rejected_pairs": {s.name: len(s.rejected) for s in self.pair_sets},
             "methods": {f.label: f.score_record().pair_sets for f in self.folders},
+            "matching": {f.label: scores for f in self.folders if (scores := f.score_record().matching)},
             "broken": [{"method": label, "message": message} for label, message in self.broken],
         }
 
@@ -101,9 +108,39 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
             )
             for spec in specs
         ]
+        if options.matching:
+            _match(dataset, pair_sets, specs, folders, options, reporter)
     for folder in folders:
         score_method(dataset, pair_sets, folder)
     return Report(dataset, pair_sets, folders, results.root, [b for f in folders for b in _broken(f, pair_sets)])
+
+
+def _match(
+    dataset: Dataset,
+    pair_sets: list[PairSet],
+    specs: list[MethodSpec],
+    folders: list[MethodResults],
+    options: EvaluateOptions,
+    reporter: Reporter,
+) -> None:
+    """Matching quality of the methods that offer it; what is left out is told."""
+    for name in (s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()):
+        reporter.note(f"{name} has no correspondences: no matching quality (build-dataset --correspondences N)")
+    able = [(spec, folder) for spec, folder in zip(specs, folders, strict=True) if supports_matching(spec)]
+    unable = [spec.label for spec in specs if spec.label not in {spec.label for spec, _ in able}]
+    if unable:
+        reporter.note(f"no matching quality, for want of match(): {', '.join(unable)}")
+    for spec, folder in able:
+        match_method(
+            dataset,
+            pair_sets,
+            spec,
+            folder,
+            workers=options.workers,
+            scheduler=options.scheduler,
+            seed=options.seed,
+            reporter=reporter,
+        )
 
 
 def _chosen(dataset: Dataset, options: EvaluateOptions) -> list[PairSet]:
@@ -117,6 +154,20 @@ def _chosen(dataset: Dataset, options: EvaluateOptions) -> list[PairSet]:
 
 
 def _broken(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
+    return [*_broken_pairs(folder, pair_sets), *_broken_matching(folder, pair_sets)]
+
+
+def _broken_matching(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
+    paths = [path for s in pair_sets if (path := folder.matching(s.name)).exists()]
+    broken = {row.key: row.message for path in paths for row in read_matching(path) if row.message}
+    if not broken:
+        return []
+    key, message = next(iter(broken.items()))
+    told = f"match broke on {len(broken)} pairs, counted as not found; first on {key[0]} {key[1]}: {message}"
+    return [(folder.label, told)]
+
+
+def _broken_pairs(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
     answers = [
         answer
         for pair_set in pair_sets

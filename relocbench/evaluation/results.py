@@ -1,8 +1,9 @@
 """The results folder: predictions, run records and scores of one or more datasets.
 
 ``RESULTS/DATASET@FINGERPRINT/METHOD/`` holds, for each pair set, the predictions (``PAIRSET.txt``), one row a pair on
-how each came about (``PAIRSET.csv``) and, once scored, one row a pair of errors (``PAIRSET.errors.csv``); and
-``run.yaml`` and ``scores.yaml`` for the method. ``dataset.yaml`` beside the methods says what the dataset asks.
+how each came about (``PAIRSET.csv``), where it was asked for the matching quality (``PAIRSET.matching.csv``) and, once
+scored, one row a pair of errors (``PAIRSET.errors.csv``); and ``run.yaml`` and ``scores.yaml`` for the method.
+``dataset.yaml`` beside the methods says what the dataset asks.
 """
 
 from __future__ import annotations
@@ -110,6 +111,8 @@ class ScoreRecord(Strict):
     """pair set -> SHA-256 of the prediction file and its table"""
     pair_sets: dict[str, dict[str, dict[str, float | int | None]]]
     """pair set -> group ('all' for the whole) -> metric -> value"""
+    matching: dict[str, dict[str, dict[str, dict[str, float | int | None]]]] = Field(default_factory=dict)
+    """where it was measured, pair set -> group -> start offset ('all', '1px', ...) -> matching quality"""
 
 
 @dataclass(frozen=True)
@@ -156,6 +159,14 @@ class MethodResults:
 
     def errors(self, pair_set: str) -> Path:
         return self.root / f"{pair_set}.errors.csv"
+
+    def matching(self, pair_set: str) -> Path:
+        """How often the method's per-pixel Gauss-Newton finds the true pixel; only where that was asked for."""
+        return self.root / f"{pair_set}.matching.csv"
+
+    def matching_journal(self, pair_set: str) -> Path:
+        """As :meth:`journal`, for matching quality."""
+        return self.root / ".journal-matching" / pair_set
 
     def journal(self, pair_set: str) -> Path:
         """Folder that workers append to while they run; gone when the pair set is complete."""

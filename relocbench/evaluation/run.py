@@ -8,51 +8,39 @@ from __future__ import annotations
 
 import datetime
 import json
-import os
 import platform
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import cache
-from itertools import groupby
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from relocbench.datasets.dataset import Dataset, PairSet, Traversal
-from relocbench.datasets.layout import DatasetLayout
+from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.pairfile import PairKey, number_fields, parse_pose_numbers
 from relocbench.datasets.writer import versions
 from relocbench.errors import PredictionError
 from relocbench.evaluation.results import Answer, DatasetResults, MethodResults, RunRecord, read_answers, write_answers
+from relocbench.evaluation.worker import (
+    Unit,
+    guarded,
+    journal_entries,
+    open_journal,
+    prepared,
+    tracker_of,
+    traversal_of,
+    units_of,
+)
 from relocbench.execution import chunks, default_workers, run_units
-from relocbench.files import dump_yaml, read_journal, read_rows, remove_parts, write_text
+from relocbench.files import dump_yaml, read_rows, remove_parts, write_text
 from relocbench.geometry import transform_to_tq
 from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
 from relocbench.progress import Reporter
-from relocbench.tracking import Query, SupportsBatch, SupportsPrepare, TrackResult, fault_of
+from relocbench.tracking import Query, SupportsBatch, TrackResult, fault_of
 
 Overwrite = Literal["never", "failed", "always"]
-_PAIRS_A_UNIT = 16
 _BATCH = 8
-
-
-@dataclass(frozen=True)
-class Unit:
-    """Some pairs of one reference, for one worker."""
-
-    spec: MethodSpec
-    dataset: Path
-    reference: str
-    query: str
-    camera: str
-    keys: tuple[PairKey, ...]
-    journal: Path
-
-    def __str__(self) -> str:
-        return f"{self.spec.label} on {self.reference}__{self.query}__{self.camera}, pair {self.keys[0]}"
 
 
 def run_method(
@@ -79,11 +67,11 @@ def run_method(
     """
     folder = results.method(spec.label)
     workers = default_workers() if workers is None else workers
-    record = _new_record(dataset, spec, workers, seed)
+    record = new_record(dataset, spec, workers, seed)
     if overwrite == "always":
         _clear(folder, pair_sets)
     todo = {s.name: _open_pairs(folder, s, overwrite) for s in pair_sets}
-    _refuse_mixture(folder, record, work_left=any(todo.values()))
+    refuse_mixture(folder, record, work_left=any(todo.values()))
     if not any(todo.values()) and all(folder.complete(s.name) for s in pair_sets):
         return folder
     folder.root.mkdir(parents=True, exist_ok=True)
@@ -113,43 +101,28 @@ def _run_pair_set(
     journal.mkdir(parents=True, exist_ok=True)
     left = todo
     while left:
-        units = _units(dataset, pair_set, spec, journal, left)
+        units = units_of(dataset, pair_set, spec, journal, left)
         for _, done in run_units(_run_unit, units, workers=workers, scheduler=scheduler, on_lost=_lose_one):
             advance(done)
-        answered = {entry["key"] for entry in _journal_entries(journal)}
+        answered = {entry["key"] for entry in journal_entries(journal)}
         left = [key for key in left if key not in answered]  # what a dying worker left of its unit
     _collect(pair_set, folder, journal)
 
 
-def _units(dataset: Dataset, pair_set: PairSet, spec: MethodSpec, journal: Path, keys: Sequence[PairKey]) -> list[Unit]:
-    ordered = sorted(keys)
-    common = (spec, dataset.root.resolve(), pair_set.reference, pair_set.query, pair_set.camera)
-    return [
-        Unit(*common, tuple(chunk), journal.resolve())
-        for _, group in groupby(ordered, key=lambda key: key[0])
-        for chunk in chunks(group, _PAIRS_A_UNIT)
-    ]
-
-
 def _run_unit(unit: Unit) -> int:
     """Answer the pairs of a unit; returns how many. Runs in a worker."""
-    tracker = _tracker(unit.spec)
-    neighbours = int(getattr(tracker, "neighbours", 0))
-    keyframe = _traversal(unit.dataset, unit.reference).reference(unit.camera, unit.keys[0][0], neighbours)
-    queries = _traversal(unit.dataset, unit.query)
-    breach: TrackResult | None = None
-    prepared: Any = keyframe
-    if isinstance(tracker, SupportsPrepare):
-        prepared, breach = _guarded(lambda: tracker.prepare(keyframe))
-    with _open_journal(unit.journal) as stream:
+    tracker = tracker_of(unit.spec)
+    reference, broke = prepared(unit, tracker)
+    queries = traversal_of(unit.dataset, unit.query)
+    with open_journal(unit.journal) as stream:
         for batch in chunks(unit.keys, _BATCH if isinstance(tracker, SupportsBatch) else 1):
             views = [queries.query(unit.camera, key[1]) for key in batch]
             seconds: float | None
-            if breach is not None:
-                answered, seconds = [breach] * len(batch), None
+            if broke is not None:
+                answered, seconds = [_broken(broke)] * len(batch), None
             else:
-                _warm_up(tracker, prepared, views[0], unit.spec)
-                answered, seconds = _ask(tracker, prepared, views)
+                _warm_up(tracker, reference, views[0], unit.spec)
+                answered, seconds = _ask(tracker, reference, views)
             for key, result in zip(batch, answered, strict=True):
                 each = None if seconds is None else seconds / len(batch)
                 stream.write(json.dumps(_entry(key, result, each)) + "\n")
@@ -157,28 +130,21 @@ def _run_unit(unit: Unit) -> int:
     return len(unit.keys)
 
 
-def _ask(tracker: Any, prepared: Any, views: list[Query]) -> tuple[list[TrackResult], float]:
+def _ask(tracker: Any, reference: Any, views: list[Query]) -> tuple[list[TrackResult], float]:
     """Answers to some queries of one reference and the seconds they took together."""
     start = time.perf_counter()
     if isinstance(tracker, SupportsBatch):
-        value, breach = _guarded(lambda: list(tracker.track_batch(prepared, views, [None] * len(views))))
-        if breach is None and len(value) != len(views):
-            breach = _broken(f"track_batch returned {len(value)} results for {len(views)} queries")
-        answered = [breach] * len(views) if breach is not None else value
+        answered, broke = guarded(lambda: list(tracker.track_batch(reference, views, [None] * len(views))))
+        if broke is None and len(answered) != len(views):
+            broke = f"track_batch returned {len(answered)} results for {len(views)} queries"
     else:
-        value, breach = _guarded(lambda: tracker.track(prepared, views[0], None))
-        answered = [breach if breach is not None else value]
+        value, broke = guarded(lambda: tracker.track(reference, views[0], None))
+        answered = [value]
     seconds = time.perf_counter() - start
+    if broke is not None:
+        return [_broken(broke)] * len(views), seconds
     faults = [fault_of(result) for result in answered]
     return [_broken(f) if f else r for f, r in zip(faults, answered, strict=True)], seconds
-
-
-def _guarded(call: Callable[[], Any]) -> tuple[Any, TrackResult | None]:
-    """The value of a method's own code, or what to record when it raises: a method's bug costs its pair only."""
-    try:
-        return call(), None
-    except Exception as bad:  # noqa: BLE001  the boundary to code that is not ours
-        return None, _broken(f"{type(bad).__name__}: {bad}")
 
 
 def _broken(message: str) -> TrackResult:
@@ -188,12 +154,12 @@ def _broken(message: str) -> TrackResult:
 _warm: set[str] = set()
 
 
-def _warm_up(tracker: Any, prepared: Any, view: Query, spec: MethodSpec) -> None:
+def _warm_up(tracker: Any, reference: Any, view: Query, spec: MethodSpec) -> None:
     """Compilation and first allocations are not the method's speed: one call a process goes untimed."""
     if spec.label in _warm or spec.target.startswith(SUBPROCESS):
         return
     _warm.add(spec.label)
-    _ask(tracker, prepared, [view])
+    _ask(tracker, reference, [view])
 
 
 def _entry(key: PairKey, result: TrackResult, seconds: float | None) -> dict[str, Any]:
@@ -220,9 +186,9 @@ def _plain(value: Any) -> Any:
 
 def _lose_one(unit: Unit) -> int:
     """A worker died twice on this unit: its first pair without an answer is the one that kills."""
-    done = {entry["key"] for entry in _journal_entries(unit.journal)}
+    done = {entry["key"] for entry in journal_entries(unit.journal)}
     culprit = next(key for key in unit.keys if key not in done)
-    with _open_journal(unit.journal) as stream:
+    with open_journal(unit.journal) as stream:
         result = _broken("the worker process died twice on this pair (out of memory, or a crash in native code)")
         stream.write(json.dumps(_entry(culprit, result, None)) + "\n")
     return 1
@@ -231,7 +197,7 @@ def _lose_one(unit: Unit) -> int:
 def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
     """Journal, and earlier answers that were kept -> prediction file and table, in the pair set's order."""
     entries = {entry["key"]: entry for entry in _kept_entries(folder, pair_set)}
-    entries |= {entry["key"]: entry for entry in _journal_entries(journal)}
+    entries |= {entry["key"]: entry for entry in journal_entries(journal)}
     lines, answers = [], []
     for pair in pair_set.pairs:
         entry = entries[pair.key]
@@ -253,7 +219,7 @@ def _open_pairs(folder: MethodResults, pair_set: PairSet, overwrite: Overwrite) 
     if overwrite == "failed" and done:
         answers = read_answers(folder.answers(pair_set.name))
         done = {key for key in done if answers[key].status == "ok"}
-    done |= {entry["key"] for entry in _journal_entries(folder.journal(pair_set.name))}
+    done |= {entry["key"] for entry in journal_entries(folder.journal(pair_set.name))}
     return [p.key for p in pair_set.pairs if p.key not in done]
 
 
@@ -284,35 +250,8 @@ def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str
         }
 
 
-def _journal_entries(journal: Path) -> Iterator[dict[str, Any]]:
-    if not journal.is_dir():
-        return
-    for path in sorted(journal.glob("*.jsonl")):
-        for entry in read_journal(path):
-            yield {**entry, "key": tuple(entry["key"])}
-
-
-def _open_journal(journal: Path) -> IO[str]:
-    """A file of this process alone: two writers never meet, and a torn line is always a file's last."""
-    return (journal / f"{time.time_ns()}-{os.getpid()}.jsonl").open("x", encoding="utf-8")
-
-
-@cache
-def _traversal(dataset: Path, name: str) -> Traversal:
-    return Traversal(DatasetLayout(dataset).traversal(name))
-
-
-_trackers: dict[str, Any] = {}
-
-
-def _tracker(spec: MethodSpec) -> Any:
-    """One tracker a process and specification; building it may load weights."""
-    if repr(spec) not in _trackers:
-        _trackers[repr(spec)] = spec.create()
-    return _trackers[repr(spec)]
-
-
-def _new_record(dataset: Dataset, spec: MethodSpec, workers: int, seed: int) -> RunRecord:
+def new_record(dataset: Dataset, spec: MethodSpec, workers: int, seed: int) -> RunRecord:
+    """What a run that begins now would say of itself."""
     return RunRecord(
         method=spec.label,
         target=spec.target,
@@ -327,8 +266,8 @@ def _new_record(dataset: Dataset, spec: MethodSpec, workers: int, seed: int) -> 
     )
 
 
-def _refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool) -> None:
-    """Answers of two configurations never share a folder."""
+def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool) -> None:
+    """Answers of two configurations never share a folder. Raises PredictionError."""
     if not folder.run_yaml.exists():
         return
     before = folder.run_record()
@@ -356,9 +295,10 @@ def _refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool
 
 def _clear(folder: MethodResults, pair_sets: Sequence[PairSet]) -> None:
     for pair_set in pair_sets:
-        for path in (folder.predictions, folder.answers, folder.errors):
+        for path in (folder.predictions, folder.answers, folder.errors, folder.matching):
             path(pair_set.name).unlink(missing_ok=True)
-        shutil.rmtree(folder.journal(pair_set.name), ignore_errors=True)
+        for journal in (folder.journal, folder.matching_journal):
+            shutil.rmtree(journal(pair_set.name), ignore_errors=True)
     # Other pair sets that stay keep their record: a mixture is then refused below.
     if folder.root.is_dir() and not any(folder.root.glob("*__*__*.txt")):
         folder.run_yaml.unlink(missing_ok=True)

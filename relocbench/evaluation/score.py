@@ -14,6 +14,14 @@ import relocbench
 from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.pairfile import Pair, PairKey, distances_and_angles, read_pose_lines
 from relocbench.errors import PredictionError
+from relocbench.evaluation.matching_table import (
+    ALL,
+    MatchingRow,
+    Summary,
+    check_complete,
+    read_matching,
+    summarize_matching,
+)
 from relocbench.evaluation.results import (
     Answer,
     MethodResults,
@@ -26,8 +34,6 @@ from relocbench.files import dump_yaml, write_text
 from relocbench.metrics import PairSetSummary, PoseErrors, align_predictions, pose_errors, summarize
 
 Array = NDArray[np.float64]
-ALL = "all"
-"""the group that is the whole pair set"""
 
 
 def read_predictions(path: Path, pair_set: PairSet) -> dict[PairKey, Array]:
@@ -46,6 +52,8 @@ def read_predictions(path: Path, pair_set: PairSet) -> dict[PairKey, Array]:
 def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodResults) -> ScoreRecord:
     """Score every complete pair set of a method; writes ``PAIRSET.errors.csv`` and ``scores.yaml``.
 
+    ``scores.yaml`` also summarises matching quality where there is a ``PAIRSET.matching.csv``.
+
     Pair sets without ground truth are passed over: their predictions can be exported, not scored.
 
     Raises:
@@ -61,6 +69,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
     before = folder.score_record() if folder.scores_yaml.exists() else None
     hashes = dict(before.predictions) if before else {}
     scores = dict(before.pair_sets) if before else {}
+    matching = dict(before.matching) if before else {}
     for pair_set in pair_sets:
         if not pair_set.has_truth or not folder.predictions(pair_set.name).exists():
             continue
@@ -68,11 +77,14 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
         write_errors(folder.errors(pair_set.name), rows)
         hashes[pair_set.name] = predictions_hash(folder, pair_set.name)
         scores[pair_set.name] = {g: _plain(summarize_rows(rows, g)) for g in groups_of(rows)}
+        if folder.matching(pair_set.name).exists():
+            matching[pair_set.name] = matching_scores(pair_set, folder)
     known = {s for s in dataset.pair_set_names if folder.predictions(s).exists()}
     score_record = ScoreRecord(
         relocbench=relocbench.__version__,
         predictions={k: v for k, v in sorted(hashes.items()) if k in known},
         pair_sets={k: v for k, v in sorted(scores.items()) if k in known},
+        matching={k: v for k, v in sorted(matching.items()) if k in known and folder.matching(k).exists()},
     )
     write_text(folder.scores_yaml, dump_yaml(score_record.model_dump(mode="json")))
     return score_record
@@ -101,6 +113,14 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> list[PairErrors]
     ]
 
 
+def matching_scores(pair_set: PairSet, folder: MethodResults) -> dict[str, Summary]:
+    """Matching quality of each group of a pair set. Raises PredictionError."""
+    path = folder.matching(pair_set.name)
+    rows = read_matching(path)
+    check_complete(rows, [p.key for p in pair_set.pairs], path)
+    return {group: summarize_matching(rows, group) for group in groups_of(rows)}
+
+
 def summarize_rows(rows: Sequence[PairErrors], group: str = ALL) -> PairSetSummary:
     """Every metric over the rows of one group. Raises DatasetError where there is none."""
     chosen = [r for r in rows if group in (ALL, r.group)]
@@ -124,7 +144,7 @@ def column(rows: Sequence[PairErrors], name: str) -> Array | None:
     return np.array([np.nan if v is None else v for v in values], dtype=np.float64)
 
 
-def groups_of(rows: Sequence[PairErrors]) -> list[str]:
+def groups_of(rows: Sequence[PairErrors] | Sequence[MatchingRow]) -> list[str]:
     """``all`` and the named groups, in order of appearance; a single group is the whole set and not repeated."""
     named = list(dict.fromkeys(r.group for r in rows if r.group))
     return [ALL, *named] if len(named) > 1 else [ALL]

@@ -12,6 +12,7 @@ from relocbench.datasets.faults import Findings, read_pair_lines, read_yaml
 from relocbench.datasets.fingerprint import SHORT
 from relocbench.datasets.pairfile import PairKey, PoseLine
 from relocbench.errors import PredictionError
+from relocbench.evaluation.matching_table import read_matching
 from relocbench.evaluation.results import (
     ANSWER_COLUMNS,
     ERROR_COLUMNS,
@@ -118,7 +119,7 @@ def _check_method(folder: MethodResults, asked: _Asked, found: Findings) -> None
     journals = folder.root / ".journal"
     running = {p.name for p in journals.iterdir() if p.is_dir()} if journals.is_dir() else set()
     present = {p.stem for p in folder.root.glob("*__*__*.txt")} | {
-        p.stem for p in folder.root.glob("*__*__*.csv") if not p.name.endswith(".errors.csv")
+        p.stem for p in folder.root.glob("*__*__*.csv") if not p.name.endswith((".errors.csv", ".matching.csv"))
     }
     for name in sorted(present - running):
         _check_pair_set(folder, name, asked, found)
@@ -250,6 +251,9 @@ def _check_scores(folder: MethodResults, complete: set[str], asked: _Asked, foun
                 folder.scores_yaml,
             )
         _check_errors(folder.errors(name), found)
+        if folder.matching(name).exists():
+            with found.catching():
+                read_matching(folder.matching(name))
     unscored = sorted(complete - scores.predictions.keys())
     truth = {n for n, p in asked.record.pair_sets.items() if p.has_truth} if asked.record else set(unscored)
     if truth & set(unscored):

@@ -6,13 +6,14 @@ import json
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.fingerprint import SHORT
 from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.matching_table import MatchingRow, check_complete, read_matching, summarize_matching
 from relocbench.evaluation.results import (
     DatasetRecord,
     DatasetResults,
@@ -46,6 +47,8 @@ class Method:
     """why a pair set is absent"""
     stopped: frozenset[str] = frozenset()
     """the missing ones whose run was begun"""
+    matching: dict[str, tuple[MatchingRow, ...]] = field(default_factory=dict)
+    """matching quality by pair set, where it was measured"""
 
     @property
     def is_floor(self) -> bool:
@@ -136,7 +139,9 @@ def natural(text: str) -> list[tuple[bool, int, str]]:
     return [(not part.isdigit(), int(part) if part.isdigit() else 0, part) for part in digits if part]
 
 
-def evaluate_command(method: RunRecord, dataset: str = "DATASET", results: str = "RESULTS") -> str:
+def evaluate_command(
+    method: RunRecord, dataset: str = "DATASET", results: str = "RESULTS", *, matching: bool = False
+) -> str:
     """The command that runs a method as it was run, and goes on where it stopped."""
     words = ["relocbench", "evaluate", "--dataset", dataset, "--out", results]
     if method.target.startswith(PREDICTIONS):
@@ -147,7 +152,8 @@ def evaluate_command(method: RunRecord, dataset: str = "DATASET", results: str =
         if key != SEED or value != method.seed:
             text = value if isinstance(value, str) else json.dumps(value)
             words += ["--set", f"{method.method}.{key}={text}"]
-    return shlex.join([*words, *(["--seed", str(method.seed)] if method.seed else [])])
+    words += ["--seed", str(method.seed)] if method.seed else []
+    return shlex.join([*words, *(["--matching"] if matching else [])])
 
 
 def _dataset(folder: DatasetResults, split: str | None) -> DatasetEntry:
@@ -186,7 +192,12 @@ def _method(folder: MethodResults, dataset: DatasetRecord, pair_sets: dict[str, 
         else:
             missing[name] = _why_missing(folder, name, record)
     stopped = frozenset(name for name in missing if folder.journal(name).is_dir())
-    return Method(folder.label, run, errors, missing, stopped)
+    matching = {
+        name: _matching(folder, run, name, [row.key for row in rows])
+        for name, rows in errors.items()
+        if folder.matching(name).exists()
+    }
+    return Method(folder.label, run, errors, missing, stopped, matching)
 
 
 def _complete(folder: MethodResults, pair_set: str) -> bool:
@@ -219,6 +230,20 @@ def _errors(folder: MethodResults, run: RunRecord, name: str, record: PairSetRec
     if len({row.key for row in rows}) != len(rows) or len(rows) != record.pairs:
         raise PredictionError(f"{len(rows)} rows, expected one for each of the {record.pairs} pairs; {again}", path)
     _check_scores(rows, scores, name, folder, again)
+    return tuple(rows)
+
+
+def _matching(
+    folder: MethodResults, run: RunRecord, name: str, keys: Sequence[tuple[int, int]]
+) -> tuple[MatchingRow, ...]:
+    """Matching quality of one pair set. Raises PredictionError unless its summary is the one in ``scores.yaml``."""
+    path = folder.matching(name)
+    rows = read_matching(path)
+    check_complete(rows, keys, path)
+    recorded = folder.score_record().matching.get(name, {})
+    if any(recorded.get(group) != summarize_matching(rows, group) for group in groups_of(rows)):
+        again = evaluate_command(run, results=str(folder.root.parent.parent), matching=True)
+        raise PredictionError(f"is not what {folder.scores_yaml.name} summarises; score again: {again}", path)
     return tuple(rows)
 
 

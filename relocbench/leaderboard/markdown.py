@@ -7,6 +7,7 @@ from urllib.parse import quote
 
 from relocbench.leaderboard.load import evaluate_command
 from relocbench.leaderboard.markdown_methods import methods_section, reproduce_section
+from relocbench.leaderboard.matching import matching_section
 from relocbench.leaderboard.model import Board, DatasetBoard, Row, SeedRow, Table
 from relocbench.leaderboard.text import bullet, code, escaped, number, table_text
 from relocbench.metrics import Interval, Metric, Spread, metric_named
@@ -102,6 +103,7 @@ def _dataset(board: Board, dataset: DatasetBoard, plots: bool) -> list[str]:
         if plots and drawn(table):
             address = quote(curve_file(dataset, table))
             parts.append(f"![Cumulative error curves of {escaped(table.pair_set)}]({address})")
+        parts += matching_section(dataset, table.pair_set, plots=plots)
     return [*parts, *methods_section(dataset)]
 
 

@@ -41,7 +41,7 @@ def reproduce_section(board: Board) -> list[str]:
         "it), `RESULTS` a folder for the results. A run that was stopped goes on with the same command.",
     ]
     for dataset in board.datasets:
-        commands = [evaluate_command(m.run) for m in dataset.entry.methods]
+        commands = [evaluate_command(m.run, matching=bool(m.matching)) for m in dataset.entry.methods]
         parts.append(f"{escaped(dataset.entry.title)}:\n\n" + _shell(commands))
     ranking = f" --metric '{board.metric.name}' --seed {board.seed}"
     split = f" --split {board.split}" if board.split else ""

@@ -12,7 +12,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from relocbench.evaluation.matching_table import OFFSETS_PX
 from relocbench.evaluation.score import errors_of
+from relocbench.leaderboard.load import Method
+from relocbench.leaderboard.matching import matching_lines
 from relocbench.leaderboard.model import Board, DatasetBoard, Row, Table
 from relocbench.metrics import PoseErrors, cumulative_curve
 from relocbench.metrics.registry import SIGMA_FACTOR
@@ -22,7 +25,8 @@ LIMIT_M = 1.0
 LIMIT_DEG = 1.0
 # Okabe and Ito, "Color Universal Design" (2008), without the yellow, which is faint on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
-STYLES = ("-", (0, (1, 0.8)), (0, (4, 1, 1, 1)))
+Style = str | tuple[float, tuple[float, ...]]
+STYLES: tuple[Style, ...] = ("-", (0, (1, 0.8)), (0, (4, 1, 1, 1)))
 FLOOR_COLOUR = "#767676"
 
 
@@ -31,7 +35,7 @@ class _Line:
     label: str
     errors: PoseErrors
     colour: str
-    style: str | tuple[float, tuple[float, ...]]
+    style: Style
     width: float
 
 
@@ -67,10 +71,45 @@ def _line(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> _Line:
     errors = errors_of(method.errors[table.pair_set])
     value = row.values[board.metric.name]
     label = f"{method.label}  {100 * value:.1f} %" if value is not None else method.label
+    colour, style = _look(dataset, method)
+    return _Line(
+        f"{label} (floor)" if method.is_floor else label, errors, colour, style, 1.6 if method.is_floor else 1.8
+    )
+
+
+def _look(dataset: DatasetBoard, method: Method) -> tuple[str, Style]:
+    """Colour and line style of a method, the same in all pictures of a dataset."""
     if method.is_floor:
-        return _Line(f"{label} (floor)", errors, FLOOR_COLOUR, (0, (4, 2)), 1.6)
+        return FLOOR_COLOUR, (0, (4, 2))
     place = [m.label for m in dataset.entry.methods if not m.is_floor].index(method.label)
-    return _Line(label, errors, COLOURS[place % len(COLOURS)], STYLES[place // len(COLOURS) % len(STYLES)], 1.8)
+    return COLOURS[place % len(COLOURS)], STYLES[place // len(COLOURS) % len(STYLES)]
+
+
+def matching_picture(dataset: DatasetBoard, pair_set: str) -> bytes:
+    """PNG of the share of pixels found to 3 px against how far off the start was; colours as in the error curves."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
+        figure = Figure(figsize=(6.5, 3.6), dpi=130, layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots()
+        for method, summary in matching_lines(dataset, pair_set):
+            shares = [summary[f"{offset}px"]["match@3px"] for offset in OFFSETS_PX]
+            y = [np.nan if share is None else 100 * share for share in shares]
+            colour, style = _look(dataset, method)
+            axes.plot(OFFSETS_PX, y, color=colour, linestyle=style, linewidth=1.8, marker="o", label=method.label)
+        axes.set_xscale("log", base=2)
+        axes.set_xticks(OFFSETS_PX, [str(offset) for offset in OFFSETS_PX])
+        axes.set_xlabel("start off the true pixel by (px)")
+        axes.set_ylabel("found to 3 px")
+        axes.set_ylim(0, 101.5)
+        axes.yaxis.set_major_formatter("{x:.0f} %")
+        axes.grid(True, color="#dddddd", linewidth=0.6)
+        axes.set_title(f"{dataset.entry.record.name}: {pair_set}", fontsize=11)
+        axes.legend(frameon=False, handlelength=3.2)
+        picture = io.BytesIO()
+        figure.savefig(picture, format="png", metadata={"Software": None})
+    return picture.getvalue()
 
 
 def _panel(axes: Axes, curves: list[tuple[_Line, Array]], limit: float, sigma: float | None) -> None:

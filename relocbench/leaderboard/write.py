@@ -10,6 +10,7 @@ from relocbench.files import atomic_write, write_bytes, write_text
 from relocbench.leaderboard.load import load_results
 from relocbench.leaderboard.long_form import Value, error_rows, leaderboard_rows, seed_rows
 from relocbench.leaderboard.markdown import curve_file, drawn, markdown
+from relocbench.leaderboard.matching import matching_file, matching_lines, matching_rows
 from relocbench.leaderboard.model import Board
 from relocbench.leaderboard.tables import RANKING, make_board, ranking_metric
 from relocbench.progress import Reporter, Silent
@@ -53,7 +54,9 @@ def write_leaderboard(
 
 
 def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Reporter) -> list[Path]:
-    """``leaderboard.csv``, ``leaderboard.md``, ``errors.csv``, ``seeds.csv`` if there are seeds, and ``curves/*.png``.
+    """``leaderboard.csv``, ``leaderboard.md``, ``errors.csv`` and ``curves/*.png``.
+
+    Also ``seeds.csv`` and ``matching.csv``, if there is something to put into them.
 
     Each file appears whole or not at all; there are no dates in them. Returns the files.
     """
@@ -65,6 +68,10 @@ def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Report
     if seeds:
         paths.append(out / "seeds.csv")
         _write_table(paths[-1], [list(seeds[0]), *(list(row.values()) for row in seeds)])
+    matching = matching_rows(board)
+    if matching:
+        paths.append(out / "matching.csv")
+        _write_table(paths[-1], [list(matching[0]), *(list(row.values()) for row in matching)])
     if plots:
         paths += _write_plots(board, out, reporter)
     paths.append(out / "leaderboard.md")
@@ -73,7 +80,7 @@ def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Report
 
 
 def _write_plots(board: Board, out: Path, reporter: Reporter) -> list[Path]:
-    from relocbench.leaderboard.plots import curve_picture
+    from relocbench.leaderboard.plots import curve_picture, matching_picture
 
     tables = [(dataset, table) for dataset in board.datasets for table in dataset.pair_sets if drawn(table)]
     paths = []
@@ -81,6 +88,9 @@ def _write_plots(board: Board, out: Path, reporter: Reporter) -> list[Path]:
         for dataset, table in tables:
             paths.append(out / curve_file(dataset, table))
             write_bytes(paths[-1], curve_picture(board, dataset, table))
+            if matching_lines(dataset, table.pair_set):
+                paths.append(out / matching_file(dataset, table.pair_set))
+                write_bytes(paths[-1], matching_picture(dataset, table.pair_set))
             advance(1)
     return paths
 

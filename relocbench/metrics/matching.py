@@ -18,6 +18,8 @@ from relocbench.metrics.failure_policy import infinite_where_failed
 
 THRESHOLDS_PX: tuple[float, ...] = (1, 3)
 OFFSET_EDGES_PX: tuple[float, ...] = (0, 1, 2, 4, 8, 16)
+_DIGITS = 6
+"""a start meant to be 8 px off in some direction is 8 px off up to rounding, and so is the end of who does not move"""
 
 
 @dataclass(frozen=True)
@@ -71,11 +73,12 @@ def matching_quality(
     n = len(truth)
     if n == 0 or truth.shape != (n, 2) or end.shape != (n, 2) or start.shape != (n,):
         raise ValueError("matching needs end_px and truth_px (N, 2) and start_offset_px (N, 2) or (N,), N >= 1")
-    start = np.round(start, 6)  # a start meant to be 8 px off in some direction is 8 px off up to rounding
+    start = np.round(start, _DIGITS)
     if not np.isfinite(truth).all() or not np.all((start >= offset_edges_px[0]) & (start <= offset_edges_px[-1])):
         raise ValueError(f"start offsets must lie in {offset_edges_px[0]}..{offset_edges_px[-1]} px, truth be finite")
     answered: NDArray[np.bool_] = np.all(np.isfinite(end), axis=1)
-    distance = infinite_where_failed(np.linalg.norm(np.where(answered[:, None], end, 0) - truth, axis=-1), answered)
+    distance = np.round(np.linalg.norm(np.where(answered[:, None], end, 0) - truth, axis=-1), _DIGITS)
+    distance = infinite_where_failed(distance, answered)
 
     names = {f"match@{t:g}px": t for t in thresholds_px}
     groups = []

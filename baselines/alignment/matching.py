@@ -1,0 +1,226 @@
+"""Gauss-Newton on single pixels: where in the query is the surface point of a reference pixel, from a start nearby?
+
+For a pixel u of the reference and a position x in the query (GN-Net, von Stumberg et al., RA-L 2020, section III; the
+inner problem of its loss):
+
+    r = F_q(x) - F_r(u)      J = dF_q/dx (x)      x <- x - (J^T J + eps I)^-1 J^T r
+
+coarse to fine. With D channels, D >= 2, one pixel is enough. With one channel J^T J of a pixel has rank 1 (the aperture
+problem), so that residuals of a pattern of pixels around u are stacked; the pattern is shifted, never warped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from baselines.alignment.pyramid import Level
+
+Array = NDArray[np.float64]
+
+Pattern = tuple[tuple[float, float], ...]
+SINGLE_PIXEL: Pattern = ((0, 0),)
+DSO_PATTERN: Pattern = ((0, -2), (-1, -1), (1, -1), (-2, 0), (0, 0), (2, 0), (-1, 1), (0, 2))
+"""offsets u, v of the eight pixels whose residuals DSO adds up for one point (Engel et al., 2018, figure 4)"""
+
+SMALLEST_STEP = 1e-3
+"""pixels; a shorter step ends a level"""
+LIGHTS = {"none": 0, "offset": 1, "affine": 2}
+_OFFSET, _AFFINE = 1, 2
+
+
+@dataclass(frozen=True)
+class MatchSettings:
+    """What the matching can be told.
+
+    Raises:
+        ValueError: unknown ``light``, no pixel in the pattern, or a number that is not positive.
+    """
+
+    pattern: Pattern = SINGLE_PIXEL
+    """offsets (u, v) of the pixels whose residuals are stacked, in pixels of the level"""
+    light: Literal["none", "offset", "affine"] = "none"
+    """what a change of brightness between the images may do to a pattern: ``offset`` removes the mean of each channel
+    over the pattern from both sides, ``affine`` also divides by what remains (its norm), so that gain and offset of the
+    light have no say"""
+    damping: float = 1e-6
+    """eps, as a share of the mean of the diagonal of J^T J: the same for features of any scale"""
+    longest_step: float = 2.0
+    """pixels of a level; a longer step is cut to it, for J is no longer right there"""
+    iterations: int = 20
+    """at most, on each level"""
+
+    def __post_init__(self) -> None:
+        if self.light not in LIGHTS:
+            raise ValueError(f"light is '{self.light}', expected {', '.join(LIGHTS)}")
+        if not self.pattern or min(self.damping, self.longest_step, self.iterations) <= 0:
+            raise ValueError("matching needs a pattern, and positive damping, longest_step and iterations")
+
+    def equations(self, channels: int) -> int:
+        """Residuals that are left for the two unknowns once the light is out."""
+        return channels * (len(self.pattern) - LIGHTS[self.light])
+
+
+def match_pixels(
+    reference: Sequence[Level], query: Sequence[Level], uv_ref: Array, uv_start: Array, settings: MatchSettings
+) -> Array:
+    """Where the Gauss-Newton of each pixel ends, all levels that both sides have, coarsest first.
+
+    A level on which the pattern does not fit into the maps, on either side, or whose normal equations are singular,
+    leaves a pixel where it was; on the finest one that is no answer. Pixels do not influence each other.
+
+    Args:
+        reference: maps of each level, finest first.
+        query: likewise, with as many channels.
+        uv_ref: (N, 2) pixels of the reference, centres at integers; need not be integers.
+        uv_start: (N, 2) pixels of the query to start from.
+
+    Returns:
+        (N, 2) pixels of the query, NaN where there is no answer.
+
+    Raises:
+        ValueError: shapes or channels do not fit; fewer than two residuals a pixel, so that nothing is determined.
+    """
+    n, channels = len(uv_ref), reference[0].channels
+    if np.shape(uv_ref) != (n, 2) or np.shape(uv_start) != (n, 2) or query[0].channels != channels:
+        raise ValueError(
+            f"matching needs uv_ref and uv_start (N, 2) and maps of as many channels; got {np.shape(uv_ref)}, "
+            f"{np.shape(uv_start)} and {channels}, {query[0].channels} channels"
+        )
+    if settings.equations(channels) < 2:
+        raise ValueError(
+            f"{len(settings.pattern)} pixels of {channels} channels (light: {settings.light}) leave "
+            f"{max(settings.equations(channels), 0)} residuals for two unknowns; take a larger pattern"
+        )
+    wanted = np.array(uv_ref, dtype=np.float64, order="C")
+    uv = np.array(uv_start, dtype=np.float64, order="C")
+    pattern = np.array(settings.pattern, dtype=np.float64)
+    moved = np.zeros(n, dtype=np.bool_)
+    for level in reversed(range(min(len(reference), len(query)))):
+        moved = _match_level(
+            reference[level].map,
+            query[level].map,
+            float(1 << level),
+            wanted,
+            uv,
+            pattern,
+            LIGHTS[settings.light],
+            settings.damping,
+            settings.longest_step,
+            settings.iterations,
+        )
+    height, width = query[0].map.shape[:2]
+    inside = np.all((uv >= 0) & (uv <= [width - 1, height - 1]), axis=1)
+    return np.where((moved & inside)[:, None], uv, np.nan)
+
+
+@njit(cache=True, error_model="numpy")
+def _sample(level_map: NDArray[np.float32], x: float, y: float, pattern: Array, out: Array) -> bool:
+    """Values, x and y derivatives (3, P D) at the pattern around a pixel, bilinear; False where it leaves the map."""
+    height, width, depth = level_map.shape
+    channels = depth // 3
+    for p in range(len(pattern)):
+        px, py = x + pattern[p, 0], y + pattern[p, 1]
+        # The outermost pixels have no derivative. The comparisons are false for NaN too.
+        if not (px >= 1.0 and py >= 1.0 and px <= width - 2.0 and py <= height - 2.0):
+            return False
+        ix, iy = int(px), int(py)
+        ax, ay = px - ix, py - iy
+        w11 = ax * ay
+        w10, w01 = ay - w11, ax - w11
+        w00 = 1.0 - ax - w10
+        m00, m01 = level_map[iy, ix], level_map[iy, ix + 1]
+        m10, m11 = level_map[iy + 1, ix], level_map[iy + 1, ix + 1]
+        for k in range(3):
+            for c in range(channels):
+                j = k * channels + c
+                out[k, p * channels + c] = w00 * m00[j] + w01 * m01[j] + w10 * m10[j] + w11 * m11[j]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _remove_light(samples: Array, channels: int, light: int) -> bool:
+    """Take mean and norm of each channel out of the values and, by the chain rule, out of the derivatives.
+
+    With v the values less their mean: d(v / |v|) = (dv - n (n dv)) / |v|, n = v / |v|. False where |v| is 0: a pattern
+    without contrast has no gain.
+    """
+    size = samples.shape[1] // channels
+    for c in range(channels):
+        part = samples[:, c::channels]
+        for k in range(3):
+            part[k] -= np.sum(part[k]) / size
+        if light >= _AFFINE:
+            norm = np.sqrt(np.sum(part[0] * part[0]))
+            if not norm > 0.0:
+                return False
+            part[0] /= norm
+            for k in range(1, 3):
+                part[k] = (part[k] - part[0] * np.sum(part[0] * part[k])) / norm
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _match_level(
+    reference_map: NDArray[np.float32],
+    query_map: NDArray[np.float32],
+    scale: float,
+    uv_ref: Array,
+    uv: Array,
+    pattern: Array,
+    light: int,
+    damping: float,
+    longest_step: float,
+    iterations: int,
+) -> NDArray[np.bool_]:
+    """Move ``uv`` (N, 2), pixels of the finest level, on the level ``scale`` times smaller; (N,) which were moved."""
+    n = len(uv)
+    channels = reference_map.shape[2] // 3
+    wanted, samples = np.empty((3, len(pattern) * channels)), np.empty((3, len(pattern) * channels))
+    moved = np.zeros(n, np.bool_)
+    for i in range(n):
+        # A pixel of a coarse level covers scale x scale pixels: (u + 0.5) / scale - 0.5 is its coordinate there.
+        u, v = (uv_ref[i, 0] + 0.5) / scale - 0.5, (uv_ref[i, 1] + 0.5) / scale - 0.5
+        if not _sample(reference_map, u, v, pattern, wanted):
+            continue
+        if light >= _OFFSET and not _remove_light(wanted, channels, light):
+            continue
+        x, y = (uv[i, 0] + 0.5) / scale - 0.5, (uv[i, 1] + 0.5) / scale - 0.5
+        found = False
+        for _ in range(iterations):
+            found = _sample(query_map, x, y, pattern, samples)
+            if found and light >= _OFFSET:
+                found = _remove_light(samples, channels, light)
+            if not found:
+                break
+            hxx, hxy, hyy, bx, by = 0.0, 0.0, 0.0, 0.0, 0.0
+            for j in range(samples.shape[1]):
+                r, gx, gy = samples[0, j] - wanted[0, j], samples[1, j], samples[2, j]
+                hxx += gx * gx
+                hxy += gx * gy
+                hyy += gy * gy
+                bx += gx * r
+                by += gy * r
+            eps = damping * 0.5 * (hxx + hyy)
+            hxx += eps
+            hyy += eps
+            determinant = hxx * hyy - hxy * hxy
+            found = determinant > 0.0
+            if not found:
+                break
+            dx, dy = (hyy * bx - hxy * by) / determinant, (hxx * by - hxy * bx) / determinant
+            length = np.sqrt(dx * dx + dy * dy)
+            cut = min(1.0, longest_step / length) if length > 0.0 else 1.0
+            x -= cut * dx
+            y -= cut * dy
+            if length <= SMALLEST_STEP:
+                break
+        if found:
+            uv[i, 0], uv[i, 1] = (x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5
+            moved[i] = True
+    return moved
