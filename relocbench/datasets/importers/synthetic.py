@@ -1,0 +1,163 @@
+"""Kind ``synthetic``: a procedural town, driven through in any weather. Nothing is downloaded; the truth is exact.
+
+Every split has a district of its own. In each, the same route is driven in every condition, ``traversals`` times; the
+first traversal of the first condition is the map whose keyframes the others ask about.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.importers import Run
+from relocbench.datasets.importers.assembly import configuration
+from relocbench.datasets.importers.options import ImportOptions
+from relocbench.datasets.synthetic.condition import Factors
+from relocbench.datasets.synthetic.drive import DriveStyle
+from relocbench.datasets.synthetic.extras import ExtraKind
+from relocbench.datasets.synthetic.pair_sets import write_pair_sets
+from relocbench.datasets.synthetic.pairs import DistanceSpread
+from relocbench.datasets.synthetic.plan import TraversalPlan, make_plans
+from relocbench.datasets.synthetic.presets import PRESETS, SPLITS, conditions_of
+from relocbench.datasets.synthetic.rig import rig_named
+from relocbench.datasets.synthetic.work import render_all
+from relocbench.datasets.writer import DatasetWriter
+from relocbench.errors import ConfigError
+from relocbench.progress import Reporter
+
+
+class Options(ImportOptions):
+    """Options of ``relocbench build-dataset synthetic``; what is not given is the preset's."""
+
+    preset: Literal["smoke", "demo", "carla", "oxford"] = Field("demo", description="what the other options start from")
+    conditions: tuple[str, ...] = Field(  # type: ignore[assignment]  # here they are chosen, not told
+        ("Sunny", "Overcast", "WetNoon", "Night"), description="conditions to drive in, the reference's first"
+    )
+    factors: dict[str, Factors] = Field({}, description="conditions of your own, name -> factors; YAML only")
+    sweep: str | None = Field(
+        None, description="a sweep instead of conditions: one factor alone changes, such as light"
+    )
+    sweep_steps: int = Field(5, ge=2, le=100, description="conditions that a sweep is made of")
+    traffic: float | None = Field(
+        None, ge=0, le=10, description="moving cars per 100 m of lane, in all conditions; default: each condition's own"
+    )
+    cameras: Literal["front", "stereo", "wide-stereo", "six"] = Field("front", description="the rig")
+    size: str = Field("320x240", description="pixels, WIDTHxHEIGHT, or one number for both")
+    steps: int = Field(16, ge=2, le=100_000, description="steps of a traversal, ten a second")
+    traversals: int = Field(1, ge=1, le=100, description="traversals in each condition and split")
+    split: Literal["train", "validation", "test", "all"] = Field("test", description="whose district is driven in")
+    extent: float = Field(250.0, ge=190, le=1000, description="side of a district in metres")
+    speed: float = Field(8.0, gt=0, le=40, description="mean speed in m/s")
+    lateral: float = Field(0.6, ge=0, le=4, description="how far drives keep from the lane's middle at most, in metres")
+    heading: float = Field(
+        2.0, ge=0, le=45, description="how far rigs are turned from the direction of travel, degrees"
+    )
+    distance: float = Field(1.6, gt=0, le=100, description="mean distance of pairs in metres (default pair rule)")
+    max_distance: float = Field(10.0, gt=0, description="farthest pair in metres")
+    max_angle: float = Field(30.0, gt=0, le=180, description="widest pair in degrees")
+    pair_rule: Literal["step", "nearest"] | None = Field(
+        None,
+        description="'step': frame i with frame i + k of the same traversal; 'nearest': each query with the nearest "
+        "keyframe; default: a keyframe whose distance is drawn about --distance",
+    )
+    reference: Literal["first", "all"] = Field(
+        "first", description="'first': all traversals ask the first one of their split; 'all': all ask all"
+    )
+    correspondences: int = Field(
+        500, ge=0, description="ground-truth correspondences to keep a pair, drawn over the image; 0 for none"
+    )
+    extras: tuple[ExtraKind, ...] = Field(
+        (), description="pictures to write to OUT/extras: normals, instance, semantic, changed"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _start_from_preset(cls, values: Any) -> Any:
+        if not isinstance(values, dict):
+            return values
+        return {**PRESETS.get(str(values.get("preset", "demo")), {}), **values}
+
+    @field_validator("size")
+    @classmethod
+    def _plain_size(cls, size: str) -> str:
+        found = re.fullmatch(r"(\d+)(?:x(\d+))?", size)
+        sides = [int(side) for side in found.groups() if side] if found else []
+        if not sides or not all(32 <= side <= 4096 for side in sides):
+            raise ValueError("size is WIDTHxHEIGHT or one number, 32 to 4096 pixels")
+        return f"{sides[0]}x{sides[-1]}"
+
+    @property
+    def width_height(self) -> tuple[int, int]:
+        """Pixels."""
+        width, height = self.size.split("x")
+        return int(width), int(height)
+
+    @property
+    def style(self) -> DriveStyle:
+        return DriveStyle(self.speed, self.lateral, self.heading)
+
+    @property
+    def spread(self) -> DistanceSpread:
+        return DistanceSpread(self.distance, self.max_distance, self.max_angle)
+
+
+def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+    """A rendered dataset; it takes no sources.
+
+    Raises:
+        ConfigError: sources were named, or a condition or sweep that there is not.
+    """
+    assert isinstance(options, Options)
+    if sources:
+        raise ConfigError(f"synthetic is rendered and takes no recordings, got {sources[0]}")
+    conditions = conditions_of(options.conditions, options.factors, options.sweep, options.sweep_steps, options.traffic)
+    record = configuration("synthetic", [], options)
+    record["factors"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
+    licence = "CC0-1.0" if options.licence == "unknown" else options.licence
+    writer = DatasetWriter(out, options.name or f"synthetic-{options.preset}", record, licence)
+    cameras = rig_named(options.cameras).cameras(*options.width_height)
+    plans = make_plans(
+        SPLITS if options.split == "all" else (options.split,),
+        conditions,
+        options.traversals,
+        options.steps,
+        options.style,
+        seed=options.seed,
+        extent_m=options.extent,
+        reporter=reporter,
+    )
+    for plan in plans:
+        writer.traversal(plan.file(cameras), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
+    render_all(plans, cameras, writer.layout, options.seed, options.extras, reporter, run)
+    splits = write_pair_sets(_asked(plans, options), cameras, writer.layout, options, options.spread, reporter, run)
+    return writer.finish(splits)
+
+
+def _asked(plans: list[TraversalPlan], options: Options) -> list[tuple[TraversalPlan, TraversalPlan]]:
+    """(reference, query) traversals of every pair set.
+
+    A condition is also asked about itself: by its second traversal, or else by the reference's own other frames.
+    """
+    found = []
+    for split in dict.fromkeys(plan.split for plan in plans):
+        members = [plan for plan in plans if plan.split == split]
+        references = members if options.reference == "all" else members[:1]
+        for reference in references:
+            for query in members:
+                itself = reference is query
+                alone = options.traversals == 1
+                if options.pair_rule == "step":
+                    wanted = itself
+                elif options.pair_rule == "nearest":
+                    wanted = not itself
+                else:
+                    wanted = not itself or alone
+                if wanted:
+                    found.append((reference, query))
+    if not found:
+        raise ConfigError("--pair-rule nearest needs a second traversal; name more conditions or raise --traversals")
+    return found
