@@ -273,8 +273,10 @@ def test_the_second_camera_stands_a_baseline_to_the_right(recording: Path) -> No
 def test_two_sequences_are_paired_across(recording: Path, tmp_path: Path) -> None:
     shutil.copytree(recording / "sequences/03", recording / "sequences/04")
     shutil.copy(recording / "poses/03.txt", recording / "poses/04.txt")
-    dataset = build(recording, tmp_path / "out", sequence=("03", "04"))
+    notes = Notes()
+    dataset = build(recording, tmp_path / "out", notes, sequence=("03", "04"))
     assert dataset.pair_set_names == ["kitti_03__kitti_04__image_0"]
+    assert any("both begin at the identity" in note for note in notes.notes)
     pairs = dataset.pair_set("kitti_03__kitti_04__image_0").pairs
     assert [p.distance_m for p in pairs] == pytest.approx([0, 0, 0, 0.4], abs=1e-9)
 

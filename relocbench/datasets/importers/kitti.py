@@ -46,7 +46,8 @@ class Options(ImportOptions):
     sequence: tuple[str, ...] = Field(
         (),
         max_length=2,
-        description="reference and query sequence, such as 06 or 06,07; default: the only one there is",
+        description="one sequence, such as 06, or reference and query, whose poses must share a world (KITTI's own do "
+        "not); default: the only one there is",
     )
     depth: Literal["auto", "stereo", "velodyne"] = Field(
         "auto", description="where depth comes from; auto: stereo if there are right images, else velodyne"
@@ -129,6 +130,12 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     settings = configuration("kitti", sources, options)
     plans = [_read(s, options, needs_depth=s is sequences[0], reporter=reporter) for s in sequences]
     reference, query = plans[0], plans[-1]
+    if query is not reference and all(np.allclose(p.poses[0], np.eye(4), atol=1e-6) for p in plans):
+        reporter.note(
+            f"the poses of {reference.sequence.name} and {query.sequence.name} both begin at the identity, as KITTI's "
+            "own do: each is then in a world of its own, and pairs across them have no true pose. Bring "
+            f"{query.sequence.poses_file} into the world of {reference.sequence.name} first"
+        )
     # Options that give no pair are told before the depth of a long recording is computed.
     make_pairs(
         reference.posed_frames(),
