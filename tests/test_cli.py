@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import subprocess
 import sys
@@ -144,6 +145,15 @@ def test_an_interrupted_command_says_that_it_goes_on(dataset: Dataset, monkeypat
     outcome = relocbench("evaluate", "-d", dataset.root, "-m", "identity")
     assert outcome.status == 130
     assert "the same command goes on where it stopped" in outcome.err
+
+
+def test_a_full_disk_is_one_line(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("relocbench.evaluation.evaluate.evaluate_methods", full)
+    outcome = relocbench("evaluate", "-d", dataset.root, "-m", "identity")
+    assert (outcome.status, outcome.complaint) == (2, "relocbench: No space left on device")
 
 
 def test_what_the_system_refuses_is_one_line_with_the_file(dataset: Dataset, tmp_path: Path) -> None:

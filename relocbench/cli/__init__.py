@@ -34,7 +34,8 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as bad:
-        if bad.errno not in _SURROUNDINGS or not bad.filename:
+        if bad.errno not in _SURROUNDINGS:
             raise
-        print(f"relocbench: {bad.filename}: {bad.strerror}", file=sys.stderr)
+        place = f"{bad.filename}: " if bad.filename else ""
+        print(f"relocbench: {place}{bad.strerror}", file=sys.stderr)
         sys.exit(USER_ERROR)
