@@ -7,11 +7,12 @@ whole. Only a bounded number of units is in flight, so that memory does not grow
 from __future__ import annotations
 
 import os
+import sys
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from multiprocessing import get_context
 from typing import Any, TypeVar
 
@@ -61,15 +62,32 @@ def run_units(
         yield from _run_on_cluster(function, units, scheduler)
     elif workers <= 1 or len(units) <= 1:
         for index, unit in enumerate(units):
-            yield index, function(unit)
+            with messages_to_stderr():
+                result = function(unit)
+            yield index, result
     else:
         yield from _run_on_processes(function, units, min(workers, len(units)), on_lost)
 
 
+@contextmanager
+def messages_to_stderr() -> Iterator[None]:
+    """What code that is not ours prints is a message; standard output holds a command's result alone (``--json``).
+
+    The descriptor itself is turned round, so that libraries and child processes obey too.
+    """
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
 def pin_threads() -> None:
     """One thread for each library that would start its own, so that N workers use N cores."""
-    import sys
-
     if "cv2" in sys.modules:
         sys.modules["cv2"].setNumThreads(1)
     if "torch" in sys.modules:
@@ -92,7 +110,8 @@ def _single_threaded_children() -> Iterator[None]:
 
 
 def _call(function: Callable[[Unit], Result], unit: Unit) -> Result:
-    result = function(unit)
+    with messages_to_stderr():
+        result = function(unit)
     pin_threads()
     return result
 

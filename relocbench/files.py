@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import os
@@ -66,6 +67,29 @@ def link_file(source: Path, path: Path) -> None:
     part = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.part")
     part.symlink_to(source.resolve())
     part.replace(path)
+
+
+@contextmanager
+def alone_in(folder: Path, error: type[RelocbenchError] = RelocbenchError) -> Iterator[None]:
+    """Be the only process that works in a folder. The system lets go of it however the process ends.
+
+    Raises:
+        RelocbenchError: (as ``error``) another process is at it.
+    """
+    taken = "another process is at work here; wait for it to end"
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise error(taken, folder) from None
+        except OSError:
+            pass  # a file system without locks: as safe as before
+        if not folder.exists() or not os.path.samestat(os.fstat(descriptor), folder.stat()):
+            raise error(taken, folder)  # it ended, and took the folder away, just now
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def remove_parts(folder: Path) -> None:

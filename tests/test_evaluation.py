@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import time
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from relocbench.datasets.pairfile import PoseLine, read_pose_lines, write_pose_l
 from relocbench.errors import DatasetError, MethodError, PredictionError
 from relocbench.evaluation.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.evaluation.results import DatasetResults, read_answers, read_errors
-from relocbench.files import read_journal
+from relocbench.files import alone_in, read_journal
 from relocbench.progress import Silent
 
 HERE = "trackers_for_tests"
@@ -125,6 +126,76 @@ def test_a_pair_that_kills_every_worker_costs_that_pair_alone(dataset: Dataset, 
     assert {r.key[1]: r.status == "ok" for r in rows} == {r.key[1]: r.key[1] != deadly for r in rows}
     messages = {a.message for a in read_answers(report.folders[0].answers(ACROSS)).values() if a.status == "error"}
     assert all("worker process died" in m for m in messages)
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        ("TrackResult(np.eye(4), confidence=float('inf'))", "confidence is inf"),
+        ("TrackResult(np.eye(4), confidence='high')", "confidence is 'high'"),
+        ("TrackResult.failure(ValueError('no text'))", "no text"),
+        ("sys.exit(3)", "SystemExit: 3"),
+        ("int('\\udc80\\x1b[31m\\u2028')", "invalid literal"),
+        ("TrackResult(np.eye(4), info={(1, 2): 3})", ""),
+        ("TrackResult(np.eye(4), info=[itself := [], itself.append(itself)])", ""),
+        ("TrackResult(None, info=None)", ""),
+    ],
+)
+def test_whatever_a_method_says_is_kept_and_can_be_read_again(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: str, words: str
+) -> None:
+    name = f"saying_{zlib.crc32(answer.encode())}"
+    source = f"""import sys
+import numpy as np
+from relocbench.tracking import TrackResult
+class T:
+    def track(self, reference, query, prior=None):
+        return {answer}
+"""
+    (tmp_path / f"{name}.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    report = evaluate(dataset, tmp_path / "results", f"{name}:T", pair_sets=(ACROSS,))
+    answers = read_answers(report.folders[0].answers(ACROSS)).values()
+    assert len(answers) == len(dataset.pair_set(ACROSS).pairs)
+    for answer_ in answers:
+        assert words in answer_.message
+        assert answer_.message.isprintable()
+        assert json.loads(answer_.info) is not None
+    assert evaluate(dataset, tmp_path / "results", f"{name}:T", pair_sets=(ACROSS,)).folders == report.folders
+
+
+def test_two_processes_never_answer_the_same_pair_set_at_once(dataset: Dataset, tmp_path: Path) -> None:
+    method = f"s={HERE}:Shift"
+    folder = evaluate(dataset, tmp_path, method, pair_sets=(WITHIN,)).folders[0]
+    journal = folder.journal(ACROSS)
+    journal.mkdir(parents=True)
+    with alone_in(journal), pytest.raises(PredictionError, match="another process is at work here"):
+        evaluate(dataset, tmp_path, method)
+    assert not folder.predictions(ACROSS).exists()
+    evaluate(dataset, tmp_path, method)
+    assert folder.complete(ACROSS)
+
+
+def test_what_a_method_prints_stays_out_of_the_result(dataset: Dataset, tmp_path: Path) -> None:
+    (tmp_path / "loud.py").write_text(
+        """import os
+from relocbench.tracking import TrackResult
+print("imported")
+class T:
+    def __init__(self):
+        print("made")
+    def track(self, reference, query, prior=None):
+        print("asked")
+        os.write(1, b"from a library\\n")
+        return TrackResult.failure("none")
+"""
+    )
+    for workers in ("1", "2"):
+        command = [sys.executable, "-m", "relocbench", "evaluate", "-d", str(dataset.root), "-m", f"w{workers}=loud:T"]
+        command += ["--json", "--out", "results", "-j", workers]
+        ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=True)
+        assert set(json.loads(ended.stdout)["methods"]) == {f"w{workers}"}
+        assert {"imported", "made", "asked", "from a library"} <= set(ended.stderr.splitlines())
 
 
 def test_answers_there_are_not_asked_for_again(dataset: Dataset, tmp_path: Path) -> None:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import datetime
 import json
+import math
 import platform
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,7 +34,7 @@ from relocbench.evaluation.worker import (
     units_of,
 )
 from relocbench.execution import chunks, default_workers, run_units
-from relocbench.files import dump_yaml, read_rows, remove_parts, write_text
+from relocbench.files import alone_in, dump_yaml, read_rows, remove_parts, write_text
 from relocbench.geometry import transform_to_tq
 from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
 from relocbench.progress import Reporter
@@ -62,7 +63,8 @@ def run_method(
             ``always`` starts anew.
 
     Raises:
-        PredictionError: the folder holds answers of the same label made with other parameters or versions.
+        PredictionError: the folder holds answers of the same label made with other parameters or versions, or
+            another process is writing them.
         DatasetError: an image, depth or description of the dataset is bad.
     """
     folder = results.method(spec.label)
@@ -100,13 +102,14 @@ def _run_pair_set(
     journal = folder.journal(pair_set.name)
     journal.mkdir(parents=True, exist_ok=True)
     left = todo
-    while left:
-        units = units_of(dataset, pair_set, spec, journal, left)
-        for _, done in run_units(_run_unit, units, workers=workers, scheduler=scheduler, on_lost=_lose_one):
-            advance(done)
-        answered = {entry["key"] for entry in journal_entries(journal)}
-        left = [key for key in left if key not in answered]  # what a dying worker left of its unit
-    _collect(pair_set, folder, journal)
+    with alone_in(journal, PredictionError):
+        while left:
+            units = units_of(dataset, pair_set, spec, journal, left)
+            for _, done in run_units(_run_unit, units, workers=workers, scheduler=scheduler, on_lost=_lose_one):
+                advance(done)
+            answered = {entry["key"] for entry in journal_entries(journal)}
+            left = [key for key in left if key not in answered]  # what a dying worker left of its unit
+        _collect(pair_set, folder, journal)
 
 
 def _run_unit(unit: Unit) -> int:
@@ -143,8 +146,20 @@ def _ask(tracker: Any, reference: Any, views: list[Query]) -> tuple[list[TrackRe
     seconds = time.perf_counter() - start
     if broke is not None:
         return [_broken(broke)] * len(views), seconds
-    faults = [fault_of(result) for result in answered]
+    faults = [_fault_of(result) for result in answered]
     return [_broken(f) if f else r for f, r in zip(faults, answered, strict=True)], seconds
+
+
+def _fault_of(result: object) -> str | None:
+    """What keeps ``result`` from being an answer, or from being kept."""
+    if isinstance(result, TrackResult) and result.confidence is not None:
+        try:
+            finite = math.isfinite(result.confidence)
+        except (TypeError, ValueError):
+            finite = False
+        if not finite:
+            return f"confidence is {result.confidence!r}, expected a finite number or None"
+    return fault_of(result)
 
 
 def _broken(message: str) -> TrackResult:
@@ -167,16 +182,31 @@ def _entry(key: PairKey, result: TrackResult, seconds: float | None) -> dict[str
     if result.T_query_ref is not None:
         translation, quaternion = transform_to_tq(np.asarray(result.T_query_ref, dtype=np.float64))
         pose = [*translation.tolist(), *quaternion.tolist()]
-    status = "ok" if pose is not None else str(result.info.get("status", "failed"))
+    told = result.info.get("status") if isinstance(result.info, Mapping) else None
+    status = "ok" if pose is not None else str(told)
     return {
         "key": list(key),
         "pose": pose,
         "status": status if status in ("ok", "error") else "failed",
         "seconds": seconds,
         "confidence": None if result.confidence is None else float(result.confidence),
-        "message": " ".join(result.message.split())[:500],
-        "info": json.dumps(dict(result.info), default=_plain),
+        "message": _one_line(result.message),
+        "info": _json_text(result.info),
     }
+
+
+def _one_line(message: object) -> str:
+    """A message as a table and a terminal can hold it."""
+    words = " ".join(str(message).split())[:500]
+    return "".join(c if c.isprintable() else "?" for c in words)
+
+
+def _json_text(info: Any) -> str:
+    """What a method had to say as JSON; what JSON cannot hold as words."""
+    try:
+        return json.dumps(dict(info), default=_plain)
+    except (TypeError, ValueError, RecursionError):
+        return json.dumps({"info": _one_line(info)})
 
 
 def _plain(value: Any) -> Any:

@@ -62,7 +62,7 @@ def guarded(call: Callable[[], Any]) -> tuple[Any, str | None]:
     """The value of a method's own code, or what it raised: a method's bug costs its pair only."""
     try:
         return call(), None
-    except Exception as bad:  # noqa: BLE001  the boundary to code that is not ours
+    except (Exception, SystemExit) as bad:  # noqa: BLE001  the boundary to code that is not ours
         return None, f"{type(bad).__name__}: {bad}"
 
 

@@ -26,6 +26,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from relocbench.datasets.schema import check_name
 from relocbench.errors import MethodError, RelocbenchError
+from relocbench.execution import messages_to_stderr
 from relocbench.files import first_fault
 
 ENTRY_POINT_GROUP = "relocbench.methods"
@@ -221,7 +222,8 @@ def _import(module_name: str, target: str) -> Any:
 def _of_theirs(failed: str, call: Callable[[], Any]) -> Any:
     """What code that is not ours returns. Raises MethodError with what it raised, and where."""
     try:
-        return call()
+        with messages_to_stderr():
+            return call()
     except RelocbenchError:
         raise
     except (Exception, SystemExit) as bad:
