@@ -152,7 +152,7 @@ def _front(house: House, width: float, rng: np.random.Generator) -> list[Shape]:
     parts = [] if len(cells) == 0 else openings(cells, holes, style, Material.WINDOW, names)
     plain = holes[~with_balcony]
     if len(plain):
-        parts += trims(plain, style)
+        parts += trims(plain, style, float(edge[1] - edge[0]))
     parts += [balcony(h[0], h[1], h[2] - 0.04) for h in holes[with_balcony]]
     parts += _ground_floor(house, edge)
     if house.band:
@@ -201,7 +201,7 @@ def _ground_windows(house: House, edge: Floats, columns: list[int]) -> list[Shap
     holes = np.stack(
         [middle - opening_m / 2, middle + opening_m / 2, 0 * middle + sill, 0 * middle + sill + style.height], 1
     )
-    return [*openings(cells, holes, style, Material.WINDOW, _names(house, len(k), 500)), *trims(holes, style)]
+    return [*openings(cells, holes, style, Material.WINDOW, _names(house, len(k), 500)), *trims(holes, style, float(edge[1] - edge[0]))]
 
 
 def _back(house: House, x0: float, x1: float, depth: float) -> list[Shape]:

@@ -96,8 +96,8 @@ def openings(
     return parts
 
 
-def trims(holes: Floats, style: FrontStyle) -> list[Shape]:
-    """Sills below, lintels or surrounds about, and shutters beside windows (N, 4)."""
+def trims(holes: Floats, style: FrontStyle, cell_m: float) -> list[Shape]:
+    """Sills below, lintels or surrounds about, and shutters beside windows (N, 4) in cells ``cell_m`` wide."""
     x0, x1, z0, z1 = holes.T
     zero = np.zeros(len(holes))
     low = [np.stack([x0 - 0.08, zero - 0.09, z0 - 0.09], axis=1)]
@@ -111,7 +111,7 @@ def trims(holes: Floats, style: FrontStyle) -> list[Shape]:
             high.append(np.stack([b, zero, z1], axis=1))
     parts = [boxes(np.concatenate(low), np.concatenate(high), style.trim, without="back")]
     if style.shutters:
-        half = (x1 - x0) / 2
+        half = np.minimum((x1 - x0) / 2, (cell_m - (x1 - x0)) / 2 - 0.01)
         low = [np.stack([a, zero - 0.05, z0], axis=1) for a in (x0 - half, x1 + 0.01)]
         high = [np.stack([b, zero - 0.005, z1], axis=1) for b in (x0 - 0.01, x1 + half)]
         parts.append(boxes(np.concatenate(low), np.concatenate(high), Material.WOOD, variant=0x51))
