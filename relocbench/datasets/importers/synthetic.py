@@ -116,6 +116,8 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         raise ConfigError(f"synthetic is rendered and takes no recordings, got {sources[0]}")
     conditions = conditions_of(options.conditions, options.factors, options.sweep, options.sweep_steps, options.traffic)
     record = configuration("synthetic", [], options)
+    # Pictures that no score depends on can be asked for later.
+    del record["options"]["extras"]
     record["factors"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
     licence = "CC0-1.0" if options.licence == "unknown" else options.licence
     writer = DatasetWriter(out, options.name or f"synthetic-{options.preset}", record, licence)
@@ -133,11 +135,11 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     for plan in plans:
         writer.traversal(plan.file(cameras), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
     render_all(plans, cameras, writer.layout, options.seed, options.extras, reporter, run)
-    splits = write_pair_sets(_asked(plans, options), cameras, writer.layout, options, options.spread, reporter, run)
+    splits = write_pair_sets(asked(plans, options), cameras, writer.layout, options, options.spread, reporter, run)
     return writer.finish(splits)
 
 
-def _asked(plans: list[TraversalPlan], options: Options) -> list[tuple[TraversalPlan, TraversalPlan]]:
+def asked(plans: list[TraversalPlan], options: Options) -> list[tuple[TraversalPlan, TraversalPlan]]:
     """(reference, query) traversals of every pair set.
 
     A condition is also asked about itself: by its second traversal, or else by the reference's own other frames.

@@ -24,6 +24,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "cameras": "front",
         "size": "96x96",
         "steps": 4,
+        "extent": 190.0,
         "correspondences": 200,
     },
     "demo": {},

@@ -1,0 +1,388 @@
+"""The procedural town as a dataset: drives, pairs, exact truth, and the same bytes however it is built."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import relocbench
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from relocbench.datasets import images
+from relocbench.datasets.correspondences import read_correspondences
+from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.importers import Run, synthetic
+from relocbench.datasets.pairing import PosedFrames
+from relocbench.datasets.synthetic import stage
+from relocbench.datasets.synthetic.condition import condition_named
+from relocbench.datasets.synthetic.drive import Drive, DriveStyle, drive, route_length
+from relocbench.datasets.synthetic.extras import extra_path, read_instance
+from relocbench.datasets.synthetic.mesh import Mesh, Semantic
+from relocbench.datasets.synthetic.pairs import DistanceSpread, drawn_pairs
+from relocbench.datasets.synthetic.plan import make_plans
+from relocbench.datasets.synthetic.presets import conditions_of
+from relocbench.datasets.synthetic.rig import RIGS
+from relocbench.datasets.synthetic.town import compose
+from relocbench.datasets.synthetic.traffic import moving_cars
+from relocbench.datasets.synthetic.work import FrameWork, RenderUnit, Spent, StepWork, duration, estimate
+from relocbench.datasets.visibility import warp
+from relocbench.geometry import Camera, apply, invert, is_rotation, rotation_angle
+from relocbench.progress import Silent
+
+SMOKE = {"preset": "smoke", "extras": ("changed", "instance", "semantic", "normals")}
+PLACE = stage.Place(0, "test", 190.0)
+REFERENCE, QUERY = "test-Neutral-0", "test-WetNoon-0"
+ACROSS = f"{REFERENCE}__{QUERY}__front"
+
+
+def build(out: Path, workers: int = 1, **options: object) -> Dataset:
+    return synthetic.build([], synthetic.Options.model_validate({**SMOKE, **options}), out, Silent(), Run(workers))
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return build(tmp_path_factory.mktemp("synthetic") / "out")
+
+
+class Straight:
+    """A route along x."""
+
+    length = 400.0
+
+    def pose(self, s: float, lateral_m: float = 0.0, yaw_rad: float = 0.0) -> np.ndarray:
+        c, n = np.cos(yaw_rad), np.sin(yaw_rad)
+        return np.array([[c, -n, 0, s], [n, c, 0, lateral_m], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**31), st.floats(0, 2), st.floats(0, 15), st.integers(2, 200))
+def test_a_drive_is_smooth_and_keeps_its_bounds(seed: int, lateral: float, heading: float, steps: int) -> None:
+    style = DriveStyle(8.0, lateral, heading)
+    driven = drive(Straight(), steps, style, np.random.default_rng(seed))
+    assert all(is_rotation(T[:3, :3], 1e-9) for T in driven.T_world_rig)
+    assert np.abs(driven.T_world_rig[:, 1, 3]).max() <= lateral + 1e-9
+    moved = np.diff(driven.along)
+    assert np.all(moved > 0)
+    assert np.all(moved < 2 * 0.8)
+    assert driven.along[-1] - driven.along[0] == pytest.approx((steps - 1) * 0.8)
+    assert driven.along[0] >= 0
+    assert driven.along[-1] <= route_length(steps, style)
+    yaw = np.degrees(np.arctan2(driven.T_world_rig[:, 1, 0], driven.T_world_rig[:, 0, 0]))
+    sideways = np.degrees(np.arctan(0.2 * lateral * 2 * np.pi * (1 / 27 + 1 / 61)))
+    assert np.abs(yaw).max() <= heading + sideways + 0.5
+
+
+def test_cameras_look_where_their_mounts_say_with_the_sky_above() -> None:
+    for rig in RIGS.values():
+        for name, (camera, T_rig_cam) in rig.cameras(512, 512).items():
+            mount = rig.mounts[name]
+            yaw, down = np.radians([mount.yaw_deg, mount.down_deg])
+            level = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+            seen = np.array([mount.forward_m, mount.left_m, mount.up_m]) + 30 * level - [0, 0, 30 * np.tan(down)]
+            up = np.array([0.0, 0.0, 4.0])
+            points = np.stack([seen, seen + up, seen + 4.0 * np.array([np.sin(yaw), -np.cos(yaw), 0.0])])
+            (middle, above, right), valid = camera.project(apply(invert(T_rig_cam), points))
+            assert valid.all()
+            np.testing.assert_allclose(middle, [255.5, 255.5], atol=1e-9)
+            assert above[1] < 250
+            assert right[0] > 260
+    stereo = RIGS["wide-stereo"].mounts
+    T_right_left = invert(stereo["right"].T_rig_cam) @ stereo["left"].T_rig_cam
+    np.testing.assert_allclose(T_right_left[:3, 3], [-0.54, 0, 0], atol=1e-12)
+    assert len(set(RIGS["six"].mounts.values())) == 6
+
+
+@pytest.mark.parametrize("mean", [0.84, 1.6, 4.0])
+def test_distances_of_pairs_follow_the_distribution_that_was_asked_for(mean: float) -> None:
+    style = DriveStyle(heading_deg=15.0)
+    frames = []
+    for k in range(2):
+        driven = drive(Straight(), 400, style, np.random.default_rng(k))
+        times = tuple(range(400))
+        frames.append(PosedFrames(times, driven.T_world_rig, frozenset(times)))
+    pairs = drawn_pairs(*frames, DistanceSpread(mean, 10.0, 30.0), np.random.default_rng(2), same_traversal=False)
+    distances = [p.distance_m for p in pairs if p.distance_m is not None]
+    assert len(pairs) > 350
+    assert np.mean(distances) == pytest.approx(mean, rel=0.15)
+    assert max(distances) <= 10.0
+    assert max(p.angle_deg or 0 for p in pairs) <= 30.0
+    assert all(p.sigma_translation_m == 0 for p in pairs)
+
+
+def test_moving_cars_keep_to_their_lanes_and_out_of_our_way() -> None:
+    driven = drive(Straight(), 200, DriveStyle(), np.random.default_rng(0))
+    cars = moving_cars(Straight(), driven, 2.0, 3.2, np.random.default_rng(1))
+    count = [len(present) for present in cars]
+    assert min(count) >= 10
+    ours = {(variant, bool(T[0, 0] > 0)) for present in cars for T, variant in present}
+    assert {forward for _, forward in ours} == {True, False}
+    for T_world_rig, present in zip(driven.T_world_rig, cars, strict=True):
+        for T_world_car, _ in present:
+            assert T_world_car[1, 3] == (0.0 if T_world_car[0, 0] > 0 else 3.2)
+            x, y, _ = T_world_car[:3, 3] - T_world_rig[:3, 3]
+            assert abs(y) > 2 or abs(x) > 10
+    first, second = ({v: T for T, v in present} for present in cars[:2])
+    steps = [np.linalg.norm(first[v][:3, 3] - second[v][:3, 3]) for v in first.keys() & second.keys()]
+    assert max(steps) < 2.0
+
+
+def test_the_smoke_preset_is_a_sound_dataset_with_labelled_conditions(town: Dataset) -> None:
+    assert town.traversal_names == [REFERENCE, QUERY]
+    assert town.traversal(QUERY).condition == condition_named("WetNoon").label
+    assert set(town.splits) == {"test"}
+    assert {s.name for s in town.pair_sets("test")} == {ACROSS, f"{REFERENCE}__{REFERENCE}__front"}
+    outcome = relocbench("validate", town.root)
+    assert outcome.status == 0, outcome.err
+    times = town.traversal(QUERY).timestamps("front")
+    assert np.diff(times).tolist() == [100_000_000] * 3
+
+
+def test_pairs_agree_with_the_poses_to_the_last_digits(town: Dataset) -> None:
+    for pair_set in town.pair_sets():
+        reference, query = town.traversal(pair_set.reference), town.traversal(pair_set.query)
+        for pair in pair_set.pairs:
+            T_world_ref = reference.T_world_cam("front", pair.ref_timestamp_ns)
+            T_world_query = query.T_world_cam("front", pair.query_timestamp_ns)
+            assert pair.T_query_ref is not None
+            rest = invert(T_world_query) @ T_world_ref @ invert(pair.T_query_ref)
+            assert np.linalg.norm(rest[:3, 3]) < 1e-12
+            assert rotation_angle(rest[:3, :3]) < 1e-12
+
+
+def nearest_hit(mesh: Mesh, origin: np.ndarray, direction: np.ndarray) -> float:
+    """Distance to the first triangle by Moeller and Trumbore (1997) over all of them, in double precision."""
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]].astype(np.float64) for k in range(3))
+    e1, e2 = b - a, c - a
+    p = np.cross(direction, e2)
+    determinant = np.einsum("ij,ij->i", e1, p)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = origin - a
+        u = np.einsum("ij,ij->i", s, p) / determinant
+        q = np.cross(s, e1)
+        v = q @ direction / determinant
+        t = np.einsum("ij,ij->i", e2, q) / determinant
+        hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 1e-6)
+    return float(np.min(t[hit], initial=np.inf))
+
+
+def test_depth_is_that_of_an_independent_ray_cast(town: Dataset) -> None:
+    traversal = town.traversal(QUERY)
+    mesh = compose(stage.district(PLACE), condition_named("WetNoon").factors)
+    time_ns = traversal.timestamps("front")[1]
+    depth, camera = traversal.depth("front", time_ns), traversal.camera("front")
+    assert depth is not None
+    T_world_cam = traversal.T_world_cam("front", time_ns)
+    rng = np.random.default_rng(0)
+    v, u = np.nonzero(depth > 0)
+    wrong = 0
+    for row in rng.choice(len(u), 24, replace=False):
+        ray = camera.unproject(np.array([u[row], v[row]], dtype=float))[0]
+        expected = nearest_hit(mesh, T_world_cam[:3, 3], T_world_cam[:3, :3] @ ray)
+        wrong += abs(depth[v[row], u[row]] - expected) > 1 / 256
+    assert wrong == 0
+
+
+def test_correspondences_hold_forward_and_backward_on_static_surfaces(town: Dataset) -> None:
+    pair_set = town.pair_set(ACROSS)
+    factors = condition_named("WetNoon").factors
+    scene = stage.static_scene(PLACE, factors)
+    for pair in pair_set.pairs:
+        rows = read_correspondences(town.layout.correspondence_file(ACROSS), pair.key)
+        assert pair.T_query_ref is not None
+        assert len(rows) >= 100
+        assert np.mean(rows.visible) > 0.5
+        seen = rows.uv_query[rows.visible]
+        camera = town.traversal(QUERY).camera("front")
+        T_world_query = town.traversal(QUERY).T_world_cam("front", pair.query_timestamp_ns)
+        origins, directions, stretch = stage.pixel_rays(camera, T_world_query, seen)
+        depth = np.asarray(scene.cast(origins, directions)[0]) / stretch
+        back, _, valid = warp(np.column_stack([seen, depth]), camera, camera, invert(pair.T_query_ref))
+        error = np.linalg.norm(back - rows.uv_ref[rows.visible], axis=1)
+        # A ray to the very edge of a surface may miss it in single precision.
+        assert np.mean(valid & (error < 0.05)) > 0.995
+        forward, _, _ = warp(np.column_stack([rows.uv_ref, rows.depth_ref]), camera, camera, pair.T_query_ref)
+        assert np.abs(forward - rows.uv_query).max() < 1e-3
+
+
+def test_what_is_called_hidden_is_hidden(town: Dataset) -> None:
+    """Visibility against a loop over all triangles, for points that the query sees and points that it does not."""
+    pair = town.pair_set(ACROSS).pairs[0]
+    rows = read_correspondences(town.layout.correspondence_file(ACROSS), pair.key)
+    reference, query = town.traversal(REFERENCE), town.traversal(QUERY)
+    mesh = compose(stage.district(PLACE), condition_named("WetNoon").factors)
+    T_world_ref = reference.T_world_cam("front", pair.ref_timestamp_ns)
+    centre = query.T_world_cam("front", pair.query_timestamp_ns)[:3, 3]
+    rays, _ = reference.camera("front").unproject(rows.uv_ref)
+    points = apply(T_world_ref, rays * rows.depth_ref[:, None])
+    some = np.concatenate([np.nonzero(rows.visible)[0][:10], np.nonzero(~rows.visible)[0][:10]])
+    for row in some:
+        offset = points[row] - centre
+        far = float(np.linalg.norm(offset))
+        reached = nearest_hit(mesh, centre, offset / far)
+        assert (abs(reached - far) < 0.01 + 1e-3 * far) == rows.visible[row]
+
+
+def test_conditions_share_what_stands_still(town: Dataset) -> None:
+    """Where nothing is marked as changed, the query's surfaces are those of the reference's condition."""
+    mesh = compose(stage.district(PLACE), condition_named("Neutral").factors)
+    traversal, camera = town.traversal(QUERY), town.traversal(QUERY).camera("front")
+    time_ns = traversal.timestamps("front")[0]
+    changed = images.read_image(extra_path(town.root, QUERY, "changed", "front", time_ns)) > 0
+    semantic = images.read_image(extra_path(town.root, QUERY, "semantic", "front", time_ns))
+    assert not np.any(changed & np.isin(semantic, (Semantic.SKY,)) & (traversal.depth("front", time_ns) > 0))
+    assert 0 < np.mean(changed) < 0.5
+    depth = traversal.depth("front", time_ns)
+    assert depth is not None
+    T_world_cam = traversal.T_world_cam("front", time_ns)
+    v, u = np.nonzero(~changed & (depth > 0))
+    for row in np.random.default_rng(0).choice(len(u), 12, replace=False):
+        ray = camera.unproject(np.array([u[row], v[row]], dtype=float))[0]
+        expected = nearest_hit(mesh, T_world_cam[:3, 3], T_world_cam[:3, :3] @ ray)
+        assert depth[v[row], u[row]] == pytest.approx(expected, abs=0.02 + 1e-3 * expected)
+    reference_time = town.traversal(REFERENCE).timestamps("front")[0]
+    assert not images.read_image(extra_path(town.root, REFERENCE, "changed", "front", reference_time)).any()
+
+
+def test_extras_are_exact_and_outside_of_the_fingerprint(town: Dataset, tmp_path: Path) -> None:
+    time_ns = town.traversal(QUERY).timestamps("front")[0]
+    mesh = compose(stage.district(PLACE), condition_named("WetNoon").factors)
+    instance = read_instance(extra_path(town.root, QUERY, "instance", "front", time_ns))
+    assert np.isin(instance, mesh.instance).all()
+    assert len(np.unique(instance)) > 3
+    plain = build(tmp_path / "plain", extras=())
+    assert plain.fingerprint == town.fingerprint
+    assert not (plain.root / "extras").exists()
+    assert build(plain.root, extras=("semantic",)).fingerprint == town.fingerprint
+    later, before = (extra_path(d.root, QUERY, "semantic", "front", time_ns) for d in (plain, town))
+    assert later.read_bytes() == before.read_bytes()
+
+
+def test_workers_do_not_change_the_bytes(town: Dataset, tmp_path: Path) -> None:
+    two = build(tmp_path / "two", workers=2, extras=())
+    assert two.fingerprint == town.fingerprint
+
+
+def test_a_frame_is_the_same_when_rendered_on_its_own(town: Dataset) -> None:
+    script = (
+        "import sys; from pathlib import Path; import numpy as np;"
+        "from relocbench.datasets.dataset import Dataset; from relocbench.datasets.synthetic import stage;"
+        "from relocbench.datasets.synthetic.condition import condition_named; from relocbench.datasets import images;"
+        f"t = Dataset({str(town.root)!r}).traversal({QUERY!r}); time = t.timestamps('front')[2];"
+        "r = stage.renderer(stage.Place(0, 'test', 190.0), condition_named('WetNoon').factors);"
+        "number = int(t.timestamps('front')[0] // 10**12 - 1);"
+        "f = r.render(t.camera('front'), t.T_world_cam('front', time), stage.frame_seed(0, number, 2, 0));"
+        "sys.exit(int((f.rgb != t.image('front', time)).any()))"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+
+
+def test_a_killed_build_resumes_to_the_same_bytes(town: Dataset, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    options = ["build-dataset", "synthetic", "--preset", "smoke", "--workers", "1", "--quiet", "--out", str(out)]
+    job = subprocess.Popen(
+        [sys.executable, "-m", "relocbench", *options, "--extras", "changed,instance,semantic,normals"]
+    )
+    deadline = time.monotonic() + 120
+    while not list(out.rglob("images/front/*.png")) and job.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.005)
+    os.kill(job.pid, signal.SIGKILL)
+    job.wait()
+    assert list(out.rglob("images/front/*.png"))
+    for torn in list(out.rglob("depth/front/*.png"))[:1]:
+        torn.write_bytes(torn.read_bytes()[:50])
+    assert build(out).fingerprint == town.fingerprint
+
+
+def test_traffic_is_rendered_marked_as_changed_and_never_matched(tmp_path: Path) -> None:
+    dataset = build(tmp_path / "out", traffic=3.0, conditions=("Neutral",), correspondences=2000, steps=3)
+    query = dataset.traversal_names[0]
+    moving = 0
+    for time_ns in dataset.traversal(query).timestamps("front"):
+        semantic = images.read_image(extra_path(dataset.root, query, "semantic", "front", time_ns))
+        changed = images.read_image(extra_path(dataset.root, query, "changed", "front", time_ns)) > 0
+        cars = semantic == Semantic.MOVING_CAR
+        moving += int(cars.sum())
+        assert changed[cars].mean() > 0.99 if cars.any() else True
+        for pair in dataset.pair_sets()[0].pairs:
+            if pair.ref_timestamp_ns == time_ns:
+                rows = read_correspondences(dataset.layout.correspondence_file(dataset.pair_sets()[0].name), pair.key)
+                u, v = rows.uv_ref.astype(int).T
+                assert not cars[v, u].any()
+    assert moving > 20
+
+
+def test_pair_sets_are_those_that_were_asked_for() -> None:
+    conditions = conditions_of(("Neutral", "Rain"), {}, None, 2)
+
+    def count(traversals: int, **options: object) -> int:
+        plans = make_plans(
+            ("test",), conditions, traversals, 3, DriveStyle(), seed=0, extent_m=190.0, reporter=Silent()
+        )
+        chosen = synthetic.Options.model_validate({**SMOKE, "traversals": traversals, **options})
+        return len(synthetic.asked(plans, chosen))
+
+    assert count(1) == 2
+    assert count(1, reference="all") == 4
+    assert count(2) == 3
+    assert count(2, reference="all") == 12
+    assert count(2, reference="all", pair_rule="step") == 4
+    assert count(1, pair_rule="nearest") == 1
+
+
+def test_a_sweep_takes_the_place_of_conditions(tmp_path: Path) -> None:
+    dataset = build(tmp_path / "out", sweep="leaves", sweep_steps=2, steps=2, extras=())
+    assert dataset.traversal_names == ["test-leaves-0-0", "test-leaves-1-0"]
+    factors = dataset.file.made_by["factors"]
+    differing = {k for k, v in factors["leaves-0"].items() if v != factors["leaves-1"][k]}
+    assert differing == {"foliage"}
+
+
+def test_splits_and_seeds_have_districts_of_their_own() -> None:
+    places = [PLACE, stage.Place(0, "train", 190.0), stage.Place(1, "test", 190.0)]
+    ends = {stage.district(place).network.drive(100.0, place.seed).pose(90.0).tobytes() for place in places}
+    assert len(ends) == 3
+
+
+def test_mistakes_are_named(tmp_path: Path) -> None:
+    out = ("--out", tmp_path / "out")
+    command = ("build-dataset", "synthetic", "--preset", "smoke")
+    assert "no condition 'Hail'" in relocbench(*command, "--conditions", "Hail", *out).complaint
+    assert "WIDTHxHEIGHT" in relocbench(*command, "--size", "big", *out).complaint
+    assert "no sweep 'mud'" in relocbench(*command, "--sweep", "mud", *out).complaint
+    assert "--preset" in relocbench("build-dataset", "synthetic", "--preset", "big", *out).complaint
+    assert "give one of them" in relocbench("preview", *out).complaint
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_estimate_counts_what_is_left() -> None:
+    spent = [Spent(images=9, setup_s=10.0, seconds=4.0, bytes=9_000_000)] * 2
+    camera = Camera("pinhole", 32, 32, 30, 30, 15.5, 15.5)
+    frame = FrameWork(camera, np.eye(4), 0, {"image": Path("x")})
+    unit = RenderUnit(PLACE, *[condition_named("Sunny").factors] * 2, (StepWork((), (frame,) * 1000),))
+    # 1000 images of half a second on two workers, and one scene to make ready.
+    assert "about 4 min at 4.0 images/s with 2 workers, 1.0 GB" in estimate(spent, [unit], 2)
+    assert duration(3 * 3600) == "3.0 h"
+
+
+def test_a_preview_has_a_picture_for_each_condition(tmp_path: Path) -> None:
+    sheet = tmp_path / "sheet.png"
+    outcome = relocbench("preview", "-c", "Sunny,Snow", "--size", 96, "--out", sheet, "--quiet")
+    assert outcome.status == 0, outcome.err
+    picture = images.read_image(sheet)
+    assert picture.shape == (72, 2 * 96 + 4, 3)
+    left, right = picture[:, :96].astype(float), picture[:, 100:].astype(float)
+    assert np.abs(left - right).mean() > 5
+
+
+def test_drives_of_one_route_differ() -> None:
+    one, two = (drive(Straight(), 50, DriveStyle(), np.random.default_rng(k)) for k in range(2))
+    assert isinstance(one, Drive)
+    assert np.abs(one.T_world_rig[:, 1, 3] - two.T_world_rig[:, 1, 3]).max() > 0.05
+    assert np.abs(one.along - two.along).max() > 0.05
