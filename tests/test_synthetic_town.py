@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.synthetic.buildings import DEPTH_M, draw_house, house_shape
 from relocbench.datasets.synthetic.cars import CAR_TYPES, car_shape
 from relocbench.datasets.synthetic.condition import Factors
+from relocbench.datasets.synthetic.furniture import bench, bin_shape, bollard, fountain
 from relocbench.datasets.synthetic.mesh import Material, Mesh, Semantic
 from relocbench.datasets.synthetic.network import make_network
 from relocbench.datasets.synthetic.shapes import Shape, boxes, ear_clip, prism, tube
@@ -124,8 +125,10 @@ def test_wood_is_closed_and_leaf_ranks_are_spread_evenly(kind: int) -> None:
     assert np.allclose(np.quantile(leaves.rank, [0.25, 0.5, 0.75]), [0.25, 0.5, 0.75], atol=0.01)
 
 
-def test_a_hedge_is_closed() -> None:
-    assert open_edges(hedge_shapes(4.0, 1.2, 3)[0]) == 0
+def test_a_hedge_and_turned_furniture_are_closed() -> None:
+    for solid in (hedge_shapes(4.0, 1.2, 3)[0], fountain(), bollard(), bench(), bin_shape()):
+        assert open_edges(solid) == 0
+        assert volume(solid) > 0
 
 
 @pytest.mark.parametrize("style", ["terrace", "town", "villa", "modern"])
@@ -261,6 +264,14 @@ def test_a_drive_is_as_long_as_asked_smooth_and_repeatable(district: District) -
     assert np.allclose(steps, path.step, rtol=0.02)
 
 
+@pytest.mark.parametrize("length", [40.0, 333.0, 4000.0])
+def test_drives_of_any_length_stay_smooth_to_the_end(district: District, length: float) -> None:
+    for seed in range(4):
+        path = district.network.drive(length, seed)
+        assert np.abs(np.diff(path.heading)).max() < path.step / 5.0
+        assert np.linalg.norm(np.diff(path.points, axis=0), axis=1).min() > 0.9 * path.step
+
+
 def test_lateral_and_heading_offsets_move_the_vehicle_to_its_left() -> None:
     network = make_network(np.random.default_rng(0), 250.0)
     path = network.drive(200.0, 0)
@@ -314,8 +325,10 @@ def test_a_driving_car_touches_neither_houses_nor_parked_cars_nor_posts(
 def test_bays_are_on_the_road_and_free(district: District) -> None:
     rays = Rays(compose(district, Factors(foliage=0.0, parked_share=0.0)))
     assert outline_is_free(rays, district.bays, 5.6, 2.0).all()
-    _, hit = rays.cast(district.bays[:, :3, 3] + [0, 0, 0.3], [0, 0, -1.0])
-    assert set(rays.mesh.material[hit].tolist()) <= ROAD
+    for x, y in ((0, 0), (2.8, 1), (2.8, -1), (-2.8, 1), (-2.8, -1)):
+        place = district.bays[:, :3, 3] + district.bays[:, :3, 0] * x + district.bays[:, :3, 1] * y
+        _, hit = rays.cast(place + np.array([0, 0, 0.3]), [0, 0, -1.0])
+        assert set(rays.mesh.material[hit].tolist()) <= ROAD
 
 
 def test_lamps_hang_over_the_street_side_of_their_posts(district: District, rays: Rays) -> None:

@@ -201,7 +201,10 @@ def _ground_windows(house: House, edge: Floats, columns: list[int]) -> list[Shap
     holes = np.stack(
         [middle - opening_m / 2, middle + opening_m / 2, 0 * middle + sill, 0 * middle + sill + style.height], 1
     )
-    return [*openings(cells, holes, style, Material.WINDOW, _names(house, len(k), 500)), *trims(holes, style, float(edge[1] - edge[0]))]
+    return [
+        *openings(cells, holes, style, Material.WINDOW, _names(house, len(k), 500)),
+        *trims(holes, style, float(edge[1] - edge[0])),
+    ]
 
 
 def _back(house: House, x0: float, x1: float, depth: float) -> list[Shape]:
@@ -259,14 +262,14 @@ def _gable(house: House, width: float, left: float, right: float, depth: float) 
     soffit = [[foot[0][0], foot[0][1], low[0][1], low[0][0]], [low[1][0], low[1][1], foot[1][1], foot[1][0]]]
     front_wall, back_wall = _along(*ends, 0.0, z), _along(*ends, depth, z)
     gables = triangle_shape(np.concatenate([front_wall, back_wall, ridge]), [[2, 0, 4], [1, 3, 5]], house.front.wall)
-    cut = [
-        [low[0][0], eave[0], ridge[0], front_wall[0]], [eave[1], low[0][1], front_wall[1], ridge[1]],
-        [back[0], low[1][0], back_wall[0], ridge[0]], [low[1][1], back[1], ridge[1], back_wall[1]],
+    caps = [
+        [foot[0][0], low[0][0], eave[0], front_wall[0]], [low[0][1], foot[0][1], front_wall[1], eave[1]],
+        [low[1][0], foot[1][0], back_wall[0], back[0]], [foot[1][1], low[1][1], back[1], back_wall[1]],
     ]  # fmt: skip
     gutter = eave - np.array([0, 0.06, 0.04])
     parts = [
         quads(np.array(slopes), house.roof_material),
-        quads(np.array(edges + soffit + cut), Material.WOOD),
+        quads(np.array(edges + soffit + caps), Material.WOOD),
         gables,
         tube(gutter, 0.06, 6, Material.METAL),
         *_chimneys(house, ridge),

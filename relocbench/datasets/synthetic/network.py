@@ -115,7 +115,7 @@ class StreetNetwork:
         """
         if length_m <= 0:
             raise ConfigError(f"a drive needs a positive length, got {length_m} m")
-        chain = self._route(length_m + 60.0, np.random.default_rng(seed))
+        chain = self._route(1.25 * length_m + 60.0, np.random.default_rng(seed))
         lane = offset_line(self.nodes[chain], [-LANE_M / 2] * (len(chain) - 1))
         turns = turns_of(self.nodes[chain])
         line = rounded(lane, [self._lane_radius(n, t) for n, t in zip(chain[1:-1], turns, strict=True)])

@@ -85,9 +85,10 @@ def _stretch(network: StreetNetwork, block: Block, i: int) -> tuple[Floats, Floa
     length = float(np.linalg.norm(d))
     d = d / length
     inward = np.array([-d[1], d[0]])
-    margins = [15.5 if network.degree(n) > 2 else 9.0 if abs(block.turns[k % len(block.face)]) > 0.6 else 3.0
-               for n, k in ((u, i), (v, i + 1))]  # fmt: skip
-    return network.nodes[u] + network.kerb[(u, v)] * inward, d, inward, margins[0], length - margins[1]
+    first, last = block.straight(i, network.nodes[u], d)
+    start = max(first + 1.5, 13.5 if network.degree(u) > 2 else 0.0)
+    end = min(last - 1.5, length - (13.5 if network.degree(v) > 2 else 0.0))
+    return network.nodes[u] + network.kerb[(u, v)] * inward, d, inward, start, end
 
 
 def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase: Floats | None) -> None:

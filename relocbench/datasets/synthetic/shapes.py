@@ -142,7 +142,9 @@ def tube(points: ArrayLike, radii: ArrayLike, sides: int, material: int, cap: bo
     axis = np.asarray(points, dtype=float)
     radius = np.broadcast_to(np.asarray(radii, dtype=float), (len(axis),))
     along = np.gradient(axis, axis=0)
-    along[np.linalg.norm(along, axis=1) < 1e-9] = axis[-1] - axis[0]
+    chord = axis[-1] - axis[0]
+    if np.linalg.norm(np.cross(axis - axis[0], chord)) < 1e-9:
+        along[:] = chord  # a turned body may go back and forth along its axis
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     start = np.eye(3)[np.abs(along).max(axis=0).argmin()]
     side = np.cross(along, start)

@@ -64,6 +64,11 @@ class Block:
     def edge(self, i: int) -> HalfEdge:
         return self.face[i], self.face[(i + 1) % len(self.face)]
 
+    def straight(self, i: int, origin: Floats, d: Floats) -> tuple[float, float]:
+        """Where along edge ``i`` its kerb is straight, in metres from ``origin`` (2,) in direction ``d`` (2,)."""
+        before, after = self.kerb_arcs[i], self.kerb_arcs[(i + 1) % len(self.face)]
+        return float((before[-1] - origin) @ d), float((after[0] - origin) @ d)
+
 
 def make_block(network: StreetNetwork, face: tuple[int, ...], kind: str, sides: dict[HalfEdge, Side]) -> Block:
     """The lines of a block from the network's kerbs and its sides' widths."""
@@ -261,10 +266,10 @@ def _approach(network: StreetNetwork, edge: HalfEdge, zebra: bool) -> Shape:
     return join(parts)
 
 
-def _kept_free(network: StreetNetwork, node: int, turn: float, arriving: HalfEdge) -> float:
-    """Metres before a node where nobody may park: by zebras, at crossings and in bends."""
-    if network.degree(node) == 2:
-        return 21.0 if abs(turn) > 0.6 else 5.0
+def _kept_free(network: StreetNetwork, arriving: HalfEdge) -> float:
+    """Metres before the end of an edge where nobody may park: by zebras and at crossings."""
+    if network.degree(arriving[1]) == 2:
+        return 0.0
     return 16.5 if arriving in network.zebras else 12.5
 
 
@@ -278,12 +283,12 @@ def bays_of(network: StreetNetwork, block: Block) -> list[tuple[int, Floats, Flo
         d = network.nodes[v] - network.nodes[u]
         length = float(np.linalg.norm(d))
         d = d / length
-        ends = zip((u, v), (i, (i + 1) % len(block.face)), ((v, u), (u, v)), strict=True)
-        margins = [_kept_free(network, node, float(block.turns[k]), way) for node, k, way in ends]
-        room = length - sum(margins)
-        count = int(room // 5.8)
+        first, last = block.straight(i, network.nodes[u], d)
+        start = max(first + 1.0, _kept_free(network, (v, u)))
+        room = min(last - 1.0, length - _kept_free(network, (u, v))) - start
+        count = max(0, int(room // 5.8))
         left = np.array([-d[1], d[0]]) * (LANE_M + PARKING_M / 2)
         for k in range(count):
-            s = margins[0] + (room - 5.8 * count) / 2 + 5.8 * (k + 0.5)
+            s = start + (room - 5.8 * count) / 2 + 5.8 * (k + 0.5)
             found.append((i, network.nodes[u] + s * d + left, -d))
     return found
