@@ -191,12 +191,19 @@ def match_fault_of(ends: object, count: int) -> str | None:
     return None
 
 
+def _is_finite(value: object) -> bool:
+    try:
+        return math.isfinite(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return False
+
+
 def fault_of(result: object) -> str | None:
     """What keeps ``result`` from being an answer in the sense of the contract, or None if nothing does."""
     if not isinstance(result, TrackResult):
         return f"returned {type(result).__name__}, expected TrackResult"
-    if result.confidence is not None and math.isnan(result.confidence):
-        return "confidence is NaN"
+    if result.confidence is not None and not _is_finite(result.confidence):
+        return f"confidence is {result.confidence!r}, expected a finite number or None"
     if result.T_query_ref is None:
         return None
     pose = np.asarray(result.T_query_ref)

@@ -118,11 +118,16 @@ def results_of_another_configuration(case: Case) -> list[object]:
     return [*case.evaluate, "-m", "identity", "--set", "orb-pnp.features=500"]
 
 
+def dataset_inside_the_recording(case: Case) -> list[object]:
+    return [*case.build, "--out", case.recording / "out"]
+
+
 CASES: list[tuple[Damage, str]] = [
     (truncated_png_in_a_recording, r"image_0/000001\.png: truncated or not an image"),
     (truncated_png_in_a_dataset, r"winter/images/cam0/\d+\.png: has \d+ bytes, manifest\.csv says \d+"),
     (nan_pose_in_a_recording, r"poses/00\.txt:1: .*nan"),
     (nan_pose_in_a_dataset, r"winter/poses\.csv: (content was changed|has \d+ bytes)"),
+    (dataset_inside_the_recording, r"recording/out: lies inside the recording"),
     (missing_calibration_line, r"calib\.txt.*P1"),
     (duplicate_pair, rf"theirs/{ACROSS}\.txt:2: pair \d+ \d+ occurs again \(first on line 1\)"),
     (wrong_quaternion_norm, rf"theirs/{ACROSS}\.txt:1: quaternion qx qy qz qw has norm 1\.118.*, expected 1"),

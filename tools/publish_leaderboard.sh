@@ -20,7 +20,7 @@ relocbench build-dataset tum-rgbd "$xyz" "$desk" --name fr1_xyz_to_desk --licenc
 relocbench build-dataset scene --out "$scratch/scene" -q
 
 for dataset in kitti_06 fr1_xyz fr1_xyz_to_desk scene; do
-  relocbench evaluate -d "$scratch/$dataset" --out "$scratch/results" --workers 1 --overwrite always -q \
+  relocbench evaluate -d "$scratch/$dataset" --out "$scratch/results" --workers 1 --overwrite always --matching -q \
     -m identity -m orb-pnp -m sift-pnp -m dso -m dso-full-cutoff=dso --set dso-full-cutoff.cutoff_levels=16 \
     -m dso-multistart
 done

@@ -128,6 +128,9 @@ class DatasetWriter:
 
     def _claim_folder(self) -> None:
         root, mark = self.layout.root, self.layout.build_yaml
+        for source in map(Path, self.configuration.get("sources") or ()):
+            if root.resolve().is_relative_to(source):
+                raise DatasetError(f"lies inside the recording {source}, which is never written to", root)
         if root.exists() and not root.is_dir():
             raise DatasetError("is a file; expected a folder to write the dataset to", root)
         if root.is_dir() and any(root.iterdir()) and not mark.exists():

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.dataset import Dataset
 from relocbench.errors import DatasetError
+from relocbench.evaluation.worker import guarded
+from relocbench.execution import messages_to_stderr
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
 from relocbench.tracking import (
@@ -52,10 +54,9 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
         DatasetError: the dataset is bad.
     """
     findings: list[Finding] = []
-    try:
-        tracker = spec.create()
-    except Exception as bad:  # noqa: BLE001  the boundary to code that is not ours
-        return [Finding("is constructed", False, f"{type(bad).__name__}: {bad}")]
+    tracker, problem = guarded(spec.create)
+    if problem:
+        return [Finding("is constructed", False, problem)]
     findings.append(Finding("is constructed", True, ", ".join(f"{k}={v}" for k, v in spec.parameters.items())))
     if not callable(getattr(tracker, "track", None)):
         return [*findings, Finding("has track()", False, f"{type(tracker).__name__} has none")]
@@ -82,10 +83,9 @@ def _ask(tracker: Any, question: _Question) -> tuple[Any, str | None]:
 
 
 def _attempt(call: Callable[[], Any]) -> tuple[Any, str | None]:
-    try:
-        return call(), None
-    except Exception as bad:  # noqa: BLE001  the boundary to code that is not ours
-        return None, f"raised {type(bad).__name__}: {bad} (a failure is returned: TrackResult.failure)"
+    with messages_to_stderr():
+        value, problem = guarded(call)
+    return value, problem and f"raised {problem} (a failure is returned: TrackResult.failure)"
 
 
 def _prepared(tracker: Any, question: _Question) -> Any:

@@ -82,6 +82,10 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
         RelocbenchError: a bad dataset, method, option or prediction.
     """
     dataset = Dataset(options.dataset)
+    if options.out.resolve().is_relative_to(dataset.root.resolve()):
+        raise ConfigError(
+            "--out lies inside the dataset, which results would change; choose another folder", options.out
+        )
     for fault in fingerprint.faults(dataset.layout, content="text"):
         raise fault
     pair_sets = _chosen(dataset, options)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from relocbench.datasets.correspondences import Correspondences, read_correspond
 from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.pairfile import PairKey
+from relocbench.errors import PredictionError
 from relocbench.evaluation.matching_table import (
     OFFSETS_PX,
     Found,
@@ -41,6 +43,7 @@ from relocbench.evaluation.worker import (
     units_of,
 )
 from relocbench.execution import default_workers, run_units
+from relocbench.files import alone_in
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec, method_class
 from relocbench.metrics import matching_quality
@@ -128,15 +131,18 @@ def match_method(
         return
     workers = default_workers() if workers is None else workers
     refuse_mixture(folder, new_record(dataset, spec, workers, seed), work_left=True)
-    with reporter.stage(f"{spec.label}, matching on {dataset.name}", sum(map(len, todo.values()))) as advance:
-        while any(todo.values()):
-            # All pair sets at once: starting worker processes for each would take longer than the work.
-            units = [u for s in left for u in units_of(dataset, s, spec, _journal(folder, s), todo[s.name])]
-            for _, done in run_units(_match_unit, units, workers=workers, scheduler=scheduler, on_lost=_lose_one):
-                advance(done)
-            todo = {s.name: _open_pairs(folder, s) for s in left}
-    for pair_set in left:
-        _collect(pair_set, folder)
+    with ExitStack() as alone:
+        for pair_set in left:
+            alone.enter_context(alone_in(_journal(folder, pair_set), PredictionError))
+        with reporter.stage(f"{spec.label}, matching on {dataset.name}", sum(map(len, todo.values()))) as advance:
+            while any(todo.values()):
+                # All pair sets at once: starting worker processes for each would take longer than the work.
+                units = [u for s in left for u in units_of(dataset, s, spec, _journal(folder, s), todo[s.name])]
+                for _, done in run_units(_match_unit, units, workers=workers, scheduler=scheduler, on_lost=_lose_one):
+                    advance(done)
+                todo = {s.name: _open_pairs(folder, s) for s in left}
+        for pair_set in left:
+            _collect(pair_set, folder)
 
 
 def _journal(folder: MethodResults, pair_set: PairSet) -> Path:

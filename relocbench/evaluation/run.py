@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import datetime
 import json
-import math
 import platform
 import shutil
 import time
@@ -146,20 +145,8 @@ def _ask(tracker: Any, reference: Any, views: list[Query]) -> tuple[list[TrackRe
     seconds = time.perf_counter() - start
     if broke is not None:
         return [_broken(broke)] * len(views), seconds
-    faults = [_fault_of(result) for result in answered]
+    faults = [fault_of(result) for result in answered]
     return [_broken(f) if f else r for f, r in zip(faults, answered, strict=True)], seconds
-
-
-def _fault_of(result: object) -> str | None:
-    """What keeps ``result`` from being an answer, or from being kept."""
-    if isinstance(result, TrackResult) and result.confidence is not None:
-        try:
-            finite = math.isfinite(result.confidence)
-        except (TypeError, ValueError):
-            finite = False
-        if not finite:
-            return f"confidence is {result.confidence!r}, expected a finite number or None"
-    return fault_of(result)
 
 
 def _broken(message: str) -> TrackResult:
