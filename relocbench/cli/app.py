@@ -15,6 +15,7 @@ from relocbench.cli.export import export
 from relocbench.cli.inspect import inspect
 from relocbench.cli.leaderboard import leaderboard
 from relocbench.cli.methods import methods
+from relocbench.cli.preview import preview
 from relocbench.cli.validate import validate
 
 app = typer.Typer(
@@ -44,6 +45,7 @@ def _main(
 
 app.command()(demo)
 app.add_typer(build_dataset, name="build-dataset")
+app.command()(preview)
 app.command()(evaluate)
 app.command()(leaderboard)
 app.command()(inspect)

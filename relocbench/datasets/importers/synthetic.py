@@ -8,26 +8,20 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from relocbench.datasets.dataset import Dataset
 from relocbench.datasets.importers import Run
-from relocbench.datasets.importers.assembly import configuration
 from relocbench.datasets.importers.options import ImportOptions
 from relocbench.datasets.synthetic.condition import Factors
-from relocbench.datasets.synthetic.drive import DriveStyle
-from relocbench.datasets.synthetic.extras import ExtraKind
-from relocbench.datasets.synthetic.pair_sets import write_pair_sets
-from relocbench.datasets.synthetic.pairs import DistanceSpread
-from relocbench.datasets.synthetic.plan import TraversalPlan, make_plans
-from relocbench.datasets.synthetic.presets import PRESETS, SPLITS, conditions_of
-from relocbench.datasets.synthetic.rig import rig_named
-from relocbench.datasets.synthetic.work import render_all
-from relocbench.datasets.writer import DatasetWriter
+from relocbench.datasets.synthetic.presets import PRESETS, SPLITS, ExtraKind, conditions_of
 from relocbench.errors import ConfigError
 from relocbench.progress import Reporter
+
+if TYPE_CHECKING:
+    from relocbench.datasets.dataset import Dataset
+    from relocbench.datasets.synthetic.plan import TraversalPlan
 
 
 class Options(ImportOptions):
@@ -96,14 +90,6 @@ class Options(ImportOptions):
         width, height = self.size.split("x")
         return int(width), int(height)
 
-    @property
-    def style(self) -> DriveStyle:
-        return DriveStyle(self.speed, self.lateral, self.heading)
-
-    @property
-    def spread(self) -> DistanceSpread:
-        return DistanceSpread(self.distance, self.max_distance, self.max_angle)
-
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
     """A rendered dataset; it takes no sources.
@@ -111,6 +97,15 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     Raises:
         ConfigError: sources were named, or a condition or sweep that there is not.
     """
+    from relocbench.datasets.importers.assembly import configuration
+    from relocbench.datasets.synthetic.drive import DriveStyle
+    from relocbench.datasets.synthetic.pair_sets import write_pair_sets
+    from relocbench.datasets.synthetic.pairs import DistanceSpread
+    from relocbench.datasets.synthetic.plan import make_plans
+    from relocbench.datasets.synthetic.rig import rig_named
+    from relocbench.datasets.synthetic.work import render_all
+    from relocbench.datasets.writer import DatasetWriter
+
     assert isinstance(options, Options)
     if sources:
         raise ConfigError(f"synthetic is rendered and takes no recordings, got {sources[0]}")
@@ -127,7 +122,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         conditions,
         options.traversals,
         options.steps,
-        options.style,
+        DriveStyle(options.speed, options.lateral, options.heading),
         seed=options.seed,
         extent_m=options.extent,
         reporter=reporter,
@@ -135,7 +130,8 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     for plan in plans:
         writer.traversal(plan.file(cameras), dict(zip(plan.times, plan.drive.T_world_rig, strict=True)))
     render_all(plans, cameras, writer.layout, options.seed, options.extras, reporter, run)
-    splits = write_pair_sets(asked(plans, options), cameras, writer.layout, options, options.spread, reporter, run)
+    spread = DistanceSpread(options.distance, options.max_distance, options.max_angle)
+    splits = write_pair_sets(asked(plans, options), cameras, writer.layout, options, spread, reporter, run)
     return writer.finish(splits)
 
 

@@ -7,7 +7,7 @@ stand in no manifest and in no fingerprint.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from relocbench.datasets import images
 from relocbench.files import write_bytes
-
-ExtraKind = Literal["normals", "instance", "semantic", "changed"]
 
 
 def extra_path(root: Path, traversal: str, kind: str, camera: str, timestamp_ns: int) -> Path:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from relocbench.datasets.schema import Condition
 from relocbench.datasets.synthetic.condition import (
@@ -16,6 +16,8 @@ from relocbench.datasets.synthetic.condition import (
 )
 from relocbench.errors import ConfigError
 
+ExtraKind = Literal["normals", "instance", "semantic", "changed"]
+"""pictures beside the dataset"""
 SPLITS = ("train", "validation", "test")
 
 PRESETS: dict[str, dict[str, Any]] = {
