@@ -30,6 +30,8 @@ _SPECKLE = 0.2
 """standard deviation of the logarithm of the power that comes back"""
 _CLUTTER_RANGE_M = 3.0
 """mean range of the echoes of drops and flakes in the air"""
+_STRAY_M = 1.0
+"""within a scan, something that moves strays less from the straight line between where it is first and last"""
 _BLOCKED_BY_DROPS = 0.15
 """share of beams lost where drops cover the sensor's window as far as they may"""
 
@@ -113,6 +115,8 @@ class MovingObject:
     scene: LidarScene
     """its mesh in its own frame"""
     motion: Motion
+    radius_m: float
+    """of a ball about its origin that it stays within"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,11 +253,12 @@ def trace(
     """
     nearest = scene.hits(origins, directions)
     for thing in moving:
-        T_world_object = thing.motion(times_ns)
-        there = np.flatnonzero(np.isfinite(T_world_object[:, 0, 0]))
+        there = np.flatnonzero(_may_meet(thing, origins, directions, times_ns))
+        T_world_object = thing.motion(times_ns[there])
+        present = np.isfinite(T_world_object[:, 0, 0])
+        there, T_object_world = there[present], invert(T_world_object[present])
         if not len(there):
             continue
-        T_object_world = invert(T_world_object[there])
         rotation = T_object_world[:, :3, :3]
         start = np.einsum("nij,nj->ni", rotation, origins[there]) + T_object_world[:, :3, 3]
         found = thing.scene.hits(start, np.einsum("nij,nj->ni", rotation, directions[there]))
@@ -264,3 +269,17 @@ def trace(
         nearest.instance[rows] = found.instance[nearer]
         nearest.normal[rows] = np.einsum("nji,nj->ni", rotation[nearer], found.normal[nearer])
     return nearest
+
+
+def _may_meet(thing: MovingObject, origins: Array, directions: Array, times_ns: Times) -> NDArray[np.bool_]:
+    """(N,) rays that pass by an object near enough; all where it comes or goes while they are fired."""
+    ends = thing.motion(np.array([times_ns.min(), times_ns.max()]))[:, :3, 3]
+    present = np.isfinite(ends[:, 0])
+    if not present.all():
+        return np.full(len(times_ns), present.any())
+    middle = ends.mean(axis=0)
+    reach = thing.radius_m + np.linalg.norm(ends[1] - ends[0]) / 2 + _STRAY_M
+    to_object = middle - origins
+    along = np.sum(to_object * directions, axis=1)
+    aside = np.sum(to_object**2, axis=1) - along**2
+    return np.asarray((along > -reach) & (aside < reach**2))
