@@ -80,9 +80,7 @@ class KittiLayout(FieldsOnly):
 
     @cached_property
     def lidars(self) -> Mapping[str, LidarMount]:
-        return {
-            "velodyne": LidarMount(lidar.spinning(self.rings, self.azimuths), _T_RIG_LIDAR, self.compensated)
-        }
+        return {"velodyne": LidarMount(lidar.spinning(self.rings, self.azimuths), _T_RIG_LIDAR, self.compensated)}
 
     @cached_property
     def times(self) -> Mapping[str, Times]:
@@ -119,9 +117,7 @@ class KittiLayout(FieldsOnly):
         write_text(self.folder / "times.txt", "".join(f"{t / 1e9:.9e}\n" for t in ticks.tolist()))
         T_world_cam0 = trajectory.at(ticks) @ (_T_RIG_LIDAR @ _T_LIDAR_CAM0)
         poses = invert(T_world_cam0[0]) @ T_world_cam0
-        write_text(
-            self.root / "poses" / f"{self.sequence}.txt", "".join(_numbers(p[:3]) + "\n" for p in poses)
-        )
+        write_text(self.root / "poses" / f"{self.sequence}.txt", "".join(_numbers(p[:3]) + "\n" for p in poses))
         return {"compensated_scans": self.compensated}
 
 

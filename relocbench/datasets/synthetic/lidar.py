@@ -162,9 +162,7 @@ def push_broom() -> Lidar:
     return Lidar(directions, offsets, _LMS_PERIOD_NS, 0.012, 0.5, 50.0, 18.0)
 
 
-def spinning(
-    rings: int = 64, azimuths: int = 2000, highest_deg: float = 2.0, lowest_deg: float = -24.8
-) -> Lidar:
+def spinning(rings: int = 64, azimuths: int = 2000, highest_deg: float = 2.0, lowest_deg: float = -24.8) -> Lidar:
     """A spinning lidar, 10 Hz, ring after ring; by default a Velodyne HDL-64E, which reaches 50 m on asphalt and 120 m.
 
     Axes x forward, y left, z up. It turns clockwise seen from above, begins and ends looking backward, and its

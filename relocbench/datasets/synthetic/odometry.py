@@ -87,9 +87,7 @@ def visual_odometry(T_world_body: Array, errors: OdometryErrors, rng: np.random.
     wrong_turn = errors.step_rad * rng.normal(size=(len(steps), 3))
     wrong_turn[:, 2] += bend
     wrong_step = errors.step_m * rng.normal(size=(len(steps), 3))
-    return make_transform(
-        steps[:, :3, :3] @ so3_exp(wrong_turn), steps[:, :3, 3] * (1 + scale[:, None]) + wrong_step
-    )
+    return make_transform(steps[:, :3, :3] @ so3_exp(wrong_turn), steps[:, :3, 3] * (1 + scale[:, None]) + wrong_step)
 
 
 def gauss_markov(steps: Array, rng: np.random.Generator) -> Array:
@@ -136,9 +134,7 @@ class Solution:
     """(3,) error of position of the whole drive; what wanders comes on top"""
 
 
-def inertial(
-    times_ns: Times, T_world_body: Array, errors: InertialErrors, rng: np.random.Generator
-) -> Solution:
+def inertial(times_ns: Times, T_world_body: Array, errors: InertialErrors, rng: np.random.Generator) -> Solution:
     """GNSS/INS of a drive: a constant offset, a slow random walk and a little noise; a constant error of attitude.
 
     Args:

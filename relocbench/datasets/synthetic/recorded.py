@@ -147,9 +147,7 @@ class Layout(Protocol):
 
     def write_image(self, camera: str, path: Path, rgb: NDArray[np.uint8]) -> None: ...
 
-    def write_scan(
-        self, path: Path, points: Array, reflectance: Array, returned: NDArray[np.bool_]
-    ) -> None: ...
+    def write_scan(self, path: Path, points: Array, reflectance: Array, returned: NDArray[np.bool_]) -> None: ...
 
     def write_texts(self, trajectory: Trajectory, factors: Factors, seed: int) -> dict[str, Any]:
         """Calibration, times, odometry and the like; returns what was drawn to make them, for the truth.

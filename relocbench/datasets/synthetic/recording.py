@@ -114,10 +114,10 @@ def record(
         DatasetError: ``out`` holds another recording of this name.
     """
     reporter, run, style = reporter or Silent(), run or Run(), style or DriveStyle()
+    # Workers of a cluster start in folders of their own.
+    out = out.resolve()
     target = _layout(layout, out, number, frames, scale, cameras, (rings, azimuths, not motion_distorted))
-    trajectory, tracks = _drive(
-        path, factors, target, style, (seed, number), path_length(frames, layout, style)
-    )
+    trajectory, tracks = _drive(path, factors, target, style, (seed, number), path_length(frames, layout, style))
     truth = out / "truth" / target.name
     for folder in (truth, target.folder):
         remove_parts(folder)
@@ -136,25 +136,25 @@ def record(
         "sensors": {"T_rig_sensor": _extrinsics(target), "cameras": _cameras(target)},
     }
     _claim(truth / "settings.yaml", settings)
-    drawn = target.write_texts(
-        trajectory, factors, int(np.random.SeedSequence([seed, number, 3]).generate_state(1)[0])
-    )
+    drawn = target.write_texts(trajectory, factors, int(np.random.SeedSequence([seed, number, 3]).generate_state(1)[0]))
     write_text(truth / "drawn.yaml", dump_yaml(drawn))
     _write_poses(truth / "poses.csv", trajectory)
     _write_cars(truth / "moving_cars.csv", tracks)
-    with shared(district, truth) as pickled:
-        stage = Stage(
-            pickled,
-            factors,
-            target,
-            trajectory,
-            tracks,
-            (seed, number),
-            renderer_factory or town_renderer,
-            compose or town_compose,
-        )
-        _run(stage, target.lidars, "scanning", write_scans, _SCANS_A_UNIT, reporter, run)
-        _run(stage, target.cameras, "rendering", write_images, _IMAGES_A_UNIT, reporter, run)
+    scans, pictures = _missing(target, target.lidars), _missing(target, target.cameras)
+    if scans or pictures:
+        with shared(district, truth) as pickled:
+            stage = Stage(
+                pickled,
+                factors,
+                target,
+                trajectory,
+                tracks,
+                (seed, number),
+                renderer_factory or town_renderer,
+                compose or town_compose,
+            )
+            _run(stage, scans, "scanning", write_scans, _SCANS_A_UNIT, reporter, run)
+            _run(stage, pictures, "rendering", write_images, _IMAGES_A_UNIT, reporter, run)
     return Recorded(target.name, target.folder, truth)
 
 
@@ -196,9 +196,7 @@ def _drive(
 ) -> tuple[Trajectory, list[CarTrack]]:
     """The smooth motion through the steps of a drive, and the other cars."""
     if path.length < needed_m - 1e-6:
-        raise ConfigError(
-            f"the recording needs {needed_m:.1f} m of road, the path is {path.length:.1f} m long"
-        )
+        raise ConfigError(f"the recording needs {needed_m:.1f} m of road, the path is {path.length:.1f} m long")
     first = min(int(times[0]) for times in layout.times.values()) - LEAD_NS
     last = max(int(times[-1]) for times in layout.times.values())
     steps = int(np.ceil((last + LEAD_NS - first) / STEP_NS)) + 1
@@ -218,25 +216,28 @@ def _smooth(times_ns: NDArray[np.int64], T_world_rig: Array) -> Trajectory:
     return Trajectory(fine, make_transform(rotation, position))
 
 
+def _missing(layout: Layout, sensors: Iterable[str]) -> list[tuple[str, int]]:
+    """(sensor, index) of what is not there or torn, in order of time, so that images of one moment share a scene."""
+    found = [
+        (int(time), sensor, i)
+        for sensor in sensors
+        for i, time in enumerate(layout.times[sensor])
+        if not layout.is_whole(sensor, layout.path(sensor, i))
+    ]
+    return [(sensor, i) for _, sensor, i in sorted(found)]
+
+
 def _run(
     stage: Stage,
-    sensors: Iterable[str],
+    missing: Sequence[tuple[str, int]],
     what: str,
     function: Callable[[Unit], int],
     size: int,
     reporter: Reporter,
     run: Run,
 ) -> None:
-    """What is missing of some sensors, in the order of time so that images of one moment share a scene."""
-    layout = stage.layout
-    missing = [
-        (int(time), sensor, i)
-        for sensor in sensors
-        for i, time in enumerate(layout.times[sensor])
-        if not layout.is_whole(sensor, layout.path(sensor, i))
-    ]
-    units = [Unit(stage, [(s, i) for _, s, i in part]) for part in chunks(sorted(missing), size)]
-    with reporter.stage(f"{what} {layout.name}", len(missing)) as advance:
+    units = [Unit(stage, part) for part in chunks(missing, size)]
+    with reporter.stage(f"{what} {stage.layout.name}", len(missing)) as advance:
         for _, done in run_units(function, units, workers=run.workers, scheduler=run.scheduler):
             advance(done)
 
@@ -250,9 +251,7 @@ def _claim(path: Path, settings: Mapping[str, Any]) -> None:
 
 
 def _extrinsics(layout: Layout) -> dict[str, Any]:
-    mounts = {n: m.T_rig_cam for n, m in layout.cameras.items()} | {
-        n: m.T_rig_lidar for n, m in layout.lidars.items()
-    }
+    mounts = {n: m.T_rig_cam for n, m in layout.cameras.items()} | {n: m.T_rig_lidar for n, m in layout.lidars.items()}
     return {name: Transform.of(pose).model_dump() for name, pose in mounts.items()}
 
 

@@ -130,9 +130,7 @@ def write_images(unit: Unit) -> int:
 def _renderer(stage: Stage, present: Sequence[MovingCar]) -> FrameRenderer:
     def make() -> FrameRenderer:
         town = _district(stage)
-        return stage.make_renderer(
-            stage.compose(town, stage.factors, present), stage.factors, town.lamps, town.seed
-        )
+        return stage.make_renderer(stage.compose(town, stage.factors, present), stage.factors, town.lamps, town.seed)
 
     positions = tuple((pose.tobytes(), variant) for pose, variant in present)
     renderer: FrameRenderer = _latest("renderer", (stage.district, stage.factors, positions), make)
@@ -151,9 +149,7 @@ def write_scans(unit: Unit) -> int:
         mount = layout.lidars[sensor]
         rng = np.random.default_rng([*stage.seed, 7, sorted(layout.lidars).index(sensor), index])
         motion = SensorMotion(stage.trajectory, mount.T_rig_lidar)
-        scan = lidar.scan(
-            mount.lidar, scene, motion, int(layout.times[sensor][index]), stage.factors, rng, others
-        )
+        scan = lidar.scan(mount.lidar, scene, motion, int(layout.times[sensor][index]), stage.factors, rng, others)
         points = lidar.compensate(mount.lidar, scan, motion) if mount.compensated else scan.points
         layout.write_scan(layout.path(sensor, index), points, scan.reflectance, scan.returned)
     return len(unit.work)
@@ -163,9 +159,7 @@ def _moving_objects(tracks: Sequence[CarTrack]) -> list[lidar.MovingObject]:
     """Each car in its own frame."""
     objects = []
     for k, track in enumerate(tracks):
-        mesh = cars(
-            np.eye(4)[None], np.array([track.variant]), np.array([_MOVING_INSTANCE + k]), Semantic.MOVING_CAR
-        )
+        mesh = cars(np.eye(4)[None], np.array([track.variant]), np.array([_MOVING_INSTANCE + k]), Semantic.MOVING_CAR)
         objects.append(lidar.MovingObject(lidar.LidarScene(mesh), track, _CAR_RADIUS_M))
     return objects
 

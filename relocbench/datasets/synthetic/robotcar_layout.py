@@ -123,9 +123,7 @@ class RobotCarLayout(FieldsOnly):
     @cached_property
     def lidars(self) -> Mapping[str, LidarMount]:
         return {
-            name: LidarMount(
-                lidar.push_broom(), T_RIG_VEHICLE @ odometry.transform_from_xyzrpy(EXTRINSICS[name])
-            )
+            name: LidarMount(lidar.push_broom(), T_RIG_VEHICLE @ odometry.transform_from_xyzrpy(EXTRINSICS[name]))
             for name in ("lms_front", "lms_rear")
         }
 
@@ -174,9 +172,7 @@ class RobotCarLayout(FieldsOnly):
             write_text(self.folder / f"{sensor.split('/')[0]}.timestamps", "".join(rows))
         write_text(self.root / "tags" / f"{self.name}.yaml", "".join(f"- {tag}\n" for tag in tags(factors)))
         times = self._ticks("stereo", _STEREO_PERIOD_NS)
-        text = robotcar_odometry.vo_text(
-            times, trajectory.at(times) @ T_RIG_VEHICLE, np.random.default_rng([seed, 21])
-        )
+        text = robotcar_odometry.vo_text(times, trajectory.at(times) @ T_RIG_VEHICLE, np.random.default_rng([seed, 21]))
         write_text(self.folder / "vo" / "vo.csv", text)
         times = self._ticks("ins", _INS_PERIOD_NS)
         instrument = trajectory.at(times) @ T_RIG_VEHICLE @ odometry.transform_from_xyzrpy(EXTRINSICS["ins"])

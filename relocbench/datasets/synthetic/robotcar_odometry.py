@@ -47,16 +47,12 @@ def vo_text(
     values = odometry.xyzrpy_from_transform(steps)
     rows = (
         [str(later // 1000), str(earlier // 1000), *(f"{v:.9f}" for v in step)]
-        for later, earlier, step in zip(
-            times_ns[1:].tolist(), times_ns[:-1].tolist(), values.tolist(), strict=True
-        )
+        for later, earlier, step in zip(times_ns[1:].tolist(), times_ns[:-1].tolist(), values.tolist(), strict=True)
     )
     return _table(VO_COLUMNS, rows)
 
 
-def gps_texts(
-    times_ns: Times, T_world_ins: Array, rng: np.random.Generator
-) -> tuple[dict[str, str], dict[str, Any]]:
+def gps_texts(times_ns: Times, T_world_ins: Array, rng: np.random.Generator) -> tuple[dict[str, str], dict[str, Any]]:
     """``ins.csv`` and ``gps.csv``, and what was drawn for them. Attitudes are of the INS's axes in north, east, down.
 
     Args:
@@ -72,9 +68,7 @@ def gps_texts(
     motion = np.hstack([solution.velocity @ _R_NED_WORLD.T, attitude]).tolist()
     ins = (
         [str(time // 1000), "INS_SOLUTION_GOOD", *globe, *grid, f"{_ZONE}U", *(f"{v:.6f}" for v in rest)]
-        for time, globe, grid, rest in zip(
-            solution.times_ns.tolist(), *_places(solution), motion, strict=True
-        )
+        for time, globe, grid, rest in zip(solution.times_ns.tolist(), *_places(solution), motion, strict=True)
     )
     gps = (
         [str(time // 1000), str(count), *globe, *sigma, *grid, f"{_ZONE}U"]
