@@ -1,0 +1,236 @@
+"""The renderer: images with exact depth, normals and objects of a district in a condition."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic import shading
+from relocbench.datasets.synthetic.condition import Factors
+from relocbench.datasets.synthetic.edges import OFFSETS, blend_edges, edge_pixels, known_colours
+from relocbench.datasets.synthetic.materials import make_looks
+from relocbench.datasets.synthetic.mesh import Mesh, Semantic
+from relocbench.datasets.synthetic.raycast import NOTHING, Scene
+from relocbench.datasets.synthetic.response import respond
+from relocbench.datasets.synthetic.shading import Beam, Floats, Hits, Samples, Setting, View, direct_samples
+from relocbench.datasets.synthetic.sky import make_sky
+from relocbench.datasets.synthetic.skylight import make_skylight
+from relocbench.datasets.synthetic.textures import bake
+from relocbench.datasets.synthetic.weather import add_lens_drops, draw_falling, falling_extinction
+from relocbench.errors import ConfigError
+from relocbench.geometry import Camera
+
+_LEAST_MIRROR = 0.03
+"""share of reflected light below which no ray is cast for it"""
+_LAMP_AT = 0.95
+"""rays to a lamp end before its own glass"""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One image and its truth, which is that of the ray through the centre of each pixel."""
+
+    rgb: NDArray[np.uint8]
+    """(H, W, 3)"""
+    depth: NDArray[np.float32]
+    """(H, W) metres along z, 0 for the sky"""
+    normal: NDArray[np.float32]
+    """(H, W, 3) in the world, towards the camera; 0 for the sky"""
+    instance: NDArray[np.uint32]
+    """(H, W), 0 for the ground and the sky"""
+    semantic: NDArray[np.uint8]
+    """(H, W) :class:`Semantic`"""
+
+
+class Renderer:
+    """Renders a mesh under the factors.
+
+    Args:
+        mesh: world frame, z up.
+        factors: weather, hour and camera response.
+        lamps: (L, 3) heads of street lamps, metres.
+        seed: of patterns, colours and clouds.
+    """
+
+    def __init__(self, mesh: Mesh, factors: Factors, lamps: NDArray[np.floating], seed: int) -> None:
+        self.factors = factors
+        self._scene = Scene(mesh)
+        self._geometry = shading.make_geometry(mesh)
+        self._patterns = bake(seed)
+        self._looks = make_looks(factors.leaf_colour)
+        self._sky = make_sky(factors, seed)
+        self._skylight = make_skylight(mesh, self._scene)
+        self._lamps = shading.make_lamps(lamps)
+        self._by_lamp = not self._sky.sun.any()
+        extinction = factors.fog_density + falling_extinction(factors.rain_mm_h, factors.snowfall_mm_h)
+        night = float(np.clip((3.0 - factors.sun_elevation_deg) / 9.0, 0, 1))
+        self._setting = Setting(
+            factors.wetness,
+            factors.puddles,
+            factors.snow_cover,
+            extinction,
+            factors.street_lamps,
+            factors.headlights,
+            night,
+            seed & 0xFFFFFFFF,
+        )
+
+    def render(
+        self,
+        camera: Camera,
+        T_world_cam: NDArray[np.float64],
+        frame_seed: int,
+        T_world_vehicle: NDArray[np.float64] | None = None,
+    ) -> Frame:
+        """The image of a pinhole camera at T_world_cam (4, 4); the same arguments give the same bytes.
+
+        ``frame_seed`` draws what differs from image to image: noise, falling rain and snow, drops on the lens.
+        ``T_world_vehicle`` says where the own headlights are; without it they shine below the camera, where it looks.
+        Raises ConfigError if the camera is not a pinhole camera.
+        """
+        if camera.model != "pinhole":
+            raise ConfigError(f"images are rendered with a pinhole camera, got '{camera.model}'")
+        pose = np.asarray(T_world_cam, dtype=np.float64)
+        view = View(pose[:3, 3].copy(), pose[:3, :3].copy(), camera.fx, camera.fy, camera.cx, camera.cy)
+        beam = _headlights(pose if T_world_vehicle is None else np.asarray(T_world_vehicle), T_world_vehicle is None)
+        shape = camera.height, camera.width
+        v, u = np.mgrid[: camera.height, : camera.width].astype(np.float32)
+        samples = self._trace(view, direct_samples(u.ravel(), v.ravel()))
+        hits = self._surfaces(view, samples)
+        light, _ = self._light(view, beam, samples, hits, camera.width)
+        light = self._smooth_edges(view, beam, samples, hits, light, camera.width)
+
+        image = light.reshape(*shape, 3)
+        depth = hits.depth.astype(np.float32).reshape(shape)
+        rgb = self._develop(image, depth, camera, pose, frame_seed)
+        seen = samples.triangle != NOTHING
+        of = np.where(seen, samples.triangle, 0)
+        instance = np.where(seen, self._geometry.instance[of], 0).astype(np.uint32)
+        semantic = np.where(seen, self._geometry.semantic[of], Semantic.SKY).astype(np.uint8)
+        return Frame(rgb, depth, hits.normal.reshape(*shape, 3), instance.reshape(shape), semantic.reshape(shape))
+
+    def _trace(self, view: View, samples: Samples) -> Samples:
+        """The samples with what their rays hit."""
+        return samples._replace(triangle=self._scene.closest(shading.make_rays(view, samples)))
+
+    def _surfaces(self, view: View, samples: Samples) -> Hits:
+        return shading.surfaces(view, self._geometry, self._patterns, self._looks, self._setting, samples)
+
+    def _light(self, view: View, beam: Beam, samples: Samples, hits: Hits, width: int = 0) -> tuple[Floats, Floats]:
+        """Radiance (N, 3) and the share of light (N,) that is not in shadow; ``width`` if they are a whole image."""
+        lit = self._lit(view, hits, width)
+        reflected = np.full((len(lit), 3), -1, dtype=np.float32)
+        if not samples.before.any():
+            self._reflect(view, beam, samples, hits, reflected, width)
+        colour = shading.radiance(
+            view,
+            self._geometry,
+            self._setting,
+            self._sky,
+            self._skylight,
+            self._lamps,
+            beam,
+            samples,
+            hits,
+            lit,
+            reflected,
+        )
+        return colour, lit
+
+    def _lit(self, view: View, hits: Hits, width: int) -> Floats:
+        lit = np.ones(len(hits.depth), dtype=np.float32)
+        if self._by_lamp and not self._setting.lamps_on:
+            return lit
+        index, rays = shading.shadow_rays(hits, self._sky.to_sun, self._by_lamp, self._lamps)
+        lit[index] = 1.0 - self._scene.occluded(rays, _LAMP_AT if self._by_lamp else np.inf)
+        if width and not self._by_lamp:
+            rims, rays = shading.penumbra_rays(view, hits, lit, width, self._sky.to_sun)
+            lit[rims] = 1.0 - self._scene.occluded(rays).reshape(-1, 4).mean(axis=1, dtype=np.float32)
+        return lit
+
+    def _reflect(self, view: View, beam: Beam, samples: Samples, hits: Hits, reflected: Floats, width: int) -> None:
+        """Fill in the light (N, 3) that comes to the samples that mirror."""
+        glass = shading.casts_reflection(self._geometry, samples, hits, _LEAST_MIRROR)
+        index = np.flatnonzero(glass)
+        if len(index) == 0:
+            return
+        mirrored = Samples(
+            samples.u[index],
+            samples.v[index],
+            hits.depth[index].astype(np.float32),
+            hits.normal[index],
+            np.full(len(index), NOTHING, np.uint32),
+        )
+        mirrored = self._trace(view, mirrored)
+        colour, _ = self._light(view, beam, mirrored, self._surfaces(view, mirrored))
+        reflected[index] = colour
+        if width:
+            _roughen(reflected, index, hits.sharpness, width)
+
+    def _smooth_edges(self, view: View, beam: Beam, samples: Samples, hits: Hits, light: Floats, width: int) -> Floats:
+        """Edge pixels become the mean of five samples; only those of surfaces not seen nearby are shaded anew."""
+        edges = edge_pixels(self._geometry, samples.triangle, hits, width)
+        if len(edges) == 0:
+            return light
+        u = (samples.u[edges, None] + OFFSETS[:, 0]).ravel()
+        v = (samples.v[edges, None] + OFFSETS[:, 1]).ravel()
+        finer = self._trace(view, direct_samples(u, v))
+        known = known_colours(self._geometry, edges, finer.triangle, samples.triangle, hits, width)
+        unknown = np.flatnonzero(known < 0)
+        index = np.zeros(len(known), dtype=np.int64)
+        index[unknown] = np.arange(len(unknown))
+        rest = direct_samples(u[unknown], v[unknown])._replace(triangle=finer.triangle[unknown])
+        own, _ = self._light(view, beam, rest, self._surfaces(view, rest))
+        return blend_edges(light, edges, known, own, index)
+
+    def _develop(
+        self, image: Floats, depth: Floats, camera: Camera, pose: NDArray[np.float64], frame_seed: int
+    ) -> NDArray[np.uint8]:
+        """Weather between scene and lens, then the camera's response; each factor draws from its own stream."""
+        f = self.factors
+        falling, drops, noise = (np.random.default_rng([frame_seed & (2**64 - 1), k]) for k in range(3))
+        if f.rain_mm_h > 0 or f.snowfall_mm_h > 0:
+            down = pose[2, :2] * -1.0
+            size = float(np.hypot(*down))
+            down = down / size if size > 1e-6 else np.array([0.0, 1.0])
+            particles = np.asarray(0.75 * self._sky.ambient + 0.35 * self._sky.horizon, dtype=np.float32)
+            draw_falling(
+                image,
+                depth,
+                (camera.fx, camera.fy),
+                (float(down[0]), float(down[1])),
+                f.rain_mm_h,
+                f.snowfall_mm_h,
+                particles,
+                falling,
+            )
+        if f.lens_drops > 0:
+            image = add_lens_drops(image, f.lens_drops, drops)
+        return respond(image, f, noise)
+
+
+def _headlights(pose: NDArray[np.float64], of_camera: bool) -> Beam:
+    """The own car's headlights at its front, or below the camera where it looks."""
+    forward = pose[:3, 2] if of_camera else pose[:3, 0]
+    flat = np.array([forward[0], forward[1], 0.0])
+    flat /= max(float(np.linalg.norm(flat)), 1e-9)
+    origin = pose[:3, 3] + (np.array([0, 0, -0.9]) if of_camera else 1.9 * flat + np.array([0, 0, 0.65]))
+    return Beam(origin.astype(np.float32), flat.astype(np.float32))
+
+
+def _roughen(reflected: Floats, index: NDArray[np.int64], sharpness: Floats, width: int) -> None:
+    """Blur what wet ground mirrors, more along the way of the light, as a rough film does; puddles stay clear."""
+    image = np.zeros((len(reflected), 4), dtype=np.float32)
+    rough = index[sharpness[index] < 1.0]
+    if len(rough) == 0:
+        return
+    image[rough, :3] = reflected[rough]
+    image[rough, 3] = 1.0
+    scale = width / 512
+    kernel = (2 * round(1.5 * scale) + 1, 2 * round(6 * scale) + 1)
+    mean = cv2.blur(image.reshape(-1, width, 4), kernel).reshape(-1, 4)[rough]
+    keep = sharpness[rough, None]
+    reflected[rough] = keep * reflected[rough] + (1 - keep) * mean[:, :3] / mean[:, 3:]
