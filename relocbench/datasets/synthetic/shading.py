@@ -286,7 +286,7 @@ def surfaces(
         material, variant = np.int64(geometry.material[triangle]), np.int64(geometry.variant[triangle])
         dice = scramble(variant, material * 7919 + setting.seed)
         shift = 0.0 if material == _MARKING else (dice & 255) / 255.0 * 7.3
-        share, bright = sample(patterns, material, su + shift, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy)
+        share, bright = sample(patterns, material, su + shift, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy)  # type: ignore[arg-type]
         # Slow stains: along the surface on walls, from above on the ground.
         flat = nz > 0.7
         if flat:
