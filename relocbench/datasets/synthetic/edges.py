@@ -7,50 +7,63 @@ from numba import njit
 from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic.raycast import NOTHING
-from relocbench.datasets.synthetic.shading import Geometry, Hits
+from relocbench.datasets.synthetic.surfaces import Geometry, Hits
 
 Floats = NDArray[np.float32]
 OFFSETS = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]], dtype=np.float32)
 """(4, 2) of the samples in a pixel of an edge: a rotated square meets edges near the axes at four places"""
+_CONTRAST = 0.04
+"""between the pixels of an edge, of their sum; a fainter edge needs no smoothing"""
+
+
+def surface_names(geometry: Geometry) -> NDArray[np.uint32]:
+    """(T,) one number for each object, material and variant."""
+    name = geometry.instance * np.uint32(0x9E3779B1)
+    name ^= geometry.variant * np.uint32(0x85EBCA6B)
+    return np.asarray(name * np.uint32(32) + geometry.material)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def edge_pixels(geometry: Geometry, triangle: NDArray[np.uint32], hits: Hits, width: int) -> NDArray[np.int64]:
-    """Pixels whose right, left, upper or lower neighbour shows another surface."""
+def edge_pixels(
+    names: NDArray[np.uint32], triangle: NDArray[np.uint32], hits: Hits, light: Floats, width: int
+) -> NDArray[np.int64]:
+    """Pixels whose right, left, upper or lower neighbour shows another surface in another brightness.
+
+    One smooth surface is what has one name (see :func:`surface_names`), normals alike and no step between.
+    """
     n = len(triangle)
+    depth, normal, position = hits.depth, hits.normal, hits.position
     marked = np.zeros(n, dtype=np.bool_)
     for i in range(n):
-        for step in (1, width):
-            j = i + step
-            if j >= n or (step == 1 and j % width == 0):
+        for k in range(2):
+            j = i + (1 if k == 0 else width)
+            if j >= n or (k == 0 and j % width == 0):
                 continue
-            if not _same_surface(geometry, triangle, hits, i, j):
-                marked[i] = True
-                marked[j] = True
+            a, b = triangle[i], triangle[j]
+            if a == b:
+                continue
+            total = light[i, 0] + light[i, 1] + light[i, 2] + light[j, 0] + light[j, 1] + light[j, 2]
+            apart = abs(light[i, 0] - light[j, 0]) + abs(light[i, 1] - light[j, 1]) + abs(light[i, 2] - light[j, 2])
+            if apart < _CONTRAST * total:
+                continue
+            if a != NOTHING and b != NOTHING and names[a] == names[b]:
+                alike = normal[i, 0] * normal[j, 0] + normal[i, 1] * normal[j, 1] + normal[i, 2] * normal[j, 2]
+                step = (
+                    normal[i, 0] * (position[j, 0] - position[i, 0])
+                    + normal[i, 1] * (position[j, 1] - position[i, 1])
+                    + normal[i, 2] * (position[j, 2] - position[i, 2])
+                )
+                if alike > 0.9 and abs(step) < 0.02 + 0.002 * depth[i]:
+                    continue
+            marked[i] = True
+            marked[j] = True
     return np.flatnonzero(marked)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _same_surface(geometry: Geometry, triangle: NDArray[np.uint32], hits: Hits, i: int, j: int) -> bool:
-    """Whether two pixels show one smooth surface: same object and material, normals alike, no step between."""
-    a, b = triangle[i], triangle[j]
-    if a == b:
-        return True
-    if a == NOTHING or b == NOTHING:
-        return False
-    if geometry.instance[a] != geometry.instance[b] or geometry.material[a] != geometry.material[b]:
-        return False
-    alike = 0.0
-    step = 0.0
-    for k in range(3):
-        alike += hits.normal[i, k] * hits.normal[j, k]
-        step += hits.normal[i, k] * (hits.position[j, k] - hits.position[i, k])
-    return alike > 0.9 and abs(step) < 0.02 + 0.002 * hits.depth[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def known_colours(
     geometry: Geometry,
+    names: NDArray[np.uint32],
     edges: NDArray[np.int64],
     found: NDArray[np.uint32],
     triangle: NDArray[np.uint32],
@@ -70,31 +83,27 @@ def known_colours(
             j = i + step
             if j < 0 or j >= n or abs(j % width - i % width) > 1:
                 continue
-            if triangle[j] == t or (
-                t != NOTHING and triangle[j] != NOTHING and _coplanar(geometry, t, triangle[j], hits, j)
-            ):
+            other = triangle[j]
+            if other == t:
+                out[s] = j
+                break
+            if t == NOTHING or other == NOTHING or names[t] != names[other]:
+                continue
+            if abs(_cosine(geometry.vertices, geometry.triangles, t, hits.normal, j)) > 0.93:
                 out[s] = j
                 break
     return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _coplanar(geometry: Geometry, t: int, other: int, hits: Hits, j: int) -> bool:
-    """Whether a triangle continues the surface that pixel j shows."""
-    if (
-        geometry.material[t] != geometry.material[other]
-        or geometry.instance[t] != geometry.instance[other]
-        or geometry.variant[t] != geometry.variant[other]
-    ):
-        return False
-    a, b, c = geometry.triangles[t, 0], geometry.triangles[t, 1], geometry.triangles[t, 2]
-    v = geometry.vertices
-    x1, y1, z1 = v[b, 0] - v[a, 0], v[b, 1] - v[a, 1], v[b, 2] - v[a, 2]
-    x2, y2, z2 = v[c, 0] - v[a, 0], v[c, 1] - v[a, 1], v[c, 2] - v[a, 2]
+def _cosine(vertices: Floats, triangles: NDArray[np.uint32], t: int, normal: Floats, j: int) -> float:
+    """Between the normals of a triangle and of a pixel."""
+    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    x1, y1, z1 = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+    x2, y2, z2 = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
     nx, ny, nz = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
     size = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
-    alike = (nx * hits.normal[j, 0] + ny * hits.normal[j, 1] + nz * hits.normal[j, 2]) / size
-    return abs(alike) > 0.93
+    return float((nx * normal[j, 0] + ny * normal[j, 1] + nz * normal[j, 2]) / size)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

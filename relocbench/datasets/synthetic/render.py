@@ -8,16 +8,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.synthetic import shading
+from relocbench.datasets.synthetic import lamps as lighting
+from relocbench.datasets.synthetic import samples as sampling
+from relocbench.datasets.synthetic import shading, shadows, surfaces
 from relocbench.datasets.synthetic.condition import Factors
-from relocbench.datasets.synthetic.edges import OFFSETS, blend_edges, edge_pixels, known_colours
+from relocbench.datasets.synthetic.edges import OFFSETS, blend_edges, edge_pixels, known_colours, surface_names
+from relocbench.datasets.synthetic.lamps import Beam
 from relocbench.datasets.synthetic.materials import make_looks
 from relocbench.datasets.synthetic.mesh import Mesh, Semantic
 from relocbench.datasets.synthetic.raycast import NOTHING, Scene
 from relocbench.datasets.synthetic.response import respond
-from relocbench.datasets.synthetic.shading import Beam, Floats, Hits, Samples, Setting, View, direct_samples
+from relocbench.datasets.synthetic.samples import Floats, Samples, View, direct_samples
 from relocbench.datasets.synthetic.sky import make_sky
 from relocbench.datasets.synthetic.skylight import make_skylight
+from relocbench.datasets.synthetic.surfaces import Hits, Setting
 from relocbench.datasets.synthetic.textures import bake
 from relocbench.datasets.synthetic.weather import add_lens_drops, draw_falling, falling_extinction
 from relocbench.errors import ConfigError
@@ -58,12 +62,13 @@ class Renderer:
     def __init__(self, mesh: Mesh, factors: Factors, lamps: NDArray[np.floating], seed: int) -> None:
         self.factors = factors
         self._scene = Scene(mesh)
-        self._geometry = shading.make_geometry(mesh)
+        self._geometry = surfaces.make_geometry(mesh)
+        self._names = surface_names(self._geometry)
         self._patterns = bake(seed)
         self._looks = make_looks(factors.leaf_colour)
         self._sky = make_sky(factors, seed)
         self._skylight = make_skylight(mesh, self._scene)
-        self._lamps = shading.make_lamps(lamps)
+        self._lamps = lighting.make_lamps(lamps)
         self._by_lamp = not self._sky.sun.any()
         extinction = factors.fog_density + falling_extinction(factors.rain_mm_h, factors.snowfall_mm_h)
         night = float(np.clip((3.0 - factors.sun_elevation_deg) / 9.0, 0, 1))
@@ -114,10 +119,10 @@ class Renderer:
 
     def _trace(self, view: View, samples: Samples) -> Samples:
         """The samples with what their rays hit."""
-        return samples._replace(triangle=self._scene.closest(shading.make_rays(view, samples)))
+        return samples._replace(triangle=self._scene.closest(sampling.make_rays(view, samples)))
 
     def _surfaces(self, view: View, samples: Samples) -> Hits:
-        return shading.surfaces(view, self._geometry, self._patterns, self._looks, self._setting, samples)
+        return surfaces.surfaces(view, self._geometry, self._patterns, self._looks, self._setting, samples)
 
     def _light(self, view: View, beam: Beam, samples: Samples, hits: Hits, width: int = 0) -> tuple[Floats, Floats]:
         """Radiance (N, 3) and the share of light (N,) that is not in shadow; ``width`` if they are a whole image."""
@@ -144,16 +149,16 @@ class Renderer:
         lit = np.ones(len(hits.depth), dtype=np.float32)
         if self._by_lamp and not self._setting.lamps_on:
             return lit
-        index, rays = shading.shadow_rays(hits, self._sky.to_sun, self._by_lamp, self._lamps)
+        index, rays = shadows.shadow_rays(hits, self._sky.to_sun, self._by_lamp, self._lamps)
         lit[index] = 1.0 - self._scene.occluded(rays, _LAMP_AT if self._by_lamp else np.inf)
         if width and not self._by_lamp:
-            rims, rays = shading.penumbra_rays(view, hits, lit, width, self._sky.to_sun)
+            rims, rays = shadows.penumbra_rays(view, hits, lit, width, self._sky.to_sun)
             lit[rims] = 1.0 - self._scene.occluded(rays).reshape(-1, 4).mean(axis=1, dtype=np.float32)
         return lit
 
     def _reflect(self, view: View, beam: Beam, samples: Samples, hits: Hits, reflected: Floats, width: int) -> None:
         """Fill in the light (N, 3) that comes to the samples that mirror."""
-        glass = shading.casts_reflection(self._geometry, samples, hits, _LEAST_MIRROR)
+        glass = surfaces.casts_reflection(self._geometry, samples, hits, _LEAST_MIRROR)
         index = np.flatnonzero(glass)
         if len(index) == 0:
             return
@@ -172,13 +177,13 @@ class Renderer:
 
     def _smooth_edges(self, view: View, beam: Beam, samples: Samples, hits: Hits, light: Floats, width: int) -> Floats:
         """Edge pixels become the mean of five samples; only those of surfaces not seen nearby are shaded anew."""
-        edges = edge_pixels(self._geometry, samples.triangle, hits, width)
+        edges = edge_pixels(self._names, samples.triangle, hits, light, width)
         if len(edges) == 0:
             return light
         u = (samples.u[edges, None] + OFFSETS[:, 0]).ravel()
         v = (samples.v[edges, None] + OFFSETS[:, 1]).ravel()
         finer = self._trace(view, direct_samples(u, v))
-        known = known_colours(self._geometry, edges, finer.triangle, samples.triangle, hits, width)
+        known = known_colours(self._geometry, self._names, edges, finer.triangle, samples.triangle, hits, width)
         unknown = np.flatnonzero(known < 0)
         index = np.zeros(len(known), dtype=np.int64)
         index[unknown] = np.arange(len(unknown))

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from relocbench.datasets.synthetic.condition import Factors
 
 Floats = NDArray[np.float32]
-_KEY = 0.24
+_KEY = 0.17
 _LEAST_GAIN, _MOST_GAIN = 0.05, 5.0
 """an automatic exposure does not turn night into day"""
 _FIXED_GAIN = 0.45
-_WHITE = 4.5
+_WHITE = 6.0
 _BLOOM = 0.06
 _LUMA = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 _TABLE = 4096
@@ -40,9 +40,9 @@ def respond(image: Floats, factors: Factors, rng: np.random.Generator) -> NDArra
 
 
 def tone_curve(gamma: float) -> Floats:
-    """Grey levels of light sqrt-spaced from 0 to :data:`_WHITE`: Reinhard et al. 2002, eq. 4, then the gamma."""
+    """Grey levels of light sqrt-spaced from 0 to :data:`_WHITE`: Narkowicz's filmic curve (2015), then the gamma."""
     x = np.linspace(0, 1, _TABLE) ** 2 * _WHITE
-    level = x * (1 + x / _WHITE**2) / (1 + x)
+    level = x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14)
     return (255 * (level / level[-1]) ** (1 / gamma)).astype(np.float32)
 
 

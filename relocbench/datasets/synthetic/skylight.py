@@ -1,4 +1,7 @@
-"""How much of the sky is seen from where: visibility on a coarse grid of the district, for light from all sides."""
+"""How much of the sky is seen from where: on a coarse grid of the district, and on a fine one close to the ground.
+
+Both hang on the world, not on the camera, so that the light on a surface stays as the camera moves.
+"""
 
 from __future__ import annotations
 
@@ -18,17 +21,27 @@ _DIRECTIONS = 14
 _FAR_M = 80.0
 _OFF_WALL_M = 1.6
 """light is looked up this far in front of a surface: behind it lies the dark inside of a house"""
+_FINE_M = 0.25
+_FINE_DIRECTIONS = 9
+_GROUND_M = 0.17
+"""just above the pavement"""
+_LOW_M = 0.9
+"""what stands lower than this above the ground darkens it"""
+_SIDE_M = 600.0
+_FAR_GROUND = (Semantic.NONE, Semantic.ROAD, Semantic.PAVEMENT, Semantic.MARKING, Semantic.TERRAIN)
 
 
 class Skylight(NamedTuple):
     """Share of the sky seen and where it lies, at grid points."""
 
     low: Floats
-    """(2,) x and y of the first point"""
+    """(2,) x and y of the first point of both grids"""
     grid: Floats
     """(height, y, x, 4): mean visibility of the upper half, then mean of visibility times direction"""
     heights: Floats
     """(height,) metres"""
+    ground: Floats
+    """(y, x) share of the light on the ground that nothing within 1.2 m takes away"""
 
 
 def upper_directions(count: int) -> Floats:
@@ -45,47 +58,94 @@ def make_skylight(mesh: Mesh, scene: Scene) -> Skylight:
     built = mesh.vertices[mesh.triangles[mesh.semantic != Semantic.TERRAIN].ravel()]
     if len(built) == 0:
         built = np.zeros((1, 3), dtype=np.float32)
-    low, high = np.clip(built[:, :2].min(0), -600, 600), np.clip(built[:, :2].max(0), -600, 600)
+    low, high = np.clip(built[:, :2].min(0), -_SIDE_M, _SIDE_M), np.clip(built[:, :2].max(0), -_SIDE_M, _SIDE_M)
     nx, ny = (np.ceil((high - low) / _CELL_M).astype(int) + 2).tolist()
     x, y = low[0] + _CELL_M * np.arange(nx), low[1] + _CELL_M * np.arange(ny)
     points = np.stack(np.meshgrid(_HEIGHTS, y, x, indexing="ij")[::-1], axis=-1).astype(np.float32).reshape(-1, 3)
     directions = upper_directions(_DIRECTIONS)
-    seen = np.stack([_sees(scene, points, d) for d in directions], axis=1)
+    seen = np.stack([_sees(scene, points, d, _FAR_M) for d in directions], axis=1)
     values = np.concatenate([seen.mean(1, keepdims=True), seen @ directions / _DIRECTIONS], axis=1)
-    return Skylight(low.astype(np.float32), values.astype(np.float32).reshape(len(_HEIGHTS), ny, nx, 4), _HEIGHTS)
+    grid = values.astype(np.float32).reshape(len(_HEIGHTS), ny, nx, 4)
+    return Skylight(low.astype(np.float32), grid, _HEIGHTS, _ground(mesh, scene, low, high))
 
 
-def _sees(scene: Scene, points: Floats, direction: Floats) -> Floats:
+def _ground(mesh: Mesh, scene: Scene, low: Floats, high: Floats) -> Floats:
+    """Cosine-weighted openness of the ground, near anything low that stands on it; 1 elsewhere."""
+    nx, ny = (np.ceil((high - low) / _FINE_M).astype(int) + 2).tolist()
+    ground = np.ones((ny, nx), dtype=np.float32)
+    corners = mesh.vertices[mesh.triangles[~np.isin(mesh.semantic, _FAR_GROUND)]]
+    corners = corners[corners[..., 2].min(1) < _LOW_M]
+    if len(corners) == 0:
+        return ground
+    # Long edges are walked in steps, so that no cell between their ends is missed.
+    long = corners[np.ptp(corners[..., :2], axis=1).max(1) > 4 * _FINE_M]
+    steps = np.linspace(0, 1, 25, dtype=np.float32)[:, None, None]
+    walked = [long[:, i] + steps * (long[:, (i + 1) % 3] - long[:, i]) for i in range(3)]
+    points = np.concatenate([corners.reshape(-1, 3), *(w.reshape(-1, 3) for w in walked)])
+    cells = np.floor((points[:, :2] - low) / (4 * _FINE_M)).astype(int)
+    near = np.zeros((-(-ny // 4) + 2, -(-nx // 4) + 2), dtype=np.bool_)
+    inside = ((cells >= 0) & (cells < [near.shape[1] - 2, near.shape[0] - 2])).all(1)
+    near[cells[inside, 1] + 1, cells[inside, 0] + 1] = True
+    grown = near.copy()
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            grown |= np.roll(near, (dy, dx), (0, 1))
+    iy, ix = np.nonzero(np.kron(grown[1:-1, 1:-1], np.ones((4, 4), dtype=np.bool_))[:ny, :nx])
+    points = np.stack([low[0] + _FINE_M * ix, low[1] + _FINE_M * iy, np.full(len(ix), _GROUND_M)], 1).astype(np.float32)
+    directions = upper_directions(_FINE_DIRECTIONS)
+    weight = directions[:, 2] / directions[:, 2].sum()
+    seen = np.zeros(len(points), dtype=np.float32)
+    for d, w in zip(directions, weight, strict=True):
+        seen += w * _sees(scene, points, d, 1.2)
+    ground[iy, ix] = seen
+    return ground
+
+
+def _sees(scene: Scene, points: Floats, direction: Floats, far: float) -> Floats:
     rays = np.concatenate([points, np.broadcast_to(direction, points.shape)], axis=1)
-    return 1.0 - scene.occluded(np.ascontiguousarray(rays), _FAR_M).astype(np.float32)
+    return 1.0 - scene.occluded(np.ascontiguousarray(rays), far).astype(np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def sky_share(light: Skylight, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tuple[float, float]:
     """Irradiance by a sky of radiance 1/pi at a point with a normal, and the mean visibility there."""
-    layers, rows, columns, _ = light.grid.shape
+    grid, heights = light.grid, light.heights
+    layers, rows, columns, _ = grid.shape
     gx = (x + _OFF_WALL_M * nx - light.low[0]) / _CELL_M
     gy = (y + _OFF_WALL_M * ny - light.low[1]) / _CELL_M
     if gx < 0 or gy < 0 or gx >= columns - 1 or gy >= rows - 1:
         return 0.5 + 0.5 * nz, 1.0
     h = z + 0.5 * max(nz, 0.0)
     k = 0
-    while k < layers - 2 and light.heights[k + 1] < h:
+    while k < layers - 2 and heights[k + 1] < h:
         k += 1
-    fz = min(max((h - light.heights[k]) / (light.heights[k + 1] - light.heights[k]), 0.0), 1.0)
+    fz = min(max((h - heights[k]) / (heights[k + 1] - heights[k]), 0.0), 1.0)
     ix, iy = int(gx), int(gy)
     fx, fy = gx - ix, gy - iy
-    weight, v0, vx, vy, vz = 1e-6, 0.3e-6, 0.0, 0.0, 0.15e-6
+    weight, v0, share = 1e-6, 0.3e-6, 0.15e-6 * nz
     for c in range(8):
         a, b, e = c & 1, (c >> 1) & 1, c >> 2
-        at = light.grid[k + e, iy + b, ix + a]
+        p, q, r = k + e, iy + b, ix + a
+        open_sky = grid[p, q, r, 0]
         # A point inside a house sees nothing: it says nothing about the street either.
-        w = (fx if a else 1 - fx) * (fy if b else 1 - fy) * (fz if e else 1 - fz) * min(1.0, 8.0 * at[0])
+        w = (fx if a else 1 - fx) * (fy if b else 1 - fy) * (fz if e else 1 - fz) * min(1.0, 8.0 * open_sky)
         weight += w
-        v0 += w * at[0]
-        vx += w * at[1]
-        vy += w * at[2]
-        vz += w * at[3]
+        v0 += w * open_sky
+        share += w * (grid[p, q, r, 1] * nx + grid[p, q, r, 2] * ny + grid[p, q, r, 3] * nz)
     v0 /= weight
-    share = 0.5 * v0 + (vx * nx + vy * ny + vz * nz) / weight
-    return max(share, 0.04), v0
+    return max(0.5 * v0 + share / weight, 0.04), v0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def ground_share(light: Skylight, x: float, y: float) -> float:
+    """Light that is left on the ground beside and under what stands on it."""
+    ground = light.ground
+    rows, columns = ground.shape
+    gx, gy = (x - light.low[0]) / _FINE_M, (y - light.low[1]) / _FINE_M
+    if gx < 0 or gy < 0 or gx >= columns - 1 or gy >= rows - 1:
+        return 1.0
+    i, j = int(gx), int(gy)
+    a, b = gx - i, gy - j
+    upper = ground[j, i] * (1 - a) + ground[j, i + 1] * a
+    lower = ground[j + 1, i] * (1 - a) + ground[j + 1, i + 1] * a
+    return float(upper * (1 - b) + lower * b)

@@ -22,7 +22,6 @@ MACRO = len(Material)
 """the layer of slow noise with uniform distribution: stains, puddles, drifts of snow"""
 MACRO_TILE_M = 29.0
 UNIT_BRIGHTNESS = 128.0
-_MOST_PROBES = 8
 
 
 class Patterns(NamedTuple):
@@ -169,7 +168,7 @@ def _pyramid(image: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _bilinear(
-    texels: NDArray[np.uint8], start: NDArray[np.int64], layer: int, level: int, u: float, v: float
+    texels: NDArray[np.uint8], start: NDArray[np.int64], layer: int | np.int64, level: int, u: float, v: float
 ) -> tuple[float, float]:
     """Both channels at (u, v) in tiles, on one level."""
     size = SIZE >> level
@@ -190,12 +189,21 @@ def _bilinear(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def sample(
-    patterns: Patterns, layer: int, u: float, v: float, dudx: float, dvdx: float, dudy: float, dvdy: float
+    patterns: Patterns,
+    layer: int | np.int64,
+    u: float,
+    v: float,
+    dudx: float,
+    dvdx: float,
+    dudy: float,
+    dvdy: float,
+    most: int,
 ) -> tuple[float, float]:
     """Second colour's share [0, 1] and brightness of a layer at (u, v) metres, averaged over the pixel's footprint.
 
-    Trilinear probes along the longer side of the footprint, as many as it is longer than the shorter one (Heckbert,
-    "Survey of texture mapping", 1986; the derivatives are Igehy's ray differentials, 1999).
+    Trilinear probes along the longer side of the footprint, as many as it is longer than the shorter one but at most
+    ``most``, beyond which they blur (Heckbert, "Survey of texture mapping", 1986; the derivatives are Igehy's ray
+    differentials, 1999).
     """
     per_tile = 1.0 / patterns.tile_m[layer]
     u, v = u * per_tile, v * per_tile
@@ -207,7 +215,7 @@ def sample(
     # The footprint is a parallelogram: across its long side it is as wide as its area says.
     length = np.sqrt(long2)
     width = abs(ax * by - ay * bx) / max(length, 1e-12)
-    probes = min(_MOST_PROBES, max(1, int(np.ceil(length / max(width, 1.0 / SIZE, 1e-9)))))
+    probes = min(most, max(1, int(np.ceil(length / max(width, 1.0 / SIZE, 1e-9)))))
     lod = max(0.0, np.log2(max(width, length / probes) * SIZE + 1e-9))
     level = min(int(lod), LEVELS - 1)
     blend = min(lod - level, 1.0)

@@ -1,0 +1,232 @@
+"""What each ray meets: depth, normal and colour, dry, wet and under snow."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.materials import CHOICES, Looks, scramble
+from relocbench.datasets.synthetic.mesh import Material, Mesh, Semantic
+from relocbench.datasets.synthetic.raycast import NOTHING
+from relocbench.datasets.synthetic.samples import Samples, View, start
+from relocbench.datasets.synthetic.textures import MACRO, Patterns, sample
+from relocbench.datasets.synthetic.vectors import Vector, along, cross, dot, minus, smooth
+
+Floats = NDArray[np.float32]
+_MARKING, _WINDOW, _SHOP = int(Material.LANE_MARKING), int(Material.WINDOW), int(Material.SHOP_WINDOW)
+_LEAF, _HEDGE, _LAMP = int(Material.LEAF), int(Material.HEDGE), int(Material.LAMP)
+_PAINT, _CAR_GLASS, _SIGN = int(Material.CAR_PAINT), int(Material.CAR_GLASS), int(Material.SHOP_SIGN)
+_MOVING, _PARKED = int(Semantic.MOVING_CAR), int(Semantic.PARKED_CAR)
+
+
+class Geometry(NamedTuple):
+    """The mesh's arrays."""
+
+    vertices: Floats
+    triangles: NDArray[np.uint32]
+    uv: Floats
+    material: NDArray[np.uint8]
+    semantic: NDArray[np.uint8]
+    instance: NDArray[np.uint32]
+    variant: NDArray[np.uint32]
+
+
+def make_geometry(mesh: Mesh) -> Geometry:
+    """The mesh as compiled code takes it."""
+    return Geometry(*(np.ascontiguousarray(getattr(mesh, name)) for name in Geometry._fields))
+
+
+class Setting(NamedTuple):
+    """What the weather and the hour do to surfaces and light."""
+
+    wetness: float
+    puddles: float
+    snow: float
+    extinction: float
+    lamps_on: bool
+    headlights: bool
+    night: float
+    """0 by day, 1 at night: windows are lit"""
+    seed: int
+
+
+class Hits(NamedTuple):
+    """What the samples see, before light."""
+
+    depth: NDArray[np.float64]
+    """(N,) along the ray from where it started; 0 for the sky"""
+    position: Floats
+    normal: Floats
+    """(N, 3) of the surface, on the side that is seen"""
+    albedo: Floats
+    emission: Floats
+    mirror: Floats
+    """(N,) share of the light that comes by reflection"""
+    sharpness: Floats
+    """(N,) of that reflection, 1 for glass and still water"""
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _fresnel(cosine: float) -> float:
+    """Reflectance of water and glass (Schlick 1994, F0 = 0.03)."""
+    k = 1 - min(max(cosine, 0.0), 1.0)
+    k2 = k * k
+    return 0.03 + 0.97 * k2 * k2 * k
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _corner(vertices: Floats, i: int) -> Vector:
+    return float(vertices[i, 0]), float(vertices[i, 1]), float(vertices[i, 2])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def surfaces(
+    view: View, geometry: Geometry, patterns: Patterns, looks: Looks, setting: Setting, samples: Samples
+) -> Hits:
+    """Depth, normal and colour of what each sample sees.
+
+    The depth is that of the ray and the triangle's plane in double precision, whatever Embree's own rounding.
+    """
+    n = len(samples.u)
+    uv = geometry.uv
+    depth = np.zeros(n, dtype=np.float64)
+    position = np.zeros((n, 3), dtype=np.float32)
+    normal = np.zeros((n, 3), dtype=np.float32)
+    albedo = np.zeros((n, 3), dtype=np.float32)
+    emission = np.zeros((n, 3), dtype=np.float32)
+    mirror = np.zeros(n, dtype=np.float32)
+    sharpness = np.zeros(n, dtype=np.float32)
+    for i in range(n):
+        triangle = samples.triangle[i]
+        if triangle == NOTHING:
+            continue
+        o, d, dx, dy = start(view, samples, i)
+        a = _corner(geometry.vertices, geometry.triangles[triangle, 0])
+        e1 = minus(_corner(geometry.vertices, geometry.triangles[triangle, 1]), a)
+        e2 = minus(_corner(geometry.vertices, geometry.triangles[triangle, 2]), a)
+        c = cross(e1, e2)
+        area2 = dot(c, c)
+        slope = dot(c, d)
+        if area2 == 0.0 or slope == 0.0:
+            continue
+        t = dot(c, minus(a, o)) / slope
+        p = along(o, t, d)
+        size = (-1.0 if slope > 0 else 1.0) / np.sqrt(area2)
+        nx, ny, nz = c[0] * size, c[1] * size, c[2] * size
+
+        # Barycentric coordinates are linear in the point, and so is (u, v) on the surface with its footprint.
+        g1, g2 = cross(e2, c), cross(c, e1)
+        reach = samples.before[i] + t
+        px = along((reach * dx[0], reach * dx[1], reach * dx[2]), -reach * dot(c, dx) / slope, d)
+        py = along((reach * dy[0], reach * dy[1], reach * dy[2]), -reach * dot(c, dy) / slope, d)
+        u0, v0 = uv[triangle, 0, 0], uv[triangle, 0, 1]
+        u1, v1, u2, v2 = (
+            uv[triangle, 1, 0] - u0,
+            uv[triangle, 1, 1] - v0,
+            uv[triangle, 2, 0] - u0,
+            uv[triangle, 2, 1] - v0,
+        )
+        q = minus(p, a)
+        b1, b2 = dot(g1, q) / area2, dot(g2, q) / area2
+        x1, x2 = dot(g1, px) / area2, dot(g2, px) / area2
+        y1, y2 = dot(g1, py) / area2, dot(g2, py) / area2
+        su, sv = u0 + b1 * u1 + b2 * u2, v0 + b1 * v1 + b2 * v2
+        dudx, dvdx, dudy, dvdy = x1 * u1 + x2 * u2, x1 * v1 + x2 * v2, y1 * u1 + y2 * u2, y1 * v1 + y2 * v2
+
+        material, variant = np.int64(geometry.material[triangle]), np.int64(geometry.variant[triangle])
+        dice = scramble(variant, material * 7919 + setting.seed)
+        shift = 0.0 if material == _MARKING else (dice & 255) / 255.0 * 7.3
+        share, bright = sample(patterns, material, su + shift, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy, 6)
+        # Slow stains: along the surface on walls, from above on the ground.
+        flat = nz > 0.7
+        if flat:
+            slow, stain = sample(patterns, MACRO, p[0], p[1], px[0], px[1], py[0], py[1], 2)
+        else:
+            slow, stain = sample(patterns, MACRO, su + 3 * shift, sv, dudx, dvdx, dudy, dvdy, 1)
+        tone = 1.0 + looks.spread[material] * 2 * (((dice >> 8) & 255) / 255.0 - 0.5)
+        if material != _PAINT and material != _CAR_GLASS and material != _LAMP:
+            tone *= 0.88 + 0.12 * stain
+        choice = (dice >> 16) % CHOICES
+        r, g, b = looks.first[material, choice, 0], looks.first[material, choice, 1], looks.first[material, choice, 2]
+        if material in (_LEAF, _HEDGE):
+            kind = scramble(np.int64(geometry.instance[triangle]), setting.seed) & 3
+            turned = 1.0 if material == _LEAF else 0.5
+            r += (looks.foliage[kind, 0] - r) * turned
+            g += (looks.foliage[kind, 1] - g) * turned
+            b += (looks.foliage[kind, 2] - b) * turned
+            hue = 0.72 + 0.56 * ((dice >> 4) & 255) / 255.0
+            r, g, b = r * hue, g * hue, b * hue
+        shine = tone * bright
+        r = (r + (looks.second[material, 0] - r) * share) * shine
+        g = (g + (looks.second[material, 1] - g) * share) * shine
+        b = (b + (looks.second[material, 2] - b) * share) * shine
+
+        cosine = -(d[0] * nx + d[1] * ny + d[2] * nz) / np.sqrt(dot(d, d))
+        gloss, sharp = looks.gloss[material] * _fresnel(cosine), 1.0
+        if material in (_WINDOW, _SHOP):
+            gloss = min(1.0, 1.6 * gloss + 0.07)
+
+        snow = 0.0
+        if setting.snow > 0.0 and nz > 0.2 and material != _LAMP:
+            line = (1 - setting.snow) * 1.2 - 0.1
+            grain = slow if flat else 0.5
+            snow = smooth(grain, line - 0.1, line + 0.1) * smooth(nz, 0.3, 0.7)
+            if snow > 0.0:
+                white = 0.80 + 0.05 * (bright - 1.0) + 0.04 * (stain - 1.0)
+                r, g, b = r + (white - r) * snow, g + (white * 1.01 - g) * snow, b + (white * 1.04 - b) * snow
+                gloss *= 1 - snow
+
+        if setting.wetness > 0.0:
+            soaked = setting.wetness * (0.35 + 0.65 * smooth(nz, -0.2, 0.6)) * (1 - snow)
+            film, still = 0.0, 0.0
+            if nz > 0.97 and looks.film[material] > 0.0:
+                film = looks.film[material] * soaked * (0.65 + 0.35 * smooth(slow, 0.2, 0.7)) * (0.75 + 0.25 * share)
+                if setting.puddles > 0.0 and looks.hollows[material] > 0.0:
+                    hollow, _ = sample(
+                        patterns, MACRO, 2.2 * p[0], 2.2 * p[1], 2.2 * px[0], 2.2 * px[1], 2.2 * py[0], 2.2 * py[1], 3
+                    )
+                    line = 1.0 - 0.36 * setting.puddles * looks.hollows[material]
+                    still = smooth(hollow, line, line + 0.05) * (1 - snow)
+                film += (1 - film) * still
+                lost = gloss
+                gloss = lost + (1 - lost) * film * _fresnel(cosine)
+                sharp = 0.25 + 0.75 * still
+            keep = 1 - looks.porous[material] * soaked * (1 + 0.4 * still)
+            r, g, b = r * keep, g * keep, b * keep
+
+        if material == _LAMP:
+            semantic = geometry.semantic[triangle]
+            of_car = semantic in (_MOVING, _PARKED)
+            if (setting.headlights and semantic == _MOVING) or (setting.lamps_on and not of_car):
+                emission[i, 0], emission[i, 1], emission[i, 2] = 6.0, 4.8, 3.2
+        if setting.night > 0.0 and (material == _SHOP or (material == _WINDOW and (dice >> 5) % 100 < 24)):
+            power = setting.night * (0.5 if material == _SHOP else 0.22) * (0.5 + (dice & 127) / 127.0)
+            power *= 0.45 + 0.75 * share
+            warm = ((dice >> 12) & 7) / 7.0
+            emission[i, 0] = power
+            emission[i, 1] = power * (0.62 + 0.25 * warm)
+            emission[i, 2] = power * (0.28 + 0.5 * warm)
+        elif setting.night > 0.0 and material == _SIGN and (dice >> 5) % 3 == 0:
+            emission[i, 0], emission[i, 1], emission[i, 2] = r * setting.night, g * setting.night, b * setting.night
+
+        depth[i] = t
+        position[i, 0], position[i, 1], position[i, 2] = p[0], p[1], p[2]
+        normal[i, 0], normal[i, 1], normal[i, 2] = nx, ny, nz
+        albedo[i, 0] = min(max(r, 0.0), 0.95)
+        albedo[i, 1] = min(max(g, 0.0), 0.95)
+        albedo[i, 2] = min(max(b, 0.0), 0.95)
+        mirror[i], sharpness[i] = gloss, sharp
+    return Hits(depth, position, normal, albedo, emission, mirror, sharpness)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def casts_reflection(geometry: Geometry, samples: Samples, hits: Hits, least: float) -> NDArray[np.bool_]:
+    """Which samples (N,) mirror so much that a ray is worth it; curved paint makes do with the sky."""
+    out = np.zeros(len(hits.depth), dtype=np.bool_)
+    for i in range(len(out)):
+        if hits.depth[i] > 0.0 and hits.mirror[i] > least:
+            out[i] = geometry.material[samples.triangle[i]] != _PAINT
+    return out
