@@ -113,8 +113,8 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="relocbench-bench-") as scratch:
         folder = Path(scratch)
-        scene = importer("scene")
-        source = scene.build([], scene.Options(), folder / "scene", Silent(), Run(default_workers()))
+        town = importer("synthetic")
+        source = town.build([], town.Options(), folder / "town", Silent(), Run(default_workers()))
         sizes = sorted({*arguments.pairs, *arguments.memory_pairs})
         datasets = {n: many_pairs(source, folder / f"pairs-{n}", n) for n in sizes}
         small, large = (datasets[n] for n in arguments.pairs)

@@ -93,10 +93,10 @@ def test_an_unknown_key_in_a_configuration_is_named_with_its_line(dataset: Datas
     config.write_text(f"dataset: {dataset.root}\nmethods: [identity]\noverwirte: always\n")
     assert f"{config}:3: unknown key 'overwirte'" in relocbench("evaluate", "--config", config).complaint
     config.write_text("pair_step: [1]\n# comment\nmax_dist: 3\n")
-    outcome = relocbench("build-dataset", "scene", "--config", config, "--out", tmp_path / "o")
+    outcome = relocbench("build-dataset", "synthetic", "--config", config, "--out", tmp_path / "o")
     assert (outcome.status, f"{config}:3: unknown key 'max_dist'" in outcome.complaint) == (2, True)
     config.write_text("pair_step: [1, two]\n")
-    outcome = relocbench("build-dataset", "scene", "--config", config, "--out", tmp_path / "o")
+    outcome = relocbench("build-dataset", "synthetic", "--config", config, "--out", tmp_path / "o")
     assert f"{config}:1: key 'pair_step.1'" in outcome.complaint
     config.write_text("a: [1\n")
     assert f"{config}:2: not valid YAML" in relocbench("evaluate", "--config", config).complaint

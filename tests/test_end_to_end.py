@@ -43,11 +43,9 @@ def board_rows(board: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
-def test_the_whole_line_on_a_small_rendered_street(tmp_path: Path) -> None:
+def test_the_whole_line_on_a_small_rendered_town(tmp_path: Path) -> None:
     dataset, results, board = tmp_path / "d", tmp_path / "r", tmp_path / "b"
-    built = json.loads(
-        run("build-dataset", "scene", "--out", dataset, "--frames", "6", "--width", "160", "--height", "120", "--json")
-    )
+    built = json.loads(run("build-dataset", "synthetic", "--preset", "smoke", "--out", dataset, "--json"))
     assert "no fault" in run("validate", dataset)
     run("evaluate", "-d", dataset, *METHODS, "--out", results, "-q")
     run("leaderboard", results, "--out", board, "-q")

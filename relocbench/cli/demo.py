@@ -1,4 +1,4 @@
-"""``relocbench demo``: the whole line on a small dataset made on the spot."""
+"""``relocbench demo``: the whole line on a small dataset rendered on the spot."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ def demo(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for dataset, results and leaderboard.")] = Path(
         "relocbench-demo"
     ),
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the scene.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the town.")] = 0,
     workers: Workers = None,
     quiet: Quiet = False,
 ) -> None:
-    """Make a small dataset, run three trackers on it and print the leaderboard; takes a minute or two.
+    """Render a street in four conditions, run three trackers on it and print the leaderboard; takes a minute or two.
 
     Example: relocbench demo --out demo
     """
@@ -32,10 +32,12 @@ def demo(
     from relocbench.leaderboard import write_leaderboard
 
     report = reporter(quiet)
-    scene = importer("scene")
-    dataset = scene.build([], scene.Options(seed=seed), out / "dataset", report, Run(workers or default_workers()))
-    options = EvaluateOptions(dataset=dataset.root, methods=_METHODS, out=out / "results", workers=workers)
-    evaluate_methods(options, report)
+    town = importer("synthetic")
+    options = town.Options.model_validate({"preset": "demo", "seed": seed})
+    dataset = town.build([], options, out / "dataset", report, Run(workers or default_workers()))
+    evaluate_methods(
+        EvaluateOptions(dataset=dataset.root, methods=_METHODS, out=out / "results", workers=workers), report
+    )
     board = write_leaderboard(out / "results", out / "leaderboard", reporter=report)
     print_leaderboard(board)
     if not quiet:

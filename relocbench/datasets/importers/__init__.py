@@ -23,7 +23,6 @@ KINDS: dict[str, str] = {
     "four-seasons": "4Seasons / MLAD recordings (sparse keyframe points)",
     "generic": "a minimal documented folder: images, intrinsics, TUM poses, optional depth",
     "synthetic": "a procedural town in any weather, ray-cast: districts, drives and exact truth from a seed",
-    "scene": "a small street in three lights, ray-cast: for demonstrations and tests",
 }
 """what ``relocbench build-dataset`` can read"""
 
