@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Evidence:
-    """What two submaps say of a pose. Shares are of thinned, steady points; ``nan`` where there was nothing to judge."""
+    """What two submaps say of a pose. Shares are of thinned, steady points; ``nan`` where nothing could be judged."""
 
     overlap_ref: float
     """share of the reference's structure, of what the query could have seen, that the query has as well"""
