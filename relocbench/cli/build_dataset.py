@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
     from relocbench.datasets.importers.options import ImportOptions
+    from relocbench.datasets.recording import RecordingFolder
 
 _NO_SOURCE = ("synthetic",)
 _EXAMPLES = {
@@ -133,15 +134,38 @@ def _build(kind: str, options: type[ImportOptions], given: dict[str, Any]) -> No
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
     from relocbench.cli.inspect import print_summary
-    from relocbench.datasets.importers import Run, importer
+    from relocbench.datasets.importers import Run, importer, recorder
     from relocbench.execution import default_workers
 
     sources, out = given.pop("sources", []), given.pop("out")
     config, quiet, as_json = given.pop("config"), given.pop("quiet"), given.pop("json")
     run = Run(given.pop("workers") or default_workers(), given.pop("scheduler"))
     chosen = merged(options, config, {name: value for name, value in given.items() if value is not None})
+    records = recorder(kind)
+    recorded = records.record(list(sources), chosen, out, reporter(quiet), run) if records else None
+    if recorded is not None:
+        if as_json:
+            print_json(recorded.to_dict())
+        elif not quiet:
+            _print_recording(recorded)
+        return
     dataset = importer(kind).build(list(sources), chosen, out, reporter(quiet), run)
     if as_json:
         print_json({"dataset": str(out), "name": dataset.name, "fingerprint": dataset.fingerprint})
     elif not quiet:
         print_summary(dataset)
+
+
+def _print_recording(recorded: RecordingFolder) -> None:
+    from relocbench.cli.console import print_table
+
+    print(f"{len(recorded.drives)} drives recorded in the layout '{recorded.layout}': {recorded.root}")
+    print_table(
+        "Drives",
+        ["name", "split", "condition", "route", "traversal", "images", "scans", "length m"],
+        [
+            [d.name, d.split, d.condition, d.route, str(d.traversal), str(d.images), str(d.scans), f"{d.length_m:.1f}"]
+            for d in recorded.drives
+        ],
+    )
+    print(f"which drive is which: {recorded.root / 'drives.csv'}; the exact truth: {recorded.root / 'truth'}")

@@ -10,11 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, cast
 
 if TYPE_CHECKING:
     from relocbench.datasets.dataset import Dataset
     from relocbench.datasets.importers.options import ImportOptions
+    from relocbench.datasets.recording import RecordingFolder
     from relocbench.progress import Reporter
 
 KINDS: dict[str, str] = {
@@ -43,6 +44,22 @@ class Importer(Protocol):
     def build(
         self, sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run
     ) -> Dataset: ...
+
+
+class Recorder(Protocol):
+    """What an importer module offers that makes recordings as well."""
+
+    def record(
+        self, sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run
+    ) -> RecordingFolder | None:
+        """None where the options ask for a dataset."""
+        ...
+
+
+def recorder(kind: str) -> Recorder | None:
+    """The importer module of a kind, if it makes recordings."""
+    module = importer(kind)
+    return cast(Recorder, module) if hasattr(module, "record") else None
 
 
 def importer(kind: str) -> Importer:

@@ -1,7 +1,8 @@
 """Kind ``synthetic``: a procedural town, driven through in any weather. Nothing is downloaded; the truth is exact.
 
 Every split has a district of its own. In each, the same route is driven in every condition, ``traversals`` times; the
-first traversal of the first condition is the map whose keyframes the others ask about.
+first traversal of the first condition is the map whose keyframes the others ask about. With ``recording``, drives are
+written as a car would record them, in the layout of a real data set; from those no dataset is made here.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from relocbench.datasets.importers import Run
 from relocbench.datasets.importers.options import ImportOptions
@@ -21,7 +23,18 @@ from relocbench.progress import Reporter
 
 if TYPE_CHECKING:
     from relocbench.datasets.dataset import Dataset
+    from relocbench.datasets.recording import RecordingFolder
     from relocbench.datasets.synthetic.plan import TraversalPlan
+
+
+_RECORDING_FRAMES = 160
+"""unless a preset other than ``demo`` has its own number"""
+_OF_RECORDINGS = ("route", "recording_cameras", "image_scale", "rings", "azimuths", "motion_distorted")
+_OF_KITTI = ("rings", "azimuths", "motion_distorted")
+_OF_DATASETS = (
+    "name", "licence", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences", "copy_images",
+    "cameras", "size", "distance", "reference", "extras",
+)  # fmt: skip
 
 
 class Options(ImportOptions):
@@ -41,7 +54,13 @@ class Options(ImportOptions):
     )
     cameras: Literal["front", "stereo", "wide-stereo", "six"] = Field("front", description="the rig")
     size: str = Field("320x240", description="pixels, WIDTHxHEIGHT, or one number for both")
-    steps: int = Field(16, ge=2, le=100_000, description="steps of a traversal, ten a second")
+    steps: int = Field(
+        16,
+        ge=2,
+        le=100_000,
+        description="steps of a traversal, ten a second; of a recording: frames, by default 160, 16 (robotcar) or 10 "
+        "(kitti) a second",
+    )
     traversals: int = Field(1, ge=1, le=100, description="traversals in each condition and split")
     split: Literal["train", "validation", "test", "all"] = Field("test", description="whose district is driven in")
     extent: float = Field(250.0, ge=190, le=1000, description="side of a district in metres")
@@ -68,12 +87,38 @@ class Options(ImportOptions):
         (), description="pictures to write to OUT/extras: normals, instance, semantic, changed"
     )
 
+    recording: Literal["robotcar", "kitti"] | None = Field(
+        None,
+        description="record drives (camera, lidar, odometry, GNSS) in this layout instead of making a dataset; one for "
+        "each split, condition, route and traversal",
+    )
+    route: tuple[Literal["common", "detour", "crossing", "periodic"], ...] = Field(
+        ("common",),
+        description="recording: what is driven: the common route; a detour from it over other streets and back; "
+        "through one of its crossings another way; along the street with repeating facades",
+    )
+    recording_cameras: tuple[str, ...] = Field(
+        (),
+        description="recording: cameras, such as stereo/left,mono_rear or image_0, or none; default: all six of "
+        "robotcar, the two grey ones of kitti",
+    )
+    image_scale: float = Field(
+        0.5, ge=0.05, le=1, description="recording: size of the images over that of the real cameras"
+    )
+    rings: int = Field(64, ge=16, le=64, description="kitti recording: rings of the lidar")
+    azimuths: int = Field(2000, ge=100, le=10_000, description="kitti recording: directions of each ring in a turn")
+    motion_distorted: bool = Field(
+        False, description="kitti recording: leave the car's own motion in the lidar's scans, which KITTI takes out"
+    )
+
     @model_validator(mode="before")
     @classmethod
     def _start_from_preset(cls, values: Any) -> Any:
         if not isinstance(values, dict):
             return values
-        return {**PRESETS.get(str(values.get("preset", "demo")), {}), **values}
+        _refuse_what_has_no_effect(values)
+        frames = {"steps": _RECORDING_FRAMES} if values.get("recording") else {}
+        return {**frames, **PRESETS.get(str(values.get("preset", "demo")), {}), **values}
 
     @field_validator("size")
     @classmethod
@@ -89,6 +134,20 @@ class Options(ImportOptions):
         """Pixels."""
         width, height = self.size.split("x")
         return int(width), int(height)
+
+
+def _refuse_what_has_no_effect(values: dict[str, Any]) -> None:
+    """Raises PydanticCustomError on an option that was given and would change nothing."""
+    layout = values.get("recording")
+    refused: tuple[str, ...] = _OF_RECORDINGS
+    why = "is of recordings (--recording)"
+    if layout is not None:
+        refused, why = _OF_DATASETS, "is of datasets; a recording (--recording) has none"
+    found = [name for name in refused if name in values]
+    if not found and layout == "robotcar":
+        found, why = [name for name in _OF_KITTI if name in values], "is of --recording kitti"
+    if found:
+        raise PydanticCustomError("no_effect", f"--{found[0].replace('_', '-')} {why}")
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
@@ -107,12 +166,14 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.writer import DatasetWriter
 
     assert isinstance(options, Options)
-    if sources:
-        raise ConfigError(f"synthetic is rendered and takes no recordings, got {sources[0]}")
+    _no_sources(sources)
+    if options.recording is not None:
+        raise ConfigError(f"--recording {options.recording} makes recordings, not a dataset")
     conditions = conditions_of(options.conditions, options.factors, options.sweep, options.sweep_steps, options.traffic)
     record = configuration("synthetic", [], options)
     # Pictures that no score depends on can be asked for later.
-    del record["options"]["extras"]
+    for name in ("extras", "recording", *_OF_RECORDINGS):
+        del record["options"][name]
     record["factors"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
     licence = "CC0-1.0" if options.licence == "unknown" else options.licence
     writer = DatasetWriter(out, options.name or f"synthetic-{options.preset}", record, licence)
@@ -133,6 +194,63 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     spread = DistanceSpread(options.distance, options.max_distance, options.max_angle)
     splits = write_pair_sets(asked(plans, options), cameras, writer.layout, options, spread, reporter, run)
     return writer.finish(splits)
+
+
+def record(
+    sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run
+) -> RecordingFolder | None:
+    """Recordings of drives; None where a dataset is asked for.
+
+    Raises:
+        ConfigError: sources were named, a condition, sweep or camera that there is not, a route too short for it.
+        DatasetError: ``out`` holds something else.
+    """
+    assert isinstance(options, Options)
+    if options.recording is None:
+        return None
+    from relocbench.datasets.synthetic.drive import DriveStyle
+    from relocbench.datasets.synthetic.field import plan_drives, record_all
+    from relocbench.datasets.synthetic.recording import DriveOptions
+
+    _no_sources(sources)
+    conditions = conditions_of(options.conditions, options.factors, options.sweep, options.sweep_steps, options.traffic)
+    if len(set(options.route)) != len(options.route) or not options.route:
+        raise ConfigError(f"--route: each at most once, and at least one, got {','.join(options.route) or 'none'}")
+    cameras = None if not options.recording_cameras else tuple(c for c in options.recording_cameras if c != "none")
+    if cameras is not None and len(set(cameras)) != len(cameras):
+        raise ConfigError(f"--recording-cameras names one twice: {','.join(cameras)}")
+    each = DriveOptions(
+        layout=options.recording,
+        seed=options.seed,
+        frames=options.steps,
+        scale=options.image_scale,
+        cameras=cameras,
+        style=DriveStyle(options.speed, options.lateral, options.heading),
+        rings=options.rings,
+        azimuths=options.azimuths,
+        motion_distorted=options.motion_distorted,
+    )
+    each.target(out)
+    drives = plan_drives(
+        SPLITS if options.split == "all" else (options.split,),
+        tuple(conditions),
+        options.route,
+        options.traversals,
+        each.path_length_m,
+        seed=options.seed,
+        extent_m=options.extent,
+        reporter=reporter,
+    )
+    unused = {*_OF_DATASETS, "preset", "conditions", "factors", "sweep", "sweep_steps", "traffic"}
+    unused |= set() if options.recording == "kitti" else set(_OF_KITTI)
+    settings = {"kind": "synthetic", "licence": "CC0-1.0", **options.model_dump(mode="json", exclude=unused)}
+    settings["conditions"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
+    return record_all(drives, conditions, each, out, settings, reporter, run)
+
+
+def _no_sources(sources: list[Path]) -> None:
+    if sources:
+        raise ConfigError(f"synthetic is rendered and takes no recordings, got {sources[0]}")
 
 
 def asked(plans: list[TraversalPlan], options: Options) -> list[tuple[TraversalPlan, TraversalPlan]]:

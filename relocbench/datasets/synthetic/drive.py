@@ -25,6 +25,8 @@ _START_M = 0.5
 _PACE = 0.4
 """the speed differs from its mean by less than this share"""
 _PACE_WAVE_M = 45.0
+_HARDEST_MPS2 = 2.0
+"""nobody brakes or speeds up harder"""
 _SWAY_WAVES_M = (27.0, 61.0)
 _BODY_DEG = 0.3
 """largest pitch and roll of the car's body"""
@@ -86,7 +88,8 @@ def drive(route: Route, steps: int, style: DriveStyle, rng: np.random.Generator)
 
 
 def _pace(steps: int, driven_m: float, rng: np.random.Generator) -> Array:
-    """(steps,) share of the way, from 0 to 1; its derivative stays within ``_PACE`` of its mean.
+    """(steps,) share of the way, from 0 to 1; its derivative stays within ``_PACE`` of its mean, and the acceleration
+    ``v sum a_k w_k`` (mean speed v, waves of w_k radians a second) below ``_HARDEST_MPS2``.
 
     ``t + sum a_k / (2 pi k) (cos p_k - cos(2 pi k t + p_k))``: whole periods, so that all traversals end together.
     """
@@ -95,6 +98,10 @@ def _pace(steps: int, driven_m: float, rng: np.random.Generator) -> Array:
     waves = np.array([slowest, 2 * slowest])
     strength = rng.uniform(0.2, 0.5, size=2) * _PACE
     phase = rng.uniform(0, 2 * np.pi, size=2)
+    if steps > 1:
+        seconds = (steps - 1) / RATE_HZ
+        hardest = driven_m / seconds * np.sum(strength * 2 * np.pi * waves / seconds)
+        strength *= min(1.0, _HARDEST_MPS2 / hardest)
     turned = 2 * np.pi * waves * t[:, None] + phase
     return np.asarray(t + np.sum(strength / (2 * np.pi * waves) * (np.cos(phase) - np.cos(turned)), axis=1))
 

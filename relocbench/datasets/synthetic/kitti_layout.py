@@ -1,7 +1,8 @@
 """A recording in the layout of KITTI odometry.
 
-``OUT/sequences/NN/{image_0..3,velodyne,calib.txt,times.txt}`` and ``OUT/poses/NN.txt``, which is exact here. Geiger et
-al., Are we ready for autonomous driving?, CVPR 2012.
+``OUT/sequences/NN/{image_0..3,velodyne,calib.txt,times.txt}`` and ``OUT/poses/NN.txt``, which is what a GNSS/INS says,
+as KITTI's own is: each sequence in a world of its own, that of its first camera. The exact poses, in one world for all
+sequences, are in ``OUT/truth/NN/poses_cam0.txt``. Geiger et al., Are we ready for autonomous driving?, CVPR 2012.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets import images
-from relocbench.datasets.synthetic import lidar
+from relocbench.datasets.synthetic import lidar, odometry
 from relocbench.datasets.synthetic.condition import Factors
 from relocbench.datasets.synthetic.recorded import CameraMount, FieldsOnly, LidarMount, Trajectory
 from relocbench.errors import ConfigError
@@ -115,10 +116,21 @@ class KittiLayout(FieldsOnly):
         write_text(self.folder / "calib.txt", "".join(rows))
         ticks = np.arange(self.frames, dtype=np.int64) * _PERIOD_NS
         write_text(self.folder / "times.txt", "".join(f"{t / 1e9:.9e}\n" for t in ticks.tolist()))
-        T_world_cam0 = trajectory.at(ticks) @ (_T_RIG_LIDAR @ _T_LIDAR_CAM0)
-        poses = invert(T_world_cam0[0]) @ T_world_cam0
-        write_text(self.root / "poses" / f"{self.sequence}.txt", "".join(_numbers(p[:3]) + "\n" for p in poses))
-        return {"compensated_scans": self.compensated}
+        T_rig_cam0 = _T_RIG_LIDAR @ _T_LIDAR_CAM0
+        T_world_rig = trajectory.at(ticks)
+        _write_poses(self.root / "truth" / self.sequence / "poses_cam0.txt", T_world_rig @ T_rig_cam0)
+        rng = np.random.default_rng([seed, 22])
+        solution = odometry.inertial(ticks, T_world_rig, odometry.InertialErrors(), rng)
+        T_world_cam0 = solution.T_world_body @ T_rig_cam0
+        _write_poses(self.root / "poses" / f"{self.sequence}.txt", invert(T_world_cam0[0]) @ T_world_cam0)
+        return {
+            "compensated_scans": self.compensated,
+            "ins_offset_east_north_up_m": solution.offset_m.tolist(),
+        }
+
+
+def _write_poses(path: Path, T_world_cam0: Array) -> None:
+    write_text(path, "".join(_numbers(pose[:3]) + "\n" for pose in T_world_cam0))
 
 
 def _numbers(matrix: Array) -> str:

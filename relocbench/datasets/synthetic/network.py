@@ -20,6 +20,8 @@ KERB_RADIUS_M = 5.5
 _STRAIGHT = np.radians(35)
 """a smaller turn is a bend of one street, a larger one a corner"""
 _STEP_M = 0.25
+RUN_IN_M = 12.0
+"""of a walk that lie before its path"""
 
 HalfEdge = tuple[int, int]
 
@@ -95,8 +97,8 @@ class StreetNetwork:
             return self.bend_radius(node, turn) - np.sign(turn) * self.kerb[(face[i - 1], node)]
         return KERB_RADIUS_M if abs(turn) > _STRAIGHT else 15.0
 
-    def centre_line(self, street: int) -> Floats:
-        """(P, 2) from the crossing at one end of a street to that at the other, bends rounded."""
+    def nodes_of(self, street: int) -> list[int]:
+        """The nodes of a street from the crossing at one of its ends to that at the other."""
         members = [(u, v) for (u, v), name in self.street.items() if name == street and u < v]
         ends = [n for n in {n for e in members for n in e} if self.degree(n) != 2 or sum(n in e for e in members) == 1]
         chain = [min(ends)]
@@ -104,6 +106,11 @@ class StreetNetwork:
             chain.append(
                 next(v for v in self.neighbours(chain[-1]) if self.street[(chain[-1], v)] == street and v not in chain)
             )
+        return chain
+
+    def centre_line(self, street: int) -> Floats:
+        """(P, 2) from the crossing at one end of a street to that at the other, bends rounded."""
+        chain = self.nodes_of(street)
         points = self.nodes[chain]
         turns = turns_of(points)
         return rounded(points, [self.bend_radius(n, t) for n, t in zip(chain[1:-1], turns, strict=True)])
@@ -115,12 +122,22 @@ class StreetNetwork:
         """
         if length_m <= 0:
             raise ConfigError(f"a drive needs a positive length, got {length_m} m")
-        chain = self._route(1.25 * length_m + 60.0, np.random.default_rng(seed))
-        lane = offset_line(self.nodes[chain], [-LANE_M / 2] * (len(chain) - 1))
-        turns = turns_of(self.nodes[chain])
+        return self.path(self.walk(length_m, seed), RUN_IN_M, length_m)
+
+    def walk(self, length_m: float, seed: int) -> list[int]:
+        """The nodes that :meth:`drive` passes, and some more at the end; a longer walk begins as a shorter one."""
+        return self._route(1.25 * length_m + 60.0, np.random.default_rng(seed))
+
+    def path(self, chain: Sequence[int], start_m: float, length_m: float) -> Path:
+        """A path of ``length_m`` in the middle of the right-hand lane along neighbouring nodes, from ``start_m`` on.
+
+        Raises ConfigError where the nodes do not reach so far.
+        """
+        nodes = self.nodes[list(chain)]
+        lane = offset_line(nodes, [-LANE_M / 2] * (len(chain) - 1))
+        turns = turns_of(nodes)
         line = rounded(lane, [self._lane_radius(n, t) for n, t in zip(chain[1:-1], turns, strict=True)])
-        margin = 12.0
-        points, heading = _smooth(line, margin, length_m)
+        points, heading = _smooth(line, start_m, length_m)
         return Path(points, heading, _STEP_M, self._streets_along(chain, lane, points))
 
     def _route(self, length_m: float, rng: np.random.Generator) -> list[int]:
@@ -147,7 +164,9 @@ class StreetNetwork:
             return 40.0
         return KERB_RADIUS_M + LANE_M / 2 if turn < 0 else 9.0
 
-    def _streets_along(self, chain: list[int], lane: Floats, points: Floats) -> tuple[tuple[float, float, int], ...]:
+    def _streets_along(
+        self, chain: Sequence[int], lane: Floats, points: Floats
+    ) -> tuple[tuple[float, float, int], ...]:
         """The stretch of the path on every street of the walk; a place belongs to the next node of the walk."""
         last = len(points) - 1
         cuts, start = [0], 0
@@ -261,6 +280,8 @@ def _smooth(line: Floats, start_m: float, length_m: float) -> tuple[Floats, Floa
     kernel = np.convolve(np.full(41, 1 / 41), np.full(41, 1 / 41))
     soft = np.stack([np.convolve(fine[:, k], kernel, mode="valid") for k in range(2)], axis=1)
     at = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(soft, axis=0), axis=1))])
+    if start_m < 0 or at[-1] < start_m + length_m:
+        raise ConfigError(f"the streets reach {at[-1]:.1f} m, a path from {start_m:.1f} m on needs {length_m:.1f} m")
     count = int(np.ceil(length_m / _STEP_M)) + 1
     s = start_m + np.arange(count) * _STEP_M
     points = np.stack([np.interp(s, at, soft[:, 0]), np.interp(s, at, soft[:, 1])], axis=1)

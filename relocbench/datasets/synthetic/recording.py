@@ -9,8 +9,8 @@ made of (seeds, condition, cameras, extrinsics); ``drawn.yaml``, errors that hol
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,32 +22,16 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from relocbench import __version__
 from relocbench.datasets.importers import Run
 from relocbench.datasets.schema import Transform
+from relocbench.datasets.synthetic import robotcar_layout
 from relocbench.datasets.synthetic.condition import Factors
 from relocbench.datasets.synthetic.drive import RATE_HZ, STEP_NS, DriveStyle, Route, drive, route_length
 from relocbench.datasets.synthetic.kitti_layout import KittiLayout
 from relocbench.datasets.synthetic.network import LANE_M
-from relocbench.datasets.synthetic.recorded import (
-    CarTrack,
-    Layout,
-    Trajectory,
-    car_tracks,
-)
-from relocbench.datasets.synthetic.recording_work import (
-    Composer,
-    RendererFactory,
-    Stage,
-    Town,
-    Unit,
-    shared,
-    town_compose,
-    town_renderer,
-    write_images,
-    write_scans,
-)
-from relocbench.datasets.synthetic.robotcar_layout import RobotCarLayout
+from relocbench.datasets.synthetic.recorded import CarTrack, Layout, Trajectory, car_tracks
+from relocbench.datasets.synthetic.recording_jobs import DriveJob, carry_out
+from relocbench.datasets.synthetic.recording_work import Composer, RendererFactory, Town, town_compose, town_renderer
 from relocbench.datasets.synthetic.traffic import moving_cars
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.execution import chunks, run_units
 from relocbench.files import atomic_write, dump_yaml, remove_parts, write_text
 from relocbench.geometry import make_transform, transform_to_tq
 from relocbench.progress import Reporter, Silent
@@ -60,8 +44,6 @@ _TRUTH_NS = 10_000_000
 _FIRST_US = 1_709_287_200_000_000
 """2024-03-01, 10:00; drive n of the RobotCar layout is n days later"""
 _DAY_US = 86_400_000_000
-_IMAGES_A_UNIT = 8
-_SCANS_A_UNIT = 64
 
 
 @dataclass(frozen=True)
@@ -75,87 +57,125 @@ class Recorded:
     truth: Path
 
 
+LayoutName = Literal["robotcar", "kitti"]
+LAYOUTS: tuple[LayoutName, ...] = ("robotcar", "kitti")
+
+
+@dataclass(frozen=True)
+class DriveOptions:
+    """What is recorded of a drive, and how."""
+
+    layout: LayoutName = "robotcar"
+    seed: int = 0
+    """of everything that is random; together with ``number``"""
+    number: int = 0
+    """of the drive: another day (RobotCar) or sequence (KITTI), another line in the lane, other errors"""
+    frames: int = 160
+    """stereo images of each lens (RobotCar, 16 Hz) or frames (KITTI, 10 Hz)"""
+    scale: float = 0.5
+    """size of the images over that of the real cameras"""
+    cameras: tuple[str, ...] | None = None
+    """which to record; all six of RobotCar, the two grey ones of KITTI by default"""
+    style: DriveStyle = field(default_factory=DriveStyle)
+    rings: int = 64
+    """of the spinning lidar (KITTI)"""
+    azimuths: int = 2000
+    """of the spinning lidar (KITTI)"""
+    motion_distorted: bool = False
+    """leave the car's own motion in the scans of the spinning lidar (KITTI)"""
+
+    @property
+    def path_length_m(self) -> float:
+        """Road that the drive needs. Raises ConfigError on an unknown layout or too few frames."""
+        return path_length(self.frames, self.layout, self.style)
+
+    def target(self, out: Path) -> Layout:
+        """Raises ConfigError on an unknown layout or camera."""
+        if self.layout not in LAYOUTS:
+            raise ConfigError(f"no recording layout '{self.layout}'; there is {', '.join(LAYOUTS)}")
+        if not 0 < self.scale <= 1:
+            raise ConfigError(f"the scale of the images lies in (0, 1], got {self.scale}")
+        if self.layout == "kitti":
+            chosen = ("image_0", "image_1") if self.cameras is None else self.cameras
+            spinning = (self.rings, self.azimuths, not self.motion_distorted)
+            return KittiLayout(out, f"{self.number:02d}", self.frames, self.scale, chosen, *spinning)
+        start = _FIRST_US + self.number * _DAY_US
+        chosen = robotcar_layout.CAMERAS if self.cameras is None else self.cameras
+        return robotcar_layout.RobotCarLayout(out, start, self.frames, self.scale, chosen)
+
+
 def record(
     district: Town,
     path: Route,
     factors: Factors,
     out: Path,
-    layout: Literal["robotcar", "kitti"] = "robotcar",
+    layout: LayoutName = "robotcar",
     *,
-    seed: int = 0,
-    number: int = 0,
-    frames: int = 160,
-    scale: float = 0.5,
-    cameras: Sequence[str] | None = None,
-    style: DriveStyle | None = None,
-    rings: int = 64,
-    azimuths: int = 2000,
-    motion_distorted: bool = False,
     reporter: Reporter | None = None,
     run: Run | None = None,
     renderer_factory: RendererFactory | None = None,
     compose: Composer | None = None,
+    **options: Any,
 ) -> Recorded:
     """Record one drive. Run again, it does only what is missing; the bytes are the same for any number of workers.
 
     Args:
         path: what is driven; at least ``path_length(frames, layout, style)`` metres long.
-        seed: of everything that is random; together with ``number``.
-        number: of the drive: another day (RobotCar) or sequence (KITTI), another line in the lane, other errors.
-        frames: stereo images of each lens (RobotCar, 16 Hz) or frames (KITTI, 10 Hz).
-        scale: size of the images over that of the real cameras.
-        cameras: which to record; all six of RobotCar, the two grey ones of KITTI by default.
-        rings, azimuths: of the spinning lidar (KITTI).
-        motion_distorted: leave the car's own motion in the scans of the spinning lidar (KITTI).
         renderer_factory, compose: take the place of the town's own; importable, since workers import them.
+        options: of :class:`DriveOptions`.
 
     Raises:
         ConfigError: an unknown layout or camera, too few frames, a path that is too short.
         DatasetError: ``out`` holds another recording of this name.
     """
-    reporter, run, style = reporter or Silent(), run or Run(), style or DriveStyle()
+    recorded, job = prepare(district, path, factors, out, DriveOptions(layout, **options))
+    made = renderer_factory or town_renderer, compose or town_compose
+    carry_out([job], *made, reporter or Silent(), run or Run())
+    return recorded
+
+
+def prepare(
+    district: Town, path: Route, factors: Factors, out: Path, options: DriveOptions
+) -> tuple[Recorded, DriveJob]:
+    """Write a drive's texts and its truth; the images and scans that are missing are left to do.
+
+    Raises:
+        ConfigError, DatasetError: as :func:`record`.
+    """
     # Workers of a cluster start in folders of their own.
     out = out.resolve()
-    target = _layout(layout, out, number, frames, scale, cameras, (rings, azimuths, not motion_distorted))
-    trajectory, tracks = _drive(path, factors, target, style, (seed, number), path_length(frames, layout, style))
+    target = options.target(out)
+    identity = (options.seed, options.number)
+    trajectory, tracks = _drive(path, factors, target, options.style, identity, options.path_length_m)
     truth = out / "truth" / target.name
     for folder in (truth, target.folder):
         remove_parts(folder)
     settings = {
-        "layout": layout,
-        "seed": seed,
-        "number": number,
-        "frames": frames,
-        "scale": scale,
+        "layout": options.layout,
+        "seed": options.seed,
+        "number": options.number,
+        "frames": options.frames,
+        "scale": options.scale,
         "district_seed": district.seed,
         "factors": factors.model_dump(),
-        "style": vars(style),
-        "spinning": {"rings": rings, "azimuths": azimuths, "motion_distorted": motion_distorted},
+        "style": vars(options.style),
+        "spinning": {
+            "rings": options.rings,
+            "azimuths": options.azimuths,
+            "motion_distorted": options.motion_distorted,
+        },
         "trajectory_sha256": hashlib.sha256(trajectory.T_world_rig.tobytes()).hexdigest(),
         "relocbench": __version__,
         "sensors": {"T_rig_sensor": _extrinsics(target), "cameras": _cameras(target)},
     }
     _claim(truth / "settings.yaml", settings)
-    drawn = target.write_texts(trajectory, factors, int(np.random.SeedSequence([seed, number, 3]).generate_state(1)[0]))
+    drawn = target.write_texts(trajectory, factors, int(np.random.SeedSequence([*identity, 3]).generate_state(1)[0]))
     write_text(truth / "drawn.yaml", dump_yaml(drawn))
     _write_poses(truth / "poses.csv", trajectory)
     _write_cars(truth / "moving_cars.csv", tracks)
     scans, pictures = _missing(target, target.lidars), _missing(target, target.cameras)
-    if scans or pictures:
-        with shared(district, truth) as pickled:
-            stage = Stage(
-                pickled,
-                factors,
-                target,
-                trajectory,
-                tracks,
-                (seed, number),
-                renderer_factory or town_renderer,
-                compose or town_compose,
-            )
-            _run(stage, scans, "scanning", write_scans, _SCANS_A_UNIT, reporter, run)
-            _run(stage, pictures, "rendering", write_images, _IMAGES_A_UNIT, reporter, run)
-    return Recorded(target.name, target.folder, truth)
+    job = DriveJob(district, factors, target, trajectory, tracks, identity, truth, scans, pictures)
+    return Recorded(target.name, target.folder, truth), job
 
 
 def path_length(frames: int, layout: str, style: DriveStyle | None = None) -> float:
@@ -171,24 +191,6 @@ def _steps(frames: int, layout: str) -> int:
     if frames < 2:
         raise ConfigError(f"a recording has at least 2 frames, got {frames}")
     return int(np.ceil(((frames - 1) / rate[layout] + 2 * LEAD_NS / 1e9) * RATE_HZ)) + 1
-
-
-def _layout(
-    layout: str,
-    out: Path,
-    number: int,
-    frames: int,
-    scale: float,
-    cameras: Sequence[str] | None,
-    spinning: tuple[int, int, bool],
-) -> Layout:
-    if not 0 < scale <= 1:
-        raise ConfigError(f"the scale of the images lies in (0, 1], got {scale}")
-    if layout == "kitti":
-        chosen = tuple(cameras) if cameras is not None else ("image_0", "image_1")
-        return KittiLayout(out, f"{number:02d}", frames, scale, chosen, *spinning)
-    start = _FIRST_US + number * _DAY_US
-    return RobotCarLayout(out, start, frames, scale, *([] if cameras is None else [tuple(cameras)]))
 
 
 def _drive(
@@ -225,21 +227,6 @@ def _missing(layout: Layout, sensors: Iterable[str]) -> list[tuple[str, int]]:
         if not layout.is_whole(sensor, layout.path(sensor, i))
     ]
     return [(sensor, i) for _, sensor, i in sorted(found)]
-
-
-def _run(
-    stage: Stage,
-    missing: Sequence[tuple[str, int]],
-    what: str,
-    function: Callable[[Unit], int],
-    size: int,
-    reporter: Reporter,
-    run: Run,
-) -> None:
-    units = [Unit(stage, part) for part in chunks(missing, size)]
-    with reporter.stage(f"{what} {stage.layout.name}", len(missing)) as advance:
-        for _, done in run_units(function, units, workers=run.workers, scheduler=run.scheduler):
-            advance(done)
 
 
 def _claim(path: Path, settings: Mapping[str, Any]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import secrets
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -84,6 +85,18 @@ class Unit:
         return f"{len(self.work)} files from {self.stage.layout.path(sensor, index)} on"
 
 
+@dataclass(frozen=True)
+class Spent:
+    """What a unit took."""
+
+    files: int
+    setup_s: float
+    """up to the first file"""
+    seconds: float
+    """the others"""
+    bytes: int
+
+
 @contextmanager
 def shared(district: Town, folder: Path) -> Iterator[Path]:
     """The district where workers find it, wherever they run; gone in the end (or at the next start)."""
@@ -113,18 +126,20 @@ def _district(stage: Stage) -> Any:
     return _latest("district", stage.district, lambda: pickle.loads(stage.district.read_bytes()))
 
 
-def write_images(unit: Unit) -> int:
+def write_images(unit: Unit) -> Spent:
     stage, layout = unit.stage, unit.stage.layout
-    for camera, index in unit.work:
-        time = int(layout.times[camera][index])
-        present = cars_at(stage.tracks, time)
+
+    def write(camera: str, index: int) -> None:
+        moment = int(layout.times[camera][index])
+        present = cars_at(stage.tracks, moment)
         renderer = _renderer(stage, present)
         mount = layout.cameras[camera]
-        pose = SensorMotion(stage.trajectory, mount.T_rig_cam)(np.array([time]))[0]
+        pose = SensorMotion(stage.trajectory, mount.T_rig_cam)(np.array([moment]))[0]
         number = np.random.SeedSequence([*stage.seed, 5, sorted(layout.cameras).index(camera), index])
         picture = renderer.render(mount.camera, pose, int(number.generate_state(1)[0]))
         layout.write_image(camera, layout.path(camera, index), picture.rgb)
-    return len(unit.work)
+
+    return _measured(unit, write)
 
 
 def _renderer(stage: Stage, present: Sequence[MovingCar]) -> FrameRenderer:
@@ -137,7 +152,7 @@ def _renderer(stage: Stage, present: Sequence[MovingCar]) -> FrameRenderer:
     return renderer
 
 
-def write_scans(unit: Unit) -> int:
+def write_scans(unit: Unit) -> Spent:
     stage, layout = unit.stage, unit.stage.layout
     scene = _latest(
         "scene",
@@ -145,14 +160,27 @@ def write_scans(unit: Unit) -> int:
         lambda: lidar.LidarScene(stage.compose(_district(stage), stage.factors, ())),
     )
     others = _latest("cars", (stage.district, stage.factors), lambda: _moving_objects(stage.tracks))
-    for sensor, index in unit.work:
+
+    def write(sensor: str, index: int) -> None:
         mount = layout.lidars[sensor]
         rng = np.random.default_rng([*stage.seed, 7, sorted(layout.lidars).index(sensor), index])
         motion = SensorMotion(stage.trajectory, mount.T_rig_lidar)
         scan = lidar.scan(mount.lidar, scene, motion, int(layout.times[sensor][index]), stage.factors, rng, others)
         points = lidar.compensate(mount.lidar, scan, motion) if mount.compensated else scan.points
         layout.write_scan(layout.path(sensor, index), points, scan.reflectance, scan.returned)
-    return len(unit.work)
+
+    return _measured(unit, write)
+
+
+def _measured(unit: Unit, write: Callable[[str, int], None]) -> Spent:
+    """Write the files of a unit. The first one waits for the district and its ray tree."""
+    begin = ready = time.perf_counter()
+    for k, (sensor, index) in enumerate(unit.work):
+        write(sensor, index)
+        ready = ready if k else time.perf_counter()
+    layout = unit.stage.layout
+    size = sum(layout.path(sensor, index).stat().st_size for sensor, index in unit.work)
+    return Spent(len(unit.work), ready - begin, time.perf_counter() - ready, size)
 
 
 def _moving_objects(tracks: Sequence[CarTrack]) -> list[lidar.MovingObject]:
