@@ -36,6 +36,8 @@ class Nodes:
     """(K, 4, 4) rig poses at these times"""
     travelled_m: Array
     """(K,) metres driven up to each"""
+    stretch: NDArray[np.int64] | None = None
+    """(K,) number of the piece of odometry without a gap that each lies in; None: there is no gap"""
 
     def __len__(self) -> int:
         return len(self.times_ns)
