@@ -31,6 +31,9 @@ class Trajectory:
     """(N, 4, 4)"""
     max_gap_ns: int = 1_000_000_000
     """nothing is interpolated between poses that lie further apart"""
+    breaks: tuple[int, ...] = ()
+    """indices of poses before which nothing was measured: how they lie to those before is a guess, however near in
+    time, and nothing is interpolated there"""
 
     def covers(self, times_ns: Times) -> NDArray[np.bool_]:
         """(M,) whether a pose can be told at each time: within the drive and not in a gap."""
@@ -40,7 +43,18 @@ class Trajectory:
             return inside
         gap = self.times_ns[right] - self.times_ns[right - 1]
         on_pose = (times_ns == self.times_ns[right]) | (times_ns == self.times_ns[right - 1])
-        return inside & (on_pose | (gap <= self.max_gap_ns))
+        measured = (gap <= self.max_gap_ns) & ~np.isin(right, self.breaks)
+        return inside & (on_pose | measured)
+
+    def pieces(self, times_ns: Times) -> Times:
+        """(M,) number of the piece of the drive that each time lies in; a gap or a break begins a new piece.
+
+        Poses of one piece are known relative to each other, those of two are not. A time in a gap counts to the piece
+        before it.
+        """
+        gaps = np.flatnonzero(np.diff(self.times_ns) > self.max_gap_ns) + 1
+        starts = self.times_ns[np.union1d(gaps, np.array(self.breaks, dtype=np.int64)).astype(np.int64)]
+        return np.searchsorted(starts, times_ns, side="right").astype(np.int64)
 
     def at(self, times_ns: Times) -> Array:
         """(M, 4, 4) at times that it covers: lines and great arcs between the poses around each.
