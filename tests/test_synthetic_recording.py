@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import math
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,6 +20,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from recording_reading import RobotCarReading, Truth, hashes, matrix_of, read_vo
 from small_street import SolidTexture, StraightRoad, Street, street_mesh
 
 from relocbench.datasets.importers import Run, kitti
@@ -33,7 +34,7 @@ from relocbench.datasets.synthetic.robotcar_odometry import vo_text
 from relocbench.datasets.synthetic.town import make_district
 from relocbench.datasets.synthetic.utm import latitude_longitude
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.geometry import interpolate_trajectory, invert, rotation_angle, so3_exp, transform_from_tq
+from relocbench.geometry import interpolate_trajectory, invert, rotation_angle, so3_exp
 from relocbench.progress import Silent
 
 Array = NDArray[np.float64]
@@ -60,73 +61,6 @@ def drive(out: Path, layout: Any = "robotcar", workers: int = 1, **options: Any)
 @pytest.fixture(scope="module")
 def robotcar(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     return drive(tmp_path_factory.mktemp("robotcar"), frames=24)
-
-
-def hashes(root: Path) -> dict[str, str]:
-    files = sorted(p for p in root.rglob("*") if p.is_file())
-    return {str(p.relative_to(root)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
-
-
-class Truth:
-    """``truth/NAME``, read on its own."""
-
-    def __init__(self, folder: Path) -> None:
-        rows = list(csv.DictReader((folder / "poses.csv").open()))
-        self.times = np.array([int(r["timestamp_ns"]) for r in rows])
-        t = np.array([[float(r[k]) for k in ("tx", "ty", "tz")] for r in rows])
-        q = np.array([[float(r[k]) for k in ("qx", "qy", "qz", "qw")] for r in rows])
-        self.poses = transform_from_tq(t, q)
-        settings = yaml.safe_load((folder / "settings.yaml").read_text())
-        self.T_rig = {
-            name: transform_from_tq(v["translation_m"], v["quaternion_xyzw"])
-            for name, v in settings["sensors"]["T_rig_sensor"].items()
-        }
-        self.cameras = settings["sensors"]["cameras"]
-        self.drawn = yaml.safe_load((folder / "drawn.yaml").read_text())
-
-    def rig(self, time_ns: int) -> Array:
-        return np.asarray(interpolate_trajectory(self.times, self.poses, np.array([time_ns]))[0])
-
-
-def matrix_of(x: float, y: float, z: float, roll: float, pitch: float, yaw: float) -> Array:
-    """``Rz(yaw) Ry(pitch) Rx(roll)``, written out."""
-    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
-    rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = rz @ ry @ rx, (x, y, z)
-    return out
-
-
-class RobotCarReading:
-    """The layout read by its description alone."""
-
-    def __init__(self, root: Path, traversal: str) -> None:
-        self.root, self.folder = root, root / traversal
-
-    def timestamps(self, sensor: str) -> list[tuple[int, int]]:
-        lines = (self.folder / f"{sensor}.timestamps").read_text().splitlines()
-        return [(int(stamp), int(chunk)) for stamp, chunk in (line.split(" ") for line in lines)]
-
-    def files(self, folder: str, suffix: str) -> dict[int, Path]:
-        return {int(p.stem): p for p in sorted((self.folder / folder).iterdir()) if p.suffix == suffix}
-
-    def scan(self, path: Path) -> Array:
-        return np.fromfile(path, dtype=np.float64).reshape(-1, 3)
-
-    def extrinsics(self, name: str) -> Array:
-        values = [float(v) for v in (self.root / "extrinsics" / f"{name}.txt").read_text().split()]
-        assert len(values) == 6
-        return matrix_of(*values)
-
-    def model(self, name: str) -> tuple[list[float], Array]:
-        rows = [[float(v) for v in line.split()] for line in (self.root / "models" / f"{name}.txt").open()]
-        assert [len(row) for row in rows] == [4, 4, 4, 4, 4]
-        return rows[0], np.array(rows[1:])
-
-    def table(self, name: str) -> list[dict[str, str]]:
-        return list(csv.DictReader((self.folder / name).open()))
 
 
 @pytest.fixture(scope="module")
@@ -372,18 +306,6 @@ def test_odometry_drifts_by_about_a_percent() -> None:
     assert 0.1 < drift[30][1] < drift[100][1] < 1.5
 
 
-def read_vo(rows: list[dict[str, str]]) -> list[tuple[int, int, Array]]:
-    names = ("x", "y", "z", "roll", "pitch", "yaw")
-    return [
-        (
-            int(r["source_timestamp"]),
-            int(r["destination_timestamp"]),
-            matrix_of(*(float(r[n]) for n in names)),
-        )
-        for r in rows
-    ]
-
-
 def test_exact_odometry_written_and_read_integrates_to_the_truth() -> None:
     poses, times = curve(40), np.arange(81, dtype=np.int64) * 62_500_000
     text = vo_text(times, poses, np.random.default_rng(0), odometry.EXACT)
@@ -515,7 +437,9 @@ def test_the_kitti_importer_reads_a_recording_and_agrees_with_the_truth(
     sequence: Recorded, tmp_path: Path, depth: str, typical_m: float
 ) -> None:
     settings = {"correspondences": 50, "max_disparity": 48, "depth": depth, "pair_step": (1, 2)}
-    root = sequence.folder.parent.parent
+    root = tmp_path / "exact"
+    shutil.copytree(sequence.folder.parent.parent, root)
+    shutil.copy(sequence.truth / "poses_cam0.txt", root / "poses" / "00.txt")
     dataset = kitti.build([root], kitti.Options.model_validate(settings), tmp_path / "out", Silent(), Run())
     truth = Truth(sequence.truth)
     T_world_cam = {t: truth.rig(t) @ truth.T_rig["image_0"] for t in range(0, 400_000_000, 100_000_000)}
@@ -538,6 +462,23 @@ def test_the_kitti_importer_reads_a_recording_and_agrees_with_the_truth(
     error = np.concatenate(errors)
     assert len(error) > 2000
     assert np.median(np.abs(error)) < typical_m
+
+
+def test_the_poses_of_a_kitti_sequence_are_those_of_a_gnss_in_a_world_of_their_own(sequence: Recorded) -> None:
+    def read(path: Path) -> Array:
+        rows = [[*map(float, line.split()), 0, 0, 0, 1] for line in path.read_text().splitlines()]
+        return np.array(rows).reshape(-1, 4, 4)
+
+    measured = read(sequence.folder.parent.parent / "poses" / "00.txt")
+    exact = read(sequence.truth / "poses_cam0.txt")
+    truth = Truth(sequence.truth)
+    for i, pose in enumerate(exact):
+        np.testing.assert_allclose(pose, truth.rig(100_000_000 * i) @ truth.T_rig["image_0"], atol=1e-9)
+    np.testing.assert_allclose(measured[0], np.eye(4), atol=1e-12)
+    error = invert(invert(exact[0]) @ exact) @ measured
+    away = np.linalg.norm(error[1:, :3, 3], axis=1)
+    assert (away > 1e-3).all()
+    assert (away < 0.15).all()
 
 
 def test_scans_of_kitti_are_compensated_unless_distorted_ones_are_asked_for(tmp_path: Path) -> None:

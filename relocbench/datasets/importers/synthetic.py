@@ -209,7 +209,7 @@ def record(
     if options.recording is None:
         return None
     from relocbench.datasets.synthetic.drive import DriveStyle
-    from relocbench.datasets.synthetic.field import plan_drives, record_all
+    from relocbench.datasets.synthetic.field import check_folder, plan_drives, record_all
     from relocbench.datasets.synthetic.recording import DriveOptions
 
     _no_sources(sources)
@@ -231,6 +231,11 @@ def record(
         motion_distorted=options.motion_distorted,
     )
     each.target(out)
+    unused = {*_OF_DATASETS, "preset", "conditions", "factors", "sweep", "sweep_steps", "traffic"}
+    unused |= set() if options.recording == "kitti" else set(_OF_KITTI)
+    settings = {"kind": "synthetic", "licence": "CC0-1.0", **options.model_dump(mode="json", exclude=unused)}
+    settings["conditions"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
+    check_folder(out, settings)
     drives = plan_drives(
         SPLITS if options.split == "all" else (options.split,),
         tuple(conditions),
@@ -241,10 +246,6 @@ def record(
         extent_m=options.extent,
         reporter=reporter,
     )
-    unused = {*_OF_DATASETS, "preset", "conditions", "factors", "sweep", "sweep_steps", "traffic"}
-    unused |= set() if options.recording == "kitti" else set(_OF_KITTI)
-    settings = {"kind": "synthetic", "licence": "CC0-1.0", **options.model_dump(mode="json", exclude=unused)}
-    settings["conditions"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
     return record_all(drives, conditions, each, out, settings, reporter, run)
 
 

@@ -96,7 +96,8 @@ def record_all(
         DatasetError: the folder holds something else, or another process is at it.
     """
     options.target(out)  # complains before anything is written
-    _claim(out, configuration)
+    check_folder(out, configuration)
+    write_text(out / _CONFIGURATION, _text(configuration))
     with alone_in(out, DatasetError):
         jobs: list[DriveJob] = []
         rows: list[RecordedDrive] = []
@@ -132,22 +133,25 @@ def driven_m(trajectory: Trajectory, layout: Layout) -> float:
     return float(np.linalg.norm(steps, axis=1).sum())
 
 
-def _claim(out: Path, configuration: Mapping[str, Any]) -> None:
-    """Make the folder this recording's. Raises DatasetError where it is something else's."""
+def check_folder(out: Path, configuration: Mapping[str, Any]) -> None:
+    """Raises DatasetError where the folder holds something else than this recording."""
     mark = out / _CONFIGURATION
-    wanted = yaml.safe_load(dump_yaml(dict(configuration)))
     if out.exists() and not out.is_dir():
         raise DatasetError("is a file; expected a folder to record to", out)
-    if out.is_dir() and any(p != mark for p in out.iterdir()):
-        if not mark.exists():
-            raise DatasetError("holds something else; --out must be new, empty, or an unfinished recording", out)
-        before = yaml.safe_load(mark.read_text(encoding="utf-8"))
-        if before != wanted:
-            changed = sorted(k for k in before.keys() | wanted.keys() if before.get(k) != wanted.get(k))
-            raise DatasetError(
-                f"holds drives recorded with other options ({', '.join(changed)} differ); choose another --out", out
-            )
-    write_text(mark, dump_yaml(wanted))
+    if not out.is_dir() or not any(p != mark for p in out.iterdir()):
+        return
+    if not mark.exists():
+        raise DatasetError("holds something else; --out must be new, empty, or an unfinished recording", out)
+    before, wanted = (yaml.safe_load(text) for text in (mark.read_text(encoding="utf-8"), _text(configuration)))
+    if before != wanted:
+        changed = sorted(k for k in before.keys() | wanted.keys() if before.get(k) != wanted.get(k))
+        raise DatasetError(
+            f"holds drives recorded with other options ({', '.join(changed)} differ); choose another --out", out
+        )
+
+
+def _text(configuration: Mapping[str, Any]) -> str:
+    return dump_yaml(dict(configuration))
 
 
 def _write_drives(path: Path, rows: Sequence[RecordedDrive]) -> None:

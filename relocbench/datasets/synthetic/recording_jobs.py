@@ -61,7 +61,7 @@ def carry_out(
         pickled: dict[int, Path] = {}
         for job in jobs:
             if id(job.district) not in pickled:
-                pickled[id(job.district)] = stack.enter_context(shared(job.district, job.truth.parent))
+                pickled[id(job.district)] = stack.enter_context(shared(job.district, job.truth))
         stages = [
             Stage(
                 pickled[id(job.district)],

@@ -64,7 +64,10 @@ def route(district: Roads, name: RouteName, length_m: float, seed: int) -> Path:
     at = _along(network, chain)
     first = _index_of(chain, middle)
     centre = at[first + 1] if name == "crossing" else (at[first] + at[first + len(middle) - 1]) / 2
-    return network.path(chain, centre - length_m / 2, length_m)
+    # A path knows its streets if its nodes begin where it does.
+    start = centre - length_m / 2
+    skipped = int(np.flatnonzero(at <= start - RUN_IN_M)[-1])
+    return network.path(chain[skipped:], start - at[skipped], length_m)
 
 
 def _along(network: StreetNetwork, chain: Sequence[int]) -> Floats:

@@ -1,0 +1,395 @@
+"""Drives recorded by the command line: which is which, the same bytes, and formats that others can read."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from command_line import relocbench
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from recording_reading import RobotCarReading, Truth, hashes, read_vo
+
+from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.synthetic import recording_jobs
+from relocbench.datasets.synthetic.condition import Factors, condition_named
+from relocbench.datasets.synthetic.drive import MARGIN_M, DriveStyle, drive, route_length
+from relocbench.datasets.synthetic.lidar import LidarScene
+from relocbench.datasets.synthetic.network import Path as Route
+from relocbench.datasets.synthetic.network import StreetNetwork, make_network
+from relocbench.datasets.synthetic.recording_work import Spent, Unit
+from relocbench.datasets.synthetic.routes import RouteName, route
+from relocbench.datasets.synthetic.streets import periodic_street
+from relocbench.datasets.synthetic.town import compose, make_district
+from relocbench.errors import ConfigError
+from relocbench.geometry import interpolate_trajectory, invert, rotation_angle
+
+Array = NDArray[np.float64]
+
+SMOKE = ("build-dataset", "synthetic", "--preset", "smoke", "--quiet")
+ROBOTCAR = (*SMOKE, "--recording", "robotcar", "--image-scale", 0.08, "--steps", 8)
+DRIVES = ("2024-03-01-10-00-00", "2024-03-02-10-00-00")
+CONDITIONS = ("Neutral", "Rain")
+CAMERAS = {
+    "stereo": (("stereo/left", "stereo/centre", "stereo/right"), (102, 77), 62_500),
+    "mono_left": (("mono_left",), (82, 82), 90_000),
+    "mono_right": (("mono_right",), (82, 82), 90_000),
+    "mono_rear": (("mono_rear",), (82, 82), 90_000),
+}
+LASERS = ("lms_front", "lms_rear")
+
+
+def command(out: Path, workers: int) -> list[str]:
+    return [*map(str, ROBOTCAR), "--conditions", ",".join(CONDITIONS), "--workers", str(workers), "--out", str(out)]
+
+
+@pytest.fixture(scope="module")
+def robotcar(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("field") / "robotcar"
+    outcome = relocbench(*command(out, 1))
+    assert outcome.status == 0, outcome.err
+    return out
+
+
+def read_drives(root: Path) -> list[dict[str, str]]:
+    with (root / "drives.csv").open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_a_table_says_which_drive_is_which(robotcar: Path) -> None:
+    rows = read_drives(robotcar)
+    assert [(r["name"], r["condition"]) for r in rows] == list(zip(DRIVES, CONDITIONS, strict=True))
+    for row in rows:
+        assert (row["split"], row["route"], row["traversal"]) == ("test", "common", "0")
+        folder = robotcar / row["folder"]
+        assert int(row["images"]) == len(list(folder.rglob("*.png")))
+        assert int(row["scans"]) == len(list(folder.rglob("*.bin")))
+        tags = yaml.safe_load((robotcar / "tags" / f"{row['name']}.yaml").read_text())
+        assert ("rain" in tags) == (row["condition"] == "Rain")
+    # The folder's names tell drives from what belongs to all.
+    assert {p.name for p in robotcar.iterdir()} == {
+        *DRIVES, "drives.csv", "recording.yaml", "extrinsics", "models", "tags", "truth",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_every_field_of_the_layout_is_there_and_in_its_range(robotcar: Path, name: str) -> None:
+    reading = RobotCarReading(robotcar, name)
+    for sensor, (folders, (width, height), period_us) in CAMERAS.items():
+        stamps = [stamp for stamp, _ in reading.timestamps(sensor)]
+        np.testing.assert_array_equal(np.diff(stamps), period_us)
+        for folder in folders:
+            files = reading.files(folder, ".png")
+            assert list(files) == stamps
+            for path in files.values():
+                image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+                assert image is not None
+                assert (image.dtype, image.shape) == (np.uint8, (height, width))
+                assert image.std() > 8
+    for sensor in LASERS:
+        files = reading.files(sensor, ".bin")
+        assert list(files) == [stamp for stamp, _ in reading.timestamps(sensor)]
+        assert len(files) == len(range(0, 7 * 62_500 - 3_000, 20_000))
+        for path in files.values():
+            scan = reading.scan(path)
+            assert scan.shape == (541, 3)
+            assert (np.hypot(scan[:, 0], scan[:, 1]) <= 50).all()
+            assert ((scan[:, 2] >= 0) & (scan[:, 2] <= 1)).all()
+        assert abs(np.linalg.det(reading.extrinsics(sensor)[:3, :3]) - 1) < 1e-9
+    for model in ("stereo_wide_left", "stereo_narrow_left", "mono_left", "mono_right", "mono_rear"):
+        (fx, fy, cx, cy), T_camera_image = reading.model(model)
+        width, height = CAMERAS[model.split("_wide")[0].split("_narrow")[0]][1]
+        assert fx == fy
+        assert abs(cx - width / 2) < 4
+        assert abs(cy - height / 2) < 4
+        np.testing.assert_allclose(T_camera_image[:3, :3], [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-9)
+        table = np.fromfile(robotcar / "models" / f"{model}_distortion_lut.bin", np.float64)
+        assert table.size == 2 * width * height
+    stereo = [stamp for stamp, _ in reading.timestamps("stereo")]
+    assert [(later, earlier) for later, earlier, _ in read_vo(reading.table("vo/vo.csv"))] == list(
+        zip(stereo[1:], stereo[:-1], strict=True)
+    )
+    ins = reading.table("gps/ins.csv")
+    assert {row["ins_status"] for row in ins} == {"INS_SOLUTION_GOOD"}
+    assert {row["utm_zone"] for row in ins} == {"30U"}
+    assert all(51 < float(row["latitude"]) < 52.5 for row in ins)
+    assert set(reading.table("gps/gps.csv")[0]) >= {"timestamp", "num_satellites", "northing", "easting", "down"}
+
+
+def world_points(root: Path, name: str) -> Array:
+    """(N, 3) of all scans along the true poses, each beam at its own time."""
+    reading, truth = RobotCarReading(root, name), Truth(root / "truth" / name)
+    _, left_image = reading.model("stereo_wide_left")
+    T_rig_vehicle = truth.T_rig["stereo/left"] @ invert(left_image)
+    found = []
+    for sensor in LASERS:
+        T_vehicle_laser = reading.extrinsics(sensor)
+        for stamp, path in reading.files(sensor, ".bin").items():
+            scan = reading.scan(path)
+            beams = np.flatnonzero(np.hypot(scan[:, 0], scan[:, 1]) > 0)
+            fired = stamp * 1000 + np.rint((beams - 270) * 0.5 / 360 * 20e6).astype(np.int64)
+            T_world_laser = interpolate_trajectory(truth.times, truth.poses, fired) @ T_rig_vehicle @ T_vehicle_laser
+            points = np.column_stack([scan[beams, :2], np.zeros(len(beams)), np.ones(len(beams))])
+            found.append(np.einsum("nij,nj->ni", T_world_laser, points)[:, :3])
+    return np.concatenate(found)
+
+
+def test_scans_of_both_drives_lie_on_the_one_town(robotcar: Path) -> None:
+    town = make_district(0, "test", 190.0)
+    for name, condition in zip(DRIVES, CONDITIONS, strict=True):
+        factors = condition_named(condition).factors
+        assert factors.traffic == 0
+        scene = LidarScene(compose(town, factors))
+        points = world_points(robotcar, name)
+        assert len(points) > 5000
+        nearest = np.full(len(points), np.inf)
+        for axis in np.vstack([np.eye(3), -np.eye(3)]):
+            nearest = np.minimum(nearest, scene.cast(points - 1e-3 * axis, np.broadcast_to(axis, points.shape))[0])
+        # Rain sends echoes of its own, and the noise grows where little comes back.
+        assert np.median(nearest) < 0.015
+        assert np.mean(nearest < 0.1) > 0.93
+
+
+def test_rain_takes_echoes_from_the_lidar(robotcar: Path) -> None:
+    shares = []
+    for name in DRIVES:
+        reading = RobotCarReading(robotcar, name)
+        scans = [reading.scan(path) for sensor in LASERS for path in reading.files(sensor, ".bin").values()]
+        shares.append(np.mean([np.hypot(scan[:, 0], scan[:, 1]) > 0 for scan in scans]))
+    assert 0.3 < shares[1] < shares[0] - 0.03
+
+
+def test_odometry_drifts_little_and_the_ins_differs_by_metres_between_drives(robotcar: Path) -> None:
+    offsets = []
+    for name in DRIVES:
+        reading, truth = RobotCarReading(robotcar, name), Truth(robotcar / "truth" / name)
+        _, left_image = reading.model("stereo_wide_left")
+        T_rig_vehicle = truth.T_rig["stereo/left"] @ invert(left_image)
+        steps = read_vo(reading.table("vo/vo.csv"))
+        start, end = (truth.rig(time * 1000) @ T_rig_vehicle for time in (steps[0][1], steps[-1][0]))
+        tracked = np.eye(4)
+        for _, _, step in steps:
+            tracked = tracked @ step
+        error = invert(invert(start) @ end) @ tracked
+        assert 1e-4 < np.linalg.norm(error[:3, 3]) < 0.1
+        assert rotation_angle(error[:3, :3]) < np.radians(0.5)
+        origin = truth.drawn["grid_origin_m"]
+        T_rig_ins = T_rig_vehicle @ reading.extrinsics("ins")
+        off = [
+            np.array([float(r["easting"]) - origin["easting"], float(r["northing"]) - origin["northing"]])
+            - (truth.rig(int(r["timestamp"]) * 1000) @ T_rig_ins)[:2, 3]
+            for r in reading.table("gps/ins.csv")
+        ]
+        offsets.append(np.mean(off, axis=0))
+        assert np.std(off, axis=0).max() < 0.1
+    assert 0.3 < np.linalg.norm(offsets[0] - offsets[1]) < 8
+
+
+def test_a_killed_recording_is_finished_by_two_workers_with_the_same_bytes(robotcar: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    job = subprocess.Popen([sys.executable, "-m", "relocbench", *command(out, 1)])
+    deadline = time.monotonic() + 120
+    while len(list(out.rglob("[0-9]*.bin"))) < 3 and job.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    job.send_signal(signal.SIGKILL)
+    job.wait()
+    assert len(list(out.rglob("[0-9]*.bin"))) >= 3
+    assert not (out / "drives.csv").exists()
+    torn = min(out.rglob("[0-9]*.bin"))
+    torn.write_bytes(torn.read_bytes()[:100])
+    outcome = relocbench(*command(out, 2))
+    assert outcome.status == 0, outcome.err
+    assert hashes(out) == hashes(robotcar)
+    # Another recording does not mix with it.
+    assert (
+        "holds drives recorded with other options (seed differ)" in relocbench(*command(out, 1), "--seed", 1).complaint
+    )
+    assert hashes(out) == hashes(robotcar)
+
+
+@pytest.fixture(scope="module")
+def kitti(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("field") / "kitti"
+    options = ("--rings", 32, "--azimuths", 500, "--recording-cameras", "image_0", "--image-scale", 0.25, "--json")
+    drives = ("--conditions", "Neutral", "--traversals", 2)
+    outcome = relocbench(*SMOKE, "--recording", "kitti", "--workers", 1, *drives, *options, "--out", out)
+    assert outcome.status == 0, outcome.err
+    told = json.loads(outcome.out)
+    assert told["layout"] == "kitti"
+    assert [(d["folder"], d["traversal"], d["images"], d["scans"]) for d in told["drives"]] == [
+        ("sequences/00", 0, 4, 4),
+        ("sequences/01", 1, 4, 4),
+    ]
+    return out
+
+
+def test_the_kitti_importer_makes_datasets_of_recordings(kitti: Path, tmp_path: Path) -> None:
+    build = ("build-dataset", "kitti", "--quiet", "--workers", 1, "--correspondences", 20, "--depth", "velodyne")
+    outcome = relocbench(*build, kitti, "--sequence", "00", "--out", tmp_path / "one")
+    assert outcome.status == 0, outcome.err
+    assert len(Dataset(tmp_path / "one").pair_sets()[0].pairs) == 3
+    # With the exact poses in the place of the measured ones all sequences share a world.
+    exact = tmp_path / "exact"
+    shutil.copytree(kitti, exact)
+    for name in ("00", "01"):
+        shutil.copy(kitti / "truth" / name / "poses_cam0.txt", exact / "poses" / f"{name}.txt")
+    outcome = relocbench(*build, exact, "--sequence", "00,01", "--out", tmp_path / "across")
+    assert outcome.status == 0, outcome.err
+    truths = [Truth(kitti / "truth" / name) for name in ("00", "01")]
+    pairs = Dataset(tmp_path / "across").pair_sets()[0].pairs
+    assert len(pairs) >= 3
+    for pair in pairs:
+        T_world_ref, T_world_query = (
+            truth.rig(stamp) @ truth.T_rig["image_0"]
+            for truth, stamp in zip(truths, (pair.ref_timestamp_ns, pair.query_timestamp_ns), strict=True)
+        )
+        assert pair.T_query_ref is not None
+        np.testing.assert_allclose(pair.T_query_ref, invert(T_world_query) @ T_world_ref, atol=1e-6)
+    # Without poses the importer says what it misses.
+    (exact / "poses" / "00.txt").unlink()
+    assert (
+        "poses/00.txt: missing" in relocbench(*build, exact, "--sequence", "00", "--out", tmp_path / "none").complaint
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--recording", "euroc"), "--recording: Input should be 'robotcar' or 'kitti'"),
+        (("--recording", "robotcar", "--cameras", "stereo"), "--cameras is of datasets"),
+        (("--recording", "kitti", "--pair-step", "1,2"), "--pair-step is of datasets"),
+        (("--recording", "robotcar", "--rings", "32"), "--rings is of --recording kitti"),
+        (("--rings", "32"), "--rings is of recordings (--recording)"),
+        (("--route", "detour"), "--route is of recordings (--recording)"),
+        (("--recording", "kitti", "--rings", "12"), "--rings: Input should be greater than or equal to 16"),
+        (("--recording", "kitti", "--image-scale", "2"), "--image-scale: Input should be less than or equal to 1"),
+        (("--recording", "kitti", "--recording-cameras", "left"), "no KITTI camera 'left'"),
+        (("--recording", "robotcar", "--recording-cameras", "mono_rear,mono_rear"), "names one twice"),
+        (("--recording", "kitti", "--route", "common,common"), "--route: each at most once"),
+        (("--recording", "kitti", "--route", "detour"), "no detour leaves and meets again a route of"),
+        (("--recording", "kitti", "--conditions", "Hail"), "no condition 'Hail'"),
+    ],
+)
+def test_mistakes_are_named(tmp_path: Path, options: tuple[str, ...], message: str) -> None:
+    outcome = relocbench(*SMOKE, *options, "--out", tmp_path / "out")
+    assert outcome.status == 2
+    assert message in outcome.complaint
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_holds_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    outcome = relocbench(*SMOKE, "--recording", "kitti", "--recording-cameras", "none", "--out", tmp_path)
+    assert outcome.status == 2
+    assert "holds something else" in outcome.complaint
+    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def streets(seed: int) -> tuple[StreetNetwork, SimpleNamespace]:
+    network = make_network(np.random.default_rng([seed, 2, 0]), 250.0)
+    return network, SimpleNamespace(network=network, periodic=SimpleNamespace(street=periodic_street(network)))
+
+
+def driven(path: Route) -> slice:
+    """Samples of the part that is driven."""
+    margin = int(MARGIN_M / path.step)
+    return slice(margin, len(path.points) - margin)
+
+
+def found_routes(name: RouteName, length_m: float) -> list[tuple[Route, Route, SimpleNamespace]]:
+    """The route, the common one and the district of each of some seeds that has one."""
+    found = []
+    for seed in range(8):
+        _, district = streets(seed)
+        try:
+            found.append((route(district, name, length_m, seed), route(district, "common", length_m, seed), district))
+        except ConfigError:
+            continue
+    assert len(found) >= 4
+    return found
+
+
+def distance(path: Route, other: Route) -> Array:
+    """(N,) metres from each driven sample to the other's driven part."""
+    a, b = path.points[driven(path)], other.points[driven(other)]
+    return np.array([np.linalg.norm(b - p, axis=1).min() for p in a])
+
+
+def test_the_common_route_is_that_of_the_datasets() -> None:
+    network, district = streets(0)
+    np.testing.assert_array_equal(route(district, "common", 300.0, 5).points, network.drive(300.0, 5).points)
+
+
+def test_a_detour_leaves_the_common_route_and_comes_back() -> None:
+    for path, common, _ in found_routes("detour", 480.0):
+        away = distance(path, common)
+        assert away[: int(10 / path.step)].max() < 0.3
+        assert (away > 15).sum() * path.step > 40
+        # After the farthest place it runs over the common route again.
+        back = away[np.argmax(away > 15) :] < 0.5
+        back = back[np.argmax(back) :]
+        assert back[: int(8 / path.step)].all()
+        assert len(back) >= 8 / path.step
+        assert path.length == pytest.approx(480.0)
+
+
+def test_a_crossing_is_passed_in_another_direction() -> None:
+    for path, common, _ in found_routes("crossing", 320.0):
+        a, b = driven(path), driven(common)
+        gap = np.linalg.norm(path.points[a][:, None] - common.points[b][None], axis=2)
+        turned = np.cos(path.heading[a][:, None] - common.heading[b][None])
+        assert gap[turned < np.cos(np.radians(40))].min() < 4.0
+        assert (distance(path, common) > 15).sum() * path.step > 60
+
+
+def test_the_periodic_route_runs_along_the_repeating_facades() -> None:
+    for path, _, district in found_routes("periodic", 200.0):
+        stretches = path.on_street(district.periodic.street)
+        along = sum(min(end, path.length - MARGIN_M) - max(start, MARGIN_M) for start, end in stretches)
+        assert along > 40
+
+
+def test_routes_turn_no_sharper_than_a_lane_does() -> None:
+    names: tuple[RouteName, ...] = ("detour", "crossing", "periodic")
+    for name in names:
+        for path, _, _ in found_routes(name, 480.0):
+            assert np.abs(np.gradient(path.heading, path.step)).max() < 1 / 5.0
+            np.testing.assert_allclose(np.linalg.norm(np.diff(path.points, axis=0), axis=1), path.step, rtol=0.05)
+
+
+class Straight:
+    length = 1e6
+
+    def pose(self, s: float, lateral_m: float = 0.0, yaw_rad: float = 0.0) -> Array:
+        return np.eye(4)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**31), st.integers(3, 300), st.floats(1, 25))
+def test_nobody_brakes_harder_than_two_metres_per_second_squared(seed: int, steps: int, speed: float) -> None:
+    style = DriveStyle(speed)
+    along = drive(Straight(), steps, style, np.random.default_rng(seed)).along
+    assert np.abs(np.diff(along, 2)).max() * 100 <= 2.0 + 1e-6
+    assert along[-1] - along[0] == pytest.approx((steps - 1) * speed / 10)
+    assert along[-1] < route_length(steps, style)
+
+
+def test_the_estimate_counts_what_is_left() -> None:
+    stage = SimpleNamespace(district=Path("d"), factors=Factors())
+    rest = [Unit(stage, [("image_0", i)] * 8) for i in range(50)]  # type: ignore[arg-type]
+    spent = [Spent(files=9, setup_s=10.0, seconds=4.0, bytes=9_000_000)] * 2
+    # 400 images of half a second on two workers, and one scene to make ready.
+    assert recording_jobs.estimate("images", spent, rest, 2) == "400 images, about 2 min with 2 workers, 0.4 GB"
+    assert recording_jobs.estimate("scans", [], rest, 1) == "400 scans"
