@@ -1,0 +1,331 @@
+"""Planes of a submap for registration: thinned coarse to fine, found in a sparse grid, sampled by direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.blocks import Surface
+from relocbench.datasets.groundtruth.submaps import Submap
+from relocbench.errors import ConfigError
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_BITS = 21
+"""of each coordinate of a cell in its key"""
+_MIDDLE = 1 << (_BITS - 1)
+_EMPTY = -1
+_BINS = 6
+"""directions are told apart on an octahedral map of so many by so many"""
+
+
+@dataclass(frozen=True)
+class PlaneOptions:
+    """How much each point counts, and how many do."""
+
+    structure: float = 1.0
+    """weight of facades and whatever else stands upright"""
+    ground: float = 0.3
+    """weight of the road: snow and leaves lie on it"""
+    rough: float = 0.1
+    """weight of leaves and edges, where a plane fits at all"""
+    steady: float = 0.5
+    """points less steady than this are left out"""
+    thinning_m: tuple[float, ...] = (0.4, 0.2, 0.0)
+    """one point a voxel of this size, level by level; 0 keeps all"""
+    reach_m: tuple[float, ...] = (1.0, 0.5, 0.3)
+    """cell of the grid, level by level: no plane is found further away than this"""
+    samples: tuple[int, ...] = (3000, 5000, 9000)
+    """points, level by level, that look for a plane on the other side"""
+    near_m: tuple[float, ...] = (1e9, 20.0, 8.0)
+    """points measured so far from the node are sampled half as often, level by level: odometry is best close by"""
+
+    def __post_init__(self) -> None:
+        if not len(self.thinning_m) == len(self.reach_m) == len(self.samples) == len(self.near_m) > 0:
+            raise ConfigError("thinning_m, reach_m, samples and near_m of planes need one value a level each")
+        if min(self.reach_m + self.near_m) <= 0 or min(self.samples) < 6 or min(self.thinning_m) < 0:
+            raise ConfigError("planes need a positive reach and at least 6 samples on each level")
+
+
+@dataclass(frozen=True, eq=False)
+class Planes:
+    """Oriented points that stand for planes, sorted by cell so that near ones are found fast."""
+
+    points: Array
+    """(N, 3) in the node's frame"""
+    normals: Array
+    """(N, 3) unit, towards the sensor"""
+    weights: Array
+    """(N,) by surface and steadiness"""
+    away_m: Array
+    """(N,) how far from the node the sensor was: odometry drifts with it"""
+    cell_m: float
+    starts: Indices
+    """(C + 1,) first point of each occupied cell"""
+    keys: Indices
+    """(S,) open-addressing table of cells, -1 where empty"""
+    slots: NDArray[np.int32]
+    """(S,) which cell each entry is"""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def nearest(self, points: Array, normals: Array, reach_m: float, cosine: float = 0.7) -> Indices:
+        """(M,) the nearest plane to each point that faces the same way, -1 where there is none.
+
+        Args:
+            points: (M, 3) in this submap's frame.
+            normals: (M, 3) theirs; 0 faces any way.
+            reach_m: at most the grid's cell.
+            cosine: of the largest angle between the normals.
+        """
+        if reach_m > self.cell_m * (1 + 1e-9):
+            raise ValueError(f"a grid of {self.cell_m} m cells cannot be searched to {reach_m} m")
+        return np.asarray(
+            _nearest(points, normals, self.points, self.normals, self.starts, self.keys, self.slots, self.cell_m,
+                     reach_m, cosine)
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Points of one submap that look for planes in the other."""
+
+    points: Array
+    """(M, 3)"""
+    normals: Array
+    """(M, 3)"""
+    weights: Array
+    """(M,)"""
+    away_m: Array
+    """(M,)"""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+class PlaneMap:
+    """A submap made ready for registration: built once, used against many others."""
+
+    def __init__(self, submap: Submap, options: PlaneOptions | None = None) -> None:
+        self.submap = submap
+        self.options = options or PlaneOptions()
+        by_surface = np.zeros(256)
+        by_surface[[Surface.STRUCTURE, Surface.GROUND, Surface.ROUGH]] = (
+            self.options.structure,
+            self.options.ground,
+            self.options.rough,
+        )
+        weights = by_surface[submap.surface] * submap.steady
+        flat = np.einsum("ni,ni->n", submap.normals, submap.normals) > 0.5
+        used = flat & (submap.steady >= self.options.steady) & (weights > 0)
+        self._points = submap.points[used].astype(np.float64)
+        self._normals = submap.normals[used].astype(np.float64)
+        self._weights = weights[used].astype(np.float64)
+        self._away = np.linalg.norm(submap.origins[used].astype(np.float64), axis=1)
+        self._levels: dict[int, Planes] = {}
+        self._samples: dict[int, Sample] = {}
+
+    def __len__(self) -> int:
+        return len(self._points)
+
+    @cached_property
+    def _bins(self) -> Indices:
+        return direction_bins(self._normals)
+
+    def level(self, k: int) -> Planes:
+        """The planes of a level, 0 the coarsest."""
+        if k not in self._levels:
+            keep = thinned(self._points, self.options.thinning_m[k])
+            self._levels[k] = grid_planes(
+                self._points[keep],
+                self._normals[keep],
+                self._weights[keep],
+                self._away[keep],
+                self.options.reach_m[k],
+            )
+        return self._levels[k]
+
+    def sample(self, k: int) -> Sample:
+        """The points of a level that look for planes: about as many for each direction of the normal.
+
+        Facades along the street have most of the points; what tells where one is along it are the few that face the
+        other way (Rusinkiewicz and Levoy, Efficient variants of the ICP algorithm, 3DIM 2001).
+        """
+        if k not in self._samples:
+            often = 1 / (1 + np.square(self._away / self.options.near_m[k]))
+            keep = balanced(self._bins, self.options.samples[k], often)
+            self._samples[k] = Sample(self._points[keep], self._normals[keep], self._weights[keep], self._away[keep])
+        return self._samples[k]
+
+
+def grid_planes(points: Array, normals: Array, weights: Array, away_m: Array, cell_m: float) -> Planes:
+    """Planes of (N, 3) points with unit normals (N, 3), weights (N,) and distances from the node (N,)."""
+    keys, slots, cells, count = tabulate(cell_keys(points, cell_m))
+    order, starts = _by_cell(cells, count)
+    return Planes(points[order], normals[order], weights[order], away_m[order], cell_m, starts, keys, slots)
+
+
+def cell_keys(points: Array, cell_m: float) -> Indices:
+    """(N,) one number for each cell of the grid that points (N, 3) lie in."""
+    cells = np.floor(points / cell_m).astype(np.int64) + _MIDDLE
+    return np.asarray((cells[:, 0] << 2 * _BITS) | (cells[:, 1] << _BITS) | cells[:, 2])
+
+
+def thinned(points: Array, voxel_m: float) -> Indices:
+    """(M,) rows of points (N, 3): the first in each voxel, in order; all for a voxel of 0."""
+    if voxel_m <= 0:
+        return np.arange(len(points))
+    _, _, cells, count = tabulate(cell_keys(points, voxel_m))
+    return np.asarray(_first_rows(cells, count))
+
+
+def direction_bins(normals: Array) -> Indices:
+    """(N,) bins of unit vectors (N, 3) on an octahedral map (Meyer et al., On floating-point normal vectors, 2010)."""
+    n = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-12)
+    folded = (1 - np.abs(n[:, [1, 0]])) * np.where(n[:, :2] < 0, -1.0, 1.0)
+    uv = np.where(n[:, 2:] < 0, folded, n[:, :2])
+    cell = np.clip(((uv + 1) / 2 * _BINS).astype(np.int64), 0, _BINS - 1)
+    return np.asarray(cell[:, 0] * _BINS + cell[:, 1])
+
+
+def balanced(bins: Indices, count: int, often: Array) -> Indices:
+    """(M,) rows of bins (N,): at most ``count``, as evenly over the bins as they allow.
+
+    Args:
+        often: (N,) how often each is to be drawn, within its bin, in proportion; without replacement (Efraimidis and
+            Spirakis, Weighted random sampling with a reservoir, 2006). The draw is the same every time.
+    """
+    if len(bins) <= count:
+        return np.arange(len(bins))
+    sizes = np.bincount(bins)
+    occupied = np.sort(sizes[sizes > 0])
+    share, left = 0.0, float(count)
+    for k, size in enumerate(occupied):
+        share = left / (len(occupied) - k)
+        if size > share:
+            break
+        left -= float(size)
+    wait = np.random.default_rng(0).exponential(size=len(bins)) / often
+    order = np.argsort(bins + wait / (1 + wait))
+    rank = np.arange(len(bins)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return np.sort(order[rank < int(share)])
+
+
+def tabulate(cells: Indices) -> tuple[Indices, NDArray[np.int32], Indices, int]:
+    """A table of cells for :func:`find_cell`.
+
+    Returns:
+        keys and slots of the table, each point's cell (N,), numbered as they first appear, and how many there are.
+    """
+    size = 1 << max(4, (2 * max(len(cells), 1) - 1).bit_length())
+    keys, slots, rows, count = _tabulate(cells, size)
+    return keys, slots, rows, int(count)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _slot(key: int, mask: int) -> int:  # pragma: no cover - compiled
+    mixed = key ^ (key >> 29)
+    mixed = mixed * 0x1E3779B97F4A7C15
+    return (mixed ^ (mixed >> 31)) & mask
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _tabulate(
+    cells: Indices, size: int
+) -> tuple[Indices, NDArray[np.int32], Indices, int]:  # pragma: no cover - compiled
+    keys = np.full(size, _EMPTY, dtype=np.int64)
+    slots = np.zeros(size, dtype=np.int32)
+    rows = np.empty(len(cells), dtype=np.int64)
+    count = 0
+    for i in range(len(cells)):
+        at = _slot(cells[i], size - 1)
+        while keys[at] != _EMPTY and keys[at] != cells[i]:
+            at = (at + 1) & (size - 1)
+        if keys[at] == _EMPTY:
+            keys[at] = cells[i]
+            slots[at] = count
+            count += 1
+        rows[i] = slots[at]
+    return keys, slots, rows, count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _by_cell(cells: Indices, count: int) -> tuple[Indices, Indices]:  # pragma: no cover - compiled
+    """Rows sorted by cell, in order within each, and where each cell begins."""
+    starts = np.zeros(count + 1, dtype=np.int64)
+    for cell in cells:
+        starts[cell + 1] += 1
+    for k in range(count):
+        starts[k + 1] += starts[k]
+    at = starts.copy()
+    order = np.empty(len(cells), dtype=np.int64)
+    for i in range(len(cells)):
+        order[at[cells[i]]] = i
+        at[cells[i]] += 1
+    return order, starts
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _first_rows(cells: Indices, count: int) -> Indices:  # pragma: no cover - compiled
+    first = np.empty(count, dtype=np.int64)
+    seen = 0
+    for i in range(len(cells)):
+        if cells[i] == seen:  # cells are numbered as they appear
+            first[seen] = i
+            seen += 1
+    return first
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def find_cell(key: int, keys: Indices, slots: NDArray[np.int32]) -> int:  # pragma: no cover - compiled
+    """Which cell a key is, -1 if it is empty."""
+    mask = len(keys) - 1
+    at = _slot(key, mask)
+    while keys[at] != _EMPTY:
+        if keys[at] == key:
+            return int(slots[at])
+        at = (at + 1) & mask
+    return -1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest(
+    points: Array, normals: Array, planes: Array, facing: Array, starts: Indices, keys: Indices,
+    slots: NDArray[np.int32], cell: float, reach: float, cosine: float,
+) -> Indices:  # fmt: skip  # pragma: no cover - compiled
+    found = np.full(len(points), -1, dtype=np.int64)
+    low, high = np.empty(3), np.empty(3)
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        a, b, c = normals[i, 0], normals[i, 1], normals[i, 2]
+        free = a * a + b * b + c * c < 0.25
+        cx, cy, cz = int(np.floor(x / cell)), int(np.floor(y / cell)), int(np.floor(z / cell))
+        low[0], low[1], low[2] = x - cx * cell, y - cy * cell, z - cz * cell
+        for k in range(3):
+            high[k] = cell - low[k]
+        best = reach * reach
+        for step in range(27):
+            turn = (step + 13) % 27  # the point's own cell first
+            dx, dy, dz = turn // 9 - 1, (turn // 3) % 3 - 1, turn % 3 - 1
+            gx = low[0] if dx < 0 else (high[0] if dx > 0 else 0.0)
+            gy = low[1] if dy < 0 else (high[1] if dy > 0 else 0.0)
+            gz = low[2] if dz < 0 else (high[2] if dz > 0 else 0.0)
+            if gx * gx + gy * gy + gz * gz > best:
+                continue
+            key = ((cx + dx + _MIDDLE) << 2 * _BITS) | ((cy + dy + _MIDDLE) << _BITS) | (cz + dz + _MIDDLE)
+            cell_row = find_cell(key, keys, slots)
+            if cell_row < 0:
+                continue
+            for j in range(starts[cell_row], starts[cell_row + 1]):
+                ex, ey, ez = planes[j, 0] - x, planes[j, 1] - y, planes[j, 2] - z
+                squared = ex * ex + ey * ey + ez * ez
+                if squared < best and (free or a * facing[j, 0] + b * facing[j, 1] + c * facing[j, 2] >= cosine):
+                    best = squared
+                    found[i] = j
+    return found
