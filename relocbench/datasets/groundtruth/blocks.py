@@ -38,9 +38,28 @@ class Nodes:
     """(K,) metres driven up to each"""
     stretch: NDArray[np.int64] | None = None
     """(K,) number of the piece of odometry without a gap that each lies in; None: there is no gap"""
+    begin_ns: Times | None = None
+    """(K,) beams fired from here on belong to the node's block; None: from half-way to the node before"""
+    end_ns: Times | None = None
+    """(K,) up to here, itself left out"""
 
     def __len__(self) -> int:
         return len(self.times_ns)
+
+    def stretches(self) -> NDArray[np.int64]:
+        """(K,) ``stretch``, 0 if there is no gap."""
+        return np.zeros(len(self), dtype=np.int64) if self.stretch is None else self.stretch
+
+    def begins_and_ends(self) -> tuple[Times, Times]:
+        """(K,), (K,) times from which and up to which beams belong to each block."""
+        if self.begin_ns is not None and self.end_ns is not None:
+            return self.begin_ns, self.end_ns
+        times = self.times_ns
+        if len(times) < 2:
+            return times - 500_000_000, times + 500_000_000
+        middle = times[:-1] + np.diff(times) // 2
+        begin = np.append(2 * times[0] - middle[0], middle)
+        return begin, np.append(middle, 2 * times[-1] - middle[-1])
 
 
 @dataclass(frozen=True, eq=False)
