@@ -1,0 +1,106 @@
+"""Two drives of one road without lidar: exact nodes, odometry that drifts, and registrations of known noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.blocks import Nodes
+from relocbench.datasets.groundtruth.evidence import Evidence, Registration
+from relocbench.datasets.synthetic.odometry import OdometryErrors, visual_odometry
+from relocbench.geometry import invert, make_transform, se3_exp, se3_log, so3_exp
+
+Array = NDArray[np.float64]
+STEP_M = 0.6
+"""sixteen odometry steps a second at 10 m/s"""
+NODE_M = 2.0
+NO_EVIDENCE = Evidence(0.8, 0.8, 0.01, 0.01, 0.0, 0.0, 0.02, (1.0, 0.0, 0.0), 0.02)
+SIGMA = np.array([0.015, 0.008, 0.008, 4e-4, 4e-4, 4e-4])
+"""of a registration, metres and radians"""
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    nodes: Nodes
+    T_world_node: Array
+    """(K, 4, 4) exact"""
+
+
+def road(length_m: float, lateral_m: float = 0.0, heading: float = 0.0) -> tuple[Array, Array]:
+    """(N, 4, 4) true poses every step along a winding road, and (N,) the way."""
+    way = np.arange(0.0, length_m, STEP_M)
+    yaw = 0.6 * np.sin(way / 90.0) + 0.3 * np.sin(way / 37.0)
+    pitch = 0.02 * np.sin(way / 60.0)
+    at = np.cumsum(np.stack([np.cos(yaw), np.sin(yaw), -np.sin(pitch)], axis=1) * STEP_M, axis=0)
+    side = np.stack([-np.sin(yaw), np.cos(yaw), 0 * yaw], axis=1)
+    turn = np.stack([0 * yaw, pitch, yaw + heading], axis=1)
+    R = so3_exp(turn[:, 2:] * np.array([0, 0, 1.0])) @ so3_exp(turn[:, 1:2] * np.array([0, 1.0, 0]))
+    return make_transform(R, at + lateral_m * side), way
+
+
+def drive(
+    length_m: float, rng: np.random.Generator, errors: OdometryErrors, lateral_m: float = 0.0, start_ns: int = 0
+) -> Drive:
+    """Nodes every :data:`NODE_M` with odometry that errs."""
+    true, way = road(length_m, lateral_m)
+    steps = visual_odometry(true, errors, rng)
+    odometry = [np.eye(4)]
+    for T in steps:
+        odometry.append(odometry[-1] @ T)
+    chosen = np.unique(np.searchsorted(way, np.arange(0.0, length_m, NODE_M)).clip(max=len(way) - 1))
+    nodes = Nodes(start_ns + chosen * 62_500_000, np.stack(odometry)[chosen], way[chosen])
+    return Drive(nodes, true[chosen])
+
+
+def registrations(
+    reference: Drive,
+    query: Drive,
+    rng: np.random.Generator,
+    offsets: tuple[int, ...] = (0, -3, 3),
+    sigma: Array = SIGMA,
+    stated: float = 1.0,
+) -> list[Registration]:
+    """Each query node against the nearest reference node and some of its neighbours.
+
+    Args:
+        stated: the sigma that is stated over the true one.
+    """
+    out = []
+    information = np.diag(1.0 / (stated * sigma) ** 2)
+    for j, T_world_query in enumerate(query.T_world_node):
+        near = int(np.argmin(np.linalg.norm(reference.T_world_node[:, :3, 3] - T_world_query[:3, 3], axis=1)))
+        for i in (near + k for k in offsets):
+            if 0 <= i < len(reference.nodes):
+                T = invert(reference.T_world_node[i]) @ T_world_query @ se3_exp(sigma * rng.normal(size=6))
+                out.append(Registration(i, j, T, information, NO_EVIDENCE))
+    return out
+
+
+def slid(registration: Registration, T_wrong: Array) -> Registration:
+    """With the query somewhere else."""
+    return Registration(
+        registration.ref,
+        registration.query,
+        T_wrong @ registration.T_ref_query,
+        registration.information,
+        registration.evidence,
+    )
+
+
+def grossly_wrong(registration: Registration, rng: np.random.Generator) -> Registration:
+    """Slid along the street by metres, turned a little, or facing the other way."""
+    kind = rng.integers(3)
+    along = rng.choice([-1, 1]) * rng.uniform(0.5, 30.0)
+    if kind == 0:
+        return slid(registration, se3_exp([along, 0, 0, 0, 0, 0]))
+    if kind == 1:
+        return slid(registration, se3_exp([along, rng.normal(), 0, 0, 0, rng.normal() * 0.05]))
+    return slid(registration, se3_exp([along, 0, 0, 0, 0, np.pi]))
+
+
+def true_error(reference: Drive, query: Drive, ref: int, query_node: int, T_ref_query: Array) -> Array:
+    """(6,) twist from an estimate to the truth, so that its covariance is that of the estimate."""
+    true = invert(reference.T_world_node[ref]) @ query.T_world_node[query_node]
+    return np.asarray(se3_log(invert(T_ref_query) @ true))
