@@ -1,0 +1,225 @@
+"""Surfels drawn into a depth image: the plane's depth at each pixel, what lies behind it hidden.
+
+Two passes, as in Zwicker et al., Surface splatting (2001): the first finds the front of each pixel, the second takes
+the mean of all surfels that agree with it. What was scanned twice, and lies not quite on itself, becomes one surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.surfels import SECTORS
+from relocbench.geometry import Camera
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+VEIL_STEP = 4
+"""what only hides is drawn every fourth pixel"""
+_NEAR_M = 0.3
+_GRAZING = 0.03
+"""of a surfel's normal with a pixel's ray: flatter, its depth means nothing"""
+_DIAGONAL = np.sqrt(0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Surfels as the camera sees them."""
+
+    points: Floats
+    """(N, 3) camera frame"""
+    normals: Floats
+    """(N, 3); 0 for what has no plane: it faces the camera"""
+    axes: Floats
+    """(N, 3)"""
+    reach: Floats
+    """(N, 8); 0 for what is not shown"""
+    veil: Floats
+    """(N, 8)"""
+    sigma: Floats
+    """(N,) metres along the normal, noise of its own"""
+    drift: Floats
+    """(N,) metres along the normal, shared with its neighbours"""
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What came of it, all (H, W)."""
+
+    depth: Floats
+    """metres along z, 0 where nothing is"""
+    sigma: Floats
+    """metres, of the depth"""
+    centre: Floats
+    """in [0, 1]: how near the pixel lies to the middle of a surfel of the front; 0 at its rim"""
+    behind: Floats
+    """the same, of what lies behind the front"""
+
+
+def draw(view: View, camera: Camera, max_depth: float, sigmas: float, slack_m: float) -> Drawn:
+    """Draw surfels into a pinhole camera.
+
+    Args:
+        sigmas: surfels whose depths differ by no more than so many standard deviations and ``slack_m`` are one surface.
+    """
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    front = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
+    spread = np.zeros_like(front)
+    surfels = (view.points, view.normals, view.axes, view.reach)
+    noise = np.hypot(view.sigma, view.drift).astype(np.float32)
+    _front(*surfels, noise, lens, max_depth, front, spread)
+    return Drawn(*_mean(*surfels, view.sigma, view.drift, lens, max_depth, front, spread, sigmas, slack_m))
+
+
+def draw_veil(view: View, camera: Camera, max_depth: float) -> Floats:
+    """(H / 4, W / 4) depth from which on nothing is seen, inf where nothing hides; rounded up in size.
+
+    Element (i, j) is that of the pixel (4 i + 1.5, 4 j + 1.5).
+    """
+    shape = -(-camera.height // VEIL_STEP), -(-camera.width // VEIL_STEP)
+    middle = (VEIL_STEP - 1) / 2
+    lens = np.array([camera.fx, camera.fy, camera.cx - middle, camera.cy - middle]) / VEIL_STEP
+    veil = np.full(shape, np.inf, dtype=np.float32)
+    noise = np.zeros(len(view.points), np.float32)
+    _front(view.points, view.normals, view.axes, view.veil, noise, lens, max_depth, veil, np.zeros_like(veil))
+    return veil
+
+
+@njit(cache=True, inline="always")
+def _window(x, y, z, ex, ey, ez, lens, height, width):  # type: ignore[no-untyped-def]
+    """Pixels [u0, u1) x [v0, v1) that a box about (x, y, z) covers."""
+    near, far = max(z - ez, _NEAR_M), max(z + ez, _NEAR_M)
+    left, right = x - ex, x + ex
+    top, bottom = y - ey, y + ey
+    u0 = lens[0] * (left / near if left < 0 else left / far) + lens[2]
+    u1 = lens[0] * (right / far if right < 0 else right / near) + lens[2]
+    v0 = lens[1] * (top / near if top < 0 else top / far) + lens[3]
+    v1 = lens[1] * (bottom / far if bottom < 0 else bottom / near) + lens[3]
+    return (
+        max(np.int64(np.ceil(max(u0, -1.0))), 0), min(np.int64(np.floor(min(u1, width))) + 1, width),
+        max(np.int64(np.ceil(max(v0, -1.0))), 0), min(np.int64(np.floor(min(v1, height))) + 1, height),
+    )  # fmt: skip
+
+
+@njit(cache=True, inline="always")
+def _rim(a, b, reach):  # type: ignore[no-untyped-def]
+    """Where (a, b) lies between the middle (0) and the rim (1) of a star: it is a polygon with corners at its reach."""
+    across, along = abs(a), abs(b)
+    if across >= along:
+        straight = 0 if a >= 0 else 4
+        minor, major = along, across
+    else:
+        straight = 2 if b >= 0 else 6
+        minor, major = across, along
+    if a >= 0:
+        slanted = 1 if b >= 0 else 7
+    else:
+        slanted = 3 if b >= 0 else 5
+    return (major - minor) / reach[straight] + minor / (_DIAGONAL * reach[slanted])
+
+
+@njit(cache=True, inline="always")
+def _frame(i, points, normals, axes, reach, max_depth):  # type: ignore[no-untyped-def]
+    """Whether surfel i is drawn at all; its normal, its two axes and the half size of its box."""
+    z = points[i, 2]
+    largest = np.float32(0.0)
+    for k in range(SECTORS):
+        largest = max(largest, reach[i, k])
+    nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+    ax, ay, az = axes[i, 0], axes[i, 1], axes[i, 2]
+    if nx == 0 and ny == 0 and nz == 0:
+        nz = np.float32(-1.0)
+        ax, ay, az = np.float32(1.0), np.float32(0.0), np.float32(0.0)
+    bx, by, bz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
+    drawn = largest > 0 and z - largest < max_depth and z > _NEAR_M
+    ex = largest * np.sqrt(max(np.float32(0), 1 - nx * nx))
+    ey = largest * np.sqrt(max(np.float32(0), 1 - ny * ny))
+    ez = largest * np.sqrt(max(np.float32(0), 1 - nz * nz))
+    return drawn, nx, ny, nz, ax, ay, az, bx, by, bz, ex, ey, ez
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _front(points, normals, axes, reach, noise, lens, max_depth, front, spread):  # type: ignore[no-untyped-def]
+    """The smallest depth of each pixel, and the standard deviation of that surfel's depth there."""
+    height, width = front.shape
+    for i in range(len(points)):
+        drawn, nx, ny, nz, ax, ay, az, bx, by, bz, ex, ey, ez = _frame(i, points, normals, axes, reach, max_depth)
+        if not drawn:
+            continue
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        u0, u1, v0, v1 = _window(x, y, z, ex, ey, ez, lens, height, width)
+        offset = nx * x + ny * y + nz * z
+        for v in range(v0, v1):
+            dy = np.float32((v - lens[3]) / lens[1])
+            for u in range(u0, u1):
+                dx = np.float32((u - lens[2]) / lens[0])
+                slope = nx * dx + ny * dy + nz
+                if abs(slope) < _GRAZING:
+                    continue
+                depth = offset / slope
+                if depth >= front[v, u] or depth < _NEAR_M or depth > max_depth:
+                    continue
+                px, py, pz = depth * dx - x, depth * dy - y, depth - z
+                if _rim(px * ax + py * ay + pz * az, px * bx + py * by + pz * bz, reach[i]) < 1:
+                    front[v, u] = depth
+                    spread[v, u] = noise[i] / abs(slope)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mean(  # type: ignore[no-untyped-def]
+    points, normals, axes, reach, sigma, drift, lens, max_depth, front, spread, sigmas, slack_m
+):
+    """Weighted mean depth of the surfels at the front, its sigma, and how central they and those behind them are."""
+    height, width = front.shape
+    total = np.zeros((height, width), np.float32)
+    mean = np.zeros((height, width), np.float32)
+    noise = np.zeros((height, width), np.float32)
+    shared = np.zeros((height, width), np.float32)
+    centre = np.zeros((height, width), np.float32)
+    behind = np.zeros((height, width), np.float32)
+    for i in range(len(points)):
+        drawn, nx, ny, nz, ax, ay, az, bx, by, bz, ex, ey, ez = _frame(i, points, normals, axes, reach, max_depth)
+        if not drawn:
+            continue
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        u0, u1, v0, v1 = _window(x, y, z, ex, ey, ez, lens, height, width)
+        offset = nx * x + ny * y + nz * z
+        own = sigma[i] * sigma[i] + drift[i] * drift[i]
+        for v in range(v0, v1):
+            dy = np.float32((v - lens[3]) / lens[1])
+            for u in range(u0, u1):
+                dx = np.float32((u - lens[2]) / lens[0])
+                slope = nx * dx + ny * dy + nz
+                if abs(slope) < _GRAZING:
+                    continue
+                depth = offset / slope
+                if depth < _NEAR_M or depth > max_depth:
+                    continue
+                px, py, pz = depth * dx - x, depth * dy - y, depth - z
+                near = 1 - _rim(px * ax + py * ay + pz * az, px * bx + py * by + pz * bz, reach[i])
+                if near <= 0:
+                    continue
+                variance = own / (slope * slope)
+                ahead = depth - front[v, u]
+                if ahead > slack_m + sigmas * np.sqrt(variance + spread[v, u] * spread[v, u]):
+                    behind[v, u] = max(behind[v, u], near)
+                    continue
+                weight = (near + np.float32(0.01)) / variance
+                total[v, u] += weight
+                # As an offset from the front: sums of near equal numbers lose nothing.
+                mean[v, u] += weight * ahead
+                noise[v, u] += weight * weight * (sigma[i] * sigma[i]) / (slope * slope)
+                shared[v, u] += weight * abs(drift[i] / slope)
+                centre[v, u] = max(centre[v, u], near)
+    for v in range(height):
+        for u in range(width):
+            if total[v, u] > 0:
+                mean[v, u] = front[v, u] + mean[v, u] / total[v, u]
+                own = noise[v, u] / (total[v, u] * total[v, u])
+                common = shared[v, u] / total[v, u]
+                noise[v, u] = np.sqrt(own + common * common)
+    return mean, noise, centre, behind
