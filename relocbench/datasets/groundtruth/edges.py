@@ -62,10 +62,13 @@ class Edges:
             np.concatenate([p.kind for p in parts]),
         )
 
+    def apart(self, T_world_node: Array) -> Array:
+        """(E, 4, 4) ``T_first_second`` as the poses (N, 4, 4) say."""
+        return np.asarray(invert(T_world_node[self.first]) @ T_world_node[self.second])
+
     def residuals(self, T_world_node: Array) -> Array:
         """(E, 6) twists from what was measured to what the poses (N, 4, 4) say."""
-        T_first_second = invert(T_world_node[self.first]) @ T_world_node[self.second]
-        return np.asarray(se3_log(invert(self.T_first_second) @ T_first_second))
+        return np.asarray(se3_log(invert(self.T_first_second) @ self.apart(T_world_node)))
 
     def chi2(self, T_world_node: Array) -> Array:
         """(E,) squared residuals in units of their standard deviations."""

@@ -134,7 +134,7 @@ def optimise(
     return Solution(
         drives,
         found.T_world_node,
-        found.edges(drives, cross),
+        found.edges,
         found.noise,
         controlled,
         verdicts,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.consensus import VoteOptions
 from relocbench.datasets.groundtruth.drives import Drives
-from relocbench.datasets.groundtruth.edges import Edges, components
+from relocbench.datasets.groundtruth.edges import Edges, Kind, components
 from relocbench.datasets.groundtruth.least_squares import Covariances, solve
 from relocbench.datasets.groundtruth.odometry_noise import OdometryNoise, estimate, variance_factor
 from relocbench.datasets.groundtruth.snooping import Tested, check_left_out, check_used
@@ -60,19 +60,17 @@ class Selected:
 
     T_world_node: Array
     """(N, 4, 4)"""
+    edges: Edges
+    """all that took part, with the weights it had"""
     used: Mask
     """(E,) registrations that took part"""
     tested: Tested
     """(E,) registrations against all else"""
     odometry_tested: Tested
-    """odometry edges against all else; those that were not looked at hold no checked direction"""
+    """odometry edges against all else"""
     noise: OdometryNoise
     information_factor: float
     """the registrations' information was divided by this"""
-
-    def edges(self, drives: Drives, cross: Edges) -> Edges:
-        """All that took part, with the weights it had."""
-        return Edges.join([drives.odometry(self.noise), weakened(cross[self.used], self.information_factor)])
 
 
 def weakened(edges: Edges, factor: float) -> Edges:
@@ -90,8 +88,7 @@ def select(
         candidates: (E,) those that may take part at all.
         start: (N, 4, 4) first poses.
     """
-    used, factor = candidates.copy(), 1.0
-    T, used, factor = _robust(drives, cross, used, start, noise, options)
+    T, used, factor = _robust(drives, cross, candidates, start, noise, options)
     was_out = ~used
     for _ in range(options.rounds):
         odometry = drives.odometry(noise)
@@ -99,13 +96,11 @@ def select(
         T = solve(T, edges)
         covariances = Covariances(T, edges)
         tested = _test_registrations(covariances, T, weakened(cross, factor), used, edges)
-        looked = _spread(len(odometry), options.noise_edges)
-        posterior = covariances.relative(odometry.first[looked], odometry.second[looked])
-        residuals = odometry.residuals(T)
         before = noise, factor
         if options.estimate_noise:
-            way = drives.way(odometry.first[looked], odometry.second[looked])
-            noise = estimate(noise, way, residuals[looked], np.diagonal(posterior, axis1=1, axis2=2))
+            some = odometry[spread(len(odometry), options.noise_edges)]
+            posterior = np.diagonal(covariances.relative(some.first, some.second), axis1=1, axis2=2)
+            noise = estimate(noise, drives.way(some.first, some.second), some.residuals(T), posterior)
             more = variance_factor(tested.squares[used].ravel(), tested.free[used].ravel())
             # Registrations that share points err alike, and look better among themselves than they are.
             factor = max(1.0, factor * (1.0 if more is None else more))
@@ -116,12 +111,18 @@ def select(
         if not drop.any() and not back.any() and _settled(before, (noise, factor)):
             break
     noise, factor = before
-    odometry_tested = _test_some(odometry, residuals, looked, posterior)
+    edges = Edges.join([odometry, weakened(cross[used], factor)])
     if drop.any() or back.any():
-        edges = Edges.join([odometry, weakened(cross[used], factor)])
         T = solve(T, edges)
         tested = _test_registrations(Covariances(T, edges), T, weakened(cross, factor), used, edges)
-    return Selected(T, used, tested, odometry_tested, noise, factor)
+    return Selected(T, edges, used, tested, check_odometry(T, edges), noise, factor)
+
+
+def check_odometry(T_world_node: Array, edges: Edges) -> Tested:
+    """The odometry edges of a solved graph against all else."""
+    odometry = edges[edges.kind != Kind.REGISTRATION]
+    posterior = Covariances(T_world_node, edges).relative(odometry.first, odometry.second)
+    return check_used(odometry.residuals(T_world_node), odometry.information, posterior)
 
 
 def _robust(
@@ -155,14 +156,7 @@ def _test_registrations(covariances: Covariances, T: Array, cross: Edges, used: 
     return Tested(squares, free)
 
 
-def _test_some(odometry: Edges, residuals: Array, looked: NDArray[np.int64], posterior: Array) -> Tested:
-    squares, free = np.zeros((len(odometry), 6)), np.zeros((len(odometry), 6))
-    out = check_used(residuals[looked], odometry.information[looked], posterior)
-    squares[looked], free[looked] = out.squares, out.free
-    return Tested(squares, free)
-
-
-def _spread(count: int, most: int) -> NDArray[np.int64]:
+def spread(count: int, most: int) -> NDArray[np.int64]:
     """At most so many of the numbers up to ``count``, evenly spread."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)) if count else np.arange(0)
 

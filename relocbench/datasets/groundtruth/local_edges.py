@@ -1,0 +1,190 @@
+"""The last word: every block of the query against the reference's blocks beside it, all in one adjustment.
+
+A submap is laid along the odometry and carries its drift. A block is too short for that. Points of single blocks are
+therefore linearised at the present solution and enter the graph as Gaussian edges of their own, and again at the better
+solution: a non-rigid registration of two trajectories, in which each point counts once. What a block leaves open (the
+way along a smooth wall) its neighbours and the odometry close.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.edges import Edges, Kind
+from relocbench.datasets.groundtruth.graph import Solution
+from relocbench.datasets.groundtruth.least_squares import Covariances, solve
+from relocbench.datasets.groundtruth.odometry_noise import OdometryNoise, estimate, variance_factor
+from relocbench.datasets.groundtruth.selection import check_odometry, spread, weakened
+from relocbench.datasets.groundtruth.snooping import check_used
+from relocbench.errors import ConfigError
+from relocbench.geometry import invert, se3_exp
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LocalFit:
+    """Distances from points of a query block to planes of a reference block, linearised at a pose."""
+
+    H: Array
+    """(6, 6) sum of w J J^T over the points, by xi = (rho, phi) of ``T_ref_query @ se3_exp(xi)``"""
+    g: Array
+    """(6,) sum of w J r, metres"""
+    sigma_m: float
+    """robust standard deviation of the distances r"""
+    count: int
+    """points that found a plane"""
+
+
+Linearise = Callable[[int, int, Array], LocalFit]
+"""(reference node, query node, ``T_ref_query`` (4, 4)) -> the fit of their blocks there"""
+
+
+@dataclass(frozen=True)
+class LocalOptions:
+    """Which blocks meet, and how much a point is worth."""
+
+    reach_m: float = 8.0
+    """reference blocks whose nodes lie no further from the query block's node meet it"""
+    trusted_within_m: float = 20.0
+    """along the road from a trusted registration: further away, blocks would be drawn to whatever lies near"""
+    correlation: float = 4.0
+    """neighbouring points err alike: so many count as one"""
+    least_sigma_m: float = 0.003
+    """of a distance, however well the points of a block fit"""
+    least_count: int = 10
+    """points of a block without which it is left out"""
+    iterations: int = 4
+    settled_m: float = 5e-4
+    """the iterations end when no block moves further against its neighbour"""
+    lever_m: float = 10.0
+    """at which rotations are weighed against translations when directions are called open"""
+    open_share: float = 1e-4
+    """a direction with so little of the strongest one's information is open: it is not moved, and keeps what it has"""
+    significance: float = 1e-6
+    """probability with which a right edge is thrown out"""
+    estimate_noise: bool = True
+    noise_edges: int = 400
+    """edges of each kind that noise is estimated from"""
+
+    def __post_init__(self) -> None:
+        positive = (self.reach_m, self.trusted_within_m, self.correlation, self.least_sigma_m, self.lever_m)
+        if min(positive) <= 0 or min(self.iterations, self.least_count, self.noise_edges) < 1:
+            raise ConfigError("reaches, correlation, sigma and counts of local edges must be positive")
+        if not 0 < self.open_share < 1 or not 0 < self.significance < 1:
+            raise ConfigError("open_share and significance of local edges lie between 0 and 1")
+
+
+def refine_locally(solution: Solution, linearise: Linearise, options: LocalOptions | None = None) -> Solution:
+    """The solution with its registrations replaced by edges between single blocks.
+
+    Args:
+        solution: near enough for points to find their planes; verdicts and trust are kept.
+        linearise: fits blocks; called for every pair of blocks that meet, once an iteration.
+    """
+    options = options or LocalOptions()
+    pairs = meeting(solution, options)
+    T, noise, factor = solution.T_world_node, solution.noise, 1.0
+    odometry = solution.drives.odometry(noise)
+    local = odometry[np.zeros(0, dtype=np.int64)]
+    for _ in range(options.iterations):
+        before = T
+        local = local_edges(solution, T, pairs, linearise, options)
+        T, local = _without_outliers(T, odometry, local, factor, options)
+        if options.estimate_noise:
+            noise, factor = _noise(solution, T, (noise, factor), local, options)
+            odometry = solution.drives.odometry(noise)
+        moved = invert(local.apart(before)) @ local.apart(T)
+        if np.linalg.norm(moved[:, :3, 3], axis=1).max(initial=0.0) < options.settled_m:
+            break
+    edges = Edges.join([odometry, weakened(local, factor)])
+    T = solve(T, edges)
+    return replace(
+        solution,
+        T_world_node=T,
+        edges=edges,
+        noise=noise,
+        odometry_tested=check_odometry(T, edges),
+        information_factor=factor,
+    )
+
+
+def meeting(solution: Solution, options: LocalOptions) -> list[tuple[int, int]]:
+    """(reference node, query node) of all blocks that meet, in the order of the query's drive."""
+    count = solution.drives.reference_count
+    near = solution.way_to_trusted.min(axis=1) <= options.trusted_within_m
+    out = []
+    for query in np.flatnonzero(near[count:]).tolist():
+        apart = np.linalg.norm(solution.T_world_ref[:, :3, 3] - solution.T_world_query[query, :3, 3], axis=1)
+        same = solution.part[:count] == solution.part[count + query]
+        out += [(int(ref), query) for ref in np.flatnonzero((apart <= options.reach_m) & same & near[:count])]
+    return out
+
+
+def local_edges(
+    solution: Solution, T_world_node: Array, pairs: list[tuple[int, int]], linearise: Linearise, options: LocalOptions
+) -> Edges:
+    """Edges of blocks that meet: ``T_ref_query @ se3_exp(-H^+ g)`` with information ``H / (sigma^2 correlation)``."""
+    count = solution.drives.reference_count
+    first, second, poses, information = [], [], [], []
+    for ref, query in pairs:
+        T_ref_query = invert(T_world_node[ref]) @ T_world_node[count + query]
+        fit = linearise(ref, query, T_ref_query)
+        if fit.count < options.least_count:
+            continue
+        first.append(ref)
+        second.append(count + query)
+        poses.append(T_ref_query @ se3_exp(-bounded_step(fit.H, fit.g, options)))
+        information.append(fit.H / (max(fit.sigma_m, options.least_sigma_m) ** 2 * options.correlation))
+    return Edges(
+        np.array(first, dtype=np.int64),
+        np.array(second, dtype=np.int64),
+        np.array(poses, dtype=np.float64).reshape(-1, 4, 4),
+        np.array(information, dtype=np.float64).reshape(-1, 6, 6),
+        np.full(len(first), Kind.REGISTRATION, dtype=np.int64),
+    )
+
+
+def bounded_step(H: Array, g: Array, options: LocalOptions) -> Array:
+    """``H^+ g`` (6,): the minimum's way back, without the directions that the block leaves open."""
+    scale = np.array([1.0, 1.0, 1.0, *[1.0 / options.lever_m] * 3])
+    values, vectors = np.linalg.eigh(scale[:, None] * H * scale)
+    known = values > options.open_share * max(values[-1], 1e-300)
+    inverse = np.where(known, 1.0 / np.where(known, values, 1.0), 0.0)
+    return np.asarray(scale * (vectors @ (inverse * (vectors.T @ (scale * g)))))
+
+
+def _without_outliers(
+    T: Array, odometry: Edges, local: Edges, factor: float, options: LocalOptions
+) -> tuple[Array, Edges]:
+    """Poses, and the local edges that fit them."""
+    from scipy.special import chdtri
+
+    T = solve(T, Edges.join([odometry, weakened(local, factor)]))
+    chi2 = local.chi2(T) / factor
+    typical = max(1.0, float(np.median(chi2)) / 5.348) if len(local) else 1.0
+    fitting = chi2 <= typical * chdtri(6, options.significance)
+    if fitting.all():
+        return T, local
+    kept = local[fitting]
+    return solve(T, Edges.join([odometry, weakened(kept, factor)])), kept
+
+
+def _noise(
+    solution: Solution, T: Array, before: tuple[OdometryNoise, float], local: Edges, options: LocalOptions
+) -> tuple[OdometryNoise, float]:
+    """Odometry's noise, and by how much local edges overstate themselves, from the poses solved with those before."""
+    noise, factor = before
+    odometry, local = solution.drives.odometry(noise), weakened(local, factor)
+    covariances = Covariances(T, Edges.join([odometry, local]))
+    some = odometry[spread(len(odometry), options.noise_edges)]
+    posterior = np.diagonal(covariances.relative(some.first, some.second), axis1=1, axis2=2)
+    noise = estimate(noise, solution.drives.way(some.first, some.second), some.residuals(T), posterior)
+    some = local[spread(len(local), options.noise_edges)]
+    tested = check_used(some.residuals(T), some.information, covariances.relative(some.first, some.second))
+    more = variance_factor(tested.squares.ravel(), tested.free.ravel())
+    return noise, factor if more is None else max(1.0, factor * more)
