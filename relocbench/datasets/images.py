@@ -114,7 +114,10 @@ def _decode(path: Path, flags: int) -> NDArray[Any]:
 
 
 def _encode(image: NDArray[Any]) -> bytes:
-    done, data = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 4])
+    """PNG, by what is smallest and fast at once: noise has no repeats to search for, and depth is smooth."""
+    choice = cv2.IMWRITE_PNG_FILTER_AVG if image.ndim == 3 else cv2.IMWRITE_PNG_FILTER_PAETH
+    how = [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE, cv2.IMWRITE_PNG_FILTER, choice]
+    done, data = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 1, *how])
     if not done:
         raise ValueError(f"cannot encode an image of {image.dtype} {image.shape}")
     return bytes(data)

@@ -53,7 +53,7 @@ def make_lamps(heads: NDArray[np.floating]) -> Lamps:
     return Lamps(heads, low.astype(np.float32), near)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def strongest(lamps: Lamps, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tuple[int, float, float]:
     """The lamp that gives most light at a point, its irradiance, and that of all others."""
     column, row = int((x - lamps.low[0]) / _LAMP_CELL_M), int((y - lamps.low[1]) / _LAMP_CELL_M)
@@ -80,7 +80,7 @@ def strongest(lamps: Lamps, x: float, y: float, z: float, nx: float, ny: float, 
     return best, most, total - most
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def beam_light(beam: Beam, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
     """Irradiance by the dipped headlights of the own car."""
     dx, dy, dz = x - beam.origin[0], y - beam.origin[1], z - beam.origin[2]

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic import lamps as lighting
 from relocbench.datasets.synthetic import samples as sampling
-from relocbench.datasets.synthetic import shading, shadows, surfaces
+from relocbench.datasets.synthetic import reflections, shading, shadows, surfaces
 from relocbench.datasets.synthetic.condition import Factors
-from relocbench.datasets.synthetic.edges import OFFSETS, blend_edges, edge_pixels, known_colours, surface_names
+from relocbench.datasets.synthetic.edges import (
+    OFFSETS,
+    blend_edges,
+    edge_pixels,
+    known_colours,
+    neighbours_seen,
+    surface_names,
+)
 from relocbench.datasets.synthetic.lamps import Beam
 from relocbench.datasets.synthetic.materials import make_looks
 from relocbench.datasets.synthetic.mesh import Mesh, Semantic
@@ -149,17 +155,26 @@ class Renderer:
         lit = np.ones(len(hits.depth), dtype=np.float32)
         if self._by_lamp and not self._setting.lamps_on:
             return lit
-        index, rays = shadows.shadow_rays(hits, self._sky.to_sun, self._by_lamp, self._lamps)
-        lit[index] = 1.0 - self._scene.occluded(rays, _LAMP_AT if self._by_lamp else np.inf)
+        if width:
+            self._cast_shadows(hits, shadows.every_other(len(lit), width), lit)
+            self._cast_shadows(hits, shadows.fill_between(hits, lit, width), lit)
+        else:
+            self._cast_shadows(hits, np.ones(len(lit), dtype=np.bool_), lit)
         if width and not self._by_lamp:
             rims, rays = shadows.penumbra_rays(view, hits, lit, width, self._sky.to_sun)
             lit[rims] = 1.0 - self._scene.occluded(rays).reshape(-1, 4).mean(axis=1, dtype=np.float32)
         return lit
 
+    def _cast_shadows(self, hits: Hits, asked: NDArray[np.bool_], lit: Floats) -> None:
+        index, rays = shadows.shadow_rays(hits, asked, self._sky.to_sun, self._by_lamp, self._lamps)
+        lit[index] = 1.0 - self._scene.occluded(rays, _LAMP_AT if self._by_lamp else np.inf)
+
     def _reflect(self, view: View, beam: Beam, samples: Samples, hits: Hits, reflected: Floats, width: int) -> None:
         """Fill in the light (N, 3) that comes to the samples that mirror."""
-        glass = surfaces.casts_reflection(self._geometry, samples, hits, _LEAST_MIRROR)
-        index = np.flatnonzero(glass)
+        casts = surfaces.casts_reflection(self._geometry, samples, hits, _LEAST_MIRROR)
+        skipped = reflections.skipped(casts, hits.sharpness, width) if width else np.zeros(0, dtype=np.int64)
+        casts[skipped] = False
+        index = np.flatnonzero(casts)
         if len(index) == 0:
             return
         mirrored = Samples(
@@ -173,21 +188,24 @@ class Renderer:
         colour, _ = self._light(view, beam, mirrored, self._surfaces(view, mirrored))
         reflected[index] = colour
         if width:
-            _roughen(reflected, index, hits.sharpness, width)
+            reflections.fill(reflected, skipped, width)
+            reflections.roughen(reflected, np.concatenate([index, skipped]), hits.sharpness, width)
 
     def _smooth_edges(self, view: View, beam: Beam, samples: Samples, hits: Hits, light: Floats, width: int) -> Floats:
         """Edge pixels become the mean of five samples; only those of surfaces not seen nearby are shaded anew."""
         edges = edge_pixels(self._names, samples.triangle, hits, light, width)
         if len(edges) == 0:
             return light
-        u = (samples.u[edges, None] + OFFSETS[:, 0]).ravel()
-        v = (samples.v[edges, None] + OFFSETS[:, 1]).ravel()
-        finer = self._trace(view, direct_samples(u, v))
-        known = known_colours(self._geometry, self._names, edges, finer.triangle, samples.triangle, hits, width)
-        unknown = np.flatnonzero(known < 0)
+        known = neighbours_seen(view, self._geometry, edges, samples.triangle, width)
+        # What none of the neighbours shows is found by a ray: the sky, or a triangle smaller than a pixel.
+        cast = np.flatnonzero(known < 0)
+        pixels, offsets = edges[cast // 4], OFFSETS[cast % 4]
+        finer = self._trace(view, direct_samples(samples.u[pixels] + offsets[:, 0], samples.v[pixels] + offsets[:, 1]))
+        known[cast] = known_colours(self._geometry, self._names, pixels, finer.triangle, samples.triangle, hits, width)
+        unknown = known[cast] < 0
         index = np.zeros(len(known), dtype=np.int64)
-        index[unknown] = np.arange(len(unknown))
-        rest = direct_samples(u[unknown], v[unknown])._replace(triangle=finer.triangle[unknown])
+        index[cast[unknown]] = np.arange(np.count_nonzero(unknown))
+        rest = direct_samples(finer.u[unknown], finer.v[unknown])._replace(triangle=finer.triangle[unknown])
         own, _ = self._light(view, beam, rest, self._surfaces(view, rest))
         return blend_edges(light, edges, known, own, index)
 
@@ -224,18 +242,3 @@ def _headlights(pose: NDArray[np.float64], of_camera: bool) -> Beam:
     flat /= max(float(np.linalg.norm(flat)), 1e-9)
     origin = pose[:3, 3] + (np.array([0, 0, -0.9]) if of_camera else 1.9 * flat + np.array([0, 0, 0.65]))
     return Beam(origin.astype(np.float32), flat.astype(np.float32))
-
-
-def _roughen(reflected: Floats, index: NDArray[np.int64], sharpness: Floats, width: int) -> None:
-    """Blur what wet ground mirrors, more along the way of the light, as a rough film does; puddles stay clear."""
-    image = np.zeros((len(reflected), 4), dtype=np.float32)
-    rough = index[sharpness[index] < 1.0]
-    if len(rough) == 0:
-        return
-    image[rough, :3] = reflected[rough]
-    image[rough, 3] = 1.0
-    scale = width / 512
-    kernel = (2 * round(1.5 * scale) + 1, 2 * round(6 * scale) + 1)
-    mean = cv2.blur(image.reshape(-1, width, 4), kernel).reshape(-1, 4)[rough]
-    keep = sharpness[rough, None]
-    reflected[rough] = keep * reflected[rough] + (1 - keep) * mean[:, :3] / mean[:, 3:]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from relocbench.datasets.synthetic.condition import Factors
 
@@ -18,6 +21,8 @@ _WHITE = 6.0
 _BLOOM = 0.06
 _LUMA = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 _TABLE = 4096
+_DEVIATES = 4096
+_DRAWN = np.uint16(_DEVIATES - 1)
 
 
 def exposure_gain(image: Floats, factors: Factors) -> float:
@@ -33,10 +38,18 @@ def exposure_gain(image: Floats, factors: Factors) -> float:
 def respond(image: Floats, factors: Factors, rng: np.random.Generator) -> NDArray[np.uint8]:
     """8-bit RGB of linear light (H, W, 3)."""
     gain = exposure_gain(image, factors)
-    grain = rng.standard_normal(image.shape, dtype=np.float32)
-    return _develop(
-        image, _bloom(image, gain), grain, gain, factors.vignetting, tone_curve(factors.gamma), *_noise(factors)
-    )
+    curve = tone_curve(factors.gamma)
+    dark, growth = _noise(factors)
+    deviation = np.sqrt(dark + growth * curve).astype(np.float32)
+    dice = np.frombuffer(rng.bytes(2 * image.size), dtype="<u2").reshape(image.shape)
+    return _develop(image, _bloom(image, gain), dice, gain, factors.vignetting, curve, deviation, _normal_deviates())
+
+
+@lru_cache(maxsize=1)
+def _normal_deviates() -> Floats:
+    """(4096,) equally likely values of a normal distribution with deviation 1: twelve random bits draw one."""
+    values = ndtri((np.arange(_DEVIATES) + 0.5) / _DEVIATES)
+    return np.asarray(values / values.std(), dtype=np.float32)
 
 
 def tone_curve(gamma: float) -> Floats:
@@ -67,35 +80,39 @@ def _bloom(image: Floats, gain: float) -> Floats:
 def _develop(
     image: Floats,
     glow: Floats,
-    grain: Floats,
+    dice: NDArray[np.uint16],
     gain: float,
     vignetting: float,
     curve: Floats,
-    dark: float,
-    growth: float,
+    deviation: Floats,
+    deviates: Floats,
 ) -> NDArray[np.uint8]:
     height, width, _ = image.shape
     rows, columns, _ = glow.shape
     out = np.empty((height, width, 3), dtype=np.uint8)
     corner = 0.25 * ((width - 1) ** 2 + (height - 1) ** 2) + 1e-9
+    row = np.empty((columns, 3), dtype=np.float32)
+    to_table = np.float32((_TABLE - 1) / np.sqrt(_WHITE))
+    last = np.float32(_TABLE - 1.001)
     for y in range(height):
         gy = min(max((y + 0.5) * rows / height - 0.5, 0.0), rows - 1.0)
         j = int(gy)
-        b = gy - j
         j1 = min(j + 1, rows - 1)
+        for i in range(columns):
+            for c in range(3):
+                row[i, c] = glow[j, i, c] + np.float32(gy - j) * (glow[j1, i, c] - glow[j, i, c])
+        down2 = (y - 0.5 * (height - 1)) ** 2
         for x in range(width):
             gx = min(max((x + 0.5) * columns / width - 0.5, 0.0), columns - 1.0)
             i = int(gx)
-            a = gx - i
+            a = np.float32(gx - i)
             i1 = min(i + 1, columns - 1)
-            fall = 1 - vignetting * ((x - 0.5 * (width - 1)) ** 2 + (y - 0.5 * (height - 1)) ** 2) / corner
+            fall = np.float32(1 - vignetting * ((x - 0.5 * (width - 1)) ** 2 + down2) / corner)
             for c in range(3):
-                upper = glow[j, i, c] * (1 - a) + glow[j, i1, c] * a
-                lower = glow[j1, i, c] * (1 - a) + glow[j1, i1, c] * a
-                light = (image[y, x, c] * gain + upper * (1 - b) + lower * b) * fall
-                at = min(np.sqrt(light / _WHITE), 1.0) * (_TABLE - 1)
-                k = min(int(at), _TABLE - 2)
-                level = curve[k] + (at - k) * (curve[k + 1] - curve[k])
-                level += grain[y, x, c] * np.sqrt(dark + growth * level)
-                out[y, x, c] = np.uint8(min(max(level + 0.5, 0.0), 255.0))
+                light = (image[y, x, c] * np.float32(gain) + row[i, c] + a * (row[i1, c] - row[i, c])) * fall
+                at = min(np.sqrt(light) * to_table, last)
+                k = np.uint64(at)
+                level = curve[k] + (at - np.float32(k)) * (curve[k + np.uint64(1)] - curve[k])
+                level += deviates[np.uint64(dice[y, x, c] & _DRAWN)] * deviation[k] + np.float32(0.5)
+                out[y, x, c] = np.uint8(min(max(level, np.float32(0.0)), np.float32(255.0)))
     return out

@@ -49,7 +49,7 @@ def direct_samples(u: Floats, v: Floats) -> Samples:
     return Samples(u, v, np.zeros(n, np.float32), np.zeros((n, 3), np.float32), np.full(n, NOTHING, np.uint32))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def ray(view: View, u: float, v: float) -> tuple[Vector, Vector, Vector]:
     """Direction of a point of the image, and its derivatives by u and by v."""
     r = view.rotation
@@ -60,7 +60,7 @@ def ray(view: View, u: float, v: float) -> tuple[Vector, Vector, Vector]:
     return d, dx, dy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def start(view: View, samples: Samples, i: int) -> tuple[Vector, Vector, Vector, Vector]:
     """Origin, direction and its derivatives of a sample, direct or mirrored."""
     d, dx, dy = ray(view, samples.u[i], samples.v[i])

@@ -22,7 +22,7 @@ _HAZE = 0.00025
 _FOG_LAYER_M = 160.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def sky_radiance(sky: Sky, x: float, y: float, z: float) -> Vector:
     """Of a unit direction; below the horizon that of the horizon."""
     z = max(z, 0.0)

@@ -15,17 +15,19 @@ Floats = NDArray[np.float32]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shadow_rays(hits: Hits, to_sun: Floats, by_lamp: bool, lamps: Lamps) -> tuple[NDArray[np.int64], Floats]:
-    """Which samples face the light, and a ray (M, 6) from each to it: the sun, or at night the strongest lamp.
+def shadow_rays(
+    hits: Hits, asked: NDArray[np.bool_], to_sun: Floats, by_lamp: bool, lamps: Lamps
+) -> tuple[NDArray[np.int64], Floats]:
+    """Which of the samples asked for (N,) face the light, and a ray (M, 6) from each to it.
 
-    A ray to a lamp has the lamp at parameter 1.
+    The light is the sun, or at night the strongest lamp. A ray to a lamp has the lamp at parameter 1.
     """
     n = len(hits.depth)
     index = np.empty(n, dtype=np.int64)
     rays = np.empty((n, 6), dtype=np.float32)
     m = 0
     for i in range(n):
-        if hits.depth[i] <= 0.0:
+        if not asked[i] or hits.depth[i] <= 0.0:
             continue
         x, y, z = hits.position[i, 0], hits.position[i, 1], hits.position[i, 2]
         nx, ny, nz = hits.normal[i, 0], hits.normal[i, 1], hits.normal[i, 2]
@@ -43,6 +45,53 @@ def shadow_rays(hits: Hits, to_sun: Floats, by_lamp: bool, lamps: Lamps) -> tupl
         rays[m, 3], rays[m, 4], rays[m, 5] = lx, ly, lz
         m += 1
     return index[:m].copy(), rays[:m].copy()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def every_other(count: int, width: int) -> NDArray[np.bool_]:
+    """The dark squares (count,) of a chess board ``width`` wide."""
+    out = np.empty(count, dtype=np.bool_)
+    for i in range(count):
+        out[i] = (i % width + i // width) % 2 == 0
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_between(hits: Hits, lit: Floats, width: int) -> NDArray[np.bool_]:
+    """Give the light squares of the board what their four neighbours have in common; those (N,) that are left over.
+
+    A square takes it if all five lie in one plane, or nearly.
+    """
+    n = len(lit)
+    depth, normal, position = hits.depth, hits.normal, hits.position
+    left = np.zeros(n, dtype=np.bool_)
+    for i in range(n):
+        column = i % width
+        if (column + i // width) % 2 == 0 or depth[i] <= 0.0:
+            continue
+        if column == 0 or column == width - 1 or i < width or i >= n - width:
+            left[i] = True
+            continue
+        nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
+        most = np.float32(0.01 + 0.002 * depth[i])
+        value = lit[i - 1]
+        alike = True
+        for step in (-1, 1, -width, width):
+            j = i + step
+            off = (
+                nx * (position[j, 0] - position[i, 0])
+                + ny * (position[j, 1] - position[i, 1])
+                + nz * (position[j, 2] - position[i, 2])
+            )
+            cosine = nx * normal[j, 0] + ny * normal[j, 1] + nz * normal[j, 2]
+            if lit[j] != value or abs(off) > most or cosine < 0.95 or depth[j] <= 0.0:
+                alike = False
+                break
+        if alike:
+            lit[i] = value
+        else:
+            left[i] = True
+    return left
 
 
 _SPREAD = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]], dtype=np.float32)

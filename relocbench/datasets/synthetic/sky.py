@@ -103,7 +103,7 @@ def make_sky(factors: Factors, seed: int) -> Sky:
 
 def _clouds(d: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
     """Slow noise in [0, 1] on a layer above the town, seen in directions (..., 3)."""
-    layer = bake(seed).texels[MACRO, : SIZE * SIZE, 0].reshape(SIZE, SIZE) / 255.0
+    layer = bake(seed).second(MACRO)
     total = np.zeros(d.shape[:-1])
     for weight, scale in ((0.7, 0.16), (0.3, 0.55)):
         u, v = d[..., 0] / (d[..., 2] + 0.15) * scale, d[..., 1] / (d[..., 2] + 0.15) * scale

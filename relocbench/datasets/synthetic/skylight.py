@@ -5,6 +5,7 @@ Both hang on the world, not on the camera, so that the light on a surface stays 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,9 @@ _GROUND_M = 0.17
 """just above the pavement"""
 _LOW_M = 0.9
 """what stands lower than this above the ground darkens it"""
+_ROWS_AT_ONCE = 64
+"""of the fine grid, in fours: what is in hand at one time stays small"""
+_TRIANGLES_AT_ONCE = 100_000
 _SIDE_M = 600.0
 _FAR_GROUND = (Semantic.NONE, Semantic.ROAD, Semantic.PAVEMENT, Semantic.MARKING, Semantic.TERRAIN)
 
@@ -36,8 +40,10 @@ class Skylight(NamedTuple):
 
     low: Floats
     """(2,) x and y of the first point of both grids"""
-    grid: Floats
-    """(height, y, x, 4): mean visibility of the upper half, then mean of visibility times direction"""
+    shape: tuple[int, int, int]
+    """points of the coarse grid by height, y and x"""
+    points: Floats
+    """(height y x, 4): mean visibility of the upper half, then mean of visibility times direction"""
     heights: Floats
     """(height,) metres"""
     ground: Floats
@@ -55,50 +61,71 @@ def upper_directions(count: int) -> Floats:
 
 def make_skylight(mesh: Mesh, scene: Scene) -> Skylight:
     """Cast rays to the sky from points all over the part of the mesh where anything is built."""
-    built = mesh.vertices[mesh.triangles[mesh.semantic != Semantic.TERRAIN].ravel()]
-    if len(built) == 0:
-        built = np.zeros((1, 3), dtype=np.float32)
-    low, high = np.clip(built[:, :2].min(0), -_SIDE_M, _SIDE_M), np.clip(built[:, :2].max(0), -_SIDE_M, _SIDE_M)
+    low, high = np.full(2, np.inf, dtype=np.float32), np.full(2, -np.inf, dtype=np.float32)
+    for corners in _corners(mesh, mesh.semantic != Semantic.TERRAIN):
+        low = np.minimum(low, corners[..., :2].min((0, 1)))
+        high = np.maximum(high, corners[..., :2].max((0, 1)))
+    if (low > high).any():
+        low = high = np.zeros(2, dtype=np.float32)
+    low, high = np.clip(low, -_SIDE_M, _SIDE_M), np.clip(high, -_SIDE_M, _SIDE_M)
     nx, ny = (np.ceil((high - low) / _CELL_M).astype(int) + 2).tolist()
     x, y = low[0] + _CELL_M * np.arange(nx), low[1] + _CELL_M * np.arange(ny)
-    points = np.stack(np.meshgrid(_HEIGHTS, y, x, indexing="ij")[::-1], axis=-1).astype(np.float32).reshape(-1, 3)
     directions = upper_directions(_DIRECTIONS)
-    seen = np.stack([_sees(scene, points, d, _FAR_M) for d in directions], axis=1)
-    values = np.concatenate([seen.mean(1, keepdims=True), seen @ directions / _DIRECTIONS], axis=1)
-    grid = values.astype(np.float32).reshape(len(_HEIGHTS), ny, nx, 4)
-    return Skylight(low.astype(np.float32), grid, _HEIGHTS, _ground(mesh, scene, low, high))
+    values = np.zeros((len(_HEIGHTS), ny * nx, 4), dtype=np.float32)
+    for layer, height in zip(values, _HEIGHTS, strict=True):
+        points = np.stack(np.meshgrid(x, y, [height]), axis=-1).astype(np.float32).reshape(-1, 3)
+        for d in directions:
+            seen = _sees(scene, points, d, _FAR_M) / np.float32(_DIRECTIONS)
+            layer[:, 0] += seen
+            layer[:, 1:] += seen[:, None] * d
+    shape = len(_HEIGHTS), ny, nx
+    return Skylight(low.astype(np.float32), shape, values.reshape(-1, 4), _HEIGHTS, _ground(mesh, scene, low, high))
 
 
 def _ground(mesh: Mesh, scene: Scene, low: Floats, high: Floats) -> Floats:
     """Cosine-weighted openness of the ground, near anything low that stands on it; 1 elsewhere."""
     nx, ny = (np.ceil((high - low) / _FINE_M).astype(int) + 2).tolist()
     ground = np.ones((ny, nx), dtype=np.float32)
-    corners = mesh.vertices[mesh.triangles[~np.isin(mesh.semantic, _FAR_GROUND)]]
-    corners = corners[corners[..., 2].min(1) < _LOW_M]
-    if len(corners) == 0:
-        return ground
-    # Long edges are walked in steps, so that no cell between their ends is missed.
-    long = corners[np.ptp(corners[..., :2], axis=1).max(1) > 4 * _FINE_M]
-    steps = np.linspace(0, 1, 25, dtype=np.float32)[:, None, None]
-    walked = [long[:, i] + steps * (long[:, (i + 1) % 3] - long[:, i]) for i in range(3)]
-    points = np.concatenate([corners.reshape(-1, 3), *(w.reshape(-1, 3) for w in walked)])
-    cells = np.floor((points[:, :2] - low) / (4 * _FINE_M)).astype(int)
     near = np.zeros((-(-ny // 4) + 2, -(-nx // 4) + 2), dtype=np.bool_)
-    inside = ((cells >= 0) & (cells < [near.shape[1] - 2, near.shape[0] - 2])).all(1)
-    near[cells[inside, 1] + 1, cells[inside, 0] + 1] = True
+    steps = np.linspace(0, 1, 25, dtype=np.float32)[:, None, None]
+    stands = np.ones(256, dtype=np.bool_)
+    stands[list(_FAR_GROUND)] = False
+    for corners in _corners(mesh, stands[mesh.semantic]):
+        corners = corners[corners[..., 2].min(1) < _LOW_M][..., :2]
+        # Long edges are walked in steps, so that no cell between their ends is missed.
+        long = corners[np.ptp(corners, axis=1).max(1) > 4 * _FINE_M]
+        walked = [long[:, i] + steps * (long[:, (i + 1) % 3] - long[:, i]) for i in range(3)]
+        points = np.concatenate([corners.reshape(-1, 2), *(w.reshape(-1, 2) for w in walked)])
+        cells = np.floor((points - low) / (4 * _FINE_M)).astype(int)
+        inside = ((cells >= 0) & (cells < [near.shape[1] - 2, near.shape[0] - 2])).all(1)
+        near[cells[inside, 1] + 1, cells[inside, 0] + 1] = True
     grown = near.copy()
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             grown |= np.roll(near, (dy, dx), (0, 1))
-    iy, ix = np.nonzero(np.kron(grown[1:-1, 1:-1], np.ones((4, 4), dtype=np.bool_))[:ny, :nx])
-    points = np.stack([low[0] + _FINE_M * ix, low[1] + _FINE_M * iy, np.full(len(ix), _GROUND_M)], 1).astype(np.float32)
     directions = upper_directions(_FINE_DIRECTIONS)
     weight = directions[:, 2] / directions[:, 2].sum()
-    seen = np.zeros(len(points), dtype=np.float32)
-    for d, w in zip(directions, weight, strict=True):
-        seen += w * _sees(scene, points, d, 1.2)
-    ground[iy, ix] = seen
+    inner = grown[1:-1, 1:-1]
+    for first in range(0, ny, 4 * _ROWS_AT_ONCE):
+        rows = inner[first // 4 : first // 4 + _ROWS_AT_ONCE]
+        iy, ix = np.nonzero(np.kron(rows, np.ones((4, 4), dtype=np.bool_))[: ny - first, :nx])
+        iy += first
+        points = np.stack([low[0] + _FINE_M * ix, low[1] + _FINE_M * iy, np.full(len(ix), _GROUND_M)], 1)
+        points = points.astype(np.float32)
+        seen = np.zeros(len(points), dtype=np.float32)
+        for d, w in zip(directions, weight, strict=True):
+            seen += w * _sees(scene, points, d, 1.2)
+        ground[iy, ix] = seen
     return ground
+
+
+def _corners(mesh: Mesh, chosen: NDArray[np.bool_]) -> Iterator[Floats]:
+    """The corners (M, 3, 3) of the chosen triangles (T,), some at a time."""
+    for first in range(0, len(mesh), _TRIANGLES_AT_ONCE):
+        part = slice(first, first + _TRIANGLES_AT_ONCE)
+        triangles = mesh.triangles[part][chosen[part]]
+        if len(triangles):
+            yield mesh.vertices[triangles]
 
 
 def _sees(scene: Scene, points: Floats, direction: Floats, far: float) -> Floats:
@@ -106,11 +133,11 @@ def _sees(scene: Scene, points: Floats, direction: Floats, far: float) -> Floats
     return 1.0 - scene.occluded(np.ascontiguousarray(rays), far).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def sky_share(light: Skylight, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tuple[float, float]:
     """Irradiance by a sky of radiance 1/pi at a point with a normal, and the mean visibility there."""
-    grid, heights = light.grid, light.heights
-    layers, rows, columns, _ = grid.shape
+    points, heights = light.points, light.heights
+    layers, rows, columns = light.shape
     gx = (x + _OFF_WALL_M * nx - light.low[0]) / _CELL_M
     gy = (y + _OFF_WALL_M * ny - light.low[1]) / _CELL_M
     if gx < 0 or gy < 0 or gx >= columns - 1 or gy >= rows - 1:
@@ -125,18 +152,18 @@ def sky_share(light: Skylight, x: float, y: float, z: float, nx: float, ny: floa
     weight, v0, share = 1e-6, 0.3e-6, 0.15e-6 * nz
     for c in range(8):
         a, b, e = c & 1, (c >> 1) & 1, c >> 2
-        p, q, r = k + e, iy + b, ix + a
-        open_sky = grid[p, q, r, 0]
+        at = np.uint64(((k + e) * rows + iy + b) * columns + ix + a)
+        open_sky = points[at, 0]
         # A point inside a house sees nothing: it says nothing about the street either.
         w = (fx if a else 1 - fx) * (fy if b else 1 - fy) * (fz if e else 1 - fz) * min(1.0, 8.0 * open_sky)
         weight += w
         v0 += w * open_sky
-        share += w * (grid[p, q, r, 1] * nx + grid[p, q, r, 2] * ny + grid[p, q, r, 3] * nz)
+        share += w * (points[at, 1] * nx + points[at, 2] * ny + points[at, 3] * nz)
     v0 /= weight
     return max(0.5 * v0 + share / weight, 0.04), v0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def ground_share(light: Skylight, x: float, y: float) -> float:
     """Light that is left on the ground beside and under what stands on it."""
     ground = light.ground

@@ -78,7 +78,8 @@ def _fresnel(cosine: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _corner(vertices: Floats, i: int) -> Vector:
+def corner(vertices: Floats, i: int) -> Vector:
+    """One vertex in double precision."""
     return float(vertices[i, 0]), float(vertices[i, 1]), float(vertices[i, 2])
 
 
@@ -92,6 +93,7 @@ def surfaces(
     """
     n = len(samples.u)
     uv = geometry.uv
+    texels, per_tile = patterns.texels, patterns.per_tile
     depth = np.zeros(n, dtype=np.float64)
     position = np.zeros((n, 3), dtype=np.float32)
     normal = np.zeros((n, 3), dtype=np.float32)
@@ -104,9 +106,9 @@ def surfaces(
         if triangle == NOTHING:
             continue
         o, d, dx, dy = start(view, samples, i)
-        a = _corner(geometry.vertices, geometry.triangles[triangle, 0])
-        e1 = minus(_corner(geometry.vertices, geometry.triangles[triangle, 1]), a)
-        e2 = minus(_corner(geometry.vertices, geometry.triangles[triangle, 2]), a)
+        a = corner(geometry.vertices, geometry.triangles[triangle, 0])
+        e1 = minus(corner(geometry.vertices, geometry.triangles[triangle, 1]), a)
+        e2 = minus(corner(geometry.vertices, geometry.triangles[triangle, 2]), a)
         c = cross(e1, e2)
         area2 = dot(c, c)
         slope = dot(c, d)
@@ -139,13 +141,15 @@ def surfaces(
         material, variant = np.int64(geometry.material[triangle]), np.int64(geometry.variant[triangle])
         dice = scramble(variant, material * 7919 + setting.seed)
         shift = 0.0 if material == _MARKING else (dice & 255) / 255.0 * 7.3
-        share, bright = sample(patterns, material, su + shift, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy, 6)
+        share, bright = sample(
+            texels, per_tile[material], material, su + shift, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy, 6
+        )
         # Slow stains: along the surface on walls, from above on the ground.
         flat = nz > 0.7
         if flat:
-            slow, stain = sample(patterns, MACRO, p[0], p[1], px[0], px[1], py[0], py[1], 2)
+            slow, stain = sample(texels, per_tile[MACRO], MACRO, p[0], p[1], px[0], px[1], py[0], py[1], 2)
         else:
-            slow, stain = sample(patterns, MACRO, su + 3 * shift, sv, dudx, dvdx, dudy, dvdy, 1)
+            slow, stain = sample(texels, per_tile[MACRO], MACRO, su + 3 * shift, sv, dudx, dvdx, dudy, dvdy, 1)
         tone = 1.0 + looks.spread[material] * 2 * (((dice >> 8) & 255) / 255.0 - 0.5)
         if material != _PAINT and material != _CAR_GLASS and material != _LAMP:
             tone *= 0.88 + 0.12 * stain
@@ -186,7 +190,16 @@ def surfaces(
                 film = looks.film[material] * soaked * (0.65 + 0.35 * smooth(slow, 0.2, 0.7)) * (0.75 + 0.25 * share)
                 if setting.puddles > 0.0 and looks.hollows[material] > 0.0:
                     hollow, _ = sample(
-                        patterns, MACRO, 2.2 * p[0], 2.2 * p[1], 2.2 * px[0], 2.2 * px[1], 2.2 * py[0], 2.2 * py[1], 3
+                        texels,
+                        2.2 * per_tile[MACRO],
+                        MACRO,
+                        p[0],
+                        p[1],
+                        px[0],
+                        px[1],
+                        py[0],
+                        py[1],
+                        3,
                     )
                     line = 1.0 - 0.36 * setting.puddles * looks.hollows[material]
                     still = smooth(hollow, line, line + 0.05) * (1 - snow)

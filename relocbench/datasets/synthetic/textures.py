@@ -5,6 +5,7 @@ A pattern has two channels: how much of the material's second colour shows (mort
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -18,6 +19,8 @@ Floats = NDArray[np.float32]
 SIZE = 256
 """texels along a side of the finest level"""
 LEVELS = 9
+LAYER = (4 * SIZE * SIZE - 1) // 3
+"""texels of all levels of a layer"""
 MACRO = len(Material)
 """the layer of slow noise with uniform distribution: stains, puddles, drifts of snow"""
 MACRO_TILE_M = 29.0
@@ -27,12 +30,15 @@ UNIT_BRIGHTNESS = 128.0
 class Patterns(NamedTuple):
     """All layers: one per material, then :data:`MACRO`."""
 
-    texels: NDArray[np.uint8]
-    """(layer, texel of all levels, 2)"""
-    start: NDArray[np.int64]
-    """(LEVELS,) first texel of a level"""
-    tile_m: Floats
-    """(layer,) metres that the pattern spans before it repeats"""
+    texels: NDArray[np.uint32]
+    """layer after layer, in each level after level; a texel is second + 65536 brightness"""
+    per_tile: Floats
+    """(layer,) tiles a metre: each pattern repeats after its own length"""
+
+    def second(self, layer: int) -> Floats:
+        """(SIZE, SIZE) the first channel of a layer's finest level, in [0, 1]."""
+        finest = self.texels[layer * LAYER : layer * LAYER + SIZE * SIZE].reshape(SIZE, SIZE)
+        return (finest & 0xFF).astype(np.float32) / np.float32(255)
 
 
 def _noise(rng: np.random.Generator, cells: int, octaves: int, gain: float = 0.5, stretch: int = 1) -> Floats:
@@ -152,44 +158,50 @@ def bake(seed: int) -> Patterns:
         stored = np.stack([second * 255, bright * UNIT_BRIGHTNESS], axis=-1)
         layers.append(_pyramid(np.clip(stored, 0, 255)))
         tiles.append(tile)
-    sizes = [(SIZE >> k) ** 2 for k in range(LEVELS)]
-    start = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
-    return Patterns(np.stack(layers), start, np.array(tiles, dtype=np.float32))
+    return Patterns(np.stack(layers).ravel(), (1 / np.array(tiles)).astype(np.float32))
 
 
-def _pyramid(image: NDArray[np.floating]) -> NDArray[np.uint8]:
+def _pyramid(image: NDArray[np.floating]) -> NDArray[np.uint32]:
     """All levels of (SIZE, SIZE, 2) one after the other, each the mean of 2 x 2 of the one before."""
     levels = [image]
     while len(levels[-1]) > 1:
         last = levels[-1]
         levels.append((last[::2, ::2] + last[1::2, ::2] + last[::2, 1::2] + last[1::2, 1::2]) / 4)
-    return np.concatenate([np.rint(level).astype(np.uint8).reshape(-1, 2) for level in levels])
+    flat = np.concatenate([np.rint(level).reshape(-1, 2) for level in levels]).astype(np.uint32)
+    return np.asarray(flat[:, 0] + flat[:, 1] * np.uint32(65536))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _bilinear(
-    texels: NDArray[np.uint8], start: NDArray[np.int64], layer: int | np.int64, level: int, u: float, v: float
-) -> tuple[float, float]:
-    """Both channels at (u, v) in tiles, on one level."""
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _log2(x: float) -> float:
+    """Of a positive number, linear between powers of two: at most 0.09 too small, which no blend of levels shows."""
+    bits = np.int64(np.float32(x).view(np.int32))
+    return (bits - 0x3F800000) / 8388608.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _bilinear(texels: NDArray[np.uint32], first: int, level: int, u: float, v: float) -> tuple[int, int]:
+    """Both channels times 65536 at (u, v) in tiles, on one level of the layer that starts at ``first``.
+
+    Both lie in one number and are mixed at once, by weights of 1/256.
+    """
     size = SIZE >> level
-    x, y = u * size - 0.5, v * size - 0.5
-    x0, y0 = int(np.floor(x)), int(np.floor(y))
-    fx, fy = x - x0, y - y0
-    x0, y0 = x0 & (size - 1), y0 & (size - 1)
-    x1, y1 = (x0 + 1) & (size - 1), (y0 + 1) & (size - 1)
-    base = start[level]
-    a, b = base + y0 * size, base + y1 * size
-    w00, w10, w01, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-    t = texels
-    return (
-        w00 * t[layer, a + x0, 0] + w10 * t[layer, a + x1, 0] + w01 * t[layer, b + x0, 0] + w11 * t[layer, b + x1, 0],
-        w00 * t[layer, a + x0, 1] + w10 * t[layer, a + x1, 1] + w01 * t[layer, b + x0, 1] + w11 * t[layer, b + x1, 1],
-    )
+    mask = size - 1
+    x, y = int(math.floor(256.0 * (u * size - 0.5))), int(math.floor(256.0 * (v * size - 0.5)))
+    fx, fy = x & 255, y & 255
+    i, j = (x >> 8) & mask, (y >> 8) & mask
+    # Levels before this one hold SIZE^2 + SIZE^2/4 + ... texels. Unsigned numbers index without a look at the sign.
+    base = first + 4 * ((SIZE * SIZE - size * size) // 3)
+    upper, lower = base + size * j, base + size * ((j + 1) & mask)
+    right = (i + 1) & mask
+    a = np.int64(texels[np.uint64(upper + i)]) * (256 - fx) + np.int64(texels[np.uint64(upper + right)]) * fx
+    b = np.int64(texels[np.uint64(lower + i)]) * (256 - fx) + np.int64(texels[np.uint64(lower + right)]) * fx
+    return (a & 0xFFFF) * (256 - fy) + (b & 0xFFFF) * fy, (a >> 16) * (256 - fy) + (b >> 16) * fy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def sample(
-    patterns: Patterns,
+    texels: NDArray[np.uint32],
+    per_tile: float,
     layer: int | np.int64,
     u: float,
     v: float,
@@ -203,9 +215,8 @@ def sample(
 
     Trilinear probes along the longer side of the footprint, as many as it is longer than the shorter one but at most
     ``most``, beyond which they blur (Heckbert, "Survey of texture mapping", 1986; the derivatives are Igehy's ray
-    differentials, 1999).
+    differentials, 1999). ``texels`` and ``per_tile`` are those of :class:`Patterns`.
     """
-    per_tile = 1.0 / patterns.tile_m[layer]
     u, v = u * per_tile, v * per_tile
     ax, ay, bx, by = dudx * per_tile, dvdx * per_tile, dudy * per_tile, dvdy * per_tile
     long2, short2 = ax * ax + ay * ay, bx * bx + by * by
@@ -213,19 +224,23 @@ def sample(
         ax, ay, bx, by = bx, by, ax, ay
         long2, short2 = short2, long2
     # The footprint is a parallelogram: across its long side it is as wide as its area says.
-    length = np.sqrt(long2)
+    length = math.sqrt(long2)
     width = abs(ax * by - ay * bx) / max(length, 1e-12)
-    probes = min(most, max(1, int(np.ceil(length / max(width, 1.0 / SIZE, 1e-9)))))
-    lod = max(0.0, np.log2(max(width, length / probes) * SIZE + 1e-9))
-    level = min(int(lod), LEVELS - 1)
-    blend = min(lod - level, 1.0)
+    probes = min(most, int(length / max(width, 1.0 / SIZE)) + 1)
+    spread = max(width, length / probes) * SIZE
+    level, blend = 0, 0.0
+    if spread > 1.0:
+        lod = min(_log2(spread), LEVELS - 1.0)
+        level = int(lod)
+        blend = lod - level
+    first = layer * LAYER
     second, bright = 0.0, 0.0
     for k in range(probes):
         at = (k + 0.5) / probes - 0.5
-        s, b = _bilinear(patterns.texels, patterns.start, layer, level, u + at * ax, v + at * ay)
-        if blend > 0.0 and level < LEVELS - 1:
-            s1, b1 = _bilinear(patterns.texels, patterns.start, layer, level + 1, u + at * ax, v + at * ay)
+        s, b = _bilinear(texels, first, level, u + at * ax, v + at * ay)
+        if blend > 0.0:
+            s1, b1 = _bilinear(texels, first, level + 1, u + at * ax, v + at * ay)
             s, b = s + blend * (s1 - s), b + blend * (b1 - b)
         second += s
         bright += b
-    return second / (255.0 * probes), bright / (UNIT_BRIGHTNESS * probes)
+    return second / (65536.0 * 255.0 * probes), bright / (65536.0 * UNIT_BRIGHTNESS * probes)
