@@ -29,6 +29,13 @@ class Evidence:
     weakest_direction: tuple[float, float, float]
     """of the reference node's axes"""
     weakest_sigma_deg: float
+    seen_ref: float = float("nan")
+    """share of the reference's structure that the query's beams reached or passed: how much there was to judge"""
+    seen_query: float = float("nan")
+    detail_ref: float = float("nan")
+    """of the reference's planes with the query's surface nearby, drawn evenly over directions, the share that lies in
+    a plane of the query: recesses, poles and corners count as much as long walls"""
+    detail_query: float = float("nan")
 
 
 @dataclass(frozen=True, eq=False)
