@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks import Nodes
-from relocbench.datasets.groundtruth.consensus import agreeing
+from relocbench.datasets.groundtruth.consensus import agree
 from relocbench.datasets.groundtruth.drives import Drives
 from relocbench.datasets.groundtruth.edges import Edges, Kind, components
 from relocbench.datasets.groundtruth.evidence import Registration
@@ -26,6 +26,7 @@ from relocbench.datasets.groundtruth.snooping import Tested
 from relocbench.geometry import invert, rotation_angle
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 _CONTROLLED = 1.0
 """redundancy, of six, with which others check a registration"""
@@ -42,7 +43,7 @@ class Solution:
     """all that took part, with the weights it had"""
     noise: OdometryNoise
     """of odometry, as the graph was solved with"""
-    trusted: NDArray[np.bool_]
+    trusted: Mask
     """(E,) registrations that took part and that others check"""
     verdicts: tuple[str, ...]
     """(E,) why a registration did not take part; empty if it did"""
@@ -124,12 +125,12 @@ def optimise(
     cross = registration_edges(drives, registrations)
     trusted = np.array([r.trusted for r in registrations], dtype=bool)
     believed = np.flatnonzero(trusted)
-    votes = agreeing(cross[believed], drives.T_odom_node, drives.travelled_m, drives.stretch, options.vote)
-    candidates = trusted.copy()
-    candidates[believed] = votes
+    runs = agree(cross[believed], drives, options.runs)
+    candidates, doubtful = trusted.copy(), np.zeros(len(cross), dtype=bool)
+    candidates[believed], doubtful[believed] = runs.won, runs.doubtful
     start = place(cross[candidates], drives.T_odom_node, drives.travelled_m, drives.stretch)
     found = select(drives, cross, candidates, start, odometry_noise or OdometryNoise(), options)
-    verdicts = _verdicts(registrations, cross, candidates, found)
+    verdicts = _verdicts(registrations, cross, candidates, doubtful, found)
     controlled = found.used & (found.tested.redundancy >= _CONTROLLED)
     return Solution(
         drives,
@@ -158,20 +159,24 @@ def registration_edges(drives: Drives, registrations: Sequence[Registration]) ->
 
 
 def _verdicts(
-    registrations: Sequence[Registration], cross: Edges, candidates: NDArray[np.bool_], found: Selected
+    registrations: Sequence[Registration], cross: Edges, candidates: Mask, doubtful: Mask, found: Selected
 ) -> tuple[str, ...]:
     """Why each registration took no part, with how far it is off."""
     T = found.T_world_node
-    offset = invert(cross.T_first_second) @ invert(T[cross.first]) @ T[cross.second]
+    offset = invert(cross.T_first_second) @ cross.apart(T)
     metres = np.linalg.norm(offset[:, :3, 3], axis=1)
     degrees = np.degrees(rotation_angle(offset[:, :3, :3]))
     out = []
     for e, registration in enumerate(registrations):
+        off = f"{metres[e]:.2f} m, {degrees[e]:.2f} deg off"
         if found.used[e]:
             out.append("")
         elif registration.reason:
             out.append(registration.reason)
+        elif doubtful[e]:
+            out.append("runs of registrations contradict each other and none is much longer")
+        elif candidates[e]:
+            out.append(f"contradicts both odometries and other registrations: {off}")
         else:
-            who = "both odometries and the rest" if candidates[e] else "most of those nearby"
-            out.append(f"contradicts {who}: {metres[e]:.2f} m, {degrees[e]:.2f} deg off")
+            out.append(f"contradicts a longer run of registrations: {off}")
     return tuple(out)

@@ -1,9 +1,9 @@
 """Which registrations to believe, and how noisy odometry is: solve, test each against the rest, again until it holds.
 
-Three filters of growing sharpness. The vote removes what is off by more than odometry could ever be; a robust kernel,
-starting from there, what is off by more than its own information allows; Baarda's test then takes the last wrong ones
-out, one at a time in each neighbourhood, since a wrong edge makes its right neighbours look bad, and lets back in what
-the finished solution agrees with. Along the way the noise of odometry is estimated.
+Filters of growing sharpness. Runs are told apart by odometry alone (:mod:`consensus`); a robust kernel, starting from
+there, finds what is off by more than its own information allows; Baarda's test then takes the last wrong ones out, one
+at a time in each neighbourhood, since a wrong edge makes its right neighbours look bad, and lets back in what the
+finished solution agrees with. Along the way the noise of odometry is estimated.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.consensus import VoteOptions
+from relocbench.datasets.groundtruth.consensus import RunOptions
 from relocbench.datasets.groundtruth.drives import Drives
 from relocbench.datasets.groundtruth.edges import Edges, Kind, components
 from relocbench.datasets.groundtruth.least_squares import Covariances, solve
@@ -32,7 +32,7 @@ _MEDIAN_CHI2 = 5.348
 class GraphOptions:
     """How registrations are judged."""
 
-    vote: VoteOptions = field(default_factory=VoteOptions)
+    runs: RunOptions = field(default_factory=RunOptions)
     kernel: float = 3.0
     """residual, in standard deviations, that counts a quarter in the robust solution"""
     significance: float = 1e-5
