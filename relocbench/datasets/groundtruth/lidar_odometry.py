@@ -23,7 +23,7 @@ _FEWEST_POINTS = 100
 _START_SCANS = 4
 """scans that tell how fast the drive begins"""
 _SLICES = 64
-"""points of a scan are moved in so many groups of nearly the same time: 1.5 ms, 2 cm at 50 km/h and then interpolated"""
+"""the motion during a scan is worked out at so many times, and points are interpolated between them"""
 
 
 def lidar_odometry(

@@ -54,10 +54,10 @@ class PlaneMap:
         prior = np.repeat([1 / _PRIOR_M**2, 1 / _PRIOR_RAD**2], 3)
         for reach in _REACH_M:
             placed = apply(pose, source)
-            distance, nearest = self._tree.query(placed, distance_upper_bound=reach, workers=1)
+            distance, nearest = map(np.asarray, self._tree.query(placed, distance_upper_bound=reach, workers=1))
             near = np.isfinite(distance)
-            normal = self._normals[nearest[near]]
-            residual = np.sum(normal * (placed[near] - self._points[nearest[near]]), axis=1)
+            normal, on_plane = self._normals[nearest[near]], self._points[nearest[near]]
+            residual = np.sum(normal * (placed[near] - on_plane), axis=1)
             jacobian = np.hstack([normal, np.cross(placed[near] - pose[:3, 3], normal)])
             weight = 1.0 / (_SIGMA_M**2 + residual**2)
             # einsum adds in one order, whatever the number of threads of a matrix product.

@@ -146,8 +146,11 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     return writer.finish()
 
 
-def read_folder(root: Path, name: str) -> GenericFolder:
+def read_folder(root: Path, name: str, need_poses: bool = True) -> GenericFolder:
     """Look through a generic folder; images are not opened.
+
+    Args:
+        need_poses: read ``poses.txt``, which a recording with lidar can do without.
 
     Raises:
         DatasetError: with file and line.
@@ -165,7 +168,7 @@ def read_folder(root: Path, name: str) -> GenericFolder:
         location=header.location,
         rate_hz=header.rate_hz,
         cameras={c: _read_camera_folder(root, "" if single else c, entry) for c, entry in cameras.items()},
-        T_world_rig=read_trajectory(root / POSE_FILE),
+        T_world_rig=read_trajectory(root / POSE_FILE) if need_poses else {},
     )
 
 
