@@ -2,8 +2,8 @@
 
 Points become surfels (:mod:`.surfels`), surfels are drawn with a z-buffer (:mod:`.rasteriser`). A pixel is left
 without depth where no surface was scanned, behind a gap that a surface closes on both sides (a window, a dark door),
-behind leaves and whatever else has no plane, behind surfaces seen from their back, and where the rim of one surface
-covers the middle of another, so that either may be seen.
+behind leaves and whatever else has no plane, behind surfaces seen from their back, behind space in the shadow
+of what was scanned (:mod:`.sightlines`), and where the rim of one surface covers the middle of another, so that either may be seen.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from relocbench.datasets.groundtruth.rasteriser import VEIL_STEP, Drawn, View, draw, draw_veil
+from relocbench.datasets.groundtruth.sightlines import SweptSpace, sight, sweep
 from relocbench.datasets.groundtruth.submaps import Submap
 from relocbench.datasets.groundtruth.surfels import SurfelOptions, Surfels, make_surfels
 from relocbench.errors import ConfigError
@@ -37,11 +38,11 @@ class DepthNoise:
 
     range_m: float = 0.012
     """of a single range; 12 mm is the data sheet's for a LMS-151"""
-    surface_m: float = 0.008
+    surface_m: float = 0.004
     """of the plane: thinning to one point a voxel, unevenness, the normal's error over the surfel's size"""
     along_per_m: float = 0.008
     """scale of the odometry"""
-    across_per_m: float = 0.002
+    across_per_m: float = 0.001
     """sideways and in height"""
 
     def __post_init__(self) -> None:
@@ -60,16 +61,33 @@ class DepthOptions:
     """surfels whose depths differ by no more standard deviations are one surface"""
     slack_m: float = 0.02
     """... and so many metres besides"""
-    least_centre: float = 0.25
+    least_centre: float = 0.4
     """where only the rim of the front surface is met and the middle of another one behind it, neither is certain"""
     veil_m: float = 0.25
     """what lies further than this, and 2 % of its depth, behind something that hides is not shown"""
+    cell_m: float = 0.3
+    """of the space that beams went through; 0: a camera may look through what stands in their shadow"""
+    shadow_m: float = 2.5
+    """length of the shadow of a point"""
+    through_m: float = 0.3
+    """a line of sight that runs so far through shadow ends there"""
+    start_m: float = 2.0
+    """so near to the camera nothing stands in the way: the car's own space"""
     least_pixels: int = 12
     """smaller patches of depth are left out"""
 
     def __post_init__(self) -> None:
         if self.max_depth_m <= 0 or self.sigmas <= 0 or self.slack_m < 0 or not 0 <= self.least_centre <= 1:
             raise ConfigError("depth needs a positive max_depth_m and sigmas, slack_m >= 0 and least_centre in [0, 1]")
+
+
+@dataclass(frozen=True, eq=False)
+class Scenery:
+    """A submap made ready for any number of images."""
+
+    surfels: Surfels
+    space: SweptSpace | None
+    """None: not looked at"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,19 +118,30 @@ def submap_depth(
         ConfigError: the camera is not a pinhole camera.
     """
     options = options or DepthOptions()
-    return surfel_depth(make_surfels(submap, options.surfels), camera, T_cam_node, options)
+    return scenery_depth(make_scenery(submap, options), camera, T_cam_node, options)
 
 
-def surfel_depth(
-    surfels: Surfels, camera: Camera, T_cam_node: Array, options: DepthOptions | None = None
+def make_scenery(submap: Submap, options: DepthOptions | None = None) -> Scenery:
+    """What does not depend on the camera."""
+    options = options or DepthOptions()
+    space = sweep(submap, options.cell_m, options.max_depth_m, options.shadow_m) if options.cell_m > 0 else None
+    return Scenery(make_surfels(submap, options.surfels), space)
+
+
+def scenery_depth(
+    scenery: Scenery, camera: Camera, T_cam_node: Array, options: DepthOptions | None = None
 ) -> DepthImage:
-    """As :func:`submap_depth`, for several images of one submap."""
+    """As :func:`submap_depth`, for several images of one submap; with the same options."""
     if camera.model != "pinhole":
         raise ConfigError(f"depth is drawn into a pinhole camera, got '{camera.model}'")
     options = options or DepthOptions()
-    view = _seen_by(surfels, camera, np.asarray(T_cam_node, dtype=np.float64), options)
+    view = _seen_by(scenery.surfels, camera, np.asarray(T_cam_node, dtype=np.float64), options)
     drawn = draw(view, camera, options.max_depth_m, options.sigmas, options.slack_m)
-    kept = (drawn.depth > 0) & ~_veiled(drawn, draw_veil(view, camera, options.max_depth_m), options)
+    veil = draw_veil(view, camera, options.max_depth_m)
+    if scenery.space is not None:
+        limits = options.max_depth_m, options.start_m, options.through_m
+        veil = np.minimum(veil, sight(scenery.space, camera, T_cam_node, VEIL_STEP, *limits))
+    kept = (drawn.depth > 0) & ~_veiled(drawn, veil, options)
     kept &= ~((drawn.centre < options.least_centre) & (drawn.behind > drawn.centre))
     kept = _without_specks(kept, drawn.depth, options.least_pixels)
     zero = np.float32(0)

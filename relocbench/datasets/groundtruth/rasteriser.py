@@ -24,6 +24,8 @@ _NEAR_M = 0.3
 _GRAZING = 0.03
 """of a surfel's normal with a pixel's ray: flatter, its depth means nothing"""
 _DIAGONAL = np.sqrt(0.5)
+_THICK = 2.0
+"""a surfel is so many standard deviations of its own noise thick, to both sides: flat rays meet it nonetheless"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +72,9 @@ def draw(view: View, camera: Camera, max_depth: float, sigmas: float, slack_m: f
     front = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
     spread = np.zeros_like(front)
     surfels = (view.points, view.normals, view.axes, view.reach)
-    noise = np.hypot(view.sigma, view.drift).astype(np.float32)
-    _front(*surfels, noise, lens, max_depth, front, spread)
-    return Drawn(*_mean(*surfels, view.sigma, view.drift, lens, max_depth, front, spread, sigmas, slack_m))
+    noise = (view.sigma, view.drift)
+    _front(*surfels, *noise, lens, max_depth, front, spread)
+    return Drawn(*_mean(*surfels, *noise, lens, max_depth, front, spread, sigmas, slack_m))
 
 
 def draw_veil(view: View, camera: Camera, max_depth: float) -> Floats:
@@ -84,8 +86,8 @@ def draw_veil(view: View, camera: Camera, max_depth: float) -> Floats:
     middle = (VEIL_STEP - 1) / 2
     lens = np.array([camera.fx, camera.fy, camera.cx - middle, camera.cy - middle]) / VEIL_STEP
     veil = np.full(shape, np.inf, dtype=np.float32)
-    noise = np.zeros(len(view.points), np.float32)
-    _front(view.points, view.normals, view.axes, view.veil, noise, lens, max_depth, veil, np.zeros_like(veil))
+    exact = np.zeros(len(view.points), np.float32)
+    _front(view.points, view.normals, view.axes, view.veil, exact, exact, lens, max_depth, veil, np.zeros_like(veil))
     return veil
 
 
@@ -123,7 +125,23 @@ def _rim(a, b, reach):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
-def _frame(i, points, normals, axes, reach, max_depth):  # type: ignore[no-untyped-def]
+def _met(px, py, pz, dx, dy, slope, nx, ny, nz, ax, ay, az, bx, by, bz, thick, reach):  # type: ignore[no-untyped-def]
+    """As :func:`_rim`, at the point of the ray (dx, dy, 1) within the surfel's thickness that is nearest to its middle.
+
+    (px, py, pz) is where the ray meets the plane, seen from the middle.
+    """
+    # The ray's direction along the plane.
+    tx, ty, tz = dx - slope * nx, dy - slope * ny, 1 - slope * nz
+    square = tx * tx + ty * ty + tz * tz
+    most = thick / abs(slope)
+    shift = -(px * tx + py * ty + pz * tz) / max(square, np.float32(1e-6))
+    shift = min(max(shift, -most), most)
+    px, py, pz = px + shift * tx, py + shift * ty, pz + shift * tz
+    return _rim(px * ax + py * ay + pz * az, px * bx + py * by + pz * bz, reach)
+
+
+@njit(cache=True, inline="always")
+def _frame(i, points, normals, axes, reach, thick, max_depth):  # type: ignore[no-untyped-def]
     """Whether surfel i is drawn at all; its normal, its two axes and the half size of its box."""
     z = points[i, 2]
     largest = np.float32(0.0)
@@ -136,18 +154,19 @@ def _frame(i, points, normals, axes, reach, max_depth):  # type: ignore[no-untyp
         ax, ay, az = np.float32(1.0), np.float32(0.0), np.float32(0.0)
     bx, by, bz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
     drawn = largest > 0 and z - largest < max_depth and z > _NEAR_M
-    ex = largest * np.sqrt(max(np.float32(0), 1 - nx * nx))
-    ey = largest * np.sqrt(max(np.float32(0), 1 - ny * ny))
-    ez = largest * np.sqrt(max(np.float32(0), 1 - nz * nz))
+    ex = largest * np.sqrt(max(np.float32(0), 1 - nx * nx)) + thick * abs(nx)
+    ey = largest * np.sqrt(max(np.float32(0), 1 - ny * ny)) + thick * abs(ny)
+    ez = largest * np.sqrt(max(np.float32(0), 1 - nz * nz)) + thick * abs(nz)
     return drawn, nx, ny, nz, ax, ay, az, bx, by, bz, ex, ey, ez
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _front(points, normals, axes, reach, noise, lens, max_depth, front, spread):  # type: ignore[no-untyped-def]
+def _front(points, normals, axes, reach, sigma, drift, lens, max_depth, front, spread):  # type: ignore[no-untyped-def]
     """The smallest depth of each pixel, and the standard deviation of that surfel's depth there."""
     height, width = front.shape
     for i in range(len(points)):
-        drawn, nx, ny, nz, ax, ay, az, bx, by, bz, ex, ey, ez = _frame(i, points, normals, axes, reach, max_depth)
+        thick = np.float32(_THICK) * sigma[i]
+        drawn, nx, ny, nz, ax, ay, az, bx, by, bz, ex, ey, ez = _frame(i, points, normals, axes, reach, thick, max_depth)
         if not drawn:
             continue
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -164,9 +183,10 @@ def _front(points, normals, axes, reach, noise, lens, max_depth, front, spread):
                 if depth >= front[v, u] or depth < _NEAR_M or depth > max_depth:
                     continue
                 px, py, pz = depth * dx - x, depth * dy - y, depth - z
-                if _rim(px * ax + py * ay + pz * az, px * bx + py * by + pz * bz, reach[i]) < 1:
+                inside = _met(px, py, pz, dx, dy, slope, nx, ny, nz, ax, ay, az, bx, by, bz, thick, reach[i])
+                if inside < 1:
                     front[v, u] = depth
-                    spread[v, u] = noise[i] / abs(slope)
+                    spread[v, u] = np.sqrt(sigma[i] * sigma[i] + drift[i] * drift[i]) / abs(slope)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -182,7 +202,8 @@ def _mean(  # type: ignore[no-untyped-def]
     centre = np.zeros((height, width), np.float32)
     behind = np.zeros((height, width), np.float32)
     for i in range(len(points)):
-        drawn, nx, ny, nz, ax, ay, az, bx, by, bz, ex, ey, ez = _frame(i, points, normals, axes, reach, max_depth)
+        thick = np.float32(_THICK) * sigma[i]
+        drawn, nx, ny, nz, ax, ay, az, bx, by, bz, ex, ey, ez = _frame(i, points, normals, axes, reach, thick, max_depth)
         if not drawn:
             continue
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -200,7 +221,7 @@ def _mean(  # type: ignore[no-untyped-def]
                 if depth < _NEAR_M or depth > max_depth:
                     continue
                 px, py, pz = depth * dx - x, depth * dy - y, depth - z
-                near = 1 - _rim(px * ax + py * ay + pz * az, px * bx + py * by + pz * bz, reach[i])
+                near = 1 - _met(px, py, pz, dx, dy, slope, nx, ny, nz, ax, ay, az, bx, by, bz, thick, reach[i])
                 if near <= 0:
                     continue
                 variance = own / (slope * slope)

@@ -44,6 +44,8 @@ class SurfelOptions:
     """how far a neighbour may stand off a surfel's plane"""
     cosine: float = 0.7
     """of the largest angle between the normals of neighbours"""
+    adopt_m: float = 0.03
+    """a point without a plane takes that of the nearest surfel whose plane it lies in, to so much; 0: it stays without"""
     rough_m: float = 0.12
     """radius within which a point without a plane hides what lies behind it"""
     steady: float = 0.5
@@ -82,6 +84,10 @@ def make_surfels(submap: Submap, options: SurfelOptions | None = None) -> Surfel
     points = np.ascontiguousarray(submap.points[kept], dtype=np.float32)
     normals = np.ascontiguousarray(submap.normals[kept], dtype=np.float32)
     length = np.linalg.norm(normals, axis=1)
+    normals[length <= 0.5] = 0
+    if (length > 0.5).any() and options.adopt_m > 0:
+        normals = _adopted(points, normals, *_grid(points, options.gap_m), options.gap_m, options.adopt_m)
+        length = np.linalg.norm(normals, axis=1)
     plane = length > 0.5
     normals = np.where(plane[:, None], normals / np.maximum(length, 1e-6)[:, None], 0).astype(np.float32)
     axes = _tangents(normals)
@@ -156,7 +162,7 @@ def _grid(
     return low, float(cell_m), shape, starts, rows
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sorted_by_cell(points, low, inverse, shape, first):  # type: ignore[no-untyped-def]
     count = len(points)
     cell = np.empty(count, np.int64)
@@ -177,7 +183,37 @@ def _sorted_by_cell(points, low, inverse, shape, first):  # type: ignore[no-unty
     return starts, rows
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _adopted(points, normals, low, cell_m, shape, starts, rows, gap_m, adopt_m):  # type: ignore[no-untyped-def]
+    """(N, 3) normals, those missing taken from the nearest point whose plane goes through."""
+    out = normals.copy()
+    inverse = np.float32(1.0 / cell_m)
+    for i in range(len(points)):
+        if normals[i, 0] != 0 or normals[i, 1] != 0 or normals[i, 2] != 0:
+            continue
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        cx = min(np.int64((px - low[0]) * inverse), shape[0] - 1)
+        cy = min(np.int64((py - low[1]) * inverse), shape[1] - 1)
+        cz = min(np.int64((pz - low[2]) * inverse), shape[2] - 1)
+        best, nearest = -1, np.float32(gap_m * gap_m)
+        for x in range(max(cx - 1, 0), min(cx + 2, shape[0])):
+            for y in range(max(cy - 1, 0), min(cy + 2, shape[1])):
+                row = (x * shape[1] + y) * shape[2]
+                for m in range(starts[row + max(cz - 1, 0)], starts[row + min(cz + 2, shape[2])]):
+                    j = rows[m]
+                    nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
+                    if nx == 0 and ny == 0 and nz == 0:
+                        continue
+                    dx, dy, dz = points[j, 0] - px, points[j, 1] - py, points[j, 2] - pz
+                    square = dx * dx + dy * dy + dz * dz
+                    if square < nearest and abs(dx * nx + dy * ny + dz * nz) <= adopt_m:
+                        best, nearest = j, square
+        if best >= 0:
+            out[i] = normals[best]
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _ways(  # type: ignore[no-untyped-def]
     points, normals, axes, asked, low, cell_m, shape, starts, rows, gap_m, offset_m, rise, cosine
 ):
