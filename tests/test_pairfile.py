@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from relocbench.datasets.faults import Findings, read_pair_table
 from relocbench.datasets.pairfile import (
+    AXIS_COLUMNS,
     TABLE_COLUMNS,
     Pair,
     PoseLine,
@@ -123,6 +125,23 @@ def test_a_table_keeps_what_nine_columns_cannot_and_rejected_pairs_stay_out_of_t
     assert back[0].distance_m == pytest.approx(np.sqrt(5.25))
     assert back[0].angle_deg == pytest.approx(90.0)
     assert back[2].distance_m is None
+
+
+def test_sigmas_by_axis_are_kept_where_they_are_known(tmp_path: Path) -> None:
+    known = replace(PAIRS[0], sigma_along_m=0.03, sigma_across_m=0.01, sigma_height_m=0.012)
+    pair_file, table = write(tmp_path, [known, *PAIRS[1:]])
+    assert table.read_text().splitlines()[0] == ",".join(TABLE_COLUMNS + AXIS_COLUMNS)
+    back = read_pairs(pair_file, table)
+    assert back[0].axis_sigmas == (0.03, 0.01, 0.012)
+    assert back[1].axis_sigmas == (None, None, None)
+    found = Findings()
+    assert len(read_pair_table(table, found)) == 3
+    assert not found.faults
+    table.write_text(table.read_text().replace("0.012", "high"))
+    with pytest.raises(DatasetError, match=r"pairs\.csv:2: sigma_height_m is 'high'"):
+        read_pairs(pair_file, table)
+    read_pair_table(table, found)
+    assert len(found.faults) == 1
 
 
 def test_a_pair_file_from_elsewhere_needs_no_table(tmp_path: Path) -> None:

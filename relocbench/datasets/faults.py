@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from relocbench.datasets.dataset import POSE_COLUMNS
-from relocbench.datasets.pairfile import TABLE_COLUMNS, PairKey, PoseLine, parse_pose
+from relocbench.datasets.pairfile import AXIS_COLUMNS, TABLE_COLUMNS, PairKey, PoseLine, parse_pose, table_columns
 from relocbench.errors import DatasetError, RelocbenchError
 from relocbench.files import (
     first_fault,
@@ -30,6 +30,7 @@ from relocbench.geometry import Camera
 Array = NDArray[np.float64]
 Model = TypeVar("Model", bound=BaseModel)
 
+_PAIR_NUMBERS = ("distance_m", "angle_deg", "overlap", "sigma_translation_m", "sigma_rotation_deg")
 _POSE_FILE = "a relocalization file (ref_ts query_ts [tx ty tz qx qy qz qw])"
 _POINT_COLUMNS = ("u", "v", "inverse_depth", "sigma")
 
@@ -165,16 +166,15 @@ def _read_pair_line(
 def read_pair_table(path: Path, found: Findings) -> dict[PairKey, TableRow]:
     """The table of a pair set: the rows whose pair can be read, the first of each pair."""
     rows: dict[PairKey, TableRow] = {}
-    for number, row in _table(path, TABLE_COLUMNS, "the table of a pair set", found):
+    for number, values, fault in _pair_table(path, found):
         with found.catching():
-            if len(row) != len(TABLE_COLUMNS):
-                raise DatasetError(f"expected {len(TABLE_COLUMNS)} columns, found {len(row)}", path, number)
-            values = dict(zip(TABLE_COLUMNS, row, strict=True))
+            if fault:
+                raise DatasetError(fault, path, number)
             ref, query = (parse_timestamp(values[c], path, number, DatasetError) for c in TABLE_COLUMNS[:2])
             if (ref, query) in rows:
                 raise DatasetError(f"pair {ref} {query} occurs again", path, number)
             numbers: dict[str, float | None] = {}
-            for name in ("distance_m", "angle_deg", "overlap", "sigma_translation_m", "sigma_rotation_deg"):
+            for name in [*_PAIR_NUMBERS, *(c for c in AXIS_COLUMNS if c in values)]:
                 numbers[name] = None
                 with found.catching():
                     numbers[name] = (
@@ -191,6 +191,16 @@ def read_pair_table(path: Path, found: Findings) -> dict[PairKey, TableRow]:
                 number,
             )
     return rows
+
+
+def _pair_table(path: Path, found: Findings) -> Iterator[tuple[int, dict[str, str], str]]:
+    """Line number, fields by column and what is wrong with their number of the rows after the header."""
+    with found.catching():
+        rows = csv.reader(read_text(path, "the table of a pair set", DatasetError).splitlines())
+        columns = table_columns(next(rows, []), path)
+        for number, row in enumerate(rows, start=2):
+            fault = "" if len(row) == len(columns) else f"expected {len(columns)} columns, found {len(row)}"
+            yield number, dict(zip(columns, row, strict=False)), fault
 
 
 def check_points(path: Path, camera: Camera | None, found: Findings) -> int:

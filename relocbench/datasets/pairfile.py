@@ -40,6 +40,8 @@ TABLE_COLUMNS = (
     "accepted",
     "reason",
 )
+AXIS_COLUMNS = ("sigma_along_m", "sigma_across_m", "sigma_height_m")
+"""follow where they are known of any pair"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +80,16 @@ class Pair:
     accepted: bool = True
     reason: str = ""
     """why it was rejected"""
+    sigma_along_m: float | None = None
+    """one standard deviation of the true camera centre along the way driven"""
+    sigma_across_m: float | None = None
+    """to the side"""
+    sigma_height_m: float | None = None
+
+    @property
+    def axis_sigmas(self) -> tuple[float | None, float | None, float | None]:
+        """In the order of :data:`AXIS_COLUMNS`."""
+        return self.sigma_along_m, self.sigma_across_m, self.sigma_height_m
 
     @property
     def key(self) -> PairKey:
@@ -178,9 +190,10 @@ def pose_line_fields(line: PoseLine) -> list[str]:
 
 def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> None:
     """Write accepted pairs to the nine-column file and all pairs, with the rest of what is known, to the table."""
+    by_axis = any(s is not None for p in pairs for s in p.axis_sigmas)
     with atomic_write(pair_table) as stream:
         table = csv.writer(stream, lineterminator="\n")
-        table.writerow(TABLE_COLUMNS)
+        table.writerow(TABLE_COLUMNS + AXIS_COLUMNS if by_axis else TABLE_COLUMNS)
         for p, (distance_m, angle_deg) in zip(pairs, distances_and_angles(pairs), strict=True):
             table.writerow(
                 [
@@ -195,6 +208,7 @@ def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> Non
                     p.source,
                     "true" if p.accepted else "false",
                     p.reason,
+                    *([_number(s) for s in p.axis_sigmas] if by_axis else []),
                 ]
             )
     accepted = [p for p in pairs if p.accepted]
@@ -213,15 +227,13 @@ def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
     if not pair_table.exists():
         return [Pair(*key, line.T_query_ref) for key, line in lines.items()]
     rows = csv.reader(read_text(pair_table, "the table of a pair set", DatasetError).splitlines())
-    header = next(rows, [])
-    if tuple(header) != TABLE_COLUMNS:
-        raise DatasetError(f"expected the columns {','.join(TABLE_COLUMNS)}", pair_table, 1)
+    columns = table_columns(next(rows, []), pair_table)
     pairs: list[Pair] = []
     seen: set[PairKey] = set()
     for number, row in enumerate(rows, start=2):
-        if len(row) != len(TABLE_COLUMNS):
-            raise DatasetError(f"expected {len(TABLE_COLUMNS)} columns, found {len(row)}", pair_table, number)
-        field = dict(zip(TABLE_COLUMNS, row, strict=True))
+        if len(row) != len(columns):
+            raise DatasetError(f"expected {len(columns)} columns, found {len(row)}", pair_table, number)
+        field = dict.fromkeys(AXIS_COLUMNS, "") | dict(zip(columns, row, strict=True))
         key = (
             parse_timestamp(field["ref_timestamp_ns"], pair_table, number, DatasetError),
             parse_timestamp(field["query_timestamp_ns"], pair_table, number, DatasetError),
@@ -246,12 +258,22 @@ def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
                 source=field["source"],
                 accepted=accepted,
                 reason=field["reason"],
+                **{name: _optional(field[name], name, pair_table, number) for name in AXIS_COLUMNS},
             )
         )
     for key in lines:
         if key not in seen:
             raise DatasetError(f"pair {key[0]} {key[1]} is missing from {pair_table.name}", pair_file)
     return pairs
+
+
+def table_columns(header: Sequence[str], pair_table: Path) -> tuple[str, ...]:
+    """The columns of a table by its first line. Raises DatasetError if they are neither of the two known sets."""
+    for columns in (TABLE_COLUMNS, TABLE_COLUMNS + AXIS_COLUMNS):
+        if tuple(header) == columns:
+            return columns
+    wanted = f"expected the columns {','.join(TABLE_COLUMNS)}[,{','.join(AXIS_COLUMNS)}]"
+    raise DatasetError(wanted, pair_table, 1)
 
 
 def _any_non_finite(fields: list[str]) -> bool:

@@ -3,8 +3,8 @@
 Two registrations and the odometry of both drives between them form a cycle. Registrations whose short cycles close form
 a run. Wrong ones stand alone, or form runs of their own where a facade repeats itself; at its ends such a run
 contradicts its neighbours, however well it agrees with itself. The longest runs that do not contradict each other win,
-if by far; else nobody can tell, and none of them is believed. After Mangelsen et al., Pairwise consistent measurement set
-maximization (2018), with runs in place of single measurements: one drive has thousands.
+if by far; else nobody can tell, and none of them is believed. After Mangelsen et al., Pairwise consistent measurement
+set maximization (2018), with runs in place of single measurements: one drive has thousands.
 """
 
 from __future__ import annotations
@@ -68,12 +68,14 @@ def agree(edges: Edges, drives: Drives, options: RunOptions) -> Runs:
     a, b = _near(edges, drives, options)
     closed = _closes(edges, drives, a, b, options)
     joined = closed & _supported(len(edges), a, b, closed)
-    run = components(len(edges), a[joined], b[joined])
+    run = _merged(components(len(edges), a[joined], b[joined]), a, b, closed)
     lengths = {int(r): len(np.unique(edges.second[run == r])) for r in np.unique(run)}
-    against = _contradictions(run, a, b, closed)
+    against: dict[int, set[int]] = {r: set() for r in lengths}
+    for x, y, _ in _meetings(run, a, b, closed):  # what agreed for the larger part has been joined
+        against[x].add(y)
     won: set[int] = set()
     for r in sorted(lengths, key=lambda r: (-lengths[r], r)):
-        if not against.get(r, set()) & won:
+        if not against[r] & won:
             won.add(r)
     doubtful: set[int] = set()
     for r in lengths.keys() - won:
@@ -128,11 +130,22 @@ def _supported(count: int, a: Indices, b: Indices, closed: Mask) -> Mask:
     return np.asarray(support[a, b] >= 0.5 * common[a, b]).reshape(-1)
 
 
-def _contradictions(run: Indices, a: Indices, b: Indices, closed: Mask) -> dict[int, set[int]]:
-    """For each run those that it meets without a cycle that closes."""
-    out: dict[int, set[int]] = {}
-    for x, y in np.unique(np.stack([run[a[~closed]], run[b[~closed]]], axis=1), axis=0).tolist():
-        if x != y:
-            out.setdefault(x, set()).add(y)
-            out.setdefault(y, set()).add(x)
-    return out
+def _merged(run: Indices, a: Indices, b: Indices, closed: Mask) -> Indices:
+    """Runs joined to those with which they agree for the larger part, until none is left."""
+    while True:
+        meet = [(x, y) for x, y, share in _meetings(run, a, b, closed) if share >= 0.5]
+        if not meet:
+            return run
+        x, y = np.array(meet, dtype=np.int64).T
+        run = components(len(run), x, y)[run]
+
+
+def _meetings(run: Indices, a: Indices, b: Indices, closed: Mask) -> list[tuple[int, int, float]]:
+    """Two runs, in both orders, and the share of the cycles between them that close."""
+    apart = run[a] != run[b]
+    if not apart.any():
+        return []
+    ends = np.stack([run[a[apart]], run[b[apart]]], axis=1)
+    ends, which = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0, return_inverse=True)
+    share = np.bincount(which.ravel(), np.tile(closed[apart], 2)) / np.bincount(which.ravel())
+    return [(int(x), int(y), float(s)) for (x, y), s in zip(ends, share, strict=True)]
