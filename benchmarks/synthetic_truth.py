@@ -19,6 +19,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _TILE_PX = 16
-_NEAR_M = 1e-3
 _SAME_POINT = 1e-6
 """of the distance: two points so near are one, in double precision"""
 _SILHOUETTE_PX = 0.01
@@ -76,10 +76,10 @@ def _nearest(corners: Array, rays: Array, first: NDArray[np.int64], columns: int
             va, vb, vc = a[1] / a[2], b[1] / b[2], c[1] / c[2]
             u0, u1 = lens[0] * min(ua, ub, uc) + lens[2] - 0.1, lens[0] * max(ua, ub, uc) + lens[2] + 0.1
             v0, v1 = lens[1] * min(va, vb, vc) + lens[3] - 0.1, lens[1] * max(va, vb, vc) + lens[3] + 0.1
-            if u1 < -1.0 or v1 < -1.0 or u0 > 16.0 * columns or v0 > 16.0 * rows:
+            if u1 < -1.0 or v1 < -1.0 or u0 > _TILE_PX * columns or v0 > _TILE_PX * rows:
                 continue
-            left, right = max(0, int(u0 // 16)), min(columns - 1, int(u1 // 16))
-            top, bottom = max(0, int(v0 // 16)), min(rows - 1, int(v1 // 16))
+            left, right = max(0, int(u0 // _TILE_PX)), min(columns - 1, int(u1 // _TILE_PX))
+            top, bottom = max(0, int(v0 // _TILE_PX)), min(rows - 1, int(v1 // _TILE_PX))
         e1x, e1y, e1z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
         e2x, e2y, e2z = c[0] - a[0], c[1] - a[1], c[2] - a[2]
         qx = -a[1] * e1z + a[2] * e1y  # s x e1, s = -a
@@ -111,8 +111,16 @@ class Eye:
     T_world_cam: Array
     mesh: Mesh
 
+    @cached_property
+    def _corners(self) -> Array:
+        """(T, 3, 3) in the camera's frame, of all triangles."""
+        inside = (self.mesh.vertices.astype(np.float64) - self.T_world_cam[:3, 3]) @ self.T_world_cam[:3, :3]
+        return np.asarray(inside[self.mesh.triangles])
+
     def cast(self, pixels: Array) -> tuple[Array, NDArray[np.int64]]:
         """Depth along z (N,) of pixels (N, 2), inf where nothing is hit, and the triangle (N,), -1 there."""
+        if len(pixels) == 0:
+            return np.empty(0), np.empty(0, dtype=np.int64)
         c = self.camera
         columns, rows = c.width // _TILE_PX + 1, c.height // _TILE_PX + 1
         column = np.clip(pixels[:, 0] // _TILE_PX, 0, columns - 1).astype(np.int64)
@@ -120,9 +128,8 @@ class Eye:
         order = np.argsort(tile, kind="stable")
         first = np.searchsorted(tile[order], np.arange(columns * rows + 1))
         rays = np.column_stack([(pixels[order, 0] - c.cx) / c.fx, (pixels[order, 1] - c.cy) / c.fy])
-        inside = (self.mesh.vertices.astype(np.float64) - self.T_world_cam[:3, 3]) @ self.T_world_cam[:3, :3]
         lens = np.array([c.fx, c.fy, c.cx, c.cy])
-        found, triangle = _nearest(inside[self.mesh.triangles], rays, first, columns, rows, lens)
+        found, triangle = _nearest(self._corners, rays, first, columns, rows, lens)
         depth, which = np.empty(len(pixels)), np.empty(len(pixels), dtype=np.int64)
         depth[order], which[order] = found, triangle
         return depth, which

@@ -1,0 +1,105 @@
+"""The town's truth against rays of its own, and how much conditions change it; the full size is in benchmarks/."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.importers import Run, synthetic
+from relocbench.datasets.synthetic.mesh import Mesh
+from relocbench.geometry import Camera
+from relocbench.progress import Silent
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from realistic_change import Frames, patch_correlations
+from synthetic_truth import Eye, Scenes, Tally, check, check_depth, report
+
+CAMERA = Camera("pinhole", 40, 32, 30.0, 30.0, 19.5, 15.5)
+
+
+def build(out: Path, **options: object) -> Dataset:
+    asked = {"preset": "smoke", "steps": 3, "extras": (), **options}
+    return synthetic.build([], synthetic.Options.model_validate(asked), out, Silent(), Run(1))
+
+
+@pytest.fixture(scope="module")
+def busy(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Two conditions with other parked cars, and with cars that move."""
+    return build(tmp_path_factory.mktemp("truth") / "out", traffic=3.0, correspondences=2000, heading=8.0)
+
+
+def triangles(corners: np.ndarray) -> Mesh:
+    """A mesh of triangles (T, 3, 3), each with vertices of its own."""
+    count = len(corners)
+    return Mesh(
+        corners.reshape(-1, 3).astype(np.float32),
+        np.arange(3 * count, dtype=np.uint32).reshape(-1, 3),
+        np.zeros((count, 3, 2), np.float32),
+        *(np.zeros(count, kind) for kind in (np.uint8, np.uint8, np.uint32, np.uint32, np.float32)),
+    )
+
+
+def test_the_independent_rays_hit_what_a_plane_equation_says() -> None:
+    """Triangles all around the camera, also across its own plane, against solving each for plane and edges."""
+    rng = np.random.default_rng(0)
+    corners = rng.uniform(-6, 6, (60, 1, 3)) + rng.uniform(-4, 4, (60, 3, 3))
+    eye = Eye(CAMERA, np.eye(4), triangles(corners))
+    pixels = rng.uniform([0, 0], [39, 31], (300, 2))
+    depth, which = eye.cast(pixels)
+    rays, _ = CAMERA.unproject(pixels)
+    expected = np.full(len(rays), np.inf)
+    for a, b, c in corners.astype(np.float32).astype(np.float64):
+        for n, ray in enumerate(rays):
+            # t ray = (1 - beta - gamma) a + beta b + gamma c
+            t, beta, gamma = np.linalg.solve(np.column_stack([ray, a - b, a - c]), a)
+            if t > 1e-3 and min(beta, gamma, 1 - beta - gamma) >= 0:
+                expected[n] = min(expected[n], t)
+    assert 100 < np.isfinite(expected).sum() < 300
+    np.testing.assert_allclose(depth, expected, rtol=1e-9)
+    assert np.array_equal(which >= 0, np.isfinite(depth))
+
+
+def test_truth_is_exact_among_parked_and_moving_cars(busy: Dataset) -> None:
+    found = report(check(busy, pairs_a_set=2, depth_pixels=2000, seed=0))
+    assert found["depth_in_256ths_m"]["rays"] >= 8000
+    assert found["depth_in_256ths_m"]["outside_elsewhere"] == 0
+    assert found["depth_in_256ths_m"]["within_percent"] > 99.9
+    assert found["depth_in_256ths_m"]["max_without_silhouettes"] < 0.51
+    for way in ("forward_px", "backward_px"):
+        assert found[way]["rays"] > 4000
+        assert found[way]["within_percent"] > 99.9
+        assert found[way]["outside_elsewhere"] == 0
+    assert found["occlusion"]["hidden"] > 100
+    assert found["occlusion"]["agree_percent"] > 99.9
+    assert found["reference_pixels_on_moving_cars"] == 0
+
+
+def test_the_check_finds_depth_that_is_off_by_a_centimetre(busy: Dataset) -> None:
+    traversal = busy.traversal(busy.traversal_names[0])
+    time_ns = traversal.timestamps("front")[0]
+    depth = traversal.depth("front", time_ns)
+    assert depth is not None
+    eye = Scenes(busy).eye(traversal.name, "front", time_ns)
+    tally = Tally()
+    check_depth(tally, eye, depth + np.float32(0.01) * (depth > 0), 1000, np.random.default_rng(0))
+    assert np.mean(tally.depth_units[0] > 1.0) == pytest.approx(np.mean(depth > 0), abs=0.06)
+
+
+def test_patches_stay_alike_within_a_condition_and_not_across(tmp_path: Path) -> None:
+    """Frames about half a metre apart; the exact warp takes motion out, so that only looks differ."""
+    options = {"conditions": ("Sunny", "Snow"), "size": "160x120", "speed": 5.0, "lateral": 0.1, "correspondences": 0}
+    town = build(tmp_path / "out", **options)
+    sunny, snow = (Frames(town.traversal(f"test-{name}-0")) for name in ("Sunny", "Snow"))
+    itself = patch_correlations(sunny, 1, sunny, 1)
+    assert len(itself) > 50
+    np.testing.assert_allclose(itself, 1.0, atol=1e-3)
+    moved = sunny.apart(sunny.T_world_cam[1])
+    assert moved != 1
+    within = np.median(patch_correlations(sunny, 1, sunny, moved))
+    across = np.median(patch_correlations(sunny, 1, snow, snow.apart(sunny.T_world_cam[1])))
+    assert within > 0.9
+    assert across < within - 0.1
