@@ -130,8 +130,8 @@ class FreeSpace:
         """Origins and ends (B, 3) of beams, evenly spread over where they ended."""
         points = self.submap.points.astype(np.float64)
         keep = thinned(points, 0.25)
-        step = max(len(keep) / self.options.beams, 1.0)
-        keep = keep[np.arange(0, len(keep), step).astype(np.int64)]
+        if len(keep) > self.options.beams:
+            keep = keep[np.arange(self.options.beams) * len(keep) // self.options.beams]
         return self.submap.origins[keep].astype(np.float64), points[keep]
 
     def judge(self, beams: tuple[Array, Array], T_this_other: Array) -> Judged:

@@ -124,27 +124,27 @@ class PlaneMap:
         weights = by_surface[submap.surface] * submap.steady
         flat = np.einsum("ni,ni->n", submap.normals, submap.normals) > 0.5
         used = flat & (submap.steady >= self.options.steady) & (weights > 0)
-        self._points = submap.points[used].astype(np.float64)
-        self._normals = submap.normals[used].astype(np.float64)
+        self.points = submap.points[used].astype(np.float64)
+        self.normals = submap.normals[used].astype(np.float64)
         self._weights = weights[used].astype(np.float64)
         self._away = np.linalg.norm(submap.origins[used].astype(np.float64), axis=1)
         self._levels: dict[int, Planes] = {}
         self._samples: dict[int, Sample] = {}
 
     def __len__(self) -> int:
-        return len(self._points)
+        return len(self.points)
 
     @cached_property
     def _bins(self) -> Indices:
-        return direction_bins(self._normals)
+        return direction_bins(self.normals)
 
     def level(self, k: int) -> Planes:
         """The planes of a level, 0 the coarsest."""
         if k not in self._levels:
-            keep = thinned(self._points, self.options.thinning_m[k])
+            keep = thinned(self.points, self.options.thinning_m[k])
             self._levels[k] = grid_planes(
-                self._points[keep],
-                self._normals[keep],
+                self.points[keep],
+                self.normals[keep],
                 self._weights[keep],
                 self._away[keep],
                 self.options.reach_m[k],
@@ -160,7 +160,7 @@ class PlaneMap:
         if k not in self._samples:
             often = 1 / (1 + np.square(self._away / self.options.near_m[k]))
             keep = balanced(self._bins, self.options.samples[k], often)
-            self._samples[k] = Sample(self._points[keep], self._normals[keep], self._weights[keep], self._away[keep])
+            self._samples[k] = Sample(self.points[keep], self.normals[keep], self._weights[keep], self._away[keep])
         return self._samples[k]
 
 

@@ -256,6 +256,16 @@ def refine(
     return Refined(T, _information(problem, options), problem.sigma_m, problem.count, steps, converged)
 
 
+def assess(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: RefinementOptions, iterations: int) -> Refined:
+    """A pose found otherwise, with the information that it would have had it been found here."""
+    level = options.levels[-1]
+    reach = min(ref.options.reach_m[level], query.options.reach_m[level])
+    problem = linearise_both(ref, query, T_ref_query, level, reach, options.scales_m[-1], options)
+    enough = problem.count >= options.least_matches
+    information = _information(problem, options) if enough else np.zeros((6, 6))
+    return Refined(T_ref_query, information, problem.sigma_m, problem.count, iterations, enough)
+
+
 def _information(problem: Linearised, options: RefinementOptions) -> Array:
     """(6, 6) of the residuals' noise, and of odometry's drift between the nodes and what was matched."""
     noise = np.linalg.pinv(problem.information / CORRELATION, hermitian=True)

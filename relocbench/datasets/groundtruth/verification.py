@@ -41,7 +41,7 @@ class Thresholds:
 
     least_seen: float = 0.08
     """share of the structure that the other drive's beams reached or passed: below, there is too little to judge"""
-    least_overlap: float = 0.6
+    least_overlap: float = 0.75
     most_violations: float = 0.12
     least_detail: float = 0.45
     most_residual_m: float = 0.05
