@@ -33,6 +33,8 @@ class SteadyOptions:
     """a beam passes a point that is so near to it"""
     meet_m: float = 0.2
     """a beam that ends so near to a point met the same thing"""
+    pool_m: float = 0.25
+    """points so near to one another, measured at one time, share their beams: evidence is thin and surfaces large"""
     margin_m: float = 0.5
     """so long before its end a beam passes nothing: noise, drift and grazing"""
     apart_ns: int = 150_000_000
@@ -66,13 +68,14 @@ def steadiness(
     targets = Rays(rays.points[wanted], rays.origins[wanted], rays.times_ns[wanted])
     passed = _passed(targets, normals, make_grid(targets.points, 2 * options.pass_m), rays,
                      options.pass_m, options.margin_m, options.apart_ns, options.cosine)  # fmt: skip
-    suspects = np.flatnonzero(passed)
-    met = _met(targets, suspects, make_grid(rays.points, options.meet_m), rays,
-               options.meet_m, options.apart_ns)  # fmt: skip
-    out = np.ones(len(wanted), dtype=np.float32)
+    if not passed.any():
+        return np.ones(len(wanted), dtype=np.float32)
+    met = _met(targets, make_grid(rays.points, options.meet_m), rays, options.meet_m, options.apart_ns)
+    against, speaking = _pooled(
+        targets, make_grid(targets.points, options.pool_m), passed, met, options.pool_m, options.apart_ns
+    )
     # Half a beam speaks for every point: one passing beam alone is little evidence.
-    out[suspects] = (met + 0.5) / (met + 0.5 + passed[suspects])
-    return out
+    return np.where(against > 0, (speaking + 0.5) / (speaking + 0.5 + against), 1.0).astype(np.float32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -84,9 +87,17 @@ def _passed(
     algorithm for ray tracing, 1987."""
     votes = np.zeros(len(targets.points), dtype=np.int64)
     size = grid.size_m
+    lowest, highest = np.full(3, np.inf), np.full(3, -np.inf)
+    for p in range(len(targets.points)):
+        for axis in range(3):
+            lowest[axis] = min(lowest[axis], targets.points[p, axis])
+            highest[axis] = max(highest[axis], targets.points[p, axis])
     d, at, step = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64)
     until, across = np.empty(3), np.empty(3)
+    first, last = targets.times_ns.min(), targets.times_ns.max()
     for r in range(len(rays.points)):
+        if last - apart_ns < rays.times_ns[r] < first + apart_ns:
+            continue
         length = 0.0
         for axis in range(3):
             d[axis] = rays.points[r, axis] - rays.origins[r, axis]
@@ -95,10 +106,21 @@ def _passed(
         end = length - margin_m
         if end <= 0:
             continue
+        # Only the part of the beam within the box about the targets.
+        begin = 0.0
         for axis in range(3):
             d[axis] /= length
             o = rays.origins[r, axis]
-            at[axis] = int(np.floor(o / size))
+            if d[axis] != 0:
+                one, two = (lowest[axis] - o) / d[axis], (highest[axis] - o) / d[axis]
+                begin, end = max(begin, min(one, two)), min(end, max(one, two))
+            elif o < lowest[axis] or o > highest[axis]:
+                end = -1.0
+        if begin > end:
+            continue
+        for axis in range(3):
+            o = rays.origins[r, axis]
+            at[axis] = int(np.floor((o + begin * d[axis]) / size))
             if d[axis] > 0:
                 step[axis] = 1
                 until[axis] = ((at[axis] + 1) * size - o) / d[axis]
@@ -111,8 +133,8 @@ def _passed(
                 step[axis] = 0
                 until[axis] = np.inf
                 across[axis] = np.inf
-        entered = 0.0
-        while entered < end:
+        entered = begin
+        while entered <= end:
             cell = cell_of(pack(at[0], at[1], at[2]), grid.keys, grid.cells)
             if cell >= 0:
                 for k in range(grid.starts[cell], grid.starts[cell + 1]):
@@ -144,12 +166,11 @@ def _passed(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _met(targets: Rays, suspects: Indices, grid: Grid, rays: Rays, meet_m: float, apart_ns: int) -> Indices:
-    """(S,) beams that ended beside each suspect at another time."""
-    votes = np.zeros(len(suspects), dtype=np.int64)
+def _met(targets: Rays, grid: Grid, rays: Rays, meet_m: float, apart_ns: int) -> Indices:
+    """(M,) beams that ended beside each target at another time."""
+    votes = np.zeros(len(targets.points), dtype=np.int64)
     size = grid.size_m
-    for s in range(len(suspects)):
-        p = suspects[s]
+    for p in range(len(votes)):
         x, y, z = targets.points[p, 0], targets.points[p, 1], targets.points[p, 2]
         cx, cy, cz = int(np.floor(x / size)), int(np.floor(y / size)), int(np.floor(z / size))
         for ix in range(cx - 1, cx + 2):
@@ -164,5 +185,32 @@ def _met(targets: Rays, suspects: Indices, grid: Grid, rays: Rays, meet_m: float
                             continue
                         dx, dy, dz = rays.points[r, 0] - x, rays.points[r, 1] - y, rays.points[r, 2] - z
                         if dx * dx + dy * dy + dz * dz <= meet_m * meet_m:
-                            votes[s] += 1
+                            votes[p] += 1
     return votes
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _pooled(
+    targets: Rays, grid: Grid, passed: Indices, met: Indices, pool_m: float, apart_ns: int
+) -> tuple[Indices, Indices]:
+    """Sums (M,) of both kinds of votes over the targets around each that were measured when it was."""
+    against, speaking = np.zeros_like(passed), np.zeros_like(met)
+    size = grid.size_m
+    for p in range(len(passed)):
+        x, y, z = targets.points[p, 0], targets.points[p, 1], targets.points[p, 2]
+        cx, cy, cz = int(np.floor(x / size)), int(np.floor(y / size)), int(np.floor(z / size))
+        for ix in range(cx - 1, cx + 2):
+            for iy in range(cy - 1, cy + 2):
+                for iz in range(cz - 1, cz + 2):
+                    cell = cell_of(pack(ix, iy, iz), grid.keys, grid.cells)
+                    if cell < 0:
+                        continue
+                    for k in range(grid.starts[cell], grid.starts[cell + 1]):
+                        q = grid.order[k]
+                        if abs(targets.times_ns[p] - targets.times_ns[q]) >= apart_ns:
+                            continue
+                        dx, dy, dz = targets.points[q, 0] - x, targets.points[q, 1] - y, targets.points[q, 2] - z
+                        if dx * dx + dy * dy + dz * dz <= pool_m * pool_m:
+                            against[p] += passed[q]
+                            speaking[p] += met[q]
+    return against, speaking

@@ -72,6 +72,11 @@ class SubmapWindow:
         self.work = 0
         """points of blocks that entered or left so far"""
 
+    @property
+    def claims_work(self) -> int:
+        """Claims of blocks on voxels that came or went so far."""
+        return self._claims.work
+
     def blocks_around(self, node: int) -> range:
         """The blocks of a node's submap. Raises IndexError if there is no such node."""
         if not 0 <= node < len(self._nodes):
