@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -33,6 +34,7 @@ from relocbench.datasets.synthetic.town import compose
 from relocbench.datasets.synthetic.traffic import moving_cars
 from relocbench.datasets.synthetic.work import FrameWork, RenderUnit, Spent, StepWork, duration, estimate
 from relocbench.datasets.visibility import warp
+from relocbench.errors import DatasetError
 from relocbench.geometry import Camera, apply, invert, is_rotation, rotation_angle
 from relocbench.progress import Silent
 
@@ -269,35 +271,58 @@ def test_workers_do_not_change_the_bytes(town: Dataset, tmp_path: Path) -> None:
     assert two.fingerprint == town.fingerprint
 
 
-def test_a_frame_is_the_same_when_rendered_on_its_own(town: Dataset) -> None:
+def test_a_frame_is_the_same_when_rendered_on_its_own(town: Dataset, tmp_path: Path) -> None:
+    """In a fresh process, by the renderer alone: the files of image and depth, byte for byte."""
     script = (
-        "import sys; from pathlib import Path; import numpy as np;"
+        "import sys; from pathlib import Path;"
         "from relocbench.datasets.dataset import Dataset; from relocbench.datasets.synthetic import stage;"
         "from relocbench.datasets.synthetic.condition import condition_named; from relocbench.datasets import images;"
         f"t = Dataset({str(town.root)!r}).traversal({QUERY!r}); time = t.timestamps('front')[2];"
         "r = stage.renderer(stage.Place(0, 'test', 190.0), condition_named('WetNoon').factors);"
         "number = int(t.timestamps('front')[0] // 10**12 - 1);"
         "f = r.render(t.camera('front'), t.T_world_cam('front', time), stage.frame_seed(0, number, 2, 0));"
-        "sys.exit(int((f.rgb != t.image('front', time)).any()))"
+        f"out = Path({str(tmp_path)!r});"
+        "images.write_image(out / 'image.png', f.rgb); images.write_depth(out / 'depth.png', f.depth)"
     )
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+    layout = town.traversal(QUERY).layout
+    time_ns = town.traversal(QUERY).timestamps("front")[2]
+    assert (tmp_path / "image.png").read_bytes() == layout.image("front", time_ns).read_bytes()
+    assert (tmp_path / "depth.png").read_bytes() == layout.depth("front", time_ns).read_bytes()
 
 
-def test_a_killed_build_resumes_to_the_same_bytes(town: Dataset, tmp_path: Path) -> None:
+def test_a_build_renders_one_missing_frame_alone_to_the_same_bytes(town: Dataset, tmp_path: Path) -> None:
+    copy = Dataset(shutil.copytree(town.root, tmp_path / "copy"))
+    layout = copy.traversal(QUERY).layout
+    first, *_, last = copy.traversal(QUERY).timestamps("front")
+    wanted = [layout.image("front", last), layout.depth("front", last)]
+    before = [path.read_bytes() for path in wanted]
+    untouched = layout.image("front", first).stat().st_mtime_ns
+    for path in wanted:
+        path.unlink()
+    assert build(copy.root).fingerprint == town.fingerprint
+    assert [path.read_bytes() for path in wanted] == before
+    assert layout.image("front", first).stat().st_mtime_ns == untouched
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_killed_build_resumes_to_the_same_bytes(town: Dataset, tmp_path: Path, workers: int) -> None:
+    """The command and all its workers are killed at once, with the first image on disk."""
     out = tmp_path / "out"
-    options = ["build-dataset", "synthetic", "--preset", "smoke", "--workers", "1", "--quiet", "--out", str(out)]
-    job = subprocess.Popen(
-        [sys.executable, "-m", "relocbench", *options, "--extras", "changed,instance,semantic,normals"]
-    )
-    deadline = time.monotonic() + 120
+    options = ["build-dataset", "synthetic", "--preset", "smoke", "--workers", str(workers), "--quiet"]
+    extras = ["--extras", "changed,instance,semantic,normals", "--out", str(out)]
+    job = subprocess.Popen([sys.executable, "-m", "relocbench", *options, *extras], start_new_session=True)
+    deadline = time.monotonic() + 300
     while not list(out.rglob("images/front/*.png")) and job.poll() is None and time.monotonic() < deadline:
         time.sleep(0.005)
-    os.kill(job.pid, signal.SIGKILL)
-    job.wait()
-    assert list(out.rglob("images/front/*.png"))
+    os.killpg(job.pid, signal.SIGKILL)
+    assert job.wait() == -signal.SIGKILL
+    assert 0 < len(list(out.rglob("images/front/*.png"))) < 8
+    with pytest.raises(DatasetError, match="not finished"):
+        Dataset(out)
     for torn in list(out.rglob("depth/front/*.png"))[:1]:
         torn.write_bytes(torn.read_bytes()[:50])
-    assert build(out).fingerprint == town.fingerprint
+    assert build(out, workers=workers).fingerprint == town.fingerprint
 
 
 def test_traffic_is_rendered_marked_as_changed_and_never_matched(tmp_path: Path) -> None:
