@@ -18,12 +18,15 @@ from relocbench.datasets.groundtruth.edges import Edges, Kind
 from relocbench.datasets.groundtruth.graph import Solution
 from relocbench.datasets.groundtruth.least_squares import Covariances, solve
 from relocbench.datasets.groundtruth.odometry_noise import OdometryNoise, estimate, variance_factor
-from relocbench.datasets.groundtruth.selection import check_odometry, spread, weakened
+from relocbench.datasets.groundtruth.selection import check_odometry, settled, spread, weakened
 from relocbench.datasets.groundtruth.snooping import check_used
 from relocbench.errors import ConfigError
 from relocbench.geometry import invert, se3_exp
 
 Array = NDArray[np.float64]
+
+_NOISE_ROUNDS = 4
+"""of solving and estimating noise, each iteration"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +98,13 @@ def refine_locally(solution: Solution, linearise: Linearise, options: LocalOptio
         before = T
         local = local_edges(solution, T, pairs, linearise, options)
         T, local = _without_outliers(T, odometry, local, factor, options)
-        if options.estimate_noise:
-            noise, factor = _noise(solution, T, (noise, factor), local, options)
+        for _ in range(_NOISE_ROUNDS if options.estimate_noise else 0):
+            assumed = noise, factor
+            noise, factor = _noise(solution, T, assumed, local, options)
             odometry = solution.drives.odometry(noise)
+            T = solve(T, Edges.join([odometry, weakened(local, factor)]))
+            if settled(assumed, (noise, factor)):
+                break
         moved = invert(local.apart(before)) @ local.apart(T)
         if np.linalg.norm(moved[:, :3, 3], axis=1).max(initial=0.0) < options.settled_m:
             break

@@ -62,6 +62,10 @@ class OdometryNoise:
         """With each standard deviation times a factor (6,)."""
         return OdometryNoise(*(self.sigma * factors).tolist(), least_way_m=self.least_way_m)
 
+    def at_least(self, other: OdometryNoise) -> OdometryNoise:
+        """The larger of both on each axis."""
+        return self.scaled(np.maximum(1.0, other.sigma / self.sigma))
+
 
 def variance_factor(squares: Array, redundancy: Array) -> float | None:
     """By what a variance has to be multiplied so that residuals are as large as expected.

@@ -44,6 +44,9 @@ class GraphOptions:
     rounds: int = 10
     estimate_noise: bool = True
     """of odometry, and of registrations where they are worse than they say"""
+    shared_points: bool = True
+    """registrations of submaps that overlap err alike and make odometry look too good: its noise is never estimated to
+    less than was assumed"""
     noise_edges: int = 600
     """odometry edges, evenly spread, that noise is estimated from"""
 
@@ -89,7 +92,7 @@ def select(
         start: (N, 4, 4) first poses.
     """
     T, used, factor = _robust(drives, cross, candidates, start, noise, options)
-    was_out = ~used
+    was_out, assumed = ~used, noise
     for _ in range(options.rounds):
         odometry = drives.odometry(noise)
         edges = Edges.join([odometry, weakened(cross[used], factor)])
@@ -101,6 +104,7 @@ def select(
             some = odometry[spread(len(odometry), options.noise_edges)]
             posterior = np.diagonal(covariances.relative(some.first, some.second), axis1=1, axis2=2)
             noise = estimate(noise, drives.way(some.first, some.second), some.residuals(T), posterior)
+            noise = noise.at_least(assumed) if options.shared_points else noise
             more = variance_factor(tested.squares[used].ravel(), tested.free[used].ravel())
             # Registrations that share points err alike, and look better among themselves than they are.
             factor = max(1.0, factor * (1.0 if more is None else more))
@@ -108,7 +112,7 @@ def select(
         back = candidates & ~used & was_out & (tested.free.sum(axis=1) > 0) & (tested.p_value > options.readmission)
         used = (used & ~drop) | back
         was_out &= ~back
-        if not drop.any() and not back.any() and _settled(before, (noise, factor)):
+        if not drop.any() and not back.any() and settled(before, (noise, factor)):
             break
     noise, factor = before
     edges = Edges.join([odometry, weakened(cross[used], factor)])
@@ -171,7 +175,7 @@ def _worst(drives: Drives, cross: Edges, failing: Mask, tested: Tested, options:
     return out
 
 
-def _settled(before: tuple[OdometryNoise, float], after: tuple[OdometryNoise, float]) -> bool:
+def settled(before: tuple[OdometryNoise, float], after: tuple[OdometryNoise, float]) -> bool:
     """Whether no standard deviation changed by more than 5 %."""
     ratios = np.append(after[0].sigma / before[0].sigma, np.sqrt(after[1] / before[1]))
     return bool(np.all(np.abs(np.log(ratios)) < 0.05))
