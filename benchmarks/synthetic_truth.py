@@ -298,13 +298,10 @@ def check(dataset: Dataset, pairs_a_set: int, depth_pixels: int, seed: int) -> T
 
 def report(tally: Tally) -> dict[str, Any]:
     """Plain figures; shares in percent."""
-    depth, forward, backward, flags, *edges = (
-        np.concatenate(part)
-        for part in (
-            tally.depth_units, tally.forward_px, tally.backward_px, tally.flag_wrong,
-            tally.depth_at_edge, tally.forward_at_edge, tally.backward_at_edge, tally.flag_at_edge,
-        )
-    )  # fmt: skip
+    depth, forward, backward = map(np.concatenate, (tally.depth_units, tally.forward_px, tally.backward_px))
+    flags = np.concatenate(tally.flag_wrong)
+    parts = (tally.depth_at_edge, tally.forward_at_edge, tally.backward_at_edge, tally.flag_at_edge)
+    edges: list[Mask] = [np.concatenate(part) for part in parts]
 
     def of(values: Array, limit: float, edge: Mask) -> dict[str, Any]:
         bad = values > limit
