@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic import lamps as lighting
-from relocbench.datasets.synthetic import samples as sampling
 from relocbench.datasets.synthetic import reflections, shading, shadows, surfaces
+from relocbench.datasets.synthetic import samples as sampling
 from relocbench.datasets.synthetic.condition import Factors
 from relocbench.datasets.synthetic.edges import (
     OFFSETS,

@@ -96,7 +96,7 @@ def make_sky(factors: Factors, seed: int) -> Sky:
     elevation = max(float(to_sun[2]), 0.0)
     air = 1 / max(elevation + 0.05, 0.05)
     through = np.exp(-np.array([0.055, 0.105, 0.21]) * air) * float(_smooth(factors.sun_elevation_deg, -1, 5))
-    hidden = 1 - _smooth(cover, 0.35, 1.0)
+    hidden = 1 - _smooth(cover, 0.35, 0.88)
     sun = 3.3 * through * float(hidden)
     return Sky(radiance, ambient.astype(np.float32), horizon.astype(np.float32), to_sun, sun.astype(np.float32))
 
@@ -111,7 +111,7 @@ def _clouds(d: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
     return total
 
 
-def _periodic(layer: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+def _periodic(layer: Floats, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Bilinear lookup in a tile that repeats in units of 1."""
     x, y = u * SIZE, v * SIZE
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)

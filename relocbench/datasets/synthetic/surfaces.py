@@ -16,6 +16,7 @@ from relocbench.datasets.synthetic.textures import MACRO, Patterns, sample
 from relocbench.datasets.synthetic.vectors import Vector, along, cross, dot, minus, smooth
 
 Floats = NDArray[np.float32]
+_ASPHALT = int(Material.ASPHALT)
 _MARKING, _WINDOW, _SHOP = int(Material.LANE_MARKING), int(Material.WINDOW), int(Material.SHOP_WINDOW)
 _LEAF, _HEDGE, _LAMP = int(Material.LEAF), int(Material.HEDGE), int(Material.LAMP)
 _PAINT, _CAR_GLASS, _SIGN = int(Material.CAR_PAINT), int(Material.CAR_GLASS), int(Material.SHOP_SIGN)
@@ -151,8 +152,9 @@ def surfaces(
         else:
             slow, stain = sample(texels, per_tile[MACRO], MACRO, su + 3 * shift, sv, dudx, dvdx, dudy, dvdy, 1)
         tone = 1.0 + looks.spread[material] * 2 * (((dice >> 8) & 255) / 255.0 - 0.5)
+        stained = 0.19 if material == _ASPHALT else 0.12
         if material != _PAINT and material != _CAR_GLASS and material != _LAMP:
-            tone *= 0.88 + 0.12 * stain
+            tone *= 1 - stained + stained * stain
         choice = (dice >> 16) % CHOICES
         r, g, b = looks.first[material, choice, 0], looks.first[material, choice, 1], looks.first[material, choice, 2]
         if material in (_LEAF, _HEDGE):
@@ -177,9 +179,12 @@ def surfaces(
         if setting.snow > 0.0 and nz > 0.2 and material != _LAMP:
             line = (1 - setting.snow) * 1.2 - 0.1
             grain = slow if flat else 0.5
-            snow = smooth(grain, line - 0.1, line + 0.1) * smooth(nz, 0.3, 0.7)
+            deep = smooth(grain + 0.25 * (bright - 1.0), line - 0.1, line + 0.1)
+            # Where it is swept or trodden a thin layer stays, or the ground would seem to have holes.
+            thin = 0.75 * setting.snow * setting.snow
+            snow = (thin + (1 - thin) * deep) * smooth(nz, 0.3, 0.7)
             if snow > 0.0:
-                white = 0.80 + 0.05 * (bright - 1.0) + 0.04 * (stain - 1.0)
+                white = 0.80 + 0.12 * (bright - 1.0) + 0.09 * (stain - 1.0)
                 r, g, b = r + (white - r) * snow, g + (white * 1.01 - g) * snow, b + (white * 1.04 - b) * snow
                 gloss *= 1 - snow
 

@@ -87,9 +87,13 @@ def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floa
     match material:
         case Material.ASPHALT:
             y, x = np.mgrid[:SIZE, :SIZE] / SIZE
-            crack = np.abs(y - 0.5 - 0.12 * np.sin(2 * np.pi * x) - 0.03 * _noise(rng, 12, 3))
-            cracks = np.clip(1 - crack / 0.006, 0, 1) * (_noise(rng, 3, 1) > 0.2)
-            return np.clip(0.25 + 0.3 * coarse + cracks, 0, 1), 1 + 0.16 * fine + 0.08 * coarse - 0.3 * cracks, 3.1
+            wander = 0.12 * np.sin(2 * np.pi * x) + 0.02 * _noise(rng, 12, 3)
+            crack = np.clip(1 - np.abs(y - 0.5 - wander) / 0.004, 0, 1) * (_noise(rng, 3, 1) > 0.6)
+            # Stones of one to three centimetres in bitumen: some light, and dark gaps between.
+            stones, grit = _noise(rng, 128, 1), _noise(rng, 256, 1)
+            light = np.clip(grit - 1.3, 0, 1)
+            second = np.clip(0.35 + 0.12 * coarse + 0.3 * np.clip(-stones - 0.6, 0, 1) + 0.7 * crack, 0, 1)
+            return second, 1 + 0.10 * stones + 0.09 * grit + 0.3 * light + 0.05 * coarse - 0.25 * crack, 4.1
         case Material.COBBLES:
             joints, tone = _bricks(rng, 16, 16, 2.2)
             return joints, 1 + 0.16 * tone + 0.07 * fine - 0.25 * joints, 2.0
@@ -179,14 +183,16 @@ def _log2(x: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _bilinear(texels: NDArray[np.uint32], first: int, level: int, u: float, v: float) -> tuple[int, int]:
+def _bilinear(
+    texels: NDArray[np.uint32], first: int | np.int64, level: int, u: float, v: float
+) -> tuple[np.int64, np.int64]:
     """Both channels times 65536 at (u, v) in tiles, on one level of the layer that starts at ``first``.
 
     Both lie in one number and are mixed at once, by weights of 1/256.
     """
     size = SIZE >> level
     mask = size - 1
-    x, y = int(math.floor(256.0 * (u * size - 0.5))), int(math.floor(256.0 * (v * size - 0.5)))
+    x, y = math.floor(256.0 * (u * size - 0.5)), math.floor(256.0 * (v * size - 0.5))
     fx, fy = x & 255, y & 255
     i, j = (x >> 8) & mask, (y >> 8) & mask
     # Levels before this one hold SIZE^2 + SIZE^2/4 + ... texels. Unsigned numbers index without a look at the sign.
@@ -238,9 +244,10 @@ def sample(
     for k in range(probes):
         at = (k + 0.5) / probes - 0.5
         s, b = _bilinear(texels, first, level, u + at * ax, v + at * ay)
+        second += (1 - blend) * s
+        bright += (1 - blend) * b
         if blend > 0.0:
-            s1, b1 = _bilinear(texels, first, level + 1, u + at * ax, v + at * ay)
-            s, b = s + blend * (s1 - s), b + blend * (b1 - b)
-        second += s
-        bright += b
+            s, b = _bilinear(texels, first, level + 1, u + at * ax, v + at * ay)
+            second += blend * s
+            bright += blend * b
     return second / (65536.0 * 255.0 * probes), bright / (65536.0 * UNIT_BRIGHTNESS * probes)

@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float32]
 _NEAR_M, _FAR_M = 0.8, 14.0
-_RAIN_EXPOSURE_S, _SNOW_EXPOSURE_S = 0.008, 0.004
+_RAIN_EXPOSURE_S, _SNOW_EXPOSURE_S = 0.012, 0.004
 _RAIN_SPEED, _SNOW_SPEED = 7.5, 1.2
 _DROPS_PER_MM_H = 0.16
 """visible streaks per cubic metre and mm/h"""
+_STREAK_M = 0.0032
+"""width of a streak: a large drop's, and what the lens adds this near"""
 _FLAKES_PER_MM_H = 2.2
 _MOST_DROPS = 60
-_DROP_SHARE = 0.10
+_DROP_SHARE = 0.15
 """of the lens, that drops cover in the worst case"""
 
 
@@ -62,8 +64,8 @@ def draw_falling(
         drops = _in_view(rng, _DROPS_PER_MM_H * rain_mm_h, focal, (width, height))
         factor = rng.uniform(0.7, 1.3, len(drops)).astype(np.float32)
         length = factor * (_RAIN_SPEED * _RAIN_EXPOSURE_S * focal[1]) / drops[:, 2]
-        radius = 0.5 * 0.0022 * focal[0] / drops[:, 2]
-        _streaks(image, depth, drops, length, radius, fall, light * np.float32(1.15), 0.5)
+        radius = 0.5 * _STREAK_M * focal[0] / drops[:, 2]
+        _streaks(image, depth, drops, length, radius, fall, light * np.float32(1.25), 0.75)
     if snow_mm_h > 0:
         flakes = _in_view(rng, _FLAKES_PER_MM_H * snow_mm_h, focal, (width, height))
         length = _SNOW_SPEED * _SNOW_EXPOSURE_S * focal[1] / flakes[:, 2]
@@ -137,6 +139,6 @@ def _refract(out: Floats, blurred: Floats, centre: Floats, radius: Floats, stret
                 a = 0.85 * a * a * (3 - 2 * a)
                 sx = min(max(int(centre[k, 0] - 4.0 * r * p), 0), width - 1)
                 sy = min(max(int(centre[k, 1] - 4.0 * r * q), 0), height - 1)
-                dim = 1.04 - 0.28 * min(e, 1.0) ** 4
+                dim = 1.1 - 0.45 * min(e, 1.0) ** 3
                 for c in range(3):
                     out[y, x, c] += a * (dim * blurred[sy, sx, c] - out[y, x, c])

@@ -1,0 +1,287 @@
+"""Images per second of the procedural renderer on two cores, beside bare ray casting and beside Mitsuba 3.
+
+Two worker processes render 512x512 frames along a drive as a build does (`render_unit`: RGB and depth, encoded and on
+disk), `Sunny` first, then `WetNoon`; each is timed after its first images, when district, ray tree and compiled code
+are there. Three references:
+
+- *bare rays*: in the same two processes, Embree's time for one primary ray a pixel and one shadow ray for every
+  surface that faces the sun, of the same frames, and nothing else: no edges, mirrors, colours, files.
+- *Mitsuba 3*: the same triangles, the same cameras, the sun and a constant sky, direct light (`direct`), one grey
+  diffuse material instead of textures, no mirrors, no files. Both cores work on one frame. Its light is sampled, ours
+  is not: the sample count is the least at which the median over all surface pixels of its noise, after our own
+  exposure and tone curve, is down to the noise of our camera model, which hides it from then on. That favours Mitsuba:
+  edges, where its noise is largest, do not move the median, and sampling noise as large as the camera's is allowed.
+- *memory*: the peak of each worker over all of this, set-up included.
+
+Ratios are of processor seconds, which other programs on the machine hardly change; images per second are by the clock,
+and beside them stands what two cores make of the processor seconds when nothing else runs.
+
+    python benchmarks/rendering.py [--frames N]
+
+Prints one JSON line last.
+"""
+
+# ruff: noqa: E402  (the number of threads must be set before numpy is imported)
+from __future__ import annotations
+
+import os
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[variable] = "1"  # in each worker; Mitsuba has a pool of its own
+
+import argparse
+import json
+import math
+import sys
+import tempfile
+import time
+from multiprocessing import get_context
+from multiprocessing.queues import Queue
+from multiprocessing.synchronize import Barrier
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic import samples as sampling
+from relocbench.datasets.synthetic import shadows, stage
+from relocbench.datasets.synthetic.condition import Factors
+from relocbench.datasets.synthetic.presets import previewed
+from relocbench.datasets.synthetic.response import exposure_gain, tone_curve
+from relocbench.datasets.synthetic.rig import rig_named
+from relocbench.datasets.synthetic.stage import Place
+from relocbench.datasets.synthetic.town import compose
+from relocbench.datasets.synthetic.work import FrameWork, RenderUnit, StepWork, render_unit
+from relocbench.execution import pin_threads
+from relocbench.geometry import Camera
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+WORKERS = 2
+SIZE = 512
+PLACE = Place(0, "test", 400.0)
+ROUTE_M = 100.0
+CAMERA = Camera("pinhole", SIZE, SIZE, 0.6 * SIZE, 0.6 * SIZE, (SIZE - 1) / 2, (SIZE - 1) / 2)
+CONDITIONS = ("Sunny", "WetNoon")
+TRIAL_SPP = 16
+MITSUBA_FRAMES = 3
+GREY = 0.3
+
+
+def poses(count: int) -> list[Array]:
+    """``T_world_cam`` of frames spread along the drive."""
+    path = stage.district(PLACE).network.drive(ROUTE_M, PLACE.seed)
+    _, T_rig_cam = rig_named("front").cameras(SIZE, SIZE)["front"]
+    return [path.pose(at) @ T_rig_cam for at in np.linspace(5, ROUTE_M - 5, count)]
+
+
+def unit_of(factors: Factors, shown: list[Array], folder: Path) -> RenderUnit:
+    """What a build hands to a worker, for these frames."""
+    steps = []
+    for i, T_world_cam in enumerate(shown):
+        missing = {"image": folder / f"image-{i}.png", "depth": folder / f"depth-{i}.png"}
+        steps.append(StepWork((), (FrameWork(CAMERA, T_world_cam, stage.frame_seed(0, 0, i, 0), missing),)))
+    return RenderUnit(PLACE, factors, factors, tuple(steps))
+
+
+def bare_seconds(factors: Factors, shown: list[Array]) -> float:
+    """Embree's own processor time for primary and shadow rays of the frames; what prepares the rays is not counted."""
+    renderer = stage.renderer(PLACE, factors)
+    v, u = np.mgrid[:SIZE, :SIZE].astype(np.float32)
+    asked = np.ones(SIZE * SIZE, dtype=np.bool_)
+    spent = 0.0
+    for T in shown:
+        view = sampling.View(T[:3, 3].copy(), T[:3, :3].copy(), CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)
+        samples = sampling.direct_samples(u.ravel(), v.ravel())
+        rays = sampling.make_rays(view, samples)
+        start = time.process_time()
+        triangle = renderer._scene.closest(rays)
+        spent += time.process_time() - start
+        hits = renderer._surfaces(view, samples._replace(triangle=triangle))
+        _, rays = shadows.shadow_rays(hits, asked, renderer._sky.to_sun, False, renderer._lamps)
+        start = time.process_time()
+        renderer._scene.occluded(rays)
+        spent += time.process_time() - start
+    return spent
+
+
+def peak_mib() -> float:
+    """VmHWM is this program's own; ru_maxrss of a process counts what its parent held when it was forked."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+
+
+def work(number: int, frames: int, folder: Path, together: Barrier, answers: Queue[dict[str, Any]]) -> None:
+    """One worker: its own frames, at the same time as the other's."""
+    pin_threads()
+    shown = poses(WORKERS * frames)[number::WORKERS]
+    told: dict[str, Any] = {}
+    for name, factors in previewed(CONDITIONS, everything=False, swept=None, steps=2).items():
+        target = folder / f"{name}-{number}"
+        target.mkdir()
+        start = time.perf_counter()
+        render_unit(unit_of(factors, shown[:2], target))
+        setup = time.perf_counter() - start
+        together.wait()
+        start, cpu = time.perf_counter(), time.process_time()
+        spent = render_unit(unit_of(factors, shown, target))
+        seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
+        together.wait()
+        bare = bare_seconds(factors, shown)
+        told[name] = {
+            "setup_s": setup,
+            "seconds": seconds,
+            "cpu_s": cpu,
+            "bare_cpu_s": bare,
+            "bytes": spent.bytes / frames,
+        }
+        together.wait()
+    told["peak_mib"] = peak_mib()
+    answers.put(told)
+
+
+def measure(frames: int, folder: Path) -> list[dict[str, Any]]:
+    """What each worker tells."""
+    context = get_context("spawn")
+    together, answers = context.Barrier(WORKERS), context.Queue()
+    workers = [context.Process(target=work, args=(k, frames, folder, together, answers)) for k in range(WORKERS)]
+    for worker in workers:
+        worker.start()
+    told = [answers.get(timeout=600) for _ in workers]
+    for worker in workers:
+        worker.join()
+    return told
+
+
+class Mitsuba:
+    """The district in Mitsuba."""
+
+    def __init__(self, factors: Factors, variant: str) -> None:
+        import mitsuba as mi
+
+        self._mi = mi
+        self._factors = factors
+        self._renderer = stage.renderer(PLACE, factors)
+        mi.set_variant(variant)
+        self._scene = self._load()
+
+    def _load(self) -> Any:
+        mi = self._mi
+        mesh = compose(stage.district(PLACE), self._factors)
+        grey = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": {"type": "rgb", "value": GREY}}}
+        properties = mi.Properties()
+        properties["material"] = mi.load_dict(grey)
+        shape = mi.Mesh("town", len(mesh.vertices), len(mesh.triangles), props=properties)
+        parameters = mi.traverse(shape)
+        parameters["vertex_positions"] = mesh.vertices.ravel()
+        parameters["faces"] = mesh.triangles.ravel()
+        parameters.update()
+        sky = self._renderer._sky
+        return mi.load_dict(
+            {
+                "type": "scene",
+                "integrator": {"type": "direct"},
+                "town": shape,
+                "sky": {"type": "constant", "radiance": {"type": "rgb", "value": sky.ambient.tolist()}},
+                "sun": {
+                    "type": "directional",
+                    "direction": (-sky.to_sun).tolist(),
+                    # Our unit of sunlight is the radiance of white paper that faces it.
+                    "irradiance": {"type": "rgb", "value": (np.pi * sky.sun).tolist()},
+                },
+            }
+        )
+
+    def linear(self, T_world_cam: Array, spp: int, seed: int) -> Floats:
+        """(H, W, 3) light of one frame."""
+        mi = self._mi
+        # Mitsuba's cameras have x to the left and y up.
+        to_world = mi.ScalarTransform4f((T_world_cam @ np.diag([-1.0, -1.0, 1.0, 1.0])).tolist())
+        sensor = mi.load_dict(
+            {
+                "type": "perspective",
+                "fov": math.degrees(2 * math.atan(SIZE / 2 / CAMERA.fx)),
+                "near_clip": 0.05,
+                "far_clip": 5000.0,
+                "to_world": to_world,
+                "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}},
+                "sampler": {"type": "independent", "sample_count": spp},
+            }
+        )
+        return np.array(mi.render(self._scene, sensor=sensor, spp=spp, seed=seed))[..., :3]
+
+    def comparable_spp(self, T_world_cam: Array) -> tuple[int, float, float]:
+        """Samples a pixel, and the median noise at :data:`TRIAL_SPP` and of our camera, in grey levels."""
+        frame = self._renderer.render(CAMERA, T_world_cam, 0)
+        seen = frame.depth > 0
+        level = frame.rgb.astype(np.float64).mean(axis=-1)[seen]
+        f = self._factors
+        camera = float(np.median(np.sqrt(f.read_noise**2 + (255 * f.shot_noise) ** 2 * level / 255)))
+        pictures = [self.linear(T_world_cam, TRIAL_SPP, seed) for seed in (1, 2)]
+        gain, curve = exposure_gain(np.mean(pictures, axis=0, dtype=np.float32), f), tone_curve(f.gamma)
+        at = np.linspace(0, 1, len(curve)) ** 2 * 6.0
+        a, b = (np.interp(picture * gain, at, curve) for picture in pictures)
+        # The median of |x| of a normal variable is 0.6745 deviations.
+        noise = float(np.median(np.abs(a - b)[seen]) / 0.6745 / math.sqrt(2))
+        return max(1, math.ceil(TRIAL_SPP * (noise / camera) ** 2)), noise, camera
+
+    def seconds(self, spp: int) -> tuple[float, float]:
+        """An image by the clock and of the processor, along the drive, after one image that compiles."""
+        shown = poses(MITSUBA_FRAMES)
+        self.linear(shown[0], spp, 0)
+        start, cpu = time.perf_counter(), time.process_time()
+        for k, T_world_cam in enumerate(shown):
+            self.linear(T_world_cam, spp, k)
+        return (time.perf_counter() - start) / len(shown), (time.process_time() - cpu) / len(shown)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=20, help="images a worker and condition")
+    parser.add_argument("--mitsuba-variant", default="scalar_rgb", help="llvm_ad_rgb needs LLVM 16 or newer")
+    arguments = parser.parse_args()
+    frames, variant = arguments.frames, arguments.mitsuba_variant
+    result: dict[str, Any] = {"benchmark": "rendering", "size": SIZE, "workers": WORKERS}
+    with tempfile.TemporaryDirectory(prefix="relocbench-bench-") as scratch:
+        told = measure(frames, Path(scratch))
+    ours = {}
+    for name in CONDITIONS:
+        rate = sum(frames / t[name]["seconds"] for t in told)
+        ours[name] = float(np.mean([t[name]["cpu_s"] for t in told])) / frames
+        bare = float(np.mean([t[name]["bare_cpu_s"] for t in told])) / frames
+        print(
+            f"{name}: {rate:.1f} images/s, {1e3 * ours[name]:.0f} ms an image of which rays {1e3 * bare:.0f}",
+            file=sys.stderr,
+        )
+        result[name] = {
+            "images_per_s": round(rate, 2),
+            "images_per_s_of_two_free_cores": round(WORKERS / ours[name], 2),
+            "cpu_ms": round(1e3 * ours[name], 1),
+            "bare_cpu_ms": round(1e3 * bare, 1),
+            "ratio_to_bare": round(bare / ours[name], 3),
+            "kb_an_image": round(float(np.mean([t[name]["bytes"] for t in told])) / 1000),
+            "setup_s": round(max(t[name]["setup_s"] for t in told), 1),
+        }
+    result["peak_mib"] = round(max(t["peak_mib"] for t in told))
+    result["mitsuba_variant"] = variant
+    for name, factors in previewed(CONDITIONS, everything=False, swept=None, steps=2).items():
+        mitsuba = Mitsuba(factors, variant)
+        spp, noise, camera = mitsuba.comparable_spp(poses(MITSUBA_FRAMES)[1])
+        clock, cpu = mitsuba.seconds(spp)
+        print(f"{name}: Mitsuba {1 / clock:.2f} images/s at {spp} samples a pixel", file=sys.stderr)
+        result[name] |= {
+            "mitsuba_images_per_s": round(1 / clock, 3),
+            "mitsuba_cpu_ms": round(1e3 * cpu),
+            "mitsuba_spp": spp,
+            "ratio_to_mitsuba": round(cpu / ours[name], 2),
+            f"mitsuba_noise_at_{TRIAL_SPP}_spp": round(noise, 2),
+            "camera_noise": round(camera, 2),
+        }
+    result["load_average"] = [round(x, 1) for x in os.getloadavg()]
+    print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()
