@@ -26,6 +26,9 @@ from relocbench.geometry import Camera, invert
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
+_CLOSED = 5
+"""pixels across"""
+
 
 @dataclass(frozen=True)
 class DepthNoise:
@@ -40,13 +43,15 @@ class DepthNoise:
     """of a single range; 12 mm is the data sheet's for a LMS-151"""
     surface_m: float = 0.004
     """of the plane: thinning to one point a voxel, unevenness, the normal's error over the surfel's size"""
+    rough_m: float = 0.05
+    """of a point that has no plane, in depth"""
     along_per_m: float = 0.008
     """scale of the odometry"""
     across_per_m: float = 0.001
     """sideways and in height"""
 
     def __post_init__(self) -> None:
-        if self.range_m <= 0 or min(self.surface_m, self.along_per_m, self.across_per_m) < 0:
+        if self.range_m <= 0 or min(self.surface_m, self.rough_m, self.along_per_m, self.across_per_m) < 0:
             raise ConfigError("noise of depth: range_m is positive, the others are not negative")
 
 
@@ -143,7 +148,11 @@ def scenery_depth(
         veil = np.minimum(veil, sight(scenery.space, camera, T_cam_node, VEIL_STEP, *limits))
     kept = (drawn.depth > 0) & ~_veiled(drawn, veil, options)
     kept &= ~((drawn.centre < options.least_centre) & (drawn.behind > drawn.centre))
-    kept = _without_specks(kept, drawn.depth, options.least_pixels)
+    # What has no plane is believed where it is closed all around, as a car's corner is and a leaf before a wall is not.
+    known = np.where(kept, drawn.depth, np.float32(0))
+    closed = cv2.erode(known, np.ones((_CLOSED, _CLOSED), np.uint8)) > np.float32(0.9) * known
+    kept &= (drawn.rough < 0.5) | (closed & (drawn.behind == 0))
+    kept = _without_specks(kept, options.least_pixels)
     zero = np.float32(0)
     return DepthImage(np.where(kept, drawn.depth, zero), np.where(kept, drawn.sigma, zero))
 
@@ -168,13 +177,15 @@ def _seen_by(surfels: Surfels, camera: Camera, T_cam_node: Array, options: Depth
     # From its back a surface hides, but the thing behind it may be nearer than what is drawn.
     reach8[np.einsum("ni,ni->n", normals, points) > 0] = 0
     noise = options.noise
+    plane = np.any(normals != 0, axis=1)
+    away = np.where(plane[:, None], normals, points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-6))
     way = surfels.origins[rows].astype(np.float64) @ rotation.T + translation
     driven = np.linalg.norm(way, axis=1)
-    along = np.einsum("ni,ni->n", normals, way)
+    along = np.einsum("ni,ni->n", away, way)
     drift = np.sqrt(
         np.square(noise.along_per_m * along) + noise.across_per_m**2 * np.maximum(driven**2 - along**2, 0.0)
     )
-    own = np.full(len(rows), np.hypot(noise.range_m, noise.surface_m), dtype=np.float32)
+    own = np.where(plane, np.hypot(noise.range_m, noise.surface_m), noise.rough_m).astype(np.float32)
     single = [np.ascontiguousarray(a, dtype=np.float32) for a in (points, normals, axes)]
     return View(*single, reach8, surfels.veil[rows], own, drift.astype(np.float32))
 
@@ -186,7 +197,7 @@ def _veiled(drawn: Drawn, veil: Floats, options: DepthOptions) -> NDArray[np.boo
     return np.asarray(drawn.depth - np.float32(options.veil_m) - np.float32(0.02) * drawn.depth > limit)
 
 
-def _without_specks(kept: NDArray[np.bool_], depth: Floats, least: int) -> NDArray[np.bool_]:
+def _without_specks(kept: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     """The pixels of patches of at least so many."""
     if least <= 1:
         return kept

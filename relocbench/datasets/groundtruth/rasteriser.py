@@ -60,6 +60,8 @@ class Drawn:
     """in [0, 1]: how near the pixel lies to the middle of a surfel of the front; 0 at its rim"""
     behind: Floats
     """the same, of what lies behind the front"""
+    rough: Floats
+    """in [0, 1]: share of the front that has no plane"""
 
 
 def draw(view: View, camera: Camera, max_depth: float, sigmas: float, slack_m: float) -> Drawn:
@@ -201,6 +203,8 @@ def _mean(  # type: ignore[no-untyped-def]
     shared = np.zeros((height, width), np.float32)
     centre = np.zeros((height, width), np.float32)
     behind = np.zeros((height, width), np.float32)
+    rough = np.zeros((height, width), np.float32)
+    flat = (normals[:, 0] != 0) | (normals[:, 1] != 0) | (normals[:, 2] != 0)
     for i in range(len(points)):
         thick = np.float32(_THICK) * sigma[i]
         drawn, nx, ny, nz, ax, ay, az, bx, by, bz, ex, ey, ez = _frame(i, points, normals, axes, reach, thick, max_depth)
@@ -236,11 +240,14 @@ def _mean(  # type: ignore[no-untyped-def]
                 noise[v, u] += weight * weight * (sigma[i] * sigma[i]) / (slope * slope)
                 shared[v, u] += weight * abs(drift[i] / slope)
                 centre[v, u] = max(centre[v, u], near)
+                if not flat[i]:
+                    rough[v, u] += weight
     for v in range(height):
         for u in range(width):
             if total[v, u] > 0:
                 mean[v, u] = front[v, u] + mean[v, u] / total[v, u]
+                rough[v, u] /= total[v, u]
                 own = noise[v, u] / (total[v, u] * total[v, u])
                 common = shared[v, u] / total[v, u]
                 noise[v, u] = np.sqrt(own + common * common)
-    return mean, noise, centre, behind
+    return mean, noise, centre, behind, rough

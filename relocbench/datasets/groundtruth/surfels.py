@@ -48,6 +48,10 @@ class SurfelOptions:
     """a point without a plane takes that of the nearest surfel whose plane it lies in, to so much; 0: it stays without"""
     rough_m: float = 0.12
     """radius within which a point without a plane hides what lies behind it"""
+    rough_reach_m: float = 0.06
+    """radius of the small disk, facing the camera, that it shows; 0: it shows nothing"""
+    crowd: int = 3
+    """a point without a plane that has fewer others within ``gap_m`` is noise: a drop, a flake, a stray echo"""
     steady: float = 0.5
     """points less steady than this moved, and are left out"""
 
@@ -85,8 +89,9 @@ def make_surfels(submap: Submap, options: SurfelOptions | None = None) -> Surfel
     normals = np.ascontiguousarray(submap.normals[kept], dtype=np.float32)
     length = np.linalg.norm(normals, axis=1)
     normals[length <= 0.5] = 0
-    if (length > 0.5).any() and options.adopt_m > 0:
-        normals = _adopted(points, normals, *_grid(points, options.gap_m), options.gap_m, options.adopt_m)
+    crowd = np.zeros(len(points), np.int32)
+    if len(points):
+        normals, crowd = _adopted(points, normals, *_grid(points, options.gap_m), options.gap_m, options.adopt_m)
         length = np.linalg.norm(normals, axis=1)
     plane = length > 0.5
     normals = np.where(plane[:, None], normals / np.maximum(length, 1e-6)[:, None], 0).astype(np.float32)
@@ -109,6 +114,8 @@ def make_surfels(submap: Submap, options: SurfelOptions | None = None) -> Surfel
             wide = _ways(*some, np.arange(len(rim)), *grid, options.veil_m, *limits)
             far[chosen[rim]] = np.minimum(near[rim], wide)
     reach, veil = _stars(way, far, plane, options)
+    stray = ~plane & (crowd < options.crowd)
+    reach[stray] = veil[stray] = 0
     return Surfels(points, normals, axes, reach, veil, np.ascontiguousarray(submap.origins[kept], dtype=np.float32))
 
 
@@ -130,10 +137,8 @@ def _stars(way: Floats, far: Floats, plane: NDArray[np.bool_], options: SurfelOp
     rim = np.where(met, _OVERLAP * np.where(met, way, 0), _RIM * nearest[:, None])
     reach = np.where(alone[:, None], 0, rim)
     veil = np.where(np.isfinite(far), np.maximum(_OVERLAP * np.where(np.isfinite(far), far, 0), reach), reach)
-    # What has no plane, or stands alone on its own, hides what lies behind it and shows nothing.
-    rough = ~plane | alone
-    reach[rough] = 0
-    veil[rough] = options.rough_m
+    reach[~plane] = options.rough_reach_m
+    veil[~plane | alone] = options.rough_m
     return reach.astype(np.float32), veil.astype(np.float32)
 
 
@@ -185,8 +190,10 @@ def _sorted_by_cell(points, low, inverse, shape, first):  # type: ignore[no-unty
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _adopted(points, normals, low, cell_m, shape, starts, rows, gap_m, adopt_m):  # type: ignore[no-untyped-def]
-    """(N, 3) normals, those missing taken from the nearest point whose plane goes through."""
+    """(N, 3) normals, those missing taken from the nearest point whose plane goes through; and, of these points, (N,)
+    how many others there are within ``gap_m``."""
     out = normals.copy()
+    crowd = np.zeros(len(points), np.int32)
     inverse = np.float32(1.0 / cell_m)
     for i in range(len(points)):
         if normals[i, 0] != 0 or normals[i, 1] != 0 or normals[i, 2] != 0:
@@ -202,15 +209,17 @@ def _adopted(points, normals, low, cell_m, shape, starts, rows, gap_m, adopt_m):
                 for m in range(starts[row + max(cz - 1, 0)], starts[row + min(cz + 2, shape[2])]):
                     j = rows[m]
                     nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
-                    if nx == 0 and ny == 0 and nz == 0:
-                        continue
                     dx, dy, dz = points[j, 0] - px, points[j, 1] - py, points[j, 2] - pz
                     square = dx * dx + dy * dy + dz * dz
+                    if j != i and square < gap_m * gap_m:
+                        crowd[i] += 1
+                    if nx == 0 and ny == 0 and nz == 0:
+                        continue
                     if square < nearest and abs(dx * nx + dy * ny + dz * nz) <= adopt_m:
                         best, nearest = j, square
         if best >= 0:
             out[i] = normals[best]
-    return out
+    return out, crowd
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
