@@ -124,10 +124,12 @@ def _supported(count: int, a: Indices, b: Indices, closed: Mask) -> Mask:
         half = coo_array((np.ones(which.sum()), (a[which], b[which])), shape=(count, count)).tocsr()
         return half + half.T
 
+    if not len(a):
+        return np.zeros(0, dtype=bool)
     near, agreeing = pairs(np.ones(len(a), dtype=bool)), pairs(closed)
     common = (near @ near).multiply(near).tocsr()
     support = (agreeing @ agreeing).multiply(near).tocsr()
-    return np.asarray(support[a, b] >= 0.5 * common[a, b]).reshape(-1)
+    return np.asarray(support[a, b]).reshape(-1) >= 0.5 * np.asarray(common[a, b]).reshape(-1)
 
 
 def _merged(run: Indices, a: Indices, b: Indices, closed: Mask) -> Indices:

@@ -95,6 +95,6 @@ def components(count: int, first: Indices, second: Indices) -> Indices:
 
     links = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
     labels = connected_components(links, directed=False)[1]
-    smallest = np.full(labels.max() + 1, count, dtype=np.int64)
+    smallest = np.full(labels.max(initial=-1) + 1, count, dtype=np.int64)
     np.minimum.at(smallest, labels, np.arange(count))
     return smallest[labels]

@@ -1,0 +1,342 @@
+"""The pose graph of two drives: calibrated covariances, wrong registrations named, pairs refused for true reasons."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from simulated_blocks import Planes, submap_registrations
+from simulated_graph import (
+    NO_EVIDENCE,
+    Drive,
+    drive,
+    grossly_wrong,
+    registrations,
+    slid,
+    true_error,
+)
+
+from relocbench.datasets.groundtruth.blocks import Nodes
+from relocbench.datasets.groundtruth.consensus import RunOptions
+from relocbench.datasets.groundtruth.edges import adjoint
+from relocbench.datasets.groundtruth.evidence import Registration
+from relocbench.datasets.groundtruth.graph import Solution, optimise
+from relocbench.datasets.groundtruth.local_edges import LocalOptions, refine_locally
+from relocbench.datasets.groundtruth.odometry_noise import OdometryNoise, estimate
+from relocbench.datasets.groundtruth.outcome import Outcomes
+from relocbench.datasets.groundtruth.recording import Trajectory
+from relocbench.datasets.groundtruth.selection import GraphOptions
+from relocbench.datasets.synthetic.odometry import OdometryErrors
+from relocbench.errors import ConfigError
+from relocbench.geometry import invert, make_transform, se3_exp, se3_log, so3_exp
+
+Array = NDArray[np.float64]
+INDEPENDENT = GraphOptions(shared_points=False)
+WHITE = OdometryErrors(scale=0.0, turn_rad_per_m=0.0)
+CAMERA = make_transform(so3_exp([0.0, np.pi / 2, 0.0]) @ so3_exp([0.0, 0.0, -np.pi / 2]), [1.5, 0.0, 1.2])
+"""``T_rig_cam`` of a camera that looks ahead"""
+
+
+def two_drives(
+    length_m: float, seed: int, errors: OdometryErrors | None = None
+) -> tuple[Drive, Drive, list[Registration]]:
+    rng = np.random.default_rng(seed)
+    errors = errors or OdometryErrors()
+    reference, query = drive(length_m, rng, errors), drive(length_m, rng, errors, 0.7, 10**12)
+    return reference, query, registrations(reference, query, rng)
+
+
+def normalised_squares(solution: Solution, reference: Drive, query: Drive, offsets: tuple[int, ...] = (0,)) -> Array:
+    """(M,) of all pairs of nodes side by side, divided by six."""
+    out = []
+    for j in range(len(query.nodes)):
+        for i in (j + k for k in offsets):
+            if 0 <= i < len(reference.nodes):
+                T, covariance = solution.relative(i, j)
+                error = true_error(reference, query, i, j, T)
+                out.append(error @ np.linalg.solve(covariance, error) / 6)
+    return np.array(out)
+
+
+def translation_errors(solution: Solution, reference: Drive, query: Drive) -> Array:
+    return np.array(
+        [np.linalg.norm(true_error(reference, query, j, j, solution.pose(j, j))[:3]) for j in range(len(query.nodes))]
+    )
+
+
+def used(solution: Solution) -> NDArray[np.bool_]:
+    return np.array([not v for v in solution.verdicts])
+
+
+def lone_nodes(count: int = 2) -> Nodes:
+    """Nodes of which odometry says nothing."""
+    return Nodes(np.arange(count), np.tile(np.eye(4), (count, 1, 1)), np.arange(count) * 2.0, np.arange(count))
+
+
+def test_a_single_registration_comes_out_with_its_own_covariance_in_our_order() -> None:
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(6, 6)) * np.array([0.02, 0.01, 0.03, 1e-3, 2e-3, 5e-4])[:, None]
+    covariance = A @ A.T
+    T = se3_exp([1.0, -2.0, 0.3, 0.2, -0.1, 1.0])
+    registration = Registration(0, 0, T, np.linalg.inv(covariance), NO_EVIDENCE)
+    solution = optimise(lone_nodes(1), lone_nodes(1), [registration])
+    found, P = solution.relative(0, 0)
+    np.testing.assert_allclose(found, T, atol=1e-9)
+    np.testing.assert_allclose(P, covariance, rtol=1e-3, atol=1e-12)
+
+
+def test_covariances_are_those_of_the_dense_normal_equations() -> None:
+    reference, query, found = two_drives(30.0, 1)
+    solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
+    edges, T = solution.edges, solution.T_world_node
+    H = np.zeros((6 * len(T), 6 * len(T)))
+    for first, second, information in zip(edges.first, edges.second, edges.information, strict=True):
+        J = np.zeros((6, 6 * len(T)))
+        J[:, 6 * first : 6 * first + 6] = -adjoint(invert(T[second]) @ T[first])
+        J[:, 6 * second : 6 * second + 6] = np.eye(6)
+        H += J.T @ information @ J
+    joint = np.zeros_like(H)
+    joint[6:, 6:] = np.linalg.inv(H[6:, 6:])
+    ref, query_node = 7, 9
+    a, b = 6 * ref, 6 * (len(reference.nodes) + query_node)
+    B = np.hstack([-adjoint(invert(T[b // 6]) @ T[ref]), np.eye(6)])
+    rows = np.r_[a : a + 6, b : b + 6]
+    expected = B @ joint[np.ix_(rows, rows)] @ B.T
+    _, covariance = solution.relative(ref, query_node)
+    sigma = np.sqrt(np.diagonal(expected))
+    np.testing.assert_allclose(covariance / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=0.02)
+
+
+def test_gross_errors_are_left_out_and_named_and_covariances_are_calibrated() -> None:
+    reference, query, found = two_drives(500.0, 3)
+    rng = np.random.default_rng(30)
+    wrong = rng.random(len(found)) < 0.05
+    found = [grossly_wrong(r, rng) if w else r for r, w in zip(found, wrong, strict=True)]
+    solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
+    assert wrong.sum() > 20
+    assert not used(solution)[wrong].any()
+    assert used(solution)[~wrong].mean() > 0.98
+    assert all("off" in solution.verdicts[e] for e in np.flatnonzero(wrong))
+    assert 0.5 < normalised_squares(solution, reference, query, (-3, 0, 2)).mean() < 2.0
+    errors = translation_errors(solution, reference, query)
+    assert np.median(errors) < 0.012
+    assert errors.max() < 0.06
+
+
+def test_the_same_registrations_give_the_same_bytes() -> None:
+    reference, query, found = two_drives(60.0, 4)
+    one, other = (optimise(reference.nodes, query.nodes, found) for _ in range(2))
+    assert one.T_world_node.tobytes() == other.T_world_node.tobytes()
+    assert one.relative(5, 6)[1].tobytes() == other.relative(5, 6)[1].tobytes()
+
+
+def test_information_that_promises_too_much_is_taken_down() -> None:
+    rng = np.random.default_rng(5)
+    reference, query = drive(200.0, rng, WHITE), drive(200.0, rng, WHITE, 0.7)
+    found = registrations(reference, query, rng, stated=1 / 3)
+    solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
+    assert 6.0 < solution.information_factor < 12.0
+    assert 0.5 < normalised_squares(solution, reference, query).mean() < 2.0
+
+
+@pytest.mark.parametrize("metres", [5.0, 0.6])
+def test_a_run_that_agrees_with_itself_but_slid_along_the_street_is_left_out(metres: float) -> None:
+    reference, query, found = two_drives(400.0, 7)
+    wrong = np.array([80 <= r.query < 115 for r in found])
+    found = [slid(r, se3_exp([metres, 0, 0, 0, 0, 0])) if w else r for r, w in zip(found, wrong, strict=True)]
+    solution = optimise(reference.nodes, query.nodes, found)
+    assert not used(solution)[wrong].any()
+    assert used(solution)[~wrong].mean() > 0.95
+    assert "contradicts a longer run" in solution.verdicts[int(np.flatnonzero(wrong)[20])]
+    middle = len(reference.nodes) + 97
+    assert solution.way_to_trusted[middle].min() > 30.0
+    assert solution.way_to_trusted[len(reference.nodes) + 40].max() < 10.0
+
+
+def test_of_two_runs_of_like_length_that_contradict_each_other_neither_is_believed() -> None:
+    reference, query, found = two_drives(200.0, 8)
+    found = [slid(r, se3_exp([8.0, 0, 0, 0, 0, 0])) if r.query >= 40 else r for r in found]
+    solution = optimise(reference.nodes, query.nodes, found)
+    assert not used(solution).any()
+    assert "none is much longer" in solution.verdicts[0]
+    assert not solution.connected(3, 3)
+
+
+def test_a_jump_that_all_registrations_share_shows_as_stress_in_the_odometry() -> None:
+    reference, query, found = two_drives(240.0, 9, WHITE)
+    found = [slid(r, se3_exp([0.5, 0, 0, 0, 0, 0])) if r.query >= 60 else r for r in found]
+    nothing_is_thrown_out = replace(
+        GraphOptions(), runs=RunOptions(closure_m=5.0), significance=1e-300, estimate_noise=False
+    )
+    solution = optimise(reference.nodes, query.nodes, found, options=nothing_is_thrown_out)
+    assert used(solution).all()
+    stressed = {first % len(reference.nodes) for first, _, _ in solution.stressed_odometry()}
+    assert 59 in stressed
+    assert all(50 <= node <= 70 for node in stressed)
+
+
+def test_stretches_between_gaps_are_tied_by_registrations_alone() -> None:
+    reference, query, found = two_drives(160.0, 10)
+    piece = (np.arange(len(query.nodes)) >= 40).astype(np.int64)
+    T_odom_node = query.nodes.T_odom_node.copy()
+    T_odom_node[40:] = se3_exp([30.0, 5.0, 1.0, 0.1, 0.0, 2.0]) @ T_odom_node[40:]
+    broken = replace(query.nodes, T_odom_node=T_odom_node, stretch=piece)
+    solution = optimise(reference.nodes, broken, found)
+    errors = [np.linalg.norm(true_error(reference, query, j, j, solution.pose(j, j))[:3]) for j in range(80)]
+    assert max(errors) < 0.06
+    alone = optimise(reference.nodes, broken, [r for r in found if r.query < 40])
+    assert alone.connected(0, 39)
+    assert not alone.connected(0, 40)
+    with pytest.raises(ValueError, match="nothing connects"):
+        alone.relative(0, 40)
+
+
+def test_a_road_that_the_reference_drove_twice_is_closed_through_the_query() -> None:
+    rng = np.random.default_rng(11)
+    once, query = drive(200.0, rng, OdometryErrors()), drive(200.0, rng, OdometryErrors(), 0.7)
+    again = drive(200.0, rng, OdometryErrors(), -0.5)
+    count = len(once.nodes)
+    # The second pass follows in the same odometry, half a metre and a few degrees wrong by then.
+    T_join = se3_exp([0.4, -0.3, 0.1, 0.0, 0.0, 0.05])
+    back = once.nodes.T_odom_node[-1] @ invert(once.T_world_node[-1]) @ again.T_world_node[0] @ T_join
+    nodes = Nodes(
+        np.concatenate([once.nodes.times_ns, once.nodes.times_ns + 10**12]),
+        np.concatenate([once.nodes.T_odom_node, back @ invert(again.nodes.T_odom_node[0]) @ again.nodes.T_odom_node]),
+        np.concatenate([once.nodes.travelled_m, once.nodes.travelled_m + 400.0]),
+        np.repeat([0, 1], count),
+    )
+    both = Drive(nodes, np.concatenate([once.T_world_node, again.T_world_node]))
+    second = [replace_ref(r, r.ref + count) for r in registrations(again, query, rng)]
+    solution = optimise(nodes, query.nodes, registrations(once, query, rng) + second)
+    assert used(solution).mean() > 0.98
+    for j in range(0, len(query.nodes), 7):
+        for i in (j, j + count):
+            assert np.linalg.norm(true_error(both, query, i, j, solution.pose(i, j))[:3]) < 0.05
+
+
+def replace_ref(registration: Registration, ref: int) -> Registration:
+    return replace(registration, ref=ref)
+
+
+def test_noise_of_odometry_is_found_again_whatever_was_assumed() -> None:
+    reference, query, found = two_drives(600.0, 12, WHITE)
+    solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
+    true = np.array([0.002] * 3 + [2e-4] * 3) / np.sqrt(0.6)
+    np.testing.assert_allclose(solution.noise.sigma[1:], true[1:], rtol=0.25)
+    assert solution.noise.along_m < 0.006  # from 0.02
+
+
+def test_noise_grows_with_the_way_however_it_is_cut_and_is_refused_where_it_is_none() -> None:
+    noise = OdometryNoise()
+    np.testing.assert_allclose(noise.variance(np.array(6.0)), 3 * noise.variance(np.array(2.0)))
+    assert np.all(noise.variance(np.array(0.0)) > 0)
+    with pytest.raises(ConfigError, match="positive"):
+        OdometryNoise(along_m=0.0)
+    few = estimate(noise, np.full(5, 2.0), np.zeros((5, 6)), np.zeros((5, 6)))
+    assert few == noise  # five edges say nothing of six variances
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_local_edges_are_calibrated_and_beat_rigid_submaps_that_drift(known: bool) -> None:
+    """With odometry noise that is white and known, and with noise that is neither and has to be estimated."""
+    squares, rigid, local = [], [], []
+    errors = WHITE if known else OdometryErrors()
+    noise = OdometryNoise(*(np.array([0.002] * 3 + [2e-4] * 3) / np.sqrt(0.6))) if known else None
+    for seed in range(5 if known else 3):
+        rng = np.random.default_rng(seed)
+        reference, query = drive(120.0, rng, errors), drive(120.0, rng, errors, 0.7)
+        planes = Planes(reference, query, rng)
+        rough = submap_registrations(planes, half=15, every=3)
+        start = optimise(reference.nodes, query.nodes, rough, noise, GraphOptions(estimate_noise=not known))
+        options = LocalOptions(correlation=1.0, reach_m=5.0, estimate_noise=not known)
+        fine = refine_locally(start, planes, options)
+        squares.append(normalised_squares(fine, reference, query).mean())
+        rigid.append(np.median(translation_errors(start, reference, query)))
+        local.append(np.median(translation_errors(fine, reference, query)))
+    if known:
+        assert 0.8 < np.mean(squares) < 1.2
+    else:
+        assert 0.5 < np.mean(squares) < 2.0
+        assert np.mean(local) < 0.5 * np.mean(rigid)
+
+
+def trajectory(one: Drive) -> Trajectory:
+    return Trajectory(one.nodes.times_ns, one.nodes.T_odom_node)
+
+
+def test_pairs_come_out_camera_to_camera_with_sigmas_along_across_and_above_the_street() -> None:
+    reference, query, found = two_drives(200.0, 13)
+    solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
+    outcomes = Outcomes(solution, (reference.nodes, trajectory(reference)), (query.nodes, trajectory(query)), found)
+    squares = []
+    for j in range(5, 95):
+        ref_ns, query_ns = int(reference.nodes.times_ns[j - 2]), int(query.nodes.times_ns[j])
+        outcome = outcomes.of(ref_ns, query_ns, CAMERA, CAMERA)
+        assert outcome.accepted, outcome.reason
+        assert outcome.T_query_ref is not None
+        assert outcome.covariance is not None
+        true = invert(reference.T_world_node[j - 2] @ CAMERA) @ query.T_world_node[j] @ CAMERA
+        error = se3_log(outcome.T_query_ref @ true)
+        squares.append(error @ np.linalg.solve(outcome.covariance, error) / 6)
+        sigmas = np.array([outcome.sigma_along_m, outcome.sigma_across_m, outcome.sigma_height_m], dtype=np.float64)
+        assert sigmas[0] > sigmas[2]
+        assert outcome.sigma_translation_m == pytest.approx(float(np.sqrt(np.mean(sigmas**2))))
+    assert 0.5 < np.mean(squares) < 2.0
+    pair = outcomes.of(int(reference.nodes.times_ns[8]), int(query.nodes.times_ns[10]), CAMERA, CAMERA).pair("step_4")
+    assert pair.sigma_along_m is not None
+    assert pair.T_query_ref is not None
+
+
+def test_between_nodes_a_pose_follows_the_odometry_and_is_less_certain() -> None:
+    reference, query, found = two_drives(100.0, 14)
+    coarse = Nodes(*(a[::4] for a in (query.nodes.times_ns, query.nodes.T_odom_node, query.nodes.travelled_m)))
+    fewer = [replace(r, query=r.query // 4) for r in found if r.query % 4 == 0]
+    solution = optimise(reference.nodes, coarse, fewer, options=INDEPENDENT)
+    outcomes = Outcomes(solution, (reference.nodes, trajectory(reference)), (coarse, trajectory(query)), fewer)
+    at, between = (
+        outcomes.of(int(reference.nodes.times_ns[20]), int(query.nodes.times_ns[n]), CAMERA, CAMERA) for n in (20, 22)
+    )
+    assert at.sigma_along_m is not None
+    assert between.sigma_along_m is not None
+    assert between.T_query_ref is not None
+    assert between.sigma_along_m > at.sigma_along_m
+    true = invert(query.T_world_node[22] @ CAMERA) @ reference.T_world_node[20] @ CAMERA
+    np.testing.assert_allclose(between.T_query_ref, true, atol=0.05)
+
+
+def test_refused_pairs_say_why() -> None:
+    reference, query, found = two_drives(300.0, 15)
+    found = [
+        replace(r, reason="free space: 12 % of the walls were seen through") if 60 <= r.query < 100 else r
+        for r in found
+    ]
+    solution = optimise(reference.nodes, query.nodes, found)
+    outcomes = Outcomes(solution, (reference.nodes, trajectory(reference)), (query.nodes, trajectory(query)), found)
+
+    def reason(ref: int, query_node: int) -> str:
+        outcome = outcomes.of(int(reference.nodes.times_ns[ref]), int(query.nodes.times_ns[query_node]), CAMERA, CAMERA)
+        assert outcome.pair().accepted == (outcome.reason == "")
+        return outcome.reason
+
+    assert reason(30, 30) == ""
+    assert reason(10, 30) in {f"no keyframe within 10 m: nearest {n} m" for n in (38, 39, 40)}
+    assert reason(80, 80).startswith("not registered within 15 m, nearest")
+    assert reason(80, 80).endswith("free space: 12 % of the walls were seen through")
+    assert reason(64, 64).startswith("sigma along the street 0.")
+    after = int(query.nodes.times_ns[-1]) + 1
+    assert (
+        outcomes.of(int(reference.nodes.times_ns[3]), after, CAMERA, CAMERA).reason
+        == "no odometry at the time of the query"
+    )
+    nothing = optimise(reference.nodes, query.nodes, [])
+    outcomes = Outcomes(nothing, (reference.nodes, trajectory(reference)), (query.nodes, trajectory(query)))
+    assert reason(30, 30) == "not registered: no registration was found there"
+
+
+def test_the_solver_is_loaded_when_it_is_needed() -> None:
+    modules = "relocbench.datasets.groundtruth.outcome, relocbench.datasets.groundtruth.local_edges"
+    subprocess.run([sys.executable, "-c", f"import sys, {modules}\nassert 'gtsam' not in sys.modules"], check=True)
