@@ -125,8 +125,15 @@ def _finish(
     along = np.abs(nodes.travelled_m - nodes.travelled_m[node]) <= _PATH_M
     path = T_node_odom @ nodes.T_odom_node[along & (stretches == stretches[node])]
     surface = classify(own.points, normals, path, wheel_height_m, options.surfaces)
-    steady = steadiness(rays, normals, wanted, options.steady)
+    steady = steadiness(rays, normals, wanted, _heard([len(around[k].points) for k in near], options), options.steady)
     return Block(own.points, normals, own.origins, surface, steady)
+
+
+def _heard(sizes: Sequence[int], options: BlockOptions) -> NDArray[np.int64]:
+    """Rows of the beams that vote, of blocks of these sizes laid end to end."""
+    starts = np.cumsum([0, *sizes[:-1]])
+    steps = [-(-size // options.steady.most_beams) or 1 for size in sizes]
+    return np.concatenate([start + np.arange(0, n, step) for start, n, step in zip(starts, sizes, steps, strict=True)])
 
 
 def without_cameras(recording: FieldRecording) -> FieldRecording:

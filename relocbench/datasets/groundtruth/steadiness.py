@@ -37,6 +37,8 @@ class SteadyOptions:
     """points so near to one another, measured at one time, share their beams: evidence is thin and surfaces large"""
     margin_m: float = 0.5
     """so long before its end a beam passes nothing: noise, drift and grazing"""
+    most_beams: int = 16_000
+    """of a block that are heard, evenly over its points: a spinning lidar sees everything over and over"""
     apart_ns: int = 150_000_000
     """beams fired so soon after one another say nothing about one another"""
     cosine: float = 0.25
@@ -55,17 +57,19 @@ class Rays(NamedTuple):
 
 
 def steadiness(
-    rays: Rays, normals: NDArray[np.float32], wanted: Indices, options: SteadyOptions
+    rays: Rays, normals: NDArray[np.float32], wanted: Indices, heard: Indices, options: SteadyOptions
 ) -> NDArray[np.float32]:
     """Share (M,) of the beams at a point that met something there: 1 where nothing speaks against it.
 
     Args:
         normals: (M, 3) of the wanted points, in the frame of the beams; 0 where no plane fits.
         wanted: (M,) rows.
+        heard: (H,) rows whose beams vote.
     """
-    if not len(wanted):
-        return np.zeros(0, dtype=np.float32)
+    if not len(wanted) or not len(heard):
+        return np.ones(len(wanted), dtype=np.float32)
     targets = Rays(rays.points[wanted], rays.origins[wanted], rays.times_ns[wanted])
+    rays = Rays(rays.points[heard], rays.origins[heard], rays.times_ns[heard])
     passed = _passed(targets, normals, make_grid(targets.points, 2 * options.pass_m), rays,
                      options.pass_m, options.margin_m, options.apart_ns, options.cosine)  # fmt: skip
     if not passed.any():

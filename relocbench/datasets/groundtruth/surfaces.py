@@ -205,7 +205,7 @@ def _over_path(points: Array, normals: Array, poses: Array) -> tuple[Array, Arra
     return height, level, away
 
 
-def level_under(points: Array, beside_m: float = 4.0, bin_m: float = 0.04, fewest: int = 200) -> float:
+def level_under(points: Array, beside_m: float = 6.0, bin_m: float = 0.04, fewest: int = 200) -> float:
     """Height of the road under the rig: where most points (N, 3) near it lie, in its frame; nan if there are few."""
     near = np.hypot(points[:, 0], points[:, 1]) < beside_m
     z = points[near, 2]
