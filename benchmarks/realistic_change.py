@@ -26,8 +26,12 @@ from numpy.typing import NDArray
 from relocbench.datasets.dataset import Dataset, Traversal
 from relocbench.datasets.importers import Run, importer
 from relocbench.datasets.layout import pair_set_name
+from relocbench.datasets.pairfile import write_pairs
+from relocbench.datasets.pairing import PosedFrames
 from relocbench.datasets.synthetic.condition import CONDITIONS
+from relocbench.datasets.synthetic.pairs import DistanceSpread, drawn_pairs
 from relocbench.datasets.visibility import warp
+from relocbench.datasets.writer import DatasetWriter
 from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.execution import default_workers
 from relocbench.geometry import invert
@@ -41,6 +45,8 @@ _STRIDE = 8
 _LEAST_CONTRAST = 8.0
 """standard deviation of a patch in grey levels, well above the noise of any condition"""
 _APART_M = 0.5
+_MEAN_M, _FARTHEST_M = 0.8, 3.0
+"""distances of the pairs that trackers are asked"""
 _RECALL = "recall@(0.25m,2deg)"
 
 
@@ -119,14 +125,48 @@ def traversal_of(dataset: Dataset, condition: str) -> str:
     return next(name for name in dataset.traversal_names if name.split("-")[1] == condition)
 
 
+def asked_sets(dataset: Dataset, names: list[str]) -> dict[tuple[str, str], str]:
+    """(reference, query) condition -> pair set: each condition with itself, and the first with each other."""
+    asked = [(name, name) for name in names] + [(names[0], name) for name in names[1:]]
+    return {(a, b): pair_set_name(traversal_of(dataset, a), traversal_of(dataset, b), CAMERA) for a, b in asked}
+
+
+def with_pairs_within(town: Dataset, names: list[str], seed: int, out: Path) -> Dataset:
+    """The frames of ``town``, linked, with pairs within every condition, where it has those of the first alone."""
+    writer = DatasetWriter(out, f"{town.name}-within", {"kind": "realistic-change", "seed": seed})
+    frames = {}
+    for name in names:
+        traversal = town.traversal(traversal_of(town, name))
+        times = tuple(traversal.timestamps(CAMERA))
+        writer.traversal(traversal.file, traversal.poses)
+        T_world_cam = np.array([traversal.T_world_cam(CAMERA, t) for t in times])
+        frames[name] = PosedFrames(times, T_world_cam, frozenset(times))
+        target = writer.layout.traversal(traversal.name)
+        for t in times:
+            link(traversal.layout.image(CAMERA, t), target.image(CAMERA, t))
+            link(traversal.layout.depth(CAMERA, t), target.depth(CAMERA, t))
+    sets = asked_sets(town, names)
+    for k, ((a, b), name) in enumerate(sets.items()):
+        rng = np.random.default_rng([seed, k])
+        spread = DistanceSpread(_MEAN_M, _FARTHEST_M)
+        pairs = drawn_pairs(frames[a], frames[b], spread, rng, same_traversal=a == b)
+        write_pairs(writer.layout.pair_file(name), writer.layout.pair_table(name), sorted(pairs, key=lambda p: p.key))
+    return writer.finish({"test": list(sets.values())})
+
+
+def link(source: Path, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.exists():
+        path.symlink_to(source.resolve())
+
+
 def track(dataset: Dataset, names: list[str], methods: tuple[str, ...], out: Path) -> dict[str, dict[str, Any]]:
     """pairs of conditions -> recall of each method in percent, number and mean distance of pairs."""
     first = names[0]
     asked = [(name, name) for name in names] + [(first, name) for name in names[1:]]
     sets = {f"{a} -> {b}": pair_set_name(traversal_of(dataset, a), traversal_of(dataset, b), CAMERA) for a, b in asked}
-    options = EvaluateOptions(
-        dataset=dataset.root, methods=methods, pair_sets=tuple(sets.values()), out=out, workers=default_workers()
-    )
+    # Workers start anew for each pair set, which takes longer than sixty pairs.
+    options = EvaluateOptions(dataset=dataset.root, methods=methods, pair_sets=tuple(sets.values()), out=out, workers=1)
     print(f"tracking {len(sets)} pair sets with {', '.join(methods)}", file=sys.stderr)
     report = evaluate_methods(options, Silent())
     scores = {folder.label: folder.score_record().pair_sets for folder in report.folders}
@@ -139,13 +179,17 @@ def track(dataset: Dataset, names: list[str], methods: tuple[str, ...], out: Pat
     return table
 
 
-def print_tables(patches: dict[str, dict[str, dict[str, float]]], tracked: dict[str, dict[str, Any]]) -> None:
-    """Both tables as Markdown."""
+def print_patches(patches: dict[str, dict[str, dict[str, float]]]) -> None:
+    """Median ZNCC as Markdown."""
     names = list(patches)
     print("median ZNCC, reference (row) against query (column)\n")
     print("| | " + " | ".join(names) + " |\n|" + "---|" * (len(names) + 1))
     for a in names:
-        print(f"| {a} | " + " | ".join(f"{patches[a][b]['median']:.2f}" for b in names) + " |")
+        print(f"| {a} | " + " | ".join(f"{patches[a][b]['median']:.2f}" for b in names) + " |", flush=True)
+
+
+def print_tracked(tracked: dict[str, dict[str, Any]]) -> None:
+    """Recall as Markdown."""
     columns = list(next(iter(tracked.values())))
     print(f"\n{_RECALL} in percent\n")
     print("| reference -> query | " + " | ".join(columns) + " |\n|" + "---|" * (len(columns) + 1))
@@ -156,7 +200,7 @@ def print_tables(patches: dict[str, dict[str, dict[str, float]]], tracked: dict[
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--conditions", default=",".join(dict.fromkeys(("Sunny", *CONDITIONS))))
-    parser.add_argument("--methods", default="identity,orb-pnp,sift-pnp,dso")
+    parser.add_argument("--methods", default="orb-pnp,dso")
     parser.add_argument("--steps", type=int, default=61, help="of each drive, and pairs of each set")
     parser.add_argument("--frames", type=int, default=8, help="of each pair of conditions, whose patches are compared")
     parser.add_argument("--size", default="320x240")
@@ -176,9 +220,8 @@ def main() -> None:
             # Frames half a metre apart; drives side by side.
             "speed": 5.0,
             "lateral": 0.3,
-            "distance": 0.8,
-            "max_distance": 3.0,
-            "reference": "all",
+            "distance": _MEAN_M,
+            "max_distance": _FARTHEST_M,
             "correspondences": 0,
         }
     )
@@ -187,8 +230,10 @@ def main() -> None:
         print(f"rendering {given.steps} frames in each of {len(names)} conditions", file=sys.stderr)
         dataset = town.build([], options, folder / "dataset", Silent(), Run(default_workers()))
         patches = correlate(dataset, names, given.frames)
-        tracked = track(dataset, names, tuple(given.methods.split(",")), folder / "results")
-    print_tables(patches, tracked)
+        print_patches(patches)
+        linked = with_pairs_within(dataset, names, given.seed, folder / "within")
+        tracked = track(linked, names, tuple(given.methods.split(",")), folder / "results")
+    print_tracked(tracked)
     print(json.dumps({"benchmark": "realistic_change", "zncc": patches, "recall_percent": tracked}))
 
 
