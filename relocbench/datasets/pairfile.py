@@ -258,7 +258,9 @@ def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
                 source=field["source"],
                 accepted=accepted,
                 reason=field["reason"],
-                **{name: _optional(field[name], name, pair_table, number) for name in AXIS_COLUMNS},
+                sigma_along_m=_optional(field["sigma_along_m"], "sigma_along_m", pair_table, number),
+                sigma_across_m=_optional(field["sigma_across_m"], "sigma_across_m", pair_table, number),
+                sigma_height_m=_optional(field["sigma_height_m"], "sigma_height_m", pair_table, number),
             )
         )
     for key in lines:
