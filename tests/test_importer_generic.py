@@ -16,6 +16,7 @@ from relocbench.datasets import images
 from relocbench.datasets.dataset import Dataset
 from relocbench.datasets.importers import Run
 from relocbench.datasets.importers import generic as importer
+from relocbench.datasets.importers.generic_lidar import read_lidar_file
 from relocbench.datasets.importers.sources import parse_time, read_trajectory, timed_files, traversal_names
 from relocbench.datasets.pairfile import pose_fields
 from relocbench.datasets.schema import TraversalFile
@@ -359,7 +360,9 @@ def code_blocks(document: str, language: str) -> list[str]:
 
 
 def test_camera_files_of_the_documentation_are_valid(tmp_path: Path) -> None:
-    traversal, single, rig = code_blocks("file-formats.md", "yaml")
+    traversal, single, rig, lidars = code_blocks("file-formats.md", "yaml")
+    (tmp_path / "lidar.yaml").write_text(lidars)
+    assert list(read_lidar_file(tmp_path).lidars) == ["top"]
     path = tmp_path / "camera.yaml"
     path.write_text(single)
     assert load_yaml(path, importer.SingleCameraFile, "a camera").camera.model == "radtan"
