@@ -60,7 +60,8 @@ class OdometryNoise:
 
     def scaled(self, factors: Array) -> OdometryNoise:
         """With each standard deviation times a factor (6,)."""
-        return OdometryNoise(*(self.sigma * factors).tolist(), self.least_way_m)
+        along, across, height, roll, pitch, yaw = (self.sigma * factors).tolist()
+        return OdometryNoise(along, across, height, roll, pitch, yaw, self.least_way_m)
 
     def at_least(self, other: OdometryNoise) -> OdometryNoise:
         """The larger of both on each axis."""
