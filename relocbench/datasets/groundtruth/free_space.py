@@ -30,8 +30,10 @@ _MIDDLE = 1 << (_BITS - 1)
 class FreeSpaceOptions:
     """When a beam counts as having gone through a surface."""
 
-    cell_m: float = 0.3
-    """size of a piece of surface"""
+    cells_m: tuple[float, ...] = (0.3, 0.5, 0.8)
+    """size of a piece of surface: the first with which pieces hold enough of the points; sparse clouds need larger"""
+    held: float = 0.3
+    """share of the points that is enough"""
     least_points: int = 3
     """fewer in a cell are no surface"""
     flat: float = 0.95
@@ -66,6 +68,9 @@ class Pieces:
     """(V, 3) where the sensor was, on average"""
     weights: Array
     """(V,)"""
+    cell_m: float
+    held: float
+    """share of the points that lie in pieces"""
     keys: Counts
     slots: NDArray[np.int32]
     rows: NDArray[np.int32]
@@ -91,11 +96,15 @@ class Judged:
         """How many were judged."""
         return int(np.count_nonzero(self._judged))
 
-    @property
-    def violations(self) -> float:
-        """Weighted share of the judged pieces that most beams went through; nan where none was judged."""
+    def violations(self, found: NDArray[np.bool_]) -> float:
+        """Weighted share of the judged pieces that most beams went through; nan where none was judged.
+
+        Args:
+            found: (V,) pieces that the other has as well. Beams go through hedges and between bars; what both have
+                measured contradicts nothing.
+        """
         total = float(self.weights[self._judged].sum())
-        violated = self._judged & (self.through > self.reached)
+        violated = self._judged & (self.through > self.reached) & ~found
         return float(self.weights[violated].sum()) / total if total > 0 else float("nan")
 
     @property
@@ -117,7 +126,11 @@ class FreeSpace:
         used = (self.submap.surface == Surface.STRUCTURE) & (self.submap.steady >= 0.5)
         arrays = (self.submap.points, self.submap.normals, self.submap.origins)
         points, normals, origins = (a[used].astype(np.float64) for a in arrays)
-        return make_pieces(points, normals, origins, self.options)
+        for cell_m in self.options.cells_m:
+            pieces = make_pieces(points, normals, origins, cell_m, self.options)
+            if pieces.held >= self.options.held:
+                break
+        return pieces
 
     @cached_property
     def passed(self) -> Array:
@@ -139,15 +152,15 @@ class FreeSpace:
         origins, ends = (apply(T_this_other, p) for p in beams)
         pieces, o = self.pieces, self.options
         through, reached = _follow(
-            origins, ends, pieces.middle, pieces.normals, pieces.keys, pieces.slots, pieces.rows, o.cell_m,
-            o.start_margin_m, o.end_margin_m, o.grazing, o.within * o.cell_m, o.longest_m,
+            origins, ends, pieces.middle, pieces.normals, pieces.keys, pieces.slots, pieces.rows, pieces.cell_m,
+            o.start_margin_m, o.end_margin_m, o.grazing, o.within * pieces.cell_m, o.longest_m,
         )  # fmt: skip
         return Judged(through, reached, pieces.weights)
 
 
-def make_pieces(points: Array, normals: Array, origins: Array, options: FreeSpaceOptions) -> Pieces:
+def make_pieces(points: Array, normals: Array, origins: Array, cell_m: float, options: FreeSpaceOptions) -> Pieces:
     """Pieces of points (N, 3) with unit normals (N, 3), measured from origins (N, 3)."""
-    keys, slots, cells, count = tabulate(cell_keys(points, options.cell_m))
+    keys, slots, cells, count = tabulate(cell_keys(points, cell_m))
     size = np.bincount(cells, minlength=count).astype(np.float64)
 
     def mean(values: Array) -> Array:
@@ -159,7 +172,8 @@ def make_pieces(points: Array, normals: Array, origins: Array, options: FreeSpac
     rows = np.where(surface, np.cumsum(surface) - 1, -1).astype(np.int32)
     middle, facing = middle[surface], facing[surface] / length[surface, None]
     weights = np.where(middle[:, 2] < options.low_m, options.low_weight, 1.0)
-    return Pieces(middle, facing, measured_from[surface], weights, keys, slots, rows)
+    held = float(size[surface].sum()) / max(len(points), 1)
+    return Pieces(middle, facing, measured_from[surface], weights, cell_m, held, keys, slots, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

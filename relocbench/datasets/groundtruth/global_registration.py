@@ -31,7 +31,7 @@ class GlobalOptions:
 
     matcher: Matcher = "ransac"
     voxel_m: float = 0.7
-    iterations: int = 60_000
+    iterations: int = 30_000
     """of RANSAC, always all of them"""
     seeds: tuple[int, ...] = (0, 1, 2)
     """one run each"""

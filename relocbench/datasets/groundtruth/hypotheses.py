@@ -109,19 +109,20 @@ def _follow(
 ) -> float | None:
     """Mean plausibility along the stretch, both ways if the drive begins or ends; None if it does not hold."""
     scores, trusted = [plausibility(start.evidence)], 1
-    missing = options.stretch_m
+    missing, stretch = options.stretch_m, query.nodes.stretches()
+    beside = np.flatnonzero(ref.nodes.stretches() == ref.nodes.stretches()[start.ref])
     for sign in (1, -1):
         known, last = start, float(query.nodes.travelled_m[start.query])
         for node in range(start.query + sign, len(query) if sign > 0 else -1, sign):
             way = abs(float(query.nodes.travelled_m[node]) - last)
-            if missing <= 0:
+            if missing <= 0 or stretch[node] != stretch[start.query]:
                 break
             if way < options.step_m:
                 continue
             last, missing = float(query.nodes.travelled_m[node]), missing - way
             pose = ref.nodes.T_odom_node[known.ref] @ known.T_ref_query
             pose = pose @ invert(query.nodes.T_odom_node[known.query]) @ query.nodes.T_odom_node[node]
-            r, apart = nearest_node(ref, pose, np.arange(len(ref)))
+            r, apart = nearest_node(ref, pose, beside)
             if apart > options.nearest_m:
                 break
             found = register(ref, query, (r, node), predict(known, ref.nodes, query.nodes, (r, node)), register_options)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +68,7 @@ def guesses_by_prior(ref: Side, query: Side, prior: MapPrior, node: int, options
 def guesses_by_features(ref: Side, query: Side, node: int, options: GlobalOptions) -> list[Guess]:
     """What features say at places all along the reference: minutes for kilometres, so give a prior if there is one."""
     features: Features = describe(query.at(node).submap, options)
-    once = GlobalOptions(**{**options.__dict__, "seeds": options.seeds[:1]})
+    once = replace(options, seeds=options.seeds[:1])
     found: list[Guess] = []
     for r in ref.every(_PLACES_M):
         found += [(r, node, T) for T in guesses(describe(ref.at(r).submap, options), features, None, once)]

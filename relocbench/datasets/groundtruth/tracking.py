@@ -105,27 +105,29 @@ class _Tracker:
     def run(self, first: Guess | None) -> list[Registration]:
         steps = self.query.every(self.options.step_m)
         start = None if first is None else self._given(first)
-        searched = -np.inf
+        searched, reason = -np.inf, "no registration to follow on"
         if start is not None:
             nearest = min(range(len(steps)), key=lambda i: abs(steps[i] - start.query))
-            self._along(steps[nearest::], start)
+            self._along(steps[nearest:], start)
             self._along(steps[:nearest][::-1], start)
         for i, node in enumerate(steps):
             way = float(self.query.nodes.travelled_m[node])
             if node in self.found and self.found[node].trusted:
                 continue
-            if not self._is_lost(node) or way - searched < self.options.retry_m:
+            if not self._is_lost(node):
                 continue
-            searched = way
-            outcome = self._search(node)
-            if outcome.best is None:
-                self.found[node] = self._unfound((self._closest(node), node), f"not found: {outcome.reason}")
-                continue
-            self._along(steps[i:], outcome.best)
-            self._along(steps[:i][::-1], outcome.best)
+            if way - searched >= self.options.retry_m:
+                searched = way
+                outcome = self._search(node)
+                if outcome.best is not None:
+                    self._along(steps[i:], outcome.best)
+                    self._along(steps[:i][::-1], outcome.best)
+                    continue
+                reason = outcome.reason
+            self.found[node] = self._unfound((self._closest(node), node), f"not found: {reason}")
         for node in steps:
             if node not in self.found:
-                self.found[node] = self._unfound((self._closest(node), node), "not found: no registration to follow on")
+                self.found[node] = self._unfound((self._closest(node), node), f"not found: {reason}")
         return [self.found[node] for node in steps]
 
     def _given(self, first: Guess) -> Registration | None:
@@ -139,14 +141,17 @@ class _Tracker:
 
     def _is_lost(self, node: int) -> bool:
         """No trusted registration is so near along the drive that odometry still knows the place."""
-        trusted = [q for q, found in self.found.items() if found.trusted]
+        stretch = self.query.nodes.stretches()
+        trusted = [q for q, found in self.found.items() if found.trusted and stretch[q] == stretch[node]]
         way = self.query.nodes.travelled_m
         return all(abs(way[node] - way[q]) > self.options.lost_m for q in trusted)
 
     def _along(self, steps: list[int], start: Registration) -> None:
         """Node after node, until the drive ends, the track is lost for good, or trusted registrations are met."""
-        known, way = start, self.query.nodes.travelled_m
+        known, way, stretch = start, self.query.nodes.travelled_m, self.query.nodes.stretches()
         for node in steps:
+            if stretch[node] != stretch[start.query]:
+                break
             before = self.found.get(node)
             if before is not None and before.trusted:
                 break
@@ -163,7 +168,8 @@ class _Tracker:
         pose = pose @ invert(self.query.nodes.T_odom_node[known.query]) @ self.query.nodes.T_odom_node[node]
         # A reference that comes by twice is followed where it was: its odometry closes no loops.
         reach = o.lost_m + 3 * o.nearest_m
-        around = np.flatnonzero(np.abs(self.ref.nodes.travelled_m - self.ref.nodes.travelled_m[known.ref]) <= reach)
+        way, stretch = self.ref.nodes.travelled_m, self.ref.nodes.stretches()
+        around = np.flatnonzero((np.abs(way - way[known.ref]) <= reach) & (stretch == stretch[known.ref]))
         r, apart = nearest_node(self.ref, pose, around)
         predicted = predict(known, self.ref.nodes, self.query.nodes, (r, node))
         if apart > o.nearest_m + o.position_error * driven:

@@ -104,7 +104,7 @@ def _one_way(this: Prepared, other: Prepared, T_other_this: Array) -> _OneWay:
     return _OneWay(
         overlap=float(pieces.weights[found].sum()) / could_see if could_see > 0 else float("nan"),
         seen=float(pieces.weights[met].sum()) / everything if everything > 0 else 0.0,
-        violations=judged.violations,
+        violations=judged.violations(found),
     )
 
 

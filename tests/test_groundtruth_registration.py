@@ -1,0 +1,322 @@
+"""Registration of submaps: planes, refinement, guesses, free space, verdicts and tracking, on streets of planes."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import street_clouds as clouds
+
+from relocbench.datasets.groundtruth.alternatives import SlideOptions, alternatives, period, slides
+from relocbench.datasets.groundtruth.backends import refine_with
+from relocbench.datasets.groundtruth.blocks import Surface
+from relocbench.datasets.groundtruth.evidence import Evidence
+from relocbench.datasets.groundtruth.free_space import FreeSpace
+from relocbench.datasets.groundtruth.global_registration import GlobalOptions, Prior, describe, distinct, guesses
+from relocbench.datasets.groundtruth.planes import balanced, direction_bins, grid_planes, thinned
+from relocbench.datasets.groundtruth.prepared import Prepared
+from relocbench.datasets.groundtruth.refinement import RefinementOptions, linearise, linearise_both, refine
+from relocbench.datasets.groundtruth.submaps import Submap
+from relocbench.datasets.groundtruth.tracking import TrackingOptions, track
+from relocbench.datasets.groundtruth.verification import Thresholds, gather_evidence, verdict
+from relocbench.errors import ConfigError
+from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, se3_log
+
+RNG = np.random.default_rng(0)
+T_STREET_REF, T_STREET_QUERY = clouds.pose(100.0, 0.3, 1.0), clouds.pose(101.2, -0.6, -2.0)
+TRUTH = invert(T_STREET_REF) @ T_STREET_QUERY
+
+
+def error(T, truth=TRUTH) -> tuple[float, float]:
+    """Metres and degrees."""
+    d = invert(truth) @ T
+    return float(np.linalg.norm(d[:3, 3])), float(np.degrees(rotation_angle(d[:3, :3])))
+
+
+@pytest.fixture(scope="module")
+def pair() -> tuple[Prepared, Prepared]:
+    street = clouds.irregular(3)
+    return Prepared(clouds.submap(street, 1, T_STREET_REF)), Prepared(clouds.submap(street, 2, T_STREET_QUERY))
+
+
+def test_nearest_planes_are_those_of_a_search_through_all():
+    points, normals = RNG.uniform(-5, 5, size=(3000, 3)), RNG.normal(size=(3000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    planes = grid_planes(points, normals, np.ones(3000), np.zeros(3000), 0.8)
+    asked, facing = RNG.uniform(-6, 6, size=(500, 3)), normals[:500]
+    found = planes.nearest(asked, facing, 0.7, 0.5)
+    apart = np.linalg.norm(asked[:, None] - planes.points[None], axis=2)
+    apart[facing @ planes.normals.T < 0.5] = np.inf
+    expected = np.where(apart.min(axis=1) < 0.7, apart.argmin(axis=1), -1)
+    np.testing.assert_array_equal(found, expected)
+    assert 50 < np.count_nonzero(found >= 0) < 500
+
+
+def test_a_grid_is_not_searched_further_than_it_can():
+    planes = grid_planes(np.zeros((1, 3)), np.array([[0, 0, 1.0]]), np.ones(1), np.zeros(1), 0.5)
+    with pytest.raises(ValueError, match=r"0\.5 m cells"):
+        planes.nearest(np.zeros((1, 3)), np.zeros((1, 3)), 0.6)
+
+
+def test_thinning_leaves_one_point_a_voxel():
+    points = RNG.uniform(-2, 2, size=(2000, 3))
+    kept = points[thinned(points, 0.5)]
+    cells = np.floor(kept / 0.5)
+    assert len(np.unique(cells, axis=0)) == len(kept) == len(np.unique(np.floor(points / 0.5), axis=0))
+
+
+def test_sampling_gives_rare_directions_their_share():
+    normals = np.repeat([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]], [9900, 100], axis=0)
+    rows = balanced(direction_bins(normals), 400, np.ones(10000))
+    assert np.count_nonzero(rows >= 9900) == 100
+    assert np.count_nonzero(rows < 9900) == 300
+    assert len(np.unique(rows)) == len(rows)
+
+
+@pytest.mark.parametrize("metric", ["plane", "generalised"])
+def test_linearisation_is_the_derivative(metric):
+    centres = RNG.uniform(-20, 20, size=(40, 3))
+    normals = RNG.normal(size=(40, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    planes = grid_planes(centres, normals, np.ones(40), np.zeros(40), 1.0)
+    T = se3_exp([0.3, -0.2, 0.1, 0.1, 0.2, -0.3])
+    points = apply(invert(T), centres + 0.02 * RNG.normal(size=(40, 3)))
+    facing = normals @ T[:3, :3]
+
+    def at(xi):
+        return linearise(planes, points, facing, T @ se3_exp(xi), 0.9, scale_m=1e6, metric=metric)
+
+    here, small = at(np.zeros(6)), 1e-5
+    assert here.count == 40
+    if metric == "plane":
+        costs = [
+            [0.5 * float(np.sum(at(sign * small * np.eye(6)[k]).residuals ** 2)) for sign in (1, -1)] for k in range(6)
+        ]
+        np.testing.assert_allclose(here.g, [(a - b) / (2 * small) for a, b in costs], rtol=1e-4, atol=1e-7)
+    slope = np.column_stack([(at(small * e).g - at(-small * e).g) / (2 * small) for e in np.eye(6)])
+    np.testing.assert_allclose(slope, here.H, rtol=0.05, atol=0.02 * np.abs(here.H).max())
+
+
+def test_both_ways_pull_in_the_same_direction(pair):
+    options = RefinementOptions()
+    wrong = np.array([0.05, -0.04, 0.03, 0.002, -0.003, 0.004])
+    problem = linearise_both(pair[0].planes, pair[1].planes, TRUTH @ se3_exp(wrong), 1, 0.5, 0.5, options)
+    step = -np.linalg.solve(problem.H, problem.g)
+    np.testing.assert_allclose(step, -wrong, atol=0.03)
+    np.testing.assert_allclose(step[3:], -wrong[3:], atol=0.002)
+
+
+@pytest.mark.parametrize("metric", ["plane", "generalised"])
+def test_refinement_finds_the_pose_from_a_metre_away(pair, metric):
+    start = TRUTH @ se3_exp([0.8, -0.5, 0.2, 0.01, -0.01, np.radians(3.0)])
+    found = refine(pair[0].planes, pair[1].planes, start, RefinementOptions(metric=metric))
+    metres, degrees = error(found.T_ref_query)
+    assert found.converged
+    assert metres < 0.006
+    assert degrees < 0.03
+
+
+def test_refinement_gives_the_same_bytes(pair):
+    start = TRUTH @ se3_exp([0.3, -0.2, 0.1, 0, 0, 0.02])
+    a = refine(pair[0].planes, pair[1].planes, start)
+    again = (Prepared(side.submap).planes for side in pair)
+    b = refine(*again, start)
+    assert a.T_ref_query.tobytes() == b.T_ref_query.tobytes()
+    assert a.information.tobytes() == b.information.tobytes()
+
+
+def test_information_tells_the_error():
+    street, options, normalised = clouds.irregular(5), RefinementOptions(drift_per_m=0.0, turn_per_m=0.0), []
+    for seed in range(12):
+        ref, query = (
+            Prepared(clouds.submap(street, 100 * seed + k, T)) for k, T in enumerate((T_STREET_REF, T_STREET_QUERY))
+        )
+        found = refine(ref.planes, query.planes, TRUTH @ se3_exp([0.1, 0.1, 0, 0, 0, 0.01]), options)
+        xi = se3_log(invert(TRUTH) @ found.T_ref_query)
+        normalised.append(xi @ found.information @ xi / 6)
+    # Noise of single points only: what the constant allows for beyond that is absent here.
+    assert 0.01 < np.mean(normalised) < 1.5
+
+
+def test_bare_walls_hold_nothing_along_the_street():
+    street = clouds.irregular(3, deepest=0.0)
+    ref, query = (Prepared(clouds.submap(street, k, T)) for k, T in enumerate((T_STREET_REF, T_STREET_QUERY)))
+    start = TRUTH @ se3_exp([0.4, 0.2, 0.1, 0, 0, 0.01])
+    found = refine(ref.planes, query.planes, start, RefinementOptions(drift_per_m=0.0, turn_per_m=0.0))
+    apart = se3_log(invert(TRUTH) @ found.T_ref_query)
+    assert np.linalg.norm(apart[1:3]) < 0.02
+    assert abs(apart[0]) > 0.2
+    assert verdict(gather_evidence(ref, query, found.T_ref_query, found.information)).startswith(
+        "weak along the street"
+    )
+
+
+def wall(y: float, origins_y: float, surface: Surface = Surface.STRUCTURE, low: float = 3.0) -> Submap:
+    """A wall of 10 m by 3 m at a distance, measured from places along x."""
+    x, z = (v.ravel() for v in np.meshgrid(np.arange(0, 10, 0.1), np.arange(low, low + 3, 0.1)))
+    points = np.column_stack([x, np.full(len(x), y), z]).astype(np.float32)
+    origins = np.column_stack([x, np.full(len(x), origins_y), np.full(len(x), 1.8)]).astype(np.float32)
+    normals = np.tile(np.array([0, np.sign(origins_y - y), 0], np.float32), (len(x), 1))
+    kind = np.full(len(x), surface, np.uint8)
+    return Submap(0, points, normals, origins, kind, np.ones(len(x), np.float32), np.zeros(len(x), np.int32))
+
+
+def test_a_wall_cannot_stand_where_beams_went_through():
+    near, far = FreeSpace(wall(6.0, 0.0, low=2.5)), FreeSpace(wall(15.0, 0.0))
+    nothing = np.zeros(len(near.pieces), dtype=bool)
+    through = near.judge(far.beams, np.eye(4))
+    assert through.violations(nothing) > 0.9
+    reached = near.judge(near.beams, np.eye(4))
+    assert reached.violations(nothing) == 0.0
+    assert np.mean(reached.reached > 0) > 0.9
+    behind = far.judge(near.beams, np.eye(4))
+    assert behind.pieces == 0
+    assert np.isnan(behind.violations(np.zeros(len(far.pieces), dtype=bool)))
+
+
+def test_what_both_have_measured_contradicts_nothing():
+    near, far = FreeSpace(wall(6.0, 0.0)), FreeSpace(wall(15.0, 0.0))
+    assert near.judge(far.beams, np.eye(4)).violations(np.ones(len(near.pieces), dtype=bool)) == 0.0
+
+
+def test_leaves_are_no_walls_and_low_things_count_less():
+    assert len(FreeSpace(wall(6.0, 0.0, Surface.ROUGH)).pieces) == 0
+    assert set(FreeSpace(wall(6.0, 0.0, low=-1.5)).pieces.weights) == {0.3}
+
+
+def test_the_right_pose_is_trusted(pair):
+    found = refine(pair[0].planes, pair[1].planes, TRUTH @ se3_exp([0.3, 0, 0, 0, 0, 0.01]))
+    evidence = gather_evidence(*pair, found.T_ref_query, found.information)
+    assert verdict(evidence) == ""
+    assert min(evidence.overlap_ref, evidence.overlap_query) > 0.9
+    assert max(evidence.violations_ref, evidence.violations_query) < 0.03
+
+
+@pytest.mark.parametrize("slide", [5.0, -9.0, 20.0])
+def test_a_slid_pose_is_rejected_with_a_reason(pair, slide):
+    T = make_transform(np.eye(3), [slide, 0, 0]) @ TRUTH
+    reason = verdict(gather_evidence(*pair, T, 1e6 * np.eye(6)))
+    assert reason.split()[0] in ("free", "overlap", "too", "details:")
+
+
+def test_another_street_is_rejected(pair):
+    other = Prepared(clouds.submap(clouds.irregular(77), 4, T_STREET_QUERY))
+    found = refine(pair[0].planes, other.planes, TRUTH)
+    assert verdict(gather_evidence(pair[0], other, found.T_ref_query, found.information))
+
+
+GOOD = Evidence(0.95, 0.95, 0.01, 0.01, 0.01, 0.01, 0.05, (1.0, 0.0, 0.0), 0.1, 0.9, 0.9, 0.9, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({}, ""),
+        ({"violations_query": 0.21}, "free space: 21 % of the query's walls stand where the reference saw through"),
+        ({"overlap_ref": 0.08}, "overlap 8 %: of the reference's walls that the query could see"),
+        ({"seen_query": 0.01}, "too little in common: the reference's beams met 1 % of the query's walls"),
+        ({"weakest_sigma_m": 0.4}, "weak along the street: 0.4 m"),
+        ({"weakest_sigma_m": float("inf"), "weakest_direction": (float("nan"),) * 3}, "weak in every direction: inf m"),
+        ({"weakest_sigma_deg": 0.9}, "weak rotation: 0.9 deg"),
+        ({"residual_ref_m": 0.08}, "residual: the reference's points lie 0.080 m off the query's planes"),
+        ({"violations_ref": float("nan")}, "free space: nothing of the reference's walls"),
+        ({"detail_query": 0.2}, "details: 20 % of the query's surfaces"),
+    ],
+)
+def test_a_verdict_says_why(change, reason):
+    said = verdict(replace(GOOD, **change), Thresholds())
+    assert said.startswith(reason)
+    assert bool(said) == bool(reason)
+
+
+def test_slides_hold_the_right_place_and_the_wrong_ones():
+    street = clouds.periodic(6.0)
+    ref, query = (Prepared(clouds.submap(street, k, T)).planes for k, T in enumerate((T_STREET_REF, T_STREET_QUERY)))
+    assert period(ref) == pytest.approx(6.0, abs=0.3)
+    off = make_transform(np.eye(3), [4.4, 0, 0]) @ TRUTH
+    apart = [error(T)[0] for T in slides(ref, query, off, SlideOptions(reach_m=14.0))]
+    assert min(apart) < 0.5
+    assert any(abs(a - 6.0) < 0.5 for a in apart)
+    turned = [error(T)[1] for T in alternatives(ref, query, TRUTH, SlideOptions(reach_m=14.0))]
+    assert any(t > 175 for t in turned)
+
+
+def test_global_registration_repeats_and_finds_the_place(pair):
+    options = GlobalOptions(iterations=10_000, seeds=(0,))
+    features = [describe(side.submap, options) for side in pair]
+    found, again = (guesses(*features, None, options) for _ in range(2))
+    assert [T.tobytes() for T in found] == [T.tobytes() for T in again]
+    assert min(error(T)[0] for T in found) < 1.0
+    refined = [refine(pair[0].planes, pair[1].planes, T) for T in found]
+    assert min(error(r.T_ref_query)[0] for r in refined) < 0.01
+
+
+def test_a_prior_limits_position_and_turn():
+    prior = Prior(np.eye(4), 2.0, 5.0)
+    assert prior.allows(se3_exp([5.9, 0, 0, 0, 0, np.radians(14.0)]))
+    assert not prior.allows(se3_exp([6.1, 0, 0, 0, 0, 0]))
+    assert not prior.allows(se3_exp([0, 0, 0, 0, 0, np.radians(16.0)]))
+    assert Prior(np.eye(4), 2.0).allows(se3_exp([0, 0, 0, 0, 0, np.pi]))
+
+
+def test_guesses_that_hardly_differ_are_one():
+    near, far = se3_exp([0.3, 0, 0, 0, 0, 0.01]), se3_exp([3.0, 0, 0, 0, 0, 0])
+    kept = distinct([np.eye(4), near, far], 1.0, 4.0)
+    assert [float(T[0, 3]) for T in kept] == [0.0, 3.0]
+
+
+def test_a_missing_package_is_named(pair, monkeypatch):
+    monkeypatch.setitem(sys.modules, "small_gicp", None)
+    monkeypatch.setitem(sys.modules, "kiss_matcher", None)
+    with pytest.raises(ConfigError, match="small_gicp"):
+        refine_with("small_gicp", *pair, TRUTH, RefinementOptions())
+    options = GlobalOptions(matcher="kiss-matcher")
+    features = [describe(side.submap, options) for side in pair]
+    with pytest.raises(ConfigError, match="kiss-matcher"):
+        guesses(*features, None, options)
+
+
+def test_open3d_agrees(pair):
+    found = refine_with("open3d", *pair, TRUTH @ se3_exp([0.3, 0.1, 0, 0, 0, 0.01]), RefinementOptions())
+    assert error(found.T_ref_query)[0] < 0.01
+    with pytest.raises(ConfigError, match="no registration backend 'icp'"):
+        refine_with("icp", *pair, TRUTH, RefinementOptions())  # type: ignore[arg-type]
+
+
+def tracked(ref: clouds.Drive, query: clouds.Drive, **given):
+    said: list[str] = []
+    found = track(ref, query, ref.nodes, query.nodes, options=TrackingOptions(step_m=8.0), say=said.append, **given)
+    errors = [
+        error(r.T_ref_query, invert(ref.T_street_node[r.ref]) @ query.T_street_node[r.query])[0]
+        for r in found
+        if r.trusted
+    ]
+    return found, errors, said
+
+
+@pytest.mark.slow
+def test_a_drive_is_tracked_from_one_pair_and_a_drive_that_goes_on_ends_with_the_reason():
+    street = clouds.irregular(3)
+    ref, query = clouds.Drive(street, 1, 35.0, 120.0), clouds.Drive(street, 2, 60.0, 160.0, lateral=0.8)
+    first = (15, 2, invert(ref.T_street_node[15]) @ query.T_street_node[2] @ se3_exp([0.4, 0.1, 0, 0, 0, 0.02]))
+    found, errors, said = tracked(ref, query, first=first)
+    assert not said
+    assert max(errors) < 0.05
+    came_by = [r for r in found if query.T_street_node[r.query][0, 3] < 115]
+    assert all(r.trusted for r in came_by)
+    beyond = [r for r in found if query.T_street_node[r.query][0, 3] > 140]
+    assert beyond
+    assert all("did not come by" in r.reason for r in beyond)
+
+
+@pytest.mark.slow
+def test_a_wrong_first_pair_is_found_out():
+    street = clouds.irregular(3)
+    ref, query = clouds.Drive(street, 1, 60.0, 100.0), clouds.Drive(street, 2, 62.0, 100.0)
+    wrong = (8, 2, make_transform(np.eye(3), [12.0, 0, 0]) @ invert(ref.T_street_node[8]) @ query.T_street_node[2])
+    found, errors, said = tracked(ref, query, first=wrong)
+    assert "does not hold" in said[0]
+    assert sum(r.trusted for r in found) >= len(found) - 1
+    assert max(errors) < 0.05
