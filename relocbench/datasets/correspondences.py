@@ -20,6 +20,7 @@ from relocbench.datasets.dataset import Traversal
 from relocbench.datasets.importers import Run
 from relocbench.datasets.layout import pair_set_name
 from relocbench.datasets.pairfile import Pair, PairKey
+from relocbench.datasets.pixel_sigma import pixel_sigma
 from relocbench.datasets.visibility import CHECKS, DepthView, ReferencePoints, see, warp
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import DatasetError
@@ -45,6 +46,8 @@ SCHEMA = pa.schema(
         ("check", pa.dictionary(pa.int8(), pa.string())),
     ]
 )
+SIGMA = pa.field("sigma_px", pa.float32())
+"""a last column, in files of pairs whose truth is known with a sigma"""
 _CELLS = 24
 """samples are spread over cells, this many along the longer side of the image"""
 _WORTH_WORKERS = 40
@@ -69,6 +72,8 @@ class Correspondences:
     """(N,) the query sees the point; else something hides it"""
     check: tuple[str, ...]
     """how that was decided: both, self or none"""
+    sigma_px: Array | None = None
+    """(N,) one standard deviation of the query's pixel; None in files that do not tell"""
 
     def __len__(self) -> int:
         return len(self.depth_ref)
@@ -89,17 +94,27 @@ class PairCorrespondences:
     """index into CHECKS"""
     overlap: float
     """share of the reference's pixels with depth that the query sees"""
+    sigma_px: Array | None = None
+    """(N,) one standard deviation of the query's pixel, where the pose's is known"""
 
     def __len__(self) -> int:
         return len(self.depth_ref)
 
 
 def pair_correspondences(
-    reference: Reference, T_query_ref: Array, query: DepthView, count: int, rng: np.random.Generator
+    reference: Reference,
+    T_query_ref: Array,
+    query: DepthView,
+    count: int,
+    rng: np.random.Generator,
+    sigma_pose: tuple[float, float] | None = None,
 ) -> PairCorrespondences:
     """Up to ``count`` correspondences of a pair, spread over the reference image, and the pair's overlap.
 
     They are drawn among the reference pixels whose point falls on the query's image, seen there or hidden.
+
+    Args:
+        sigma_pose: one standard deviation of the pose, metres and radians a direction; then pixels have one too.
     """
     points = ReferencePoints.of(reference)
     if len(points) > _OVERLAP_PIXELS:
@@ -108,8 +123,11 @@ def pair_correspondences(
     overlap = float(np.mean(seen.visible)) if len(points) else 0.0
     inside = np.nonzero(seen.inside)[0]
     rows = inside[spread_sample(points.uv[inside], reference.camera, count, rng)]
+    chosen, sigma = points.take(rows), None
+    if sigma_pose is not None:
+        sigma = pixel_sigma(chosen, reference.camera, query.camera, T_query_ref, *sigma_pose)
     return PairCorrespondences(
-        points.uv[rows], points.depth[rows], seen.uv_query[rows], seen.visible[rows], seen.check[rows], overlap
+        chosen.uv, chosen.depth, seen.uv_query[rows], seen.visible[rows], seen.check[rows], overlap, sigma
     )
 
 
@@ -151,7 +169,14 @@ def _work(unit: _Unit) -> PairCorrespondences:
     query = DepthView(entry.camera, unit.query.depth(camera, pair.query_timestamp_ns), entry.depth_sigma)
     rng = np.random.default_rng([unit.seed, *(time % 2**64 for time in pair.key)])
     reference = unit.reference.reference(camera, pair.ref_timestamp_ns)
-    return pair_correspondences(reference, pair.T_query_ref, query, unit.count, rng)
+    return pair_correspondences(reference, pair.T_query_ref, query, unit.count, rng, _sigma_pose(pair))
+
+
+def _sigma_pose(pair: Pair) -> tuple[float, float] | None:
+    """Metres and radians; None where the pair's table does not tell."""
+    if pair.sigma_translation_m is None or pair.sigma_rotation_deg is None:
+        return None
+    return pair.sigma_translation_m, float(np.radians(pair.sigma_rotation_deg))
 
 
 def write_pair_set(
@@ -190,7 +215,7 @@ def write_pair_set(
                 advance(1)
 
         if count:
-            write_correspondences(path, results())
+            write_correspondences(path, results(), sigma=any(_sigma_pose(p) is not None for p in measured))
         else:
             for _ in results():
                 pass
@@ -198,12 +223,25 @@ def write_pair_set(
     return name
 
 
-def write_correspondences(path: Path, pairs: Iterable[tuple[PairKey, PairCorrespondences]]) -> None:
-    """One row group a pair, streamed: memory holds one pair at a time."""
-    with atomic_write(path, "wb") as stream, pq.ParquetWriter(stream, SCHEMA, compression="zstd") as table:
+def write_correspondences(
+    path: Path, pairs: Iterable[tuple[PairKey, PairCorrespondences]], *, sigma: bool = False
+) -> None:
+    """One row group a pair, streamed: memory holds one pair at a time.
+
+    Args:
+        sigma: with a column of ``sigma_px``, nan where a pair has none.
+    """
+    schema = SCHEMA.append(SIGMA) if sigma else SCHEMA
+    with atomic_write(path, "wb") as stream, pq.ParquetWriter(stream, schema, compression="zstd") as table:
         for key, found in pairs:
             if len(found):
-                table.write_table(_table(key, found), row_group_size=len(found))
+                table.write_table(_table(key, found, schema), row_group_size=len(found))
+
+
+def check_columns(names: Sequence[str], path: Path) -> None:
+    """Raises DatasetError if these are not the columns of a correspondence file."""
+    if names not in (SCHEMA.names, [*SCHEMA.names, SIGMA.name]):
+        raise DatasetError(f"expected the columns {','.join(SCHEMA.names)} and perhaps {SIGMA.name}", path)
 
 
 def read_correspondences(path: Path, key: PairKey | None = None) -> Correspondences:
@@ -216,13 +254,13 @@ def read_correspondences(path: Path, key: PairKey | None = None) -> Corresponden
         raise DatasetError("missing; expected correspondences (Parquet)", path)
     try:
         file = pq.ParquetFile(path)
-        if file.schema_arrow.names != SCHEMA.names:
-            raise DatasetError(f"expected the columns {','.join(SCHEMA.names)}", path)
+        names = file.schema_arrow.names
+        check_columns(names, path)
         groups = range(file.num_row_groups)
         table = file.read_row_groups([g for g in groups if key is None or _key_of(file, g) == key])
     except (pa.ArrowInvalid, OSError) as bad:
         raise DatasetError(f"not a whole Parquet file ({bad}); expected correspondences", path) from None
-    column: dict[str, Any] = {name: table[name].to_numpy() for name in SCHEMA.names if name != "check"}
+    column: dict[str, Any] = {name: table[name].to_numpy() for name in names if name != "check"}
     return Correspondences(
         column["ref_timestamp_ns"],
         column["query_timestamp_ns"],
@@ -231,10 +269,11 @@ def read_correspondences(path: Path, key: PairKey | None = None) -> Corresponden
         np.column_stack([column["u_query"], column["v_query"]]).astype(np.float64),
         column["visible"],
         tuple(table["check"].to_pylist()),
+        column[SIGMA.name].astype(np.float64) if SIGMA.name in column else None,
     )
 
 
-def _table(key: PairKey, found: PairCorrespondences) -> pa.Table:
+def _table(key: PairKey, found: PairCorrespondences, schema: pa.Schema) -> pa.Table:
     columns = [
         np.full(len(found), key[0], dtype=np.int64),
         np.full(len(found), key[1], dtype=np.int64),
@@ -242,7 +281,11 @@ def _table(key: PairKey, found: PairCorrespondences) -> pa.Table:
         found.visible,
         pa.DictionaryArray.from_arrays(pa.array(found.check), pa.array(CHECKS)),
     ]
-    return pa.Table.from_arrays([pa.array(c) if isinstance(c, np.ndarray) else c for c in columns], schema=SCHEMA)
+    if SIGMA.name in schema.names:
+        columns.append(
+            np.full(len(found), np.nan, np.float32) if found.sigma_px is None else found.sigma_px.astype(np.float32)
+        )
+    return pa.Table.from_arrays([pa.array(c) if isinstance(c, np.ndarray) else c for c in columns], schema=schema)
 
 
 def _key_of(file: pq.ParquetFile, group: int) -> PairKey:

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from relocbench.datasets import fingerprint, images
-from relocbench.datasets.correspondences import SCHEMA, read_correspondences
+from relocbench.datasets.correspondences import check_columns, read_correspondences
 from relocbench.datasets.faults import (
     Findings,
     check_points,
@@ -181,8 +181,7 @@ def _check_parquet_columns(path: Path) -> None:
         names = pq.ParquetFile(path).schema_arrow.names
     except (pa.ArrowInvalid, OSError) as bad:
         raise DatasetError(f"not a whole Parquet file ({bad}); expected correspondences", path) from None
-    if names != SCHEMA.names:
-        raise DatasetError(f"expected the columns {','.join(SCHEMA.names)}", path)
+    check_columns(names, path)
 
 
 def _check_rows(path: Path, lines: dict[PairKey, PoseLine], found: Findings) -> None:

@@ -76,7 +76,11 @@ def cross_check(lidar: Floats, stereo: Floats, camera: Camera, baseline_m: float
         return Agreement(0, float("nan"), float("nan"), 0.0, 0.0)
     size = np.abs(known)
     return Agreement(
-        len(known), float(np.median(size)), float(np.median(known)), float((size <= 1).mean()), float((size <= 3).mean())
+        len(known),
+        float(np.median(size)),
+        float(np.median(known)),
+        float((size <= 1).mean()),
+        float((size <= 3).mean()),
     )
 
 

@@ -21,7 +21,7 @@ from relocbench.datasets.groundtruth.sightlines import SweptSpace, sight, sweep
 from relocbench.datasets.groundtruth.submaps import Submap
 from relocbench.datasets.groundtruth.surfels import SurfelOptions, Surfels, make_surfels
 from relocbench.errors import ConfigError
-from relocbench.geometry import Camera, invert
+from relocbench.geometry import Camera
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -110,9 +110,7 @@ class DepthImage:
         return float(np.mean(self.depth > 0))
 
 
-def submap_depth(
-    submap: Submap, camera: Camera, T_cam_node: Array, options: DepthOptions | None = None
-) -> DepthImage:
+def submap_depth(submap: Submap, camera: Camera, T_cam_node: Array, options: DepthOptions | None = None) -> DepthImage:
     """Depth of an image taken near a submap's node.
 
     Args:
@@ -168,7 +166,9 @@ def _seen_by(surfels: Surfels, camera: Camera, T_cam_node: Array, options: Depth
     for value, focal, centre, length in (
         (x, camera.fx, camera.cx, camera.width), (y, camera.fy, camera.cy, camera.height)
     ):  # fmt: skip
-        kept &= (value + size > (-0.5 - centre) / focal * reach) & (value - size < (length - 0.5 - centre) / focal * reach)
+        kept &= (value + size > (-0.5 - centre) / focal * reach) & (
+            value - size < (length - 0.5 - centre) / focal * reach
+        )
     rows = np.flatnonzero(kept)
     points = points[rows]
     normals = surfels.normals[rows].astype(np.float64) @ rotation.T
@@ -222,7 +222,11 @@ def fit_sigma(images: Iterable[DepthImage], bin_m: float = 1.0) -> tuple[float, 
     filled = count > 0
     if not filled.any():
         return 0.0, 0.0, 0.0
-    z, rms, weight = (total / np.maximum(count, 1))[filled], np.sqrt(square[filled] / count[filled]), np.sqrt(count[filled])
+    z, rms, weight = (
+        (total / np.maximum(count, 1))[filled],
+        np.sqrt(square[filled] / count[filled]),
+        np.sqrt(count[filled]),
+    )
     solution, _ = nnls(np.stack([np.ones_like(z), z, z * z], axis=1) * weight[:, None], rms * weight)
     a, b, c = solution.tolist()
     return a, b, c

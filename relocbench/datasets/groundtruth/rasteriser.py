@@ -57,9 +57,9 @@ class Drawn:
     sigma: Floats
     """metres, of the depth"""
     centre: Floats
-    """in [0, 1]: how near the pixel lies to the middle of a surfel of the front; 0 at its rim"""
+    """how near the pixel lies to the middle of a surfel, 1 there and 0 at its rim, summed over those of the front"""
     behind: Floats
-    """the same, of what lies behind the front"""
+    """the most that one behind the front has"""
     rough: Floats
     """in [0, 1]: share of the front that has no plane"""
 
@@ -119,10 +119,8 @@ def _rim(a, b, reach):  # type: ignore[no-untyped-def]
     else:
         straight = 2 if b >= 0 else 6
         minor, major = across, along
-    if a >= 0:
-        slanted = 1 if b >= 0 else 7
-    else:
-        slanted = 3 if b >= 0 else 5
+    right, left = (1, 3) if b >= 0 else (7, 5)
+    slanted = right if a >= 0 else left
     return (major - minor) / reach[straight] + minor / (_DIAGONAL * reach[slanted])
 
 
@@ -168,7 +166,9 @@ def _front(points, normals, axes, reach, sigma, drift, lens, max_depth, front, s
     height, width = front.shape
     for i in range(len(points)):
         thick = np.float32(_THICK) * sigma[i]
-        drawn, nx, ny, nz, ax, ay, az, bx, by, bz, ex, ey, ez = _frame(i, points, normals, axes, reach, thick, max_depth)
+        drawn, nx, ny, nz, ax, ay, az, bx, by, bz, ex, ey, ez = _frame(
+            i, points, normals, axes, reach, thick, max_depth
+        )
         if not drawn:
             continue
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -207,7 +207,9 @@ def _mean(  # type: ignore[no-untyped-def]
     flat = (normals[:, 0] != 0) | (normals[:, 1] != 0) | (normals[:, 2] != 0)
     for i in range(len(points)):
         thick = np.float32(_THICK) * sigma[i]
-        drawn, nx, ny, nz, ax, ay, az, bx, by, bz, ex, ey, ez = _frame(i, points, normals, axes, reach, thick, max_depth)
+        drawn, nx, ny, nz, ax, ay, az, bx, by, bz, ex, ey, ez = _frame(
+            i, points, normals, axes, reach, thick, max_depth
+        )
         if not drawn:
             continue
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -239,7 +241,7 @@ def _mean(  # type: ignore[no-untyped-def]
                 mean[v, u] += weight * ahead
                 noise[v, u] += weight * weight * (sigma[i] * sigma[i]) / (slope * slope)
                 shared[v, u] += weight * abs(drift[i] / slope)
-                centre[v, u] = max(centre[v, u], near)
+                centre[v, u] += near
                 if not flat[i]:
                     rough[v, u] += weight
     for v in range(height):

@@ -45,7 +45,7 @@ class SurfelOptions:
     cosine: float = 0.7
     """of the largest angle between the normals of neighbours"""
     adopt_m: float = 0.03
-    """a point without a plane takes that of the nearest surfel whose plane it lies in, to so much; 0: it stays without"""
+    """a point without a plane takes that of the nearest surfel in whose plane it lies, to so much; 0: none"""
     rough_m: float = 0.12
     """radius within which a point without a plane hides what lies behind it"""
     rough_reach_m: float = 0.06
@@ -120,7 +120,7 @@ def make_surfels(submap: Submap, options: SurfelOptions | None = None) -> Surfel
 
 
 def _tangents(normals: Floats) -> Floats:
-    """(N, 3) unit vectors at right angles to the normals (N, 3): the level one, or x where the normal stands upright."""
+    """(N, 3) unit vectors at right angles to the normals (N, 3): level, or x where the normal is upright."""
     level = np.stack([-normals[:, 1], normals[:, 0], np.zeros(len(normals), np.float32)], axis=1)
     size = np.linalg.norm(level, axis=1)
     upright = size < 0.3
