@@ -84,9 +84,9 @@ def describe(submap: Submap, options: GlobalOptions | None = None) -> Features:
     keep = thinned(points, o.voxel_m)
     cloud = _cloud(points[keep], normals[keep])
     search = o3d.geometry.KDTreeSearchParamHybrid(radius=5 * o.voxel_m, max_nn=100)
-    return Features(
-        points[keep], normals[keep], np.asarray(o3d.pipelines.registration.compute_fpfh_feature(cloud, search).data)
-    )
+    # The stubs ask for indices, which have a default.
+    feature = o3d.pipelines.registration.compute_fpfh_feature(cloud, search)  # type: ignore[call-arg]
+    return Features(points[keep], normals[keep], np.asarray(feature.data))
 
 
 def guesses(

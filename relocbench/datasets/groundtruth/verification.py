@@ -37,7 +37,15 @@ _AGREES = 2.5
 
 @dataclass(frozen=True)
 class Thresholds:
-    """What a registration must show."""
+    """What a registration must show.
+
+    Chosen on drives through the training district (Sunny against Overcast, Rain, Snow and Night, and the street of
+    repeating facades, Sunny against Snow): each query node at its true place, at places slid by 2 to 30 m, turned by
+    2, 4 and 180 degrees and on other streets, all refined and then judged. Right poses had an overlap of 0.88 and more
+    and violations of 0.04 and less; wrong ones overlaps of up to 0.88, the highest a single period away among
+    repeating facades. The limits leave room for scenes that change more. They alone do not tell such neighbours
+    apart: the comparison of hypotheses over a stretch of road does.
+    """
 
     least_seen: float = 0.08
     """share of the structure that the other drive's beams reached or passed: below, there is too little to judge"""
