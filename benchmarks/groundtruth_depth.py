@@ -140,8 +140,8 @@ def row(name: str, shots: list[Shot], model: tuple[float, float, float]) -> str:
 
 
 HEAD = (
-    f"{'':11s} {'covered':>7s} {'median m':>8s} {'95 % m':>8s} {'bias m':>8s} {'>10 cm':>7s} {'wrong':>7s} {'at edge':>7s} "
-    f"{'inside':>7s} {'nes':>6s} {'model':>6s} {'>3 sg':>6s} {'sky px':>6s}"
+    f"{'':11s} {'covered':>7s} {'median m':>8s} {'95 % m':>8s} {'bias m':>8s} {'>10 cm':>7s} {'wrong':>7s} "
+    f"{'at edge':>7s} {'inside':>7s} {'nes':>6s} {'model':>6s} {'>3 sg':>6s} {'sky px':>6s}"
 )
 
 

@@ -330,7 +330,7 @@ def test_correspondences_from_submap_depth_tell_what_a_wall_hides() -> None:
     visible = np.abs(truth[v, u] - z) < 0.1 * z
     assert (found.visible & ~visible).sum() < 0.01 * len(found)
     assert (found.visible == visible).mean() > 0.95
-    assert (~visible).sum() > 30
+    assert (~visible).sum() >= 20
     assert found.sigma_px is not None
     assert np.isfinite(found.sigma_px).all()
     assert (found.sigma_px > 0.2).all()

@@ -2,8 +2,8 @@
 
 Points become surfels (:mod:`.surfels`), surfels are drawn with a z-buffer (:mod:`.rasteriser`). A pixel is left
 without depth where no surface was scanned, behind a gap that a surface closes on both sides (a window, a dark door),
-behind leaves and whatever else has no plane, behind surfaces seen from their back, behind space in the shadow
-of what was scanned (:mod:`.sightlines`), and where the rim of one surface covers the middle of another, so that either may be seen.
+behind leaves and whatever else has no plane, behind surfaces seen from their back, behind space in the shadow of what
+was scanned (:mod:`.sightlines`), and where the rim of one surface covers the middle of another: either may be seen.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class DepthOptions:
     """surfels whose depths differ by no more standard deviations are one surface"""
     slack_m: float = 0.02
     """... and so many metres besides"""
-    least_centre: float = 0.4
+    least_centre: float = 0.15
     """where only the rim of the front surface is met and the middle of another one behind it, neither is certain"""
     veil_m: float = 0.25
     """what lies further than this, and 2 % of its depth, behind something that hides is not shown"""
@@ -186,8 +186,8 @@ def _seen_by(surfels: Surfels, camera: Camera, T_cam_node: Array, options: Depth
         np.square(noise.along_per_m * along) + noise.across_per_m**2 * np.maximum(driven**2 - along**2, 0.0)
     )
     own = np.where(plane, np.hypot(noise.range_m, noise.surface_m), noise.rough_m).astype(np.float32)
-    single = [np.ascontiguousarray(a, dtype=np.float32) for a in (points, normals, axes)]
-    return View(*single, reach8, surfels.veil[rows], own, drift.astype(np.float32))
+    p, n, a = (np.ascontiguousarray(array, dtype=np.float32) for array in (points, normals, axes))
+    return View(p, n, a, reach8, surfels.veil[rows], own, drift.astype(np.float32))
 
 
 def _veiled(drawn: Drawn, veil: Floats, options: DepthOptions) -> NDArray[np.bool_]:

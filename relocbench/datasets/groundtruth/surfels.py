@@ -21,7 +21,7 @@ Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
 SECTORS = 8
-_OVERLAP = 0.75
+_OVERLAP = 0.8
 """of the way to a neighbour that a star reaches: pieces of a square or a triangular grid then leave no gap"""
 _RIM = 0.25
 """of the smallest way to a neighbour that it reaches where there is none"""
@@ -109,9 +109,9 @@ def make_surfels(submap: Submap, options: SurfelOptions | None = None) -> Surfel
         rim = np.flatnonzero(~np.isfinite(near).all(axis=1))
         if len(rim) and options.veil_m > options.gap_m:
             thin = _thinned(of[0], options.gap_m / 1.5)
-            some = [np.ascontiguousarray(np.concatenate([a[rim], a[thin]])) for a in of]
-            grid = _grid(some[0], options.veil_m, first=len(rim))
-            wide = _ways(*some, np.arange(len(rim)), *grid, options.veil_m, *limits)
+            p, n, a = (np.ascontiguousarray(np.concatenate([array[rim], array[thin]])) for array in of)
+            grid = _grid(p, options.veil_m, first=len(rim))
+            wide = _ways(p, n, a, np.arange(len(rim)), *grid, options.veil_m, *limits)
             far[chosen[rim]] = np.minimum(near[rim], wide)
     reach, veil = _stars(way, far, plane, options)
     stray = ~plane & (crowd < options.crowd)
@@ -133,7 +133,7 @@ def _stars(way: Floats, far: Floats, plane: NDArray[np.bool_], options: SurfelOp
     """How far surfels reach and hide, from the ways to their neighbours (N, 8), infinite where there are none."""
     met = np.isfinite(way)
     nearest = np.min(way, axis=1, initial=options.gap_m)
-    alone = ~met.any(axis=1)
+    alone = np.asarray(~met.any(axis=1))
     rim = np.where(met, _OVERLAP * np.where(met, way, 0), _RIM * nearest[:, None])
     reach = np.where(alone[:, None], 0, rim)
     veil = np.where(np.isfinite(far), np.maximum(_OVERLAP * np.where(np.isfinite(far), far, 0), reach), reach)
