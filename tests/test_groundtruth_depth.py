@@ -12,7 +12,12 @@ import pytest
 from numpy.typing import NDArray
 
 from relocbench.datasets import images
-from relocbench.datasets.correspondences import pair_correspondences
+from relocbench.datasets.correspondences import (
+    PairCorrespondences,
+    pair_correspondences,
+    read_correspondences,
+    write_correspondences,
+)
 from relocbench.datasets.groundtruth.crosscheck import (
     cross_check,
     depth_by_stereo,
@@ -334,6 +339,17 @@ def test_correspondences_from_submap_depth_tell_what_a_wall_hides() -> None:
     assert found.sigma_px is not None
     assert np.isfinite(found.sigma_px).all()
     assert (found.sigma_px > 0.2).all()
+
+
+def test_files_tell_the_sigma_of_pixels_where_they_have_one(tmp_path: Path) -> None:
+    uv = np.arange(6.0).reshape(3, 2)
+    rows = PairCorrespondences(uv, uv[:, 0] + 1, uv, np.ones(3, bool), np.zeros(3, np.int8), 1.0)
+    known = replace(rows, sigma_px=np.array([0.5, 1.0, 2.0]))
+    write_correspondences(tmp_path / "a.parquet", [((1, 2), rows), ((1, 3), known)], sigma=True)
+    write_correspondences(tmp_path / "b.parquet", [((1, 2), rows)])
+    found = read_correspondences(tmp_path / "a.parquet").sigma_px
+    np.testing.assert_array_equal(found, [np.nan, np.nan, np.nan, 0.5, 1.0, 2.0])
+    assert read_correspondences(tmp_path / "b.parquet").sigma_px is None
 
 
 @pytest.mark.slow
