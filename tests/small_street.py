@@ -94,7 +94,9 @@ class StraightRoad:
 class SolidTexture:
     """Renders what a ray meets as a smooth pattern in space, so that stereo finds the same pattern in both images."""
 
-    def __init__(self, mesh: Mesh, factors: Factors, lamps: Array, seed: int) -> None:
+    surroundings = None
+
+    def __init__(self, mesh: Mesh, factors: Factors, lamps: Array, seed: int, surroundings: object = None) -> None:
         self._scene = LidarScene(mesh)
         rng = np.random.default_rng(seed)
         self._waves = rng.normal(size=(3, 24)) * 3.0

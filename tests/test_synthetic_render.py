@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -285,6 +286,31 @@ def test_textures_hold_no_energy_that_eightfold_sampling_does_not_have() -> None
 
         assert rough(image) < 1.3 * rough(averaged) + 0.3
         assert np.abs(image - averaged)[mask].mean() < 4
+
+
+def test_a_moving_car_darkens_the_road_under_it_and_leaves_the_rest_of_the_light() -> None:
+    low, high = np.array([5.0, -1.5, 0.3]), np.array([8.0, 0.5, 1.5])
+    car = block(low, high, Material.CONCRETE, 11)
+    moving = replace(car, semantic=np.full(len(car), Semantic.MOVING_CAR, dtype=np.uint8))
+    overcast = Factors.model_validate({**CLEAR.model_dump(), "cloud_cover": 1.0})
+    lamps = np.array([[6.0, 3.0, 5.5]])
+    still = renderer(overcast)
+    with_car = Renderer(merge([street(), moving]), overcast, lamps, 3, still.surroundings)
+    T = pose(x=-3.0, y=-0.5)
+    before, after = still.render(CAMERA, T, 1), with_car.render(CAMERA, T, 1)
+    changed = np.abs(grey(after) - grey(before)) > 2
+    v, u = np.mgrid[:SIZE, :SIZE].astype(float)
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u)], -1)
+    ground = (rays * after.depth[..., None]) @ T[:3, :3].T + T[:3, 3]
+    beneath = (
+        (after.semantic == Semantic.ROAD) & (ground[..., :2] > low[:2]).all(-1) & (ground[..., :2] < high[:2]).all(-1)
+    )
+    assert beneath.sum() > 10
+    assert grey(after)[beneath].mean() < 0.85 * grey(before)[beneath].mean()
+    # Beyond 2 m from the car, and where the picture does not show it, nothing is another.
+    far = (np.abs(ground[..., :2] - (low + high)[:2] / 2) > (high - low)[:2] / 2 + 2).any(-1)
+    shown = after.instance == before.instance
+    assert not (changed & far & shown & (after.depth > 0)).any()
 
 
 def test_edges_are_smooth() -> None:

@@ -51,9 +51,14 @@ class FrameRenderer(Protocol):
 
     def render(self, camera: Camera, T_world_cam: Array, frame_seed: int, /) -> Picture: ...
 
+    @property
+    def surroundings(self) -> Any:
+        """What can be given to another renderer of the same town, with cars that move."""
+        ...
 
-RendererFactory = Callable[[Mesh, Factors, Array, int], FrameRenderer]
-"""mesh, factors, lamps (N, 3) and the seed of all surfaces' patterns"""
+
+RendererFactory = Callable[[Mesh, Factors, Array, int, Any], FrameRenderer]
+"""mesh, factors, lamps (N, 3), the seed of all surfaces' patterns, and surroundings or None"""
 Composer = Callable[[Any, Factors, Sequence[MovingCar]], Mesh]
 """district, factors and moving cars"""
 
@@ -145,7 +150,17 @@ def write_images(unit: Unit) -> Spent:
 def _renderer(stage: Stage, present: Sequence[MovingCar]) -> FrameRenderer:
     def make() -> FrameRenderer:
         town = _district(stage)
-        return stage.make_renderer(stage.compose(town, stage.factors, present), stage.factors, town.lamps, town.seed)
+
+        def still() -> FrameRenderer:
+            return stage.make_renderer(
+                stage.compose(town, stage.factors, ()), stage.factors, town.lamps, town.seed, None
+            )
+
+        if not present:
+            return still()
+        around = _latest("surroundings", (stage.district, stage.factors), lambda: still().surroundings)
+        mesh = stage.compose(town, stage.factors, present)
+        return stage.make_renderer(mesh, stage.factors, town.lamps, town.seed, around)
 
     positions = tuple((pose.tobytes(), variant) for pose, variant in present)
     renderer: FrameRenderer = _latest("renderer", (stage.district, stage.factors, positions), make)
@@ -192,10 +207,10 @@ def _moving_objects(tracks: Sequence[CarTrack]) -> list[lidar.MovingObject]:
     return objects
 
 
-def town_renderer(mesh: Mesh, factors: Factors, lamps: Array, seed: int) -> FrameRenderer:
+def town_renderer(mesh: Mesh, factors: Factors, lamps: Array, seed: int, surroundings: Any) -> FrameRenderer:
     from relocbench.datasets.synthetic.render import Renderer
 
-    return Renderer(mesh, factors, lamps, seed)
+    return Renderer(mesh, factors, lamps, seed, surroundings)
 
 
 def town_compose(district: Any, factors: Factors, moving: Sequence[MovingCar]) -> Mesh:

@@ -25,8 +25,8 @@ from relocbench.datasets.synthetic.mesh import Mesh, Semantic
 from relocbench.datasets.synthetic.raycast import NOTHING, Scene
 from relocbench.datasets.synthetic.response import respond
 from relocbench.datasets.synthetic.samples import Floats, Samples, View, direct_samples
-from relocbench.datasets.synthetic.sky import make_sky
-from relocbench.datasets.synthetic.skylight import make_skylight
+from relocbench.datasets.synthetic.sky import Sky, make_sky
+from relocbench.datasets.synthetic.skylight import Skylight, make_skylight, with_moving
 from relocbench.datasets.synthetic.surfaces import Hits, Setting
 from relocbench.datasets.synthetic.textures import bake
 from relocbench.datasets.synthetic.weather import add_lens_drops, draw_falling, falling_extinction
@@ -55,6 +55,14 @@ class Frame:
     """(H, W) :class:`Semantic`"""
 
 
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What the cars that move leave as it is."""
+
+    sky: Sky
+    skylight: Skylight
+
+
 class Renderer:
     """Renders a mesh under the factors.
 
@@ -63,17 +71,28 @@ class Renderer:
         factors: weather, hour and camera response.
         lamps: (L, 3) heads of street lamps, metres.
         seed: of patterns, colours and clouds.
+        surroundings: of the same town in the same condition without moving cars, where they are at hand: they take
+            longer than an image.
     """
 
-    def __init__(self, mesh: Mesh, factors: Factors, lamps: NDArray[np.floating], seed: int) -> None:
+    def __init__(
+        self,
+        mesh: Mesh,
+        factors: Factors,
+        lamps: NDArray[np.floating],
+        seed: int,
+        surroundings: Surroundings | None = None,
+    ) -> None:
         self.factors = factors
         self._scene = Scene(mesh)
         self._geometry = surfaces.make_geometry(mesh)
         self._names = surface_names(self._geometry)
         self._patterns = bake(seed)
         self._looks = make_looks(factors.leaf_colour)
-        self._sky = make_sky(factors, seed)
-        self._skylight = make_skylight(mesh, self._scene)
+        if surroundings is None:
+            self._sky, self._skylight = make_sky(factors, seed), make_skylight(mesh, self._scene)
+        else:
+            self._sky, self._skylight = surroundings.sky, with_moving(surroundings.skylight, mesh, self._scene)
         self._lamps = lighting.make_lamps(lamps)
         self._by_lamp = not self._sky.sun.any()
         extinction = factors.fog_density + falling_extinction(factors.rain_mm_h, factors.snowfall_mm_h)
@@ -88,6 +107,11 @@ class Renderer:
             night,
             seed & 0xFFFFFFFF,
         )
+
+    @property
+    def surroundings(self) -> Surroundings:
+        """For renderers of the same town with cars that move."""
+        return Surroundings(self._sky, self._skylight)
 
     def render(
         self,

@@ -79,18 +79,30 @@ def make_skylight(mesh: Mesh, scene: Scene) -> Skylight:
             layer[:, 0] += seen
             layer[:, 1:] += seen[:, None] * d
     shape = len(_HEIGHTS), ny, nx
-    return Skylight(low.astype(np.float32), shape, values.reshape(-1, 4), _HEIGHTS, _ground(mesh, scene, low, high))
-
-
-def _ground(mesh: Mesh, scene: Scene, low: Floats, high: Floats) -> Floats:
-    """Cosine-weighted openness of the ground, near anything low that stands on it; 1 elsewhere."""
     nx, ny = (np.ceil((high - low) / _FINE_M).astype(int) + 2).tolist()
-    ground = np.ones((ny, nx), dtype=np.float32)
+    standing = ~np.isin(mesh.semantic, _FAR_GROUND)
+    ground = _ground(mesh, standing, scene, low, (ny, nx))
+    return Skylight(low.astype(np.float32), shape, values.reshape(-1, 4), _HEIGHTS, ground)
+
+
+def with_moving(light: Skylight, mesh: Mesh, scene: Scene) -> Skylight:
+    """The skylight of a town, and what the cars that move in ``mesh`` take from the ground beneath and beside them.
+
+    What they take from anything else is left out: it is little, and all of the rest is as it was.
+    """
+    moving = mesh.semantic == Semantic.MOVING_CAR
+    rows, columns = light.ground.shape
+    under = _ground(mesh, moving, scene, light.low, (rows, columns))
+    return light._replace(ground=np.minimum(light.ground, under))
+
+
+def _ground(mesh: Mesh, standing: NDArray[np.bool_], scene: Scene, low: Floats, shape: tuple[int, int]) -> Floats:
+    """Cosine-weighted openness of the ground, near the low ones of the triangles (T,) that stand on it; 1 elsewhere."""
+    ny, nx = shape
+    ground = np.ones(shape, dtype=np.float32)
     near = np.zeros((-(-ny // 4) + 2, -(-nx // 4) + 2), dtype=np.bool_)
     steps = np.linspace(0, 1, 25, dtype=np.float32)[:, None, None]
-    stands = np.ones(256, dtype=np.bool_)
-    stands[list(_FAR_GROUND)] = False
-    for corners in _corners(mesh, stands[mesh.semantic]):
+    for corners in _corners(mesh, standing):
         corners = corners[corners[..., 2].min(1) < _LOW_M][..., :2]
         # Long edges are walked in steps, so that no cell between their ends is missed.
         long = corners[np.ptp(corners, axis=1).max(1) > 4 * _FINE_M]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.synthetic.condition import Factors
 from relocbench.datasets.synthetic.lidar import LidarScene
 from relocbench.datasets.synthetic.mesh import Mesh, Semantic
-from relocbench.datasets.synthetic.render import Frame, Renderer
+from relocbench.datasets.synthetic.render import Frame, Renderer, Surroundings
 from relocbench.datasets.synthetic.town import District, compose, make_district
 from relocbench.datasets.synthetic.traffic import MovingCar
 from relocbench.geometry import Camera
@@ -47,6 +47,7 @@ class _Latest(Generic[Value]):
 
 _district: _Latest[District] = _Latest()
 _renderer: _Latest[Renderer] = _Latest()
+_surroundings: _Latest[Surroundings] = _Latest()
 
 
 def district(place: Place) -> District:
@@ -62,8 +63,15 @@ def renderer(place: Place, factors: Factors, moving: Sequence[MovingCar] = ()) -
 
 def _make_renderer(place: Place, factors: Factors, moving: Sequence[MovingCar]) -> Renderer:
     town = district(place)
-    # Surfaces look alike in all traversals: their patterns hang on the district's seed.
-    return Renderer(compose(town, factors, moving), factors, town.lamps, place.seed)
+
+    def still() -> Renderer:
+        # Surfaces look alike in all traversals: their patterns hang on the district's seed.
+        return Renderer(compose(town, factors), factors, town.lamps, place.seed)
+
+    if not moving:
+        return still()
+    around = _surroundings.get((place, factors), lambda: still().surroundings)
+    return Renderer(compose(town, factors, moving), factors, town.lamps, place.seed, around)
 
 
 @lru_cache(maxsize=2)
