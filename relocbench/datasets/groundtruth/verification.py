@@ -29,8 +29,9 @@ _LEVEL, _REACH_M = 1, 0.35
 """planes among which a piece of surface is looked for, and how near it must be"""
 _FINE, _FINE_REACH_M, _NEARBY_M = 2, 0.25, 0.3
 """planes among which details are looked for, and where any surface at all counts as nearby"""
-_SAME_PLACE_M = 4.0
-"""what was measured from so near to where the other drive's sensors were, it could see as well"""
+_SAME_PLACE_M = 2.5
+"""what was measured from so near to where the other drive's sensors were, it could see as well; less than a lane, since
+from the next lane, and facing the other way, other flanks are hidden"""
 _AGREES = 2.5
 """standard deviations within which a point lies in a plane"""
 
@@ -42,7 +43,7 @@ class Thresholds:
     Chosen on drives through the training district (Sunny against Overcast, Rain, Snow and Night, and the street of
     repeating facades, Sunny against Snow): each query node at its true place, at places slid by 2 to 30 m, turned by
     2, 4 and 180 degrees and on other streets, all refined and then judged. Right poses had an overlap of 0.88 and more
-    and violations of 0.04 and less; wrong ones overlaps of up to 0.88, the highest a single period away among
+    and violations of 0.04 and less; wrong ones overlaps of up to 0.89, the highest a single period away among
     repeating facades. The limits leave room for scenes that change more. They alone do not tell such neighbours
     apart: the comparison of hypotheses over a stretch of road does.
     """
