@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -78,6 +78,10 @@ class PairOutcome:
     def sigma_translation_m(self) -> float | None:
         """Of a direction: ``sqrt(trace / 3)``."""
         return None if self.covariance is None else float(np.sqrt(np.trace(self.covariance[:3, :3]) / 3))
+
+    def refused(self, reason: str) -> PairOutcome:
+        """The same, refused."""
+        return replace(self, reason=reason)
 
     def pair(self, group: str = "", overlap: float | None = None) -> Pair:
         """As a row of a pair set."""

@@ -22,6 +22,7 @@ KINDS: dict[str, str] = {
     "kitti": "KITTI odometry layout (stereo or velodyne depth)",
     "tum-rgbd": "TUM RGB-D layout (depth images)",
     "four-seasons": "4Seasons / MLAD recordings (sparse keyframe points)",
+    "robotcar": "Oxford RobotCar layout: ground truth across drives from lidar",
     "generic": "a minimal documented folder: images, intrinsics, TUM poses, optional depth",
     "synthetic": "a procedural town in any weather, ray-cast: districts, drives and exact truth from a seed",
 }

@@ -1,0 +1,117 @@
+"""Which keyframe each image of a query drive is paired with, and what becomes of the pair."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.alignment import AlignmentOptions, Drive, map_prior, solve_drive
+from relocbench.datasets.groundtruth.evidence import Registration
+from relocbench.datasets.groundtruth.graph import Solution
+from relocbench.datasets.groundtruth.outcome import OutcomeLimits, Outcomes, PairOutcome, Side
+from relocbench.geometry import rotation_angle
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFrames:
+    """The images of one camera that take part, of both drives."""
+
+    camera: str
+    T_rig_refcam: Array
+    T_rig_querycam: Array
+    ref_ns: tuple[int, ...]
+    query_ns: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PairingUnit:
+    """One query drive: its registrations, and the images to pair."""
+
+    reference: Drive
+    query: Drive
+    registrations: tuple[Registration, ...]
+    cameras: tuple[CameraFrames, ...]
+    options: AlignmentOptions
+    limits: OutcomeLimits
+    max_angle_deg: float
+
+    def __str__(self) -> str:
+        return f"pairs of {self.query.name} with {self.reference.name}"
+
+
+@dataclass(frozen=True, eq=False)
+class Paired:
+    """What came of it."""
+
+    outcomes: dict[str, list[PairOutcome]]
+    """camera -> one a query image"""
+    T_world_ref: Array
+    """(R, 4, 4) the reference's nodes"""
+    T_world_query: Array
+    """(Q, 4, 4)"""
+    verdicts: tuple[str, ...]
+    """why each registration did not take part in the graph; empty if it did"""
+    way_to_trusted: Array
+    """(R + Q, 2) metres back to the last and on to the next node with a trusted registration"""
+
+
+def pair_up(unit: PairingUnit) -> Paired:
+    """Solve the graph of two drives and decide every pair."""
+    solution = solve_drive(unit.reference, unit.query, unit.registrations, unit.options)
+    outcomes = Outcomes(
+        solution,
+        (unit.reference.nodes, unit.reference.recording.odometry),
+        (unit.query.nodes, unit.query.recording.odometry),
+        unit.registrations,
+        unit.limits,
+    )
+    found = {frames.camera: _of_camera(unit, frames, solution, outcomes) for frames in unit.cameras}
+    return Paired(found, solution.T_world_ref, solution.T_world_query, solution.verdicts, solution.way_to_trusted)
+
+
+def _of_camera(unit: PairingUnit, frames: CameraFrames, solution: Solution, outcomes: Outcomes) -> list[PairOutcome]:
+    keyframes = _Placed.of(outcomes.reference, frames.ref_ns, frames.T_rig_refcam)
+    prior = map_prior(unit.reference, unit.query)
+    out = []
+    for time in frames.query_ns:
+        place = outcomes.query.place(time)
+        nearest, reason = None, ""
+        if place is not None and solution.part[0] == solution.part[solution.drives.reference_count + place.node]:
+            nearest, reason = keyframes.nearest(place.T_world_rig @ frames.T_rig_querycam, unit.max_angle_deg)
+        elif place is not None and prior is not None and prior.nearest(place.node) >= 0:
+            # Where nothing is registered, the map says which keyframe is refused.
+            there = unit.reference.nodes.times_ns[prior.nearest(place.node)]
+            nearest = frames.ref_ns[int(np.argmin(np.abs(np.array(frames.ref_ns) - there)))]
+        found = outcomes.of(nearest or frames.ref_ns[0], time, frames.T_rig_refcam, frames.T_rig_querycam)
+        out.append(found.refused(reason) if reason and found.accepted else found)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """Keyframes where the graph puts them."""
+
+    times: tuple[int, ...]
+    T_world_cam: Array
+
+    @classmethod
+    def of(cls, side: Side, times: Sequence[int], T_rig_cam: Array) -> _Placed:
+        places = [(time, place) for time in times if (place := side.place(time)) is not None]
+        poses = np.array([place.T_world_rig @ T_rig_cam for _, place in places], dtype=np.float64)
+        return cls(tuple(time for time, _ in places), poses.reshape(-1, 4, 4))
+
+    def nearest(self, T_world_cam: Array, max_angle_deg: float) -> tuple[int, str]:
+        """The nearest keyframe that looks about the same way; if none does, the nearest and why it will not do."""
+        apart = np.linalg.norm(self.T_world_cam[:, :3, 3] - T_world_cam[:3, 3], axis=1)
+        relative = np.swapaxes(self.T_world_cam[:, :3, :3], -1, -2) @ T_world_cam[:3, :3]
+        turned = np.degrees(rotation_angle(relative))
+        fit = turned <= max_angle_deg
+        best = int(np.argmin(np.where(fit, apart, np.inf) if fit.any() else apart))
+        return self.times[
+            best
+        ], "" if fit.any() else f"no keyframe within {max_angle_deg:g} deg: {turned[best]:.0f} deg"
