@@ -10,12 +10,18 @@ import pytest
 
 from relocbench.datasets.dataset import Dataset
 from relocbench.datasets.importers import Run, synthetic
+from relocbench.datasets.pairing import PosedFrames
+from relocbench.datasets.synthetic import stage
+from relocbench.datasets.synthetic.condition import condition_named
+from relocbench.datasets.synthetic.lidar import LidarScene
 from relocbench.datasets.synthetic.mesh import Mesh
+from relocbench.datasets.synthetic.stage import Place
+from relocbench.datasets.synthetic.truth import View
 from relocbench.geometry import Camera
 from relocbench.progress import Silent
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from realistic_change import Frames, patch_correlations
+from realistic_change import PATCHES, TRACKED, Apart, Frames, matches, patch_correlations
 from synthetic_truth import Eye, Scenes, Tally, check, check_depth, report
 
 CAMERA = Camera("pinhole", 40, 32, 30.0, 30.0, 19.5, 15.5)
@@ -89,6 +95,58 @@ def test_the_check_finds_depth_that_is_off_by_a_centimetre(busy: Dataset) -> Non
     assert np.mean(tally.depth_units[0] > 1.0) == pytest.approx(np.mean(depth > 0), abs=0.06)
 
 
+def median_correlation(reference: Frames, query: Frames, rows: list[tuple[int, int]]) -> float:
+    assert rows
+    return float(np.median(np.concatenate([patch_correlations(reference, r, query, q) for r, q in rows])))
+
+
+def quad(corner: tuple[float, ...], one: tuple[float, ...], other: tuple[float, ...]) -> np.ndarray:
+    """Two triangles (2, 3, 3) of the parallelogram from a corner along two edges."""
+    a, u, v = map(np.array, (corner, one, other))
+    return np.array([[a, a + u, a + u + v], [a, a + u + v, a + v]])
+
+
+def test_a_plate_a_millimetre_before_a_wall_hides_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And ground is still seen that rays meet at one degree: far out, where single precision is coarse."""
+    eye = np.array([180.3, 201.7, 1.5])
+    wall = quad((190.0, 190.0, -1.0), (0.0, 30.0, 0.0), (0.0, 0.0, 9.0))
+    plate = quad((189.999, 190.0, -1.0), (0.0, 12.0, 0.0), (0.0, 0.0, 9.0))
+    ground = quad((80.0, 190.0, 0.0), (100.0, 0.0, 0.0), (0.0, 30.0, 0.0))
+    scene = LidarScene(triangles(np.concatenate([wall, plate, ground])))
+    monkeypatch.setattr(stage, "static_scene", lambda place, factors: scene)
+    T_world_cam = np.eye(4)
+    T_world_cam[:3, 3] = eye
+    view = View(Place(0, "test", 250.0), condition_named("Sunny").factors, CAMERA, T_world_cam)
+    rng = np.random.default_rng(0)
+    sides = rng.uniform([191, 0], [212, 7], (500, 2))
+    sides = sides[np.abs(sides[:, 0] - 202) > 0.1]
+    on_wall = np.column_stack([np.full(len(sides), 190.0), sides])
+    assert np.array_equal(view.sees(on_wall), sides[:, 0] > 202)
+    on_ground = np.column_stack([rng.uniform(95, 175, 500), rng.uniform(195, 215, 500), np.zeros(500)])
+    assert np.degrees(np.arcsin(1.5 / np.linalg.norm(on_ground - eye, axis=1).max())) < 1.1
+    assert view.sees(on_ground).all()
+    assert not view.sees(on_ground + np.array([0, 0, 0.05])).any()
+
+
+def test_pairs_are_chosen_by_distance_and_evenly_along_the_drive() -> None:
+    """Steps of 0.8 m with one gap; the second drive is 0.1 m behind and 0.3 m aside."""
+    along = np.concatenate([np.arange(10) * 0.8, 20 + np.arange(10) * 0.8])
+    T_first = np.tile(np.eye(4), (20, 1, 1))
+    T_first[:, 0, 3] = along
+    T_second = T_first.copy()
+    T_second[:, :2, 3] += [-0.1, 0.3]
+    first, second = (PosedFrames(tuple(range(20)), T, frozenset(range(20))) for T in (T_first, T_second))
+    within = matches(first, first, TRACKED, 100, same_drive=True)
+    assert len(within) == 20
+    assert all(abs(r - q) == 1 for r, q in within)
+    again = matches(first, second, TRACKED, 100, same_drive=False)
+    # The frame before is sqrt(0.7^2 + 0.3^2) = 0.76 m away; those without one have the next at 0.95 m.
+    assert again == [(q - 1 if q % 10 else q + 1, q) for q in range(20)]
+    assert matches(first, second, PATCHES, 100, same_drive=False) == []
+    some = matches(first, second, TRACKED, 5, same_drive=False)
+    assert [q for _, q in some] == [0, 5, 10, 14, 19]
+
+
 def test_patches_stay_alike_within_a_condition_and_not_across(tmp_path: Path) -> None:
     """Frames about half a metre apart; the exact warp takes motion out, so that only looks differ."""
     options = {"conditions": ("Sunny", "Snow"), "size": "160x120", "speed": 5.0, "lateral": 0.1, "correspondences": 0}
@@ -97,9 +155,8 @@ def test_patches_stay_alike_within_a_condition_and_not_across(tmp_path: Path) ->
     itself = patch_correlations(sunny, 1, sunny, 1)
     assert len(itself) > 50
     np.testing.assert_allclose(itself, 1.0, atol=1e-3)
-    moved = sunny.apart(sunny.T_world_cam[1])
-    assert moved != 1
-    within = np.median(patch_correlations(sunny, 1, sunny, moved))
-    across = np.median(patch_correlations(sunny, 1, snow, snow.apart(sunny.T_world_cam[1])))
+    half = Apart(0.5, 0.3)
+    within = median_correlation(sunny, sunny, matches(sunny.posed, sunny.posed, half, 9, same_drive=True))
+    across = median_correlation(sunny, snow, matches(sunny.posed, snow.posed, half, 9, same_drive=False))
     assert within > 0.9
     assert across < within - 0.1
