@@ -7,7 +7,6 @@ Everything that took long lies in ``OUT/groundtruth`` as soon as it is done, and
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,6 +24,7 @@ from relocbench.datasets.groundtruth.depth import DepthOptions
 from relocbench.datasets.groundtruth.depth_work import DepthFrame, depth_sigma, make_depth
 from relocbench.datasets.groundtruth.evidence import Registration
 from relocbench.datasets.groundtruth.frames import chosen_images
+from relocbench.datasets.groundtruth.graph_files import PlacedDrive, write_graph
 from relocbench.datasets.groundtruth.options import FieldOptions
 from relocbench.datasets.groundtruth.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairing import CameraFrames, Paired, PairingUnit, pair_up
@@ -36,16 +36,11 @@ from relocbench.datasets.schema import CameraEntry, TraversalFile
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import chunks, run_units
-from relocbench.files import atomic_write
-from relocbench.geometry import invert, transform_to_tq
+from relocbench.geometry import invert
 from relocbench.progress import Reporter
 
 Array = NDArray[np.float64]
 
-GRAPH_COLUMNS = (
-    *("traversal", "node", "timestamp_ns", "tx", "ty", "tz", "qx", "qy", "qz", "qw"),
-    *("m_since_trusted", "m_to_trusted", "registered", "verdict"),
-)
 _IMAGES_A_UNIT = 16
 
 
@@ -196,28 +191,14 @@ def _pair(units: Sequence[PairingUnit], folder: Path, reporter: Reporter, run: R
 
 
 def _write_graph(path: Path, unit: PairingUnit, paired: Paired) -> None:
-    """``T_world_node`` of both drives, and how far along the road the nearest trusted registrations are."""
-    poses = np.concatenate([paired.T_world_ref, paired.T_world_query])
-    t, q = transform_to_tq(poses)
-    drives = ((unit.reference, len(unit.reference.nodes)), (unit.query, len(unit.query.nodes)))
-    names = [(drive, node) for drive, count in drives for node in range(count)]
+    count = len(unit.reference.nodes)
+    before, after = paired.way_to_trusted[:count], paired.way_to_trusted[count:]
     verdicts = {r.query: verdict for r, verdict in zip(unit.registrations, paired.verdicts, strict=True)}
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(GRAPH_COLUMNS)
-        for (drive, node), values, ways in zip(names, np.hstack([t, q]).tolist(), paired.way_to_trusted, strict=True):
-            here = drive is unit.query and node in verdicts
-            table.writerow(
-                [
-                    drive.name,
-                    node,
-                    int(drive.nodes.times_ns[node]),
-                    *map(repr, values),
-                    *("" if np.isinf(way) else f"{way:.3f}" for way in ways),
-                    int(here and not verdicts[node]),
-                    verdicts[node] if here else "",
-                ]
-            )
+    write_graph(
+        path,
+        PlacedDrive(unit.reference.name, unit.reference.nodes.times_ns, paired.T_world_ref, before, {}),
+        PlacedDrive(unit.query.name, unit.query.nodes.times_ns, paired.T_world_query, after, verdicts),
+    )
 
 
 def _refuse_nothing(paired: Sequence[Paired], queries: Sequence[str], folder: Path) -> None:

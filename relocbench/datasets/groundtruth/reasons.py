@@ -1,0 +1,21 @@
+"""Reasons of rejection told apart by kind: the same sentence with other numbers is the same kind."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+_NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")
+
+
+def kind_of(reason: str) -> str:
+    """The reason with its numbers taken out: ``no keyframe within … m: nearest … m``."""
+    return _NUMBER.sub("…", reason)
+
+
+def by_kind(reasons: Iterable[str]) -> dict[str, list[str]]:
+    """kind -> its reasons; the most frequent kind first, those of equal number by name."""
+    found: dict[str, list[str]] = {}
+    for reason in reasons:
+        found.setdefault(kind_of(reason), []).append(reason)
+    return dict(sorted(found.items(), key=lambda item: (-len(item[1]), item[0])))
