@@ -21,7 +21,7 @@ from relocbench.datasets.synthetic.edges import (
 )
 from relocbench.datasets.synthetic.lamps import Beam
 from relocbench.datasets.synthetic.materials import make_looks
-from relocbench.datasets.synthetic.mesh import Mesh, Semantic
+from relocbench.datasets.synthetic.mesh import Mesh
 from relocbench.datasets.synthetic.raycast import NOTHING, Scene
 from relocbench.datasets.synthetic.response import respond
 from relocbench.datasets.synthetic.samples import Floats, Samples, View, direct_samples
@@ -132,8 +132,9 @@ class Renderer:
         view = View(pose[:3, 3].copy(), pose[:3, :3].copy(), camera.fx, camera.fy, camera.cx, camera.cy)
         beam = _headlights(pose if T_world_vehicle is None else np.asarray(T_world_vehicle), T_world_vehicle is None)
         shape = camera.height, camera.width
-        v, u = np.mgrid[: camera.height, : camera.width].astype(np.float32)
-        samples = self._trace(view, direct_samples(u.ravel(), v.ravel()))
+        u = np.tile(np.arange(camera.width, dtype=np.float32), camera.height)
+        v = np.repeat(np.arange(camera.height, dtype=np.float32), camera.width)
+        samples = self._trace(view, direct_samples(u, v))
         hits = self._surfaces(view, samples)
         light, _ = self._light(view, beam, samples, hits, camera.width)
         light = self._smooth_edges(view, beam, samples, hits, light, camera.width)
@@ -141,10 +142,7 @@ class Renderer:
         image = light.reshape(*shape, 3)
         depth = hits.depth.astype(np.float32).reshape(shape)
         rgb = self._develop(image, depth, camera, pose, frame_seed)
-        seen = samples.triangle != NOTHING
-        of = np.where(seen, samples.triangle, 0)
-        instance = np.where(seen, self._geometry.instance[of], 0).astype(np.uint32)
-        semantic = np.where(seen, self._geometry.semantic[of], Semantic.SKY).astype(np.uint8)
+        instance, semantic = surfaces.objects(self._geometry, samples.triangle)
         return Frame(rgb, depth, hits.normal.reshape(*shape, 3), instance.reshape(shape), semantic.reshape(shape))
 
     def _trace(self, view: View, samples: Samples) -> Samples:
@@ -196,7 +194,8 @@ class Renderer:
     def _reflect(self, view: View, beam: Beam, samples: Samples, hits: Hits, reflected: Floats, width: int) -> None:
         """Fill in the light (N, 3) that comes to the samples that mirror."""
         casts = surfaces.casts_reflection(self._geometry, samples, hits, _LEAST_MIRROR)
-        skipped = reflections.skipped(casts, hits.sharpness, width) if width else np.zeros(0, dtype=np.int64)
+        skipped = reflections.skipped(casts, hits, width) if width else np.zeros(0, dtype=np.int64)
+        mirrors = casts.copy()
         casts[skipped] = False
         index = np.flatnonzero(casts)
         if len(index) == 0:
@@ -213,7 +212,7 @@ class Renderer:
         reflected[index] = colour
         if width:
             reflections.fill(reflected, skipped, width)
-            reflections.roughen(reflected, np.concatenate([index, skipped]), hits.sharpness, width)
+            reflections.roughen(reflected, mirrors, hits.sharpness, width)
 
     def _smooth_edges(self, view: View, beam: Beam, samples: Samples, hits: Hits, light: Floats, width: int) -> Floats:
         """Edge pixels become the mean of five samples; only those of surfaces not seen nearby are shaded anew."""

@@ -20,6 +20,7 @@ _ASPHALT = int(Material.ASPHALT)
 _MARKING, _WINDOW, _SHOP = int(Material.LANE_MARKING), int(Material.WINDOW), int(Material.SHOP_WINDOW)
 _LEAF, _HEDGE, _LAMP = int(Material.LEAF), int(Material.HEDGE), int(Material.LAMP)
 _PAINT, _CAR_GLASS, _SIGN = int(Material.CAR_PAINT), int(Material.CAR_GLASS), int(Material.SHOP_SIGN)
+_SKY = int(Semantic.SKY)
 _MOVING, _PARKED = int(Semantic.MOVING_CAR), int(Semantic.PARKED_CAR)
 
 
@@ -121,7 +122,7 @@ def surfaces(
         nx, ny, nz = c[0] * size, c[1] * size, c[2] * size
 
         # Barycentric coordinates are linear in the point, and so is (u, v) on the surface with its footprint.
-        g1, g2 = cross(e2, c), cross(c, e1)
+        g1, g2, per_area = cross(e2, c), cross(c, e1), 1 / area2
         reach = samples.before[i] + t
         px = along((reach * dx[0], reach * dx[1], reach * dx[2]), -reach * dot(c, dx) / slope, d)
         py = along((reach * dy[0], reach * dy[1], reach * dy[2]), -reach * dot(c, dy) / slope, d)
@@ -133,22 +134,24 @@ def surfaces(
             uv[triangle, 2, 1] - v0,
         )
         q = minus(p, a)
-        b1, b2 = dot(g1, q) / area2, dot(g2, q) / area2
-        x1, x2 = dot(g1, px) / area2, dot(g2, px) / area2
-        y1, y2 = dot(g1, py) / area2, dot(g2, py) / area2
+        b1, b2 = dot(g1, q) * per_area, dot(g2, q) * per_area
+        x1, x2 = dot(g1, px) * per_area, dot(g2, px) * per_area
+        y1, y2 = dot(g1, py) * per_area, dot(g2, py) * per_area
         su, sv = u0 + b1 * u1 + b2 * u2, v0 + b1 * v1 + b2 * v2
         dudx, dvdx, dudy, dvdy = x1 * u1 + x2 * u2, x1 * v1 + x2 * v2, y1 * u1 + y2 * u2, y1 * v1 + y2 * v2
 
         material, variant = np.int64(geometry.material[triangle]), np.int64(geometry.variant[triangle])
         dice = scramble(variant, material * 7919 + setting.seed)
         shift = 0.0 if material == _MARKING else (dice & 255) / 255.0 * 7.3
+        # What is seen in a mirror is dim or blurred.
+        most = 6 if samples.before[i] <= 0.0 else 3
         share, bright = sample(
-            texels, per_tile[material], material, su + shift, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy, 6
+            texels, per_tile[material], material, su + shift, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy, most
         )
         # Slow stains: along the surface on walls, from above on the ground.
         flat = nz > 0.7
         if flat:
-            slow, stain = sample(texels, per_tile[MACRO], MACRO, p[0], p[1], px[0], px[1], py[0], py[1], 2)
+            slow, stain = sample(texels, per_tile[MACRO], MACRO, p[0], p[1], px[0], px[1], py[0], py[1], most // 3)
         else:
             slow, stain = sample(texels, per_tile[MACRO], MACRO, su + 3 * shift, sv, dudx, dvdx, dudy, dvdy, 1)
         tone = 1.0 + looks.spread[material] * 2 * (((dice >> 8) & 255) / 255.0 - 0.5)
@@ -248,3 +251,16 @@ def casts_reflection(geometry: Geometry, samples: Samples, hits: Hits, least: fl
         if hits.depth[i] > 0.0 and hits.mirror[i] > least:
             out[i] = geometry.material[samples.triangle[i]] != _PAINT
     return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def objects(geometry: Geometry, triangle: NDArray[np.uint32]) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
+    """Object and class (N,) of what the rays that met these triangles see."""
+    n = len(triangle)
+    instance = np.zeros(n, dtype=np.uint32)
+    semantic = np.full(n, _SKY, dtype=np.uint8)
+    for i in range(n):
+        if triangle[i] != NOTHING:
+            instance[i] = geometry.instance[triangle[i]]
+            semantic[i] = geometry.semantic[triangle[i]]
+    return instance, semantic
