@@ -201,7 +201,7 @@ def _pair(reference: PosedFrames, query: PosedFrames, r: int, q: int) -> Pair:
 
 
 def recall_of(method: str, dataset: Path, sets: tuple[str, ...], out: Path) -> dict[str, float]:
-    """pair set -> recall in percent; one process, as workers would start anew for each set of sixty pairs."""
+    """pair set -> recall in percent; one process, as workers would start anew for each set of some tens of pairs."""
     options = EvaluateOptions(dataset=dataset, methods=(method,), pair_sets=sets, out=out, workers=1)
     scores = evaluate_methods(options, Silent()).folders[0].score_record().pair_sets
     return {name: round(100 * float(scores[name]["all"][_RECALL] or 0.0), 1) for name in sets}
@@ -209,10 +209,14 @@ def recall_of(method: str, dataset: Path, sets: tuple[str, ...], out: Path) -> d
 
 def track(dataset: Dataset, sets: Sets, methods: list[str], out: Path) -> dict[str, dict[str, Any]]:
     """pairs of drives -> recall of each method in percent, number and mean distance of pairs."""
-    names = tuple(sets.values())
-    with ProcessPoolExecutor(default_workers(), multiprocessing.get_context("spawn")) as pool:
-        jobs = {m: pool.submit(recall_of, m, dataset.root, names, out / m) for m in methods}
-        recall = {m: job.result() for m, job in jobs.items()}
+    workers = default_workers()
+    parts = [part for k in range(workers) if (part := tuple(sets.values())[k::workers])]
+    recall: dict[str, dict[str, float]] = {m: {} for m in methods}
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        asked = [(m, k) for m in methods for k in range(len(parts))]
+        jobs = [pool.submit(recall_of, m, dataset.root, parts[k], out / f"{m}-{k}") for m, k in asked]
+        for (m, _), job in zip(asked, jobs, strict=True):
+            recall[m] |= job.result()
     table: dict[str, dict[str, Any]] = {}
     for (a, b), name in sets.items():
         pairs = dataset.pair_set(name).pairs
@@ -246,9 +250,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--conditions", default=",".join(dict.fromkeys(("Sunny", *CONDITIONS))))
     parser.add_argument("--methods", default="orb-pnp,dso")
-    parser.add_argument("--steps", type=int, default=121, help="of each drive, ten a second")
-    parser.add_argument("--pairs", type=int, default=60, help="of each pair set, at most")
-    parser.add_argument("--frames", type=int, default=12, help="of each pair of conditions, whose patches are compared")
+    parser.add_argument("--steps", type=int, default=81, help="of each drive, ten a second")
+    parser.add_argument("--pairs", type=int, default=40, help="of each pair set, at most")
+    parser.add_argument("--frames", type=int, default=8, help="of each pair of conditions, whose patches are compared")
     parser.add_argument("--size", default="320x240")
     parser.add_argument("--speed", type=float, default=8.0, help="m/s on average: steps 0.8 m apart")
     parser.add_argument("--lateral", type=float, default=0.3, help="metres off the lane's middle, at most")
