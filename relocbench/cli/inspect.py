@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +21,10 @@ def inspect(
     pictures: Annotated[
         Path | None, typer.Option(help="Write pictures of pairs to this folder: is the ground truth right?")
     ] = None,
+    ground_truth: Annotated[
+        Path | None,
+        typer.Option(help="Write a page about the ground truth from lidar to this folder: clouds, residuals, a map."),
+    ] = None,
     pairs: Annotated[int, typer.Option(min=1, help="Pictures a pair set, spread along the drive.")] = 6,
     pair_set: Annotated[list[str], typer.Option(help="Only this pair set. Repeat for several.")] = [],  # noqa: B006
     seed: Annotated[int, typer.Option(min=0, help="Seed of the points that are drawn.")] = 0,
@@ -28,7 +33,12 @@ def inspect(
 ) -> None:
     """Say what is in a dataset; with --pictures, draw pairs so that a person can check the ground truth.
 
+    With --ground-truth, a page shows how drives were laid together by lidar: both clouds from above, residuals, and
+    where and why pairs were rejected.
+
     Example: relocbench inspect D --pictures check
+
+    Example: relocbench inspect D --ground-truth check
     """
     from relocbench.cli.console import print_json, reporter
     from relocbench.datasets.dataset import Dataset
@@ -43,16 +53,24 @@ def inspect(
         from relocbench.datasets.overlay import write_pictures
 
         drawn = write_pictures(opened, chosen, pictures, pairs, seed, reporter(quiet))
+    page: Path | None = None
+    if ground_truth is not None:
+        from relocbench.datasets.groundtruth.pictures import write_ground_truth
+
+        page = write_ground_truth(opened, chosen, ground_truth, pairs, seed, reporter(quiet))
     if json:
         print_json({**take_inventory(opened).to_dict(), "pictures": [p.to_dict() for p in drawn]})
     elif pictures is not None:
         _print_pictures(drawn, pictures)
+    if page is not None and not json:
+        print(f"the ground truth to look at: {page}")
 
 
 def print_summary(dataset: Dataset) -> None:
     """The tables of ``relocbench inspect``."""
     from relocbench.cli.console import print_table
     from relocbench.datasets.fingerprint import SHORT
+    from relocbench.datasets.groundtruth.reasons import by_kind
     from relocbench.datasets.inspection import take_inventory
 
     found = take_inventory(dataset)
@@ -90,9 +108,9 @@ def print_summary(dataset: Dataset) -> None:
         ],
         [_pair_set_row(s) for s in found.pair_sets],
     )
-    for name, rejected in ((s.name, s.rejected) for s in found.pair_sets):
-        for reason, count in rejected.items():
-            print(f"{name}: {count} rejected: {reason}")
+    for pair_set in found.pair_sets:
+        for kind, same in by_kind(Counter(pair_set.rejected).elements()).items():
+            print(f"{pair_set.name}: {len(same)} rejected: {same[0] if len(set(same)) == 1 else kind}")
     if found.splits:
         print_table("Splits", ["name", "pair sets"], [[name, ", ".join(sets)] for name, sets in found.splits.items()])
 

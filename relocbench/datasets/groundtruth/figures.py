@@ -1,0 +1,42 @@
+"""What all figures of the ground truth share: colours, size, and the same bytes on every machine."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from relocbench.files import write_bytes
+
+# Okabe and Ito, "Color Universal Design" (2008).
+REFERENCE, QUERY, ACCEPTED = "#0072B2", "#D55E00", "#009E73"
+REASONS = ("#CC3311", "#AA3377", "#E69F00", "#666666", "#882255", "#999933", "#000000")
+AXES = ("#0072B2", "#009E73", "#CC79A7")
+"""along, across, height"""
+
+
+def reason_colours(kinds: Iterable[str]) -> dict[str, str]:
+    """kind of rejection -> colour, in order."""
+    return {kind: REASONS[k % len(REASONS)] for k, kind in enumerate(kinds)}
+
+
+def write_figure(path: Path, size: tuple[float, float], draw: Callable[[Figure], None]) -> None:
+    """A PNG of ``size`` inches, whatever the reader's own settings of matplotlib are."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
+        figure = Figure(figsize=size, dpi=120, layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(figure)
+        picture = io.BytesIO()
+        figure.savefig(picture, format="png", metadata={"Software": None})
+    write_bytes(path, picture.getvalue())
+
+
+def shortened(text: str, length: int = 90) -> str:
+    """For a title or a legend."""
+    return text if len(text) <= length else text[: length - 1].rstrip() + "…"
