@@ -114,7 +114,8 @@ def _draw(figure: Figure, ref: Cloud, query: Cloud, at: list[Array], lines: list
             continue
         corner = details[k] - _CLOSE_M / 2
         above.add_patch(Rectangle((corner[0], corner[1]), _CLOSE_M, _CLOSE_M, fill=False, color="#000000", lw=1))
-        above.annotate("ab"[k], details[k] + _CLOSE_M / 2, fontsize=11, fontweight="bold")
+        x, y = (details[k] + _CLOSE_M / 2).tolist()
+        above.text(x, y, "ab"[k], fontsize=11, fontweight="bold")
         _detail(axes, ref, query, details[k], f"{'ab'[k]}: walls from above")
     _section(figure.add_subplot(grid[1, 2]), ref, query, at[1])
     _road(figure.add_subplot(grid[1, 3]), ref, query, at[1])
@@ -211,7 +212,7 @@ def _detail(axes: Axes, ref: Cloud, query: Cloud, middle: Array, title: str) -> 
     axes.set_ylim(middle[1] - half, middle[1] + half)
     start = middle - 0.9 * half
     axes.plot([start[0], start[0] + 0.1], [start[1], start[1]], color="black", linewidth=3)
-    axes.annotate("10 cm", start, (0, 4), textcoords="offset points", fontsize=8)
+    axes.annotate("10 cm", (start[0], start[1]), (0, 4), textcoords="offset points", fontsize=8)
     axes.set_title(title, fontsize=9)
 
 

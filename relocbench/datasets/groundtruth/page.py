@@ -23,8 +23,10 @@ h1 { font-size: 1.5rem; } h2 { font-size: 1.2rem; margin-top: 2.5rem; overflow-w
 figure { margin: 1.5rem 0; } figcaption { font-size: .9rem; margin-bottom: .4rem; overflow-wrap: anywhere; }
 img { max-width: 100%; height: auto; display: block; background: #fff; border: 1px solid #8888; }
 .wide { overflow-x: auto; } table { border-collapse: collapse; font-size: .9rem; }
-th, td { border-bottom: 1px solid #8888; padding: .3rem .6rem; text-align: right; white-space: nowrap; }
-th:first-child, td:first-child { text-align: left; } .rejected { font-weight: bold; }
+th, td { border-bottom: 1px solid #8888; padding: .3rem .5rem; text-align: right; vertical-align: top; }
+td:not(:first-child) { white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; min-width: 8rem; overflow-wrap: anywhere; }
+.rejected { font-weight: bold; }
 details { margin: 1rem 0; } summary { cursor: pointer; }
 """.strip()
 
@@ -84,7 +86,7 @@ def write_page(path: Path, dataset: Dataset, drawn: Sequence[DrawnSet], residual
 
 def _summary(drawn: Sequence[DrawnSet]) -> str:
     head = (
-        "pair set", "conditions", "accepted", "rejected", "sigma along / across / height, cm", "sigma of rotation, deg",
+        "pair set", "pairs accepted", "rejected", "sigma along / across / height, cm", "sigma of rotation, deg",
         "residual to reference / query, cm", "registrations kept",
     )  # fmt: skip
     rows = []
@@ -94,8 +96,7 @@ def _summary(drawn: Sequence[DrawnSet]) -> str:
         axes = [_median([p.axis_sigmas[k] for p in accepted], 100.0, 2) for k in range(3)]
         verdicts = one.found.query.verdicts.values()
         values = (
-            f'<a href="#{quote(one.found.name)}">{escape(one.found.name)}</a>',
-            escape(one.found.conditions),
+            f'<a href="#{quote(one.found.name)}">{escape(one.found.name)}</a><br>{escape(one.found.conditions)}',
             str(len(accepted)),
             str(len(pairs) - len(accepted)),
             " / ".join(axes),

@@ -107,7 +107,8 @@ def _draw(figure: Figure, measured: Sequence[tuple[InspectedSet, Residuals]]) ->
         left.set_title(title, fontsize=9, loc="left")
         left.set_xlim(-100 * _SHOWN_M, 100 * _SHOWN_M)
         left.set_ylabel("% of points")
-        left.legend(fontsize=7, frameon=False, loc="upper left")
+        if left.get_legend_handles_labels()[0]:
+            left.legend(fontsize=7, frameon=False, loc="upper left")
         left.axvline(0, color="#999999", linewidth=0.6)
         right.set_xlim(0, 100 * _REACH_M)
         right.set_ylim(0, 101)

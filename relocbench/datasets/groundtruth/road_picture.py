@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -74,20 +76,30 @@ def _map(figure: Figure, axes: Axes, found: InspectedSet, spots: list[Spot], col
     places = np.array([_place(found, p) for p in pairs]).reshape(-1, 2) @ turn
     good = np.array([p.accepted for p in pairs], dtype=bool)
     sigma = np.array([np.nan if p.sigma_translation_m is None else 100 * p.sigma_translation_m for p in pairs])
-    dots = axes.scatter(*places[good].T, c=sigma[good], cmap="viridis", s=26, zorder=4, vmin=0, plotnonfinite=True)
+    dots = axes.scatter(
+        places[good, 0], places[good, 1], c=sigma[good], cmap="viridis", s=26, zorder=4, vmin=0, plotnonfinite=True
+    )
     figure.colorbar(dots, ax=axes, label="sigma of the position (cm)", shrink=0.85, pad=0.01)
     for kind, colour in colours.items():
         these = np.array([not p.accepted and kind_of(_reason(p)) == kind for p in pairs])
-        axes.scatter(*places[these].T, marker="x", color=colour, s=34, linewidths=1.5, zorder=5)
+        axes.scatter(places[these, 0], places[these, 1], marker="x", color=colour, s=34, linewidths=1.5, zorder=5)
     for number, spot in enumerate(spots, start=1):
-        at = _place(found, spot.pair) @ turn
-        box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "#444444", "lw": 0.6}
-        axes.annotate(str(number), at, (0, 16 if number % 2 else -20), textcoords="offset points", fontsize=8, zorder=6,
-                      ha="center", bbox=box, arrowprops={"arrowstyle": "-", "lw": 0.6, "color": "#444444"})  # fmt: skip
+        x, y = (_place(found, spot.pair) @ turn).tolist()
+        axes.annotate(
+            str(number),
+            (x, y),
+            (0, 16 if number % 2 else -20),
+            textcoords="offset points",
+            fontsize=8,
+            zorder=6,
+            ha="center",
+            bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "#444444", "lw": 0.6},
+            arrowprops={"arrowstyle": "-", "lw": 0.6, "color": "#444444"},
+        )
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.04, 0.12)
-    axes.set_xlabel("m, turned so that the road lies flat")
-    handles = [
+    axes.set_ylabel("m, turned so that\nthe road lies flat")
+    handles: list[Artist] = [
         Line2D([], [], color="#bbbbbb", linewidth=5, label=f"reference {shortened(found.reference.name, 30)}"),
         Line2D([], [], color=QUERY, linewidth=1, label=f"query {shortened(found.query.name, 30)}"),
         Line2D([], [], color="#21918c", marker="o", linestyle="", label=f"{good.sum()} accepted"),
@@ -95,8 +107,7 @@ def _map(figure: Figure, axes: Axes, found: InspectedSet, spots: list[Spot], col
     for kind, members in by_kind(_reason(p) for p in pairs if not p.accepted).items():
         label = f"{len(members)} rejected: {shortened(kind, 100)}"
         handles.append(Line2D([], [], color=colours[kind], marker="x", linestyle="", label=label))
-    axes.legend(handles=handles, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.14), frameon=False,
-                ncols=3 if not colours else 2)  # fmt: skip
+    _legend_below(axes, handles, 2 if colours else 3, 3)
 
 
 def _flat(road: Array) -> Array:
@@ -179,7 +190,20 @@ def _verdicts(axes: Axes, found: InspectedSet, pairs: list[Pair], ways: Array, c
         Patch(color=ACCEPTED, label="accepted"),
         Patch(color="#CC3311", alpha=0.75, label="registration refused"),
     ]
-    axes.legend(handles=handles, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.55), frameon=False, ncols=2)
+    _legend_below(axes, handles, 2, 5)
+
+
+def _legend_below(axes: Axes, handles: Sequence[Artist], columns: int, away: float) -> None:
+    """``away``: from the axes, in heights of a letter, so that it clears their ticks and label."""
+    axes.legend(
+        handles=handles,
+        fontsize=8,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0),
+        borderaxespad=away,
+        frameon=False,
+        ncols=columns,
+    )
 
 
 def _reason(pair: Pair) -> str:
