@@ -1,0 +1,196 @@
+"""Simulated drives for ``ground_truth.py``: recorded by lidar alone, read as real ones are, with the exact truth."""
+
+from __future__ import annotations
+
+import csv
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.frames import chosen_images
+from relocbench.datasets.groundtruth.nodes import make_nodes
+from relocbench.datasets.groundtruth.recording import FieldRecording
+from relocbench.datasets.importers import Run
+from relocbench.datasets.importers.robotcar_recording import read_robotcar_drives
+from relocbench.datasets.synthetic.condition import condition_named
+from relocbench.datasets.synthetic.recording import DriveOptions, prepare
+from relocbench.datasets.synthetic.recording_jobs import carry_out
+from relocbench.datasets.synthetic.recording_work import town_compose, town_renderer
+from relocbench.datasets.synthetic.routes import RouteName, route
+from relocbench.datasets.synthetic.town import make_district
+from relocbench.files import atomic_write, write_text
+from relocbench.geometry import Camera, interpolate_trajectory, invert, make_transform, transform_from_tq
+from relocbench.progress import Advance
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+EXTENT_M = 400.0
+FRAMES = 720
+"""16 a second, at 8 m/s: 360 m, the least on which the test district has a detour"""
+T_RIG_CAM = make_transform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), [0, 0, 0])
+"""a camera that looks ahead, at the rig's origin, 1.55 m above the road; there are no images, since only poses are
+judged, but a time for each"""
+_CAMERA = Camera("pinhole", 640, 480, 491.5, 491.5, 319.5, 239.5)
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One drive; its number makes its day, its line in the lane and all its errors."""
+
+    number: int
+    condition: str
+    route: RouteName
+
+    @property
+    def title(self) -> str:
+        return self.condition if self.route == "common" else f"{self.condition}, {self.route}"
+
+
+LEGS = (
+    Leg(0, "Sunny", "common"),
+    Leg(1, "Overcast", "common"),
+    Leg(2, "Rain", "common"),
+    Leg(3, "Snow", "common"),
+    Leg(4, "Night", "common"),
+    Leg(5, "Sunny", "periodic"),
+    Leg(6, "Snow", "periodic"),
+    Leg(7, "Rain", "crossing"),
+    Leg(8, "Overcast", "detour"),
+)
+PAIRS = ((0, 1), (0, 2), (0, 3), (0, 4), (5, 6), (0, 7), (0, 8))
+"""(reference, query), numbers of legs"""
+
+
+class Spoken:
+    """Progress as lines on standard error."""
+
+    def __init__(self) -> None:
+        self.begin = time.monotonic()
+
+    def note(self, message: str) -> None:
+        print(f"[{time.monotonic() - self.begin:6.0f} s] {message}", file=sys.stderr, flush=True)
+
+    @contextmanager
+    def stage(self, description: str, total: int) -> Iterator[Advance]:
+        done, shown = 0, time.monotonic()
+        self.note(f"{description}: {total}")
+
+        def advance(count: int) -> None:
+            nonlocal done, shown
+            done += count
+            if time.monotonic() - shown > 15:
+                shown = time.monotonic()
+                self.note(f"{description}: {done} of {total}")
+
+        yield advance
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The exact motion of the reader's rig."""
+
+    times_ns: Times
+    T_world_rig: Array
+    """(N, 4, 4)"""
+
+    def at(self, times_ns: Times) -> Array:
+        """(M, 4, 4) ``T_world_rig``."""
+        return interpolate_trajectory(self.times_ns, self.T_world_rig, times_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class Ticks:
+    """A camera of which only the times are asked."""
+
+    times_ns: Times
+    name: str = "front"
+    camera: Camera = _CAMERA
+
+    @property
+    def T_rig_cam(self) -> Array:
+        return T_RIG_CAM
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        raise NotImplementedError("there are no images")
+
+    def file(self, index: int) -> Path | None:
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """A drive as the builder gets it, and what it does not get."""
+
+    leg: Leg
+    recording: FieldRecording
+    truth: Truth
+    image_ns: tuple[int, ...]
+    """of images 1 m of road apart"""
+
+
+def record_legs(
+    legs: Sequence[Leg], out: Path, split: str, seed: int, frames: int, extent_m: float, spoken: Spoken, workers: int
+) -> dict[int, Path]:
+    """Folder of each leg by its number; what was recorded before is kept."""
+    index = out / "legs.csv"
+    if index.exists():
+        with index.open(encoding="utf-8", newline="") as stream:
+            known = {int(row["number"]): out / row["name"] for row in csv.DictReader(stream)}
+        if all(leg.number in known for leg in legs):
+            return known
+    spoken.note(f"laying out the {split} district")
+    town = make_district(seed, split, extent_m)
+    length = DriveOptions(frames=frames).path_length_m
+    recorded, jobs = {}, []
+    for leg in legs:
+        options = DriveOptions(seed=seed, number=leg.number, frames=frames, cameras=())
+        path = route(town, leg.route, length, seed)
+        found, job = prepare(town, path, condition_named(leg.condition).factors, out, options)
+        recorded[leg.number] = found.folder
+        jobs.append(job)
+    carry_out(jobs, town_renderer, town_compose, spoken, Run(workers))
+    with atomic_write(index) as stream:
+        stream.write("number,name\n")
+        stream.writelines(f"{number},{folder.name}\n" for number, folder in recorded.items())
+    return recorded
+
+
+def read_legs(legs: Sequence[Leg], folders: dict[int, Path]) -> dict[int, Taken]:
+    """The drives by number, their priors on one map."""
+    recordings = read_robotcar_drives([folders[leg.number] for leg in legs])
+    return {leg.number: _taken(leg, recording) for leg, recording in zip(legs, recordings, strict=True)}
+
+
+def _taken(leg: Leg, recording: FieldRecording) -> Taken:
+    stream = Ticks(recording.odometry.times_ns)
+    chosen = chosen_images(recording, stream, make_nodes(recording), 1.0)
+    return Taken(leg, recording, read_truth(recording), tuple(int(stream.times_ns[i]) for i in chosen))
+
+
+def read_truth(recording: FieldRecording) -> Truth:
+    """The reader's rig is the RobotCar vehicle's, the truth's is the town's car: a lidar tells how they lie."""
+    folder = recording.folder.parent / "truth" / recording.folder.name
+    times = np.loadtxt(folder / "poses.csv", delimiter=",", skiprows=1, usecols=0, dtype=np.int64)
+    values = np.loadtxt(folder / "poses.csv", delimiter=",", skiprows=1, usecols=range(1, 8))
+    settings = yaml.safe_load((folder / "settings.yaml").read_text(encoding="utf-8"))
+    lidar = recording.lidars[0]
+    mounted = settings["sensors"]["T_rig_sensor"][lidar.name]
+    T_car_lidar = transform_from_tq(np.array(mounted["translation_m"]), np.array(mounted["quaternion_xyzw"]))
+    T_car_rig = T_car_lidar @ invert(lidar.T_rig_lidar)
+    return Truth(times, transform_from_tq(values[:, :3], values[:, 3:]) @ T_car_rig)
+
+
+def facade_period_m(folder: Path, split: str, seed: int, extent_m: float) -> float:
+    """After which the facades of the periodic street repeat; kept beside the recording."""
+    kept = folder / "period.txt"
+    if not kept.exists():
+        write_text(kept, f"{make_district(seed, split, extent_m).periodic.fronts[0].period_m!r}\n")
+    return float(kept.read_text(encoding="utf-8"))

@@ -1,0 +1,264 @@
+"""What ``ground_truth.py`` hands to workers: the builder's stages, timed; priors by hand; variants to compare with."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from ground_truth_drives import T_RIG_CAM
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth import track_files
+from relocbench.datasets.groundtruth.alignment import (
+    AlignmentOptions,
+    Drive,
+    FirstPose,
+    TrackUnit,
+    make_drive,
+    track_drive,
+)
+from relocbench.datasets.groundtruth.block_store import BlockStore
+from relocbench.datasets.groundtruth.blocks import Block, Nodes
+from relocbench.datasets.groundtruth.evidence import Registration
+from relocbench.datasets.groundtruth.graph import optimise
+from relocbench.datasets.groundtruth.outcome import OutcomeLimits, Outcomes, PairOutcome
+from relocbench.datasets.groundtruth.pairing import CameraFrames, PairingUnit, pair_up
+from relocbench.datasets.groundtruth.recording import FieldRecording
+from relocbench.datasets.groundtruth.verification import Thresholds
+from relocbench.datasets.importers import Run
+from relocbench.files import write_text
+from relocbench.geometry import invert
+from relocbench.progress import Silent
+
+Array = NDArray[np.float64]
+Result = TypeVar("Result")
+
+NO_THRESHOLDS = Thresholds(-1.0, -1.0, 2.0, -1.0, 1e9, 1e9, 1e9)
+"""every registration is trusted for which anything could be judged"""
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What a stage cost its worker."""
+
+    cpu_s: float
+    wall_s: float
+    peak_mib: float
+    """of the worker up to its end, whatever it did before"""
+
+
+def peak_mib() -> float:
+    """VmHWM is this program's own; ru_maxrss of a process counts what its parent held when it was forked."""
+    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+
+
+def timed(work: Callable[[], Result]) -> tuple[Result, Spent]:
+    """The result and what it cost."""
+    cpu, wall = time.process_time(), time.perf_counter()
+    result = work()
+    return result, Spent(time.process_time() - cpu, time.perf_counter() - wall, peak_mib())
+
+
+def _kept(path: Path) -> Spent | None:
+    return Spent(**json.loads(path.read_text(encoding="utf-8"))) if path.exists() else None
+
+
+def _keep(path: Path, spent: Spent) -> Spent:
+    write_text(path, json.dumps(vars(spent)) + "\n")
+    return spent
+
+
+@dataclass(frozen=True, eq=False)
+class CutUnit:
+    """A recording to be cut into blocks."""
+
+    recording: FieldRecording
+    folder: Path
+    options: AlignmentOptions
+
+
+def cut(unit: CutUnit) -> tuple[Drive, Spent]:
+    """Blocks; those of a run that was killed are made anew, so that their cost is known."""
+    path = unit.folder.parent / f"{unit.folder.name}.json"
+    before = _kept(path)
+    if before is None and unit.folder.exists():
+        shutil.rmtree(unit.folder)
+    drive, spent = timed(lambda: make_drive(unit.recording, unit.folder, unit.options, Silent(), Run(1)))
+    return drive, before or _keep(path, spent)
+
+
+@dataclass(frozen=True, eq=False)
+class RegisterUnit:
+    """One query drive against a reference."""
+
+    track: TrackUnit
+    path: Path
+
+
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """What came of it."""
+
+    registrations: tuple[Registration, ...]
+    messages: tuple[str, ...]
+    spent: Spent
+
+
+def register_drive(unit: RegisterUnit) -> Registered:
+    """Registrations; those of an earlier run are read."""
+    costs, said = unit.path.with_suffix(".json"), unit.path.with_suffix(".txt")
+    before = _kept(costs)
+    if before is None:
+        messages: list[str] = []
+        found, spent = timed(lambda: track_drive(unit.track, messages.append))
+        track_files.write_registrations(unit.path, found, unit.track.reference.nodes, unit.track.query.nodes)
+        write_text(said, "".join(f"{message}\n" for message in messages))
+        before = _keep(costs, spent)
+    return Registered(
+        tuple(track_files.read_registrations(unit.path)),
+        tuple(said.read_text(encoding="utf-8").splitlines()),
+        before,
+    )
+
+
+def unverified(options: AlignmentOptions) -> AlignmentOptions:
+    """Options with which every registration is taken: nothing is asked of evidence, nor of both odometries."""
+    register = replace(options.tracking.register, thresholds=NO_THRESHOLDS)
+    return replace(options, tracking=replace(options.tracking, register=register, slack_m=1e9, slack_deg=1e9))
+
+
+@dataclass(frozen=True, eq=False)
+class DecideUnit:
+    """Registered drives, and the images to pair."""
+
+    reference: Drive
+    query: Drive
+    registrations: tuple[Registration, ...]
+    ref_ns: tuple[int, ...]
+    query_ns: tuple[int, ...]
+    options: AlignmentOptions
+    limits: OutcomeLimits
+    max_angle_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class Decided:
+    """The builder's answers, and those that it would give without local edges."""
+
+    outcomes: list[PairOutcome]
+    spent: Spent
+    without_local: list[PairOutcome]
+    """of the same pairs"""
+
+
+def decide(unit: DecideUnit) -> Decided:
+    """Graph, local edges, outcomes; then the graph alone."""
+    frames = CameraFrames("front", T_RIG_CAM, T_RIG_CAM, unit.ref_ns, unit.query_ns)
+    pairing = PairingUnit(
+        unit.reference, unit.query, unit.registrations, (frames,), unit.options, unit.limits, unit.max_angle_deg
+    )
+    paired, spent = timed(lambda: pair_up(pairing))
+    outcomes = paired.outcomes["front"]
+    solution = optimise(unit.reference.nodes, unit.query.nodes, unit.registrations, options=unit.options.graph)
+    answers = Outcomes(
+        solution,
+        (unit.reference.nodes, unit.reference.recording.odometry),
+        (unit.query.nodes, unit.query.recording.odometry),
+        unit.registrations,
+        unit.limits,
+    )
+    alone = [answers.of(o.ref_timestamp_ns, o.query_timestamp_ns, T_RIG_CAM, T_RIG_CAM) for o in outcomes]
+    return Decided(outcomes, spent, alone)
+
+
+def by_registrations_alone(
+    reference: Drive, query: Drive, registrations: Sequence[Registration], pairs: Sequence[tuple[int, int]],
+    limits: OutcomeLimits, within_m: float = 4.0,
+) -> list[PairOutcome]:  # fmt: skip
+    """Pairs by the nearest registration that is trusted, carried along both odometries; no covariance."""
+    trusted = [r for r in registrations if r.trusted and r.ref >= 0]
+    ways = np.array([query.nodes.travelled_m[r.query] for r in trusted])
+    out = []
+    for ref_ns, query_ns in pairs:
+        way = float(np.interp(query_ns - query.nodes.times_ns[0], query.nodes.times_ns - query.nodes.times_ns[0],
+                              query.nodes.travelled_m))  # fmt: skip
+        near = int(np.argmin(np.abs(ways - way))) if len(ways) else -1
+        if near < 0 or abs(ways[near] - way) > within_m:
+            out.append(PairOutcome(ref_ns, query_ns, None, None, None, None, None, None, "not registered"))
+            continue
+        found = trusted[near]
+        T_refnode_ref = _from_node(reference, found.ref, ref_ns)
+        T_querynode_query = _from_node(query, found.query, query_ns)
+        T_query_ref = invert(found.T_ref_query @ T_querynode_query @ T_RIG_CAM) @ T_refnode_ref @ T_RIG_CAM
+        far = float(np.linalg.norm(T_query_ref[:3, 3])) > limits.distance_m
+        reason = "no keyframe near" if far else ""
+        out.append(PairOutcome(ref_ns, query_ns, T_query_ref, None, None, None, None, None, reason))
+    return out
+
+
+def _from_node(drive: Drive, node: int, time_ns: int) -> Array:
+    T_odom_rig = drive.recording.odometry.at(np.array([time_ns], dtype=np.int64))[0]
+    return np.asarray(invert(drive.nodes.T_odom_node[node]) @ T_odom_rig)
+
+
+class _Shifted(BlockStore):
+    """Blocks numbered from the first one of a part of the drive."""
+
+    def __init__(self, folder: Path, first: int) -> None:
+        super().__init__(folder)
+        self._first = first
+
+    def get(self, node: int) -> Block:
+        return super().get(node + self._first)
+
+
+@dataclass(frozen=True, eq=False)
+class PartOfDrive(Drive):
+    """Some nodes of a drive, as if nothing else had been recorded."""
+
+    first: int = 0
+
+    def store(self) -> BlockStore:
+        return _Shifted(self.blocks, self.first)
+
+
+def part_of(drive: Drive, first: int, last: int) -> PartOfDrive:
+    """Nodes ``first`` up to ``last``, itself left out."""
+    n = drive.nodes
+    begin, end = n.begins_and_ends()
+    here = slice(first, last)
+    nodes = Nodes(
+        n.times_ns[here], n.T_odom_node[here], n.travelled_m[here], n.stretches()[here], begin[here], end[here]
+    )
+    return PartOfDrive(drive.recording, nodes, drive.blocks, first)
+
+
+def without_gnss(drive: Drive) -> Drive:
+    """The same drive with nothing known of where it is."""
+    return replace(drive, recording=replace(drive.recording, prior=None))
+
+
+@dataclass(frozen=True, eq=False)
+class StartUnit:
+    """The beginning of a registration, with or without help."""
+
+    title: str
+    reference: Drive
+    query: PartOfDrive
+    first: FirstPose | None
+    options: AlignmentOptions
+
+
+def start(unit: StartUnit) -> tuple[list[Registration], list[str], Spent]:
+    """Registrations of a short piece of road, and what was said."""
+    messages: list[str] = []
+    track = TrackUnit(unit.reference, unit.query, unit.options, unit.first)
+    found, spent = timed(lambda: track_drive(track, messages.append))
+    return found, messages, spent

@@ -1,0 +1,97 @@
+"""The drives of ``ground_truth.py``, cut into blocks, and what its parts share."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ground_truth_drives import Spoken, Taken
+from ground_truth_judging import Exact, Judged
+from ground_truth_work import CutUnit, DecideUnit, RegisterUnit, Spent, cut, unverified
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.alignment import Drive, TrackUnit
+from relocbench.datasets.groundtruth.evidence import Registration
+from relocbench.datasets.groundtruth.options import FieldOptions
+from relocbench.datasets.groundtruth.outcome import PairOutcome
+from relocbench.execution import run_units
+from relocbench.geometry import invert, rotation_angle
+
+Array = NDArray[np.float64]
+DrivePair = tuple[int, int]
+"""numbers of the reference's and the query's leg"""
+
+OPTIONS = FieldOptions()
+"""the builder's defaults"""
+
+
+class World:
+    """Drives of one split, cut and registered as far as they were asked for."""
+
+    def __init__(self, taken: dict[int, Taken], work: Path, workers: int, spoken: Spoken) -> None:
+        self.taken, self.work, self.workers, self.spoken = taken, work, workers, spoken
+        units = [CutUnit(t.recording, work / "blocks" / t.recording.name, OPTIONS.alignment) for t in taken.values()]
+        made: list[tuple[Drive, Spent]] = self.all_of(cut, units, "drives to cut")
+        self.drives = {number: drive for number, (drive, _) in zip(taken, made, strict=True)}
+        self.cut_spent = {number: spent for number, (_, spent) in zip(taken, made, strict=True)}
+
+    def all_of(self, function: Any, units: Sequence[Any], title: str) -> list[Any]:
+        """Results in the order of the units."""
+        out: dict[int, Any] = {}
+        with self.spoken.stage(title, len(units)) as advance:
+            for index, result in run_units(function, units, workers=self.workers):
+                out[index] = result
+                advance(1)
+        return [out[k] for k in range(len(units))]
+
+    def exact(self, ref: int, query: int) -> Exact:
+        return Exact(self.taken[ref], self.taken[query], OPTIONS.max_distance, OPTIONS.max_angle)
+
+    def register_unit(self, ref: int, query: int, verified: bool = True) -> RegisterUnit:
+        options = OPTIONS.alignment if verified else unverified(OPTIONS.alignment)
+        folder = self.work / ("registrations" if verified else "registrations-unverified")
+        a, b = self.drives[ref], self.drives[query]
+        return RegisterUnit(TrackUnit(a, b, options), folder / f"{a.name}__{b.name}.csv")
+
+    def decide_unit(self, ref: int, query: int, registrations: tuple[Registration, ...]) -> DecideUnit:
+        times = self.taken[ref].image_ns, self.taken[query].image_ns
+        return DecideUnit(
+            self.drives[ref], self.drives[query], registrations, *times,
+            OPTIONS.alignment, OPTIONS.limits, OPTIONS.max_angle,
+        )  # fmt: skip
+
+    def true_pose(self, ref: int, query: int, ref_ns: int, query_ns: int) -> Array:
+        """(4, 4) ``T_ref_query``, rig to rig."""
+        T = [self.taken[n].truth.at(np.array([t]))[0] for n, t in ((ref, ref_ns), (query, query_ns))]
+        return np.asarray(invert(T[0]) @ T[1])
+
+    def node_pairs(self, ref: int, query: int, count: int) -> list[tuple[int, int]]:
+        """Overlapping (reference node, query node), evenly along the query's drive, the nearest in truth."""
+        exact, nodes = self.exact(ref, query), self.drives[query].nodes
+        there = self.taken[ref].truth.at(self.drives[ref].nodes.times_ns)[:, :3, 3]
+        good = [q for q, t in enumerate(nodes.times_ns.tolist()) if exact.overlap(t)[1] == "overlapping"]
+        chosen = [good[i] for i in np.linspace(0, len(good) - 1, min(count + 2, len(good))).astype(int)[1:-1]]
+        here = self.taken[query].truth.at(nodes.times_ns[chosen])[:, :3, 3]
+        return [(int(np.argmin(np.linalg.norm(there - p, axis=1))), q) for p, q in zip(here, chosen, strict=True)]
+
+
+def say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def judge(world: World, pair: DrivePair, outcomes: Sequence[PairOutcome]) -> list[Judged]:
+    exact = world.exact(*pair)
+    return [exact.judge(outcome) for outcome in outcomes]
+
+
+def apart(T: Array, true: Array) -> tuple[float, float]:
+    """Metres and degrees."""
+    E = invert(true) @ T
+    return float(np.linalg.norm(E[:3, 3])), float(np.degrees(rotation_angle(E[:3, :3])))
+
+
+def rounded(values: dict[str, float]) -> dict[str, float | None]:
+    return {k: round(v, 4) if np.isfinite(v) else None for k, v in values.items()}
