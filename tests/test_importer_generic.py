@@ -16,7 +16,7 @@ from relocbench.datasets import images
 from relocbench.datasets.dataset import Dataset
 from relocbench.datasets.importers import Run
 from relocbench.datasets.importers import generic as importer
-from relocbench.datasets.importers.generic_lidar import read_lidar_file
+from relocbench.datasets.importers.generic_scans import read_lidar_file
 from relocbench.datasets.importers.sources import parse_time, read_trajectory, timed_files, traversal_names
 from relocbench.datasets.pairfile import pose_fields
 from relocbench.datasets.schema import TraversalFile

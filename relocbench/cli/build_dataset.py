@@ -24,6 +24,8 @@ _EXAMPLES = {
     "tum-rgbd": "relocbench build-dataset tum-rgbd rgbd_dataset_freiburg1_xyz --pair-step 1,2,4 --out D",
     "four-seasons": "relocbench build-dataset four-seasons recording_2020-10-07_14-47-51 recording_... --out D",
     "robotcar": "relocbench build-dataset robotcar 2014-11-18-13-20-12 2014-12-02-15-30-08 --out D",
+    "kitti-lidar": "relocbench build-dataset kitti-lidar odometry/dataset --sequence 00,01 --out D",
+    "generic-lidar": "relocbench build-dataset generic-lidar summer winter --out D",
     "generic": "relocbench build-dataset generic summer winter --max-distance 3 --out D",
     "synthetic": "relocbench build-dataset synthetic --preset demo --conditions Sunny,Rain,Snow --out D",
 }

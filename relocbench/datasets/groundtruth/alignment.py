@@ -19,9 +19,10 @@ from relocbench.datasets.groundtruth.local_edges import LocalOptions, refine_loc
 from relocbench.datasets.groundtruth.nodes import make_nodes
 from relocbench.datasets.groundtruth.placefinding import MapPrior
 from relocbench.datasets.groundtruth.recording import FieldRecording
+from relocbench.datasets.groundtruth.registering import nodes_every
 from relocbench.datasets.groundtruth.selection import GraphOptions
 from relocbench.datasets.groundtruth.submaps import SubmapWindow
-from relocbench.datasets.groundtruth.tracking import TrackingOptions, track
+from relocbench.datasets.groundtruth.tracking import Remember, TrackingOptions, track
 from relocbench.datasets.importers import Run
 from relocbench.geometry import invert
 from relocbench.progress import Reporter
@@ -91,9 +92,22 @@ class TrackUnit:
     def __str__(self) -> str:
         return f"registration of {self.query.name} against {self.reference.name}"
 
+    @property
+    def steps(self) -> int:
+        """Nodes of the query that are registered."""
+        return len(nodes_every(self.query.nodes, self.options.tracking.step_m))
 
-def track_drive(unit: TrackUnit, say: Callable[[str], None] = lambda message: None) -> list[Registration]:
-    """Registrations of a query drive's nodes, in the order of its road."""
+
+def track_drive(
+    unit: TrackUnit,
+    say: Callable[[str], None] = lambda message: None,
+    remember: Remember = lambda asked, work: work(),
+) -> list[Registration]:
+    """Registrations of a query drive's nodes, in the order of its road.
+
+    Args:
+        say, remember: as :func:`relocbench.datasets.groundtruth.tracking.track` has them.
+    """
     reference, query, length = unit.reference, unit.query, unit.options.submap_m
     return track(
         reference.window(length),
@@ -104,6 +118,7 @@ def track_drive(unit: TrackUnit, say: Callable[[str], None] = lambda message: No
         unit.options.tracking,
         first=None if unit.first is None else at_nodes(reference, query, unit.first),
         say=say,
+        remember=remember,
     )
 
 

@@ -1,17 +1,19 @@
-"""Depth images of a drive's frames from its submaps, made by workers."""
+"""Depth images of a drive's frames, from its submaps or by stereo, made by workers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets import images
 from relocbench.datasets.groundtruth.alignment import Drive
+from relocbench.datasets.groundtruth.crosscheck import Agreement, cross_check
 from relocbench.datasets.groundtruth.depth import (
     DepthImage,
     DepthOptions,
@@ -20,12 +22,17 @@ from relocbench.datasets.groundtruth.depth import (
     make_scenery,
     scenery_depth,
 )
+from relocbench.datasets.groundtruth.partners import StereoPair
+from relocbench.datasets.groundtruth.submaps import SubmapWindow
 from relocbench.datasets.importers import Run
+from relocbench.errors import ConfigError
 from relocbench.execution import chunks, run_units
 from relocbench.geometry import Camera, invert
 from relocbench.progress import Reporter
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+DepthSource = Literal["lidar", "stereo"]
 
 _IMAGES_A_UNIT = 8
 _SIGMA_FROM = 12
@@ -41,60 +48,113 @@ class DepthFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class DepthUnit:
-    """Images of one camera side by side along the road."""
+class DepthView:
+    """One camera of a drive, and where its depth comes from."""
 
     drive: Drive
     camera: Camera
     T_rig_cam: Array
-    frames: tuple[DepthFrame, ...]
+    source: DepthSource
+    pair: StereoPair | None
+    """where the rig has one"""
     length_m: float
+    """of the submap that each image is drawn from"""
     options: DepthOptions
 
+    def at(self, time_ns: int) -> DepthImage:
+        """Depth of the image at a time."""
+        return self.by_stereo(time_ns) if self.source == "stereo" else self.by_lidar(time_ns)
+
+    def by_lidar(self, time_ns: int) -> DepthImage:
+        """From the submap of the node nearest in time."""
+        drive = self.drive
+        node = int(np.argmin(np.abs(drive.nodes.times_ns - time_ns)))
+        T_odom_rig = drive.recording.odometry.at(np.array([time_ns], dtype=np.int64))[0]
+        T_cam_node = invert(T_odom_rig @ self.T_rig_cam) @ drive.nodes.T_odom_node[node]
+        scenery = _scenery(_Around(drive, self.length_m, self.options), node)
+        return scenery_depth(scenery, self.camera, T_cam_node, self.options)
+
+    def by_stereo(self, time_ns: int) -> DepthImage:
+        """By matching the two images."""
+        if self.pair is None:
+            raise ConfigError(f"--depth stereo: a camera of {self.drive.name} has no rectified partner to its right")
+        return self.pair.depth(time_ns)
+
+
+@dataclass(frozen=True)
+class _Task:
+    frame: DepthFrame
+    missing: bool
+    sampled: bool
+    """whether it tells how certain depth is"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Unit:
+    """Images of one camera side by side along the road."""
+
+    view: DepthView
+    tasks: tuple[_Task, ...]
+
     def __str__(self) -> str:
-        return f"depth of {self.drive.name} at {self.frames[0].time_ns}"
+        return f"depth of {self.view.drive.name} at {self.tasks[0].frame.time_ns}"
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    depth: DepthImage
+    by_other: Floats | None
+    """depth from what the dataset's does not come from"""
 
 
 def make_depth(
-    drive: Drive,
-    camera: Camera,
-    T_rig_cam: Array,
-    frames: Sequence[DepthFrame],
-    length_m: float,
-    options: DepthOptions,
-    reporter: Reporter,
-    run: Run,
-) -> None:
-    """Write the depth images that are asked for.
+    view: DepthView, frames: Sequence[DepthFrame], missing: Collection[int], reporter: Reporter, run: Run
+) -> tuple[tuple[float, float, float], Agreement | None]:
+    """Write depth images, and tell how certain they are.
 
     Args:
-        frames: those that are missing.
-        length_m: of the submap that each is drawn from.
+        frames: all that have depth, in the order of the road.
+        missing: times of those that are not there yet.
+
+    Returns:
+        (a, b, c) of ``sigma = a + b z + c z^2``, from some of the images; and how depth by lidar and by stereo agree
+        in these, if there are both.
     """
-    units = [
-        DepthUnit(drive, camera, T_rig_cam, tuple(part), length_m, options) for part in chunks(frames, _IMAGES_A_UNIT)
-    ]
-    with reporter.stage(f"depth of {drive.name}", len(frames)) as advance:
-        for _, done in run_units(write_depth_unit, units, workers=run.workers, scheduler=run.scheduler):
-            advance(done)
+    step = max(1, -(-len(frames) // _SIGMA_FROM))
+    tasks = [_Task(frame, frame.time_ns in missing, k % step == 0) for k, frame in enumerate(frames)]
+    units = [_Unit(view, tuple(part)) for part in chunks([t for t in tasks if t.missing or t.sampled], _IMAGES_A_UNIT)]
+    samples: dict[int, list[_Sample]] = {}
+    with reporter.stage(f"depth of {view.drive.name}", sum(len(unit.tasks) for unit in units)) as advance:
+        for index, found in run_units(_draw, units, workers=run.workers, scheduler=run.scheduler):
+            samples[index] = found
+            advance(len(units[index].tasks))
+    ordered = [sample for index in sorted(samples) for sample in samples[index]]
+    if view.source == "stereo" and view.pair is not None:
+        return view.pair.geometry.depth_sigma, _agreement(view, ordered)
+    return fit_sigma(sample.depth for sample in ordered), _agreement(view, ordered)
 
 
-def write_depth_unit(unit: DepthUnit) -> int:
-    """Draw and write the depth of a unit; how many images."""
-    for frame in unit.frames:
-        found = depth_at(unit.drive, unit.camera, unit.T_rig_cam, frame.time_ns, unit.length_m, unit.options)
-        images.write_depth(frame.path, found.depth)
-    return len(unit.frames)
+def _draw(unit: _Unit) -> list[_Sample]:
+    view, samples = unit.view, []
+    common = view.pair.common_times() if view.pair is not None else frozenset[int]()
+    for task in unit.tasks:
+        time = task.frame.time_ns
+        found = view.at(time)
+        if task.missing:
+            images.write_depth(task.frame.path, found.depth)
+        if task.sampled:
+            other = view.by_lidar if view.source == "stereo" else view.by_stereo
+            samples.append(_Sample(found, other(time).depth if time in common else None))
+    return samples
 
 
-def depth_at(
-    drive: Drive, camera: Camera, T_rig_cam: Array, time_ns: int, length_m: float, options: DepthOptions
-) -> DepthImage:
-    """Depth of an image of a drive, from the submap of the node nearest in time."""
-    node = int(np.argmin(np.abs(drive.nodes.times_ns - time_ns)))
-    T_odom_rig = drive.recording.odometry.at(np.array([time_ns], dtype=np.int64))[0]
-    T_cam_node = invert(T_odom_rig @ T_rig_cam) @ drive.nodes.T_odom_node[node]
-    return scenery_depth(_scenery(_Around(drive, length_m, options), node), camera, T_cam_node, options)
+def _agreement(view: DepthView, samples: Sequence[_Sample]) -> Agreement | None:
+    both = [(sample.depth.depth, sample.by_other) for sample in samples if sample.by_other is not None]
+    if not both or view.pair is None:
+        return None
+    own, other = np.stack([one for one, _ in both]), np.stack([two for _, two in both])
+    lidar, stereo = (own, other) if view.source == "lidar" else (other, own)
+    return cross_check(lidar, stereo, view.camera, view.pair.baseline_m)
 
 
 class _Around:
@@ -111,15 +171,11 @@ class _Around:
         return isinstance(other, _Around) and self._key == other._key
 
 
+@lru_cache(maxsize=2)
+def _window(around: _Around) -> SubmapWindow:
+    return around.drive.window(around.length_m)
+
+
 @lru_cache(maxsize=4)
 def _scenery(around: _Around, node: int) -> Scenery:
-    return make_scenery(around.drive.window(around.length_m).at(node), around.options)
-
-
-def depth_sigma(
-    drive: Drive, camera: Camera, T_rig_cam: Array, times_ns: Sequence[int], length_m: float, options: DepthOptions
-) -> tuple[float, float, float]:
-    """(a, b, c) of ``sigma = a + b z + c z^2``, fitted to some of a drive's images."""
-    step = max(1, -(-len(times_ns) // _SIGMA_FROM))
-    some = times_ns[::step]
-    return fit_sigma(depth_at(drive, camera, T_rig_cam, time, length_m, options) for time in some)
+    return make_scenery(_window(around).at(node), around.options)

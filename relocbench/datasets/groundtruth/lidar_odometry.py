@@ -5,7 +5,7 @@ Vizzo et al., KISS-ICP: In Defense of Point-to-Point ICP, RA-L 2023.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,14 @@ _START_SCANS = 4
 """scans that tell how fast the drive begins"""
 _SLICES = 64
 """the motion during a scan is worked out at so many times, and points are interpolated between them"""
+
+
+class FromLidar(Protocol):
+    """Gives the odometry of a lidar: :func:`lidar_odometry`, or something that keeps what it found."""
+
+    def __call__(
+        self, lidar: LidarStream, reporter: Reporter | None = None, /, *, max_gap_ns: int = 1_000_000_000
+    ) -> Trajectory: ...
 
 
 def lidar_odometry(

@@ -22,6 +22,9 @@ class FieldOptions(ImportOptions):
     query_distance: float = Field(1.0, gt=0, description="metres of road between images of a query drive")
     submap: float = Field(60.0, ge=10, le=300, description="metres of road that a submap shows")
     depth_submap: float = Field(60.0, ge=10, le=300, description="metres of road that a keyframe's depth is drawn from")
+    depth: Literal["lidar", "stereo"] = Field(
+        "lidar", description="where depth comes from; stereo needs a second camera, rectified with the first"
+    )
     matcher: Literal["ransac", "fgr", "kiss-matcher"] = Field(
         "ransac", description="search for the first pair and for lost ones (kiss-matcher: a package of its own)"
     )

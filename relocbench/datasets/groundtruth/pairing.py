@@ -75,19 +75,24 @@ def pair_up(unit: PairingUnit) -> Paired:
 
 
 def _of_camera(unit: PairingUnit, frames: CameraFrames, solution: Solution, outcomes: Outcomes) -> list[PairOutcome]:
-    keyframes = _Placed.of(outcomes.reference, frames.ref_ns, frames.T_rig_refcam)
+    keyframes = _Placed.of(outcomes.reference, solution, frames.ref_ns, frames.T_rig_refcam)
     prior = map_prior(unit.reference, unit.query)
     out = []
     for time in frames.query_ns:
         place = outcomes.query.place(time)
+        node = place.node if place is not None else int(np.argmin(np.abs(unit.query.nodes.times_ns - time)))
         nearest, reason = None, ""
-        if place is not None and solution.part[0] == solution.part[solution.drives.reference_count + place.node]:
-            nearest, reason = keyframes.nearest(place.T_world_rig @ frames.T_rig_querycam, unit.max_angle_deg)
-        elif place is not None and prior is not None and prior.nearest(place.node) >= 0:
+        if place is not None:
+            part = int(solution.part[solution.drives.reference_count + node])
+            T_world_cam = place.T_world_rig @ frames.T_rig_querycam
+            nearest, reason = keyframes.nearest(T_world_cam, part, unit.max_angle_deg)
+        if nearest is None and prior is not None and prior.nearest(node) >= 0:
             # Where nothing is registered, the map says which keyframe is refused.
-            there = unit.reference.nodes.times_ns[prior.nearest(place.node)]
+            there = unit.reference.nodes.times_ns[prior.nearest(node)]
             nearest = frames.ref_ns[int(np.argmin(np.abs(np.array(frames.ref_ns) - there)))]
-        found = outcomes.of(nearest or frames.ref_ns[0], time, frames.T_rig_refcam, frames.T_rig_querycam)
+        found = outcomes.of(
+            frames.ref_ns[0] if nearest is None else nearest, time, frames.T_rig_refcam, frames.T_rig_querycam
+        )
         out.append(found.refused(reason) if reason and found.accepted else found)
     return out
 
@@ -98,20 +103,26 @@ class _Placed:
 
     times: tuple[int, ...]
     T_world_cam: Array
+    part: NDArray[np.int64]
+    """which nodes each one's pose can be compared with"""
 
     @classmethod
-    def of(cls, side: Side, times: Sequence[int], T_rig_cam: Array) -> _Placed:
+    def of(cls, side: Side, solution: Solution, times: Sequence[int], T_rig_cam: Array) -> _Placed:
         places = [(time, place) for time in times if (place := side.place(time)) is not None]
         poses = np.array([place.T_world_rig @ T_rig_cam for _, place in places], dtype=np.float64)
-        return cls(tuple(time for time, _ in places), poses.reshape(-1, 4, 4))
+        nodes = np.array([place.node for _, place in places], dtype=np.int64)
+        return cls(tuple(time for time, _ in places), poses.reshape(-1, 4, 4), solution.part[nodes])
 
-    def nearest(self, T_world_cam: Array, max_angle_deg: float) -> tuple[int, str]:
-        """The nearest keyframe that looks about the same way; if none does, the nearest and why it will not do."""
+    def nearest(self, T_world_cam: Array, part: int, max_angle_deg: float) -> tuple[int | None, str]:
+        """The nearest keyframe of a part of the graph that looks about the same way; if none does, the nearest and why
+        it will not do. None where the part holds no keyframe."""
+        here = self.part == part
+        if not here.any():
+            return None, ""
         apart = np.linalg.norm(self.T_world_cam[:, :3, 3] - T_world_cam[:3, 3], axis=1)
         relative = np.swapaxes(self.T_world_cam[:, :3, :3], -1, -2) @ T_world_cam[:3, :3]
         turned = np.degrees(rotation_angle(relative))
-        fit = turned <= max_angle_deg
-        best = int(np.argmin(np.where(fit, apart, np.inf) if fit.any() else apart))
-        return self.times[
-            best
-        ], "" if fit.any() else f"no keyframe within {max_angle_deg:g} deg: {turned[best]:.0f} deg"
+        fit = here & (turned <= max_angle_deg)
+        best = int(np.argmin(np.where(fit if fit.any() else here, apart, np.inf)))
+        reason = "" if fit.any() else f"no keyframe within {max_angle_deg:g} deg: {turned[best]:.0f} deg"
+        return self.times[best], reason

@@ -64,11 +64,16 @@ class Side:
 
     def every(self, step_m: float) -> list[int]:
         """Nodes about ``step_m`` apart along the drive, the first one first."""
-        chosen: list[int] = []
-        for node, way in enumerate(self.nodes.travelled_m.tolist()):
-            if not chosen or way - self.nodes.travelled_m[chosen[-1]] >= step_m - 1e-6:
-                chosen.append(node)
-        return chosen
+        return nodes_every(self.nodes, step_m)
+
+
+def nodes_every(nodes: Nodes, step_m: float) -> list[int]:
+    """Nodes about ``step_m`` apart along a drive, the first one first."""
+    chosen: list[int] = []
+    for node, way in enumerate(nodes.travelled_m.tolist()):
+        if not chosen or way - nodes.travelled_m[chosen[-1]] >= step_m - 1e-6:
+            chosen.append(node)
+    return chosen
 
 
 def register(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,7 @@ from relocbench.datasets.groundtruth.registering import (
 from relocbench.geometry import invert, rotation_angle
 
 Array = NDArray[np.float64]
+Remember = Callable[[str, Callable[[], Outcome]], Outcome]
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,7 @@ def track(
     *,
     first: Guess | None = None,
     say: Callable[[str], None] = lambda message: None,
+    remember: Remember = lambda asked, work: work(),
 ) -> list[Registration]:
     """Registrations of the query's nodes, about ``step_m`` apart, in order of the drive.
 
@@ -83,8 +86,10 @@ def track(
         first: (reference node, query node, ``T_ref_query``) given by hand; judged like any other guess, and passed over
             if it does not hold.
         say: is told what a person should know, such as that ``first`` is wrong.
+        remember: is handed every piece of work that takes long, with words that tell it from others; it does it, or
+            gives back what came of it before.
     """
-    tracker = _Tracker(Side(window_ref, nodes_ref), Side(window_query, nodes_query), prior, options, say)
+    tracker = _Tracker(Side(window_ref, nodes_ref), Side(window_query, nodes_query), prior, options, say, remember)
     return tracker.run(first)
 
 
@@ -96,10 +101,12 @@ class _Tracker:
         prior: MapPrior | None,
         options: TrackingOptions | None,
         say: Callable[[str], None],
+        remember: Remember,
     ) -> None:
         self.ref, self.query, self.prior = ref, query, prior
         self.options = options or TrackingOptions()
         self.say = say
+        self.remember = remember
         self.found: dict[int, Registration] = {}
 
     def run(self, first: Guess | None) -> list[Registration]:
@@ -118,7 +125,7 @@ class _Tracker:
                 continue
             if way - searched >= self.options.retry_m:
                 searched = way
-                outcome = self._search(node)
+                outcome = self.remember(f"search {node}", partial(self._search, node))
                 if outcome.best is not None:
                     self._along(steps[i:], outcome.best)
                     self._along(steps[:i][::-1], outcome.best)
@@ -131,7 +138,8 @@ class _Tracker:
         return [self.found[node] for node in steps]
 
     def _given(self, first: Guess) -> Registration | None:
-        outcome = settle(self.ref, self.query, [first], self.options.hypotheses, self.options.register)
+        work = partial(settle, self.ref, self.query, [first], self.options.hypotheses, self.options.register)
+        outcome = self.remember(f"given {first[0]} {first[1]}", work)
         if outcome.best is None:
             self.say(
                 f"the given pose of query node {first[1]} at reference node {first[0]} does not hold "
@@ -158,9 +166,15 @@ class _Tracker:
             driven = abs(float(way[node] - way[known.query]))
             if driven > self.options.lost_m:
                 break
-            self.found[node] = found = self._next(known, node, driven)
+            asked = f"node {node} after {known.query}"
+            found = self.remember(asked, partial(self._next_outcome, known, node, driven)).best
+            assert found is not None
+            self.found[node] = found
             if found.trusted:
                 known = found
+
+    def _next_outcome(self, known: Registration, node: int, driven: float) -> Outcome:
+        return Outcome(self._next(known, node, driven))
 
     def _next(self, known: Registration, node: int, driven: float) -> Registration:
         o = self.options

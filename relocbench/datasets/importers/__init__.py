@@ -23,6 +23,8 @@ KINDS: dict[str, str] = {
     "tum-rgbd": "TUM RGB-D layout (depth images)",
     "four-seasons": "4Seasons / MLAD recordings (sparse keyframe points)",
     "robotcar": "Oxford RobotCar layout: ground truth across drives from lidar",
+    "kitti-lidar": "KITTI odometry layout: ground truth across sequences from the velodyne",
+    "generic-lidar": "the minimal folder with lidar: ground truth across drives from it",
     "generic": "a minimal documented folder: images, intrinsics, TUM poses, optional depth",
     "synthetic": "a procedural town in any weather, ray-cast: districts, drives and exact truth from a seed",
 }

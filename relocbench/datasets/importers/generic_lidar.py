@@ -1,194 +1,61 @@
-"""Lidar scans of a generic folder: ``lidar.yaml`` and ``lidar/NAME/TIMESTAMP.{ply,pcd,bin,npy}``."""
+"""Kind ``generic-lidar``: folders of the generic layout with ``lidar.yaml``, with ground truth across them from it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from relocbench.datasets.groundtruth.recording import Scan
-from relocbench.datasets.importers.point_clouds import read_point_cloud
-from relocbench.datasets.importers.sources import timed_files
-from relocbench.datasets.schema import Strict, Transform, check_name
-from relocbench.errors import DatasetError
-from relocbench.files import load_yaml
+from relocbench.datasets.groundtruth.options import FieldOptions
+from relocbench.datasets.importers import Run
+from relocbench.datasets.importers.assembly import check_conditions, configuration
+from relocbench.datasets.importers.options import ImportOptions
+from relocbench.datasets.importers.sources import traversal_names
+from relocbench.datasets.writer import DatasetWriter
+from relocbench.errors import ConfigError
+from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
-
-LIDAR_FILE = "lidar.yaml"
-SUFFIXES = (".ply", ".pcd", ".bin", ".npy")
-_NS: dict[str, float] = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
+if TYPE_CHECKING:
+    from relocbench.datasets.dataset import Dataset
 
 
-class GenericLidar(Strict):
-    """One lidar of ``lidar.yaml``."""
+class Options(FieldOptions):
+    """Options of ``relocbench build-dataset generic-lidar``."""
 
-    pattern: Literal["spinning", "push-broom"]
-    T_rig_lidar: Transform = Transform(translation_m=(0.0, 0.0, 0.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
-    max_range: float = Field(100.0, gt=0, allow_inf_nan=False)
-    """metres; farther points are left out"""
-    min_range: float = Field(0.1, ge=0, allow_inf_nan=False)
-    """metres; nearer points, such as (0, 0, 0) where nothing came back, are left out"""
-    sigma: float = Field(0.03, gt=0, allow_inf_nan=False)
-    """metres, one standard deviation of a range"""
-    columns: tuple[str, ...] = ("x", "y", "z", "intensity")
-    """of .bin files and of plain .npy arrays"""
-    dtype: Literal["float32", "float64"] = "float32"
-    """of .bin files"""
-    time: str | None = None
-    """column or property that holds the time of each point; none: the scan's, its motion taken out"""
-    time_unit: Literal["s", "ms", "us", "ns"] = "s"
-    time_from: Literal["scan", "epoch"] = "scan"
-    """whether it is counted from the scan's timestamp or absolute"""
-
-    @model_validator(mode="after")
-    def _has_columns(self) -> Self:
-        missing = [name for name in ("x", "y", "z") if name not in self.columns]
-        if missing or len(set(self.columns)) != len(self.columns):
-            raise ValueError("columns must name x, y and z, and none twice")
-        if self.min_range >= self.max_range:
-            raise ValueError("min_range must be below max_range")
-        return self
+    odometry: Literal["auto", "poses", "lidar"] = Field(
+        "auto", description="motion between scans: poses.txt, or by registering the scans of a spinning lidar"
+    )
+    max_gap: float = Field(1.0, gt=0, description="longest time between two poses that is interpolated over, seconds")
 
 
-class LidarFile(Strict):
-    """``lidar.yaml``."""
-
-    lidars: dict[str, GenericLidar] = Field(min_length=1)
-    rig_axes: Literal["forward-left-up", "right-down-forward"] = "forward-left-up"
-    """axes that poses.txt and all extrinsics of the folder mean; the second are those of a camera"""
-
-    @model_validator(mode="after")
-    def _plain_names(self) -> Self:
-        for name in self.lidars:
-            check_name(name, "lidar name")
-        return self
-
-
-@dataclass(frozen=True, eq=False)
-class GenericLidarStream:
-    """Scans of one lidar."""
-
-    name: str
-    settings: GenericLidar
-    T_rig_lidar: Array
-    files: tuple[Path, ...]
-    times_ns: Times
-
-    @property
-    def pattern(self) -> Literal["spinning", "push-broom"]:
-        return self.settings.pattern
-
-    @property
-    def max_range_m(self) -> float:
-        return self.settings.max_range
-
-    @property
-    def sigma_m(self) -> float:
-        return self.settings.sigma
-
-    def read(self, index: int) -> Scan:
-        """A scan, without points that are not finite or out of range. Raises DatasetError with the file."""
-        path, settings = self.files[index], self.settings
-        fields = _fields(path, settings)
-        wanted = ("x", "y", "z") if settings.time is None else ("x", "y", "z", settings.time)
-        missing = [name for name in wanted if name not in fields]
-        if missing:
-            raise DatasetError(f"has no {', '.join(missing)}; it holds {', '.join(fields) or 'nothing'}", path)
-        points = np.column_stack([np.asarray(fields[axis], dtype=np.float64) for axis in "xyz"])
-        times = np.full(len(points), self.times_ns[index], dtype=np.int64)
-        distance = np.sqrt(np.sum(points**2, axis=1))
-        kept = np.isfinite(distance) & (distance >= settings.min_range) & (distance <= settings.max_range)
-        if settings.time is not None:
-            times = _point_times(fields[settings.time], kept, int(self.times_ns[index]), settings, path)
-        return Scan(points[kept], times[kept])
-
-
-def read_lidars(root: Path, T_new_rig: Array) -> tuple[GenericLidarStream, ...]:
-    """The lidars of a folder, in the order of ``lidar.yaml``.
-
-    Args:
-        T_new_rig: (4, 4) to the axes that recordings have (:func:`read_lidar_file` says from which).
+def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+    """A dataset of a reference drive (the first source) and the drives that ask about it.
 
     Raises:
-        DatasetError: with file and line: ``lidar.yaml``, a scan's name that is no time, no scan.
+        DatasetError: with file and line, what is missing or wrong in a recording; or that no pair can be accepted.
+        ConfigError: options that do not fit the recordings.
     """
-    streams = []
-    for name, settings in read_lidar_file(root).lidars.items():
-        files = timed_files(root / "lidar" / name, SUFFIXES)
-        if not files:
-            raise DatasetError(f"holds no scan; expected TIMESTAMP{', '.join(SUFFIXES)}", root / "lidar" / name)
-        times = np.array(list(files), dtype=np.int64)
-        T_rig_lidar = T_new_rig @ settings.T_rig_lidar.matrix
-        streams.append(GenericLidarStream(name, settings, T_rig_lidar, tuple(files.values()), times))
-    return tuple(streams)
+    from relocbench.datasets.groundtruth.build import build_ground_truth
+    from relocbench.datasets.groundtruth.odometry_files import kept_in
+    from relocbench.datasets.importers.generic_recording import read_generic
 
-
-def read_lidar_file(root: Path) -> LidarFile:
-    """Raises DatasetError with file and line."""
-    return load_yaml(root / LIDAR_FILE, LidarFile, "the lidar or lidars of the folder", DatasetError)
-
-
-def _point_times(
-    values: NDArray[Any], kept: NDArray[np.bool_], scan_ns: int, settings: GenericLidar, path: Path
-) -> Times:
-    if not np.all(np.isfinite(np.asarray(values[kept], dtype=np.float64))):
-        raise DatasetError(f"{settings.time} holds a time that is not finite", path)
-    factor = _NS[settings.time_unit]
-    if values.dtype.kind in "iu":
-        ns = values.astype(np.int64) * int(factor)
-    else:
-        # Seconds since 1970 as float64 are good to a quarter of a microsecond, which no lidar needs.
-        ns = np.rint(np.where(kept, values, 0.0).astype(np.float64) * factor).astype(np.int64)
-    times = ns if settings.time_from == "epoch" else ns + scan_ns
-    far = np.abs(times[kept] - scan_ns) > 1_000_000_000
-    if far.any():
-        raise DatasetError(
-            f"{settings.time} lies more than a second from the scan's time; check time_unit and time_from", path
+    assert isinstance(options, Options)
+    names = traversal_names(sources)
+    if len(names) < 2:
+        raise ConfigError(f"ground truth across drives needs a reference and at least one other, got {len(names)}")
+    check_conditions(options, names)
+    name = options.name or "generic_lidar_" + names[0]
+    writer = DatasetWriter(out, name, configuration("generic-lidar", sources, options), options.licence)
+    recordings = [
+        read_generic(
+            source,
+            name=title,
+            odometry=options.odometry,
+            max_gap_s=options.max_gap,
+            reporter=reporter,
+            from_lidar=kept_in(out / "groundtruth" / "odometry" / f"{title}.csv"),
         )
-    return np.asarray(times, dtype=np.int64)
-
-
-def _fields(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
-    """Name -> (N,) of a scan, whatever its format."""
-    suffix = path.suffix.lower()
-    try:
-        if suffix == ".bin":
-            return _columns(_binary(path, settings), settings.columns, path)
-        if suffix == ".npy":
-            return _numpy(path, settings)
-    except OSError as bad:
-        raise DatasetError(f"cannot be read ({bad.strerror or bad}); expected a lidar scan", path) from None
-    return read_point_cloud(path)
-
-
-def _binary(path: Path, settings: GenericLidar) -> NDArray[Any]:
-    data = path.read_bytes()
-    width = np.dtype(settings.dtype).itemsize * len(settings.columns)
-    if len(data) % width:
-        what = f"{settings.dtype} {' '.join(settings.columns)}"
-        raise DatasetError(f"{len(data)} bytes are no whole number of points ({what})", path)
-    return np.frombuffer(data, dtype=np.dtype(settings.dtype).newbyteorder("<")).reshape(-1, len(settings.columns))
-
-
-def _numpy(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
-    try:
-        values = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError):
-        raise DatasetError("cannot be read as a NumPy array", path) from None
-    if values.dtype.names:
-        return {name: np.ravel(values[name]) for name in values.dtype.names}
-    if values.ndim != 2:
-        raise DatasetError(f"is an array of shape {values.shape}, expected (points, {len(settings.columns)})", path)
-    return _columns(values, settings.columns, path)
-
-
-def _columns(values: NDArray[Any], names: tuple[str, ...], path: Path) -> dict[str, NDArray[Any]]:
-    if values.shape[1] != len(names):
-        raise DatasetError(f"has {values.shape[1]} columns, {LIDAR_FILE} names {len(names)} ({' '.join(names)})", path)
-    return {name: values[:, i] for i, name in enumerate(names)}
+        for source, title in zip(sources, names, strict=True)
+    ]
+    return build_ground_truth(recordings, writer, options, reporter, run)

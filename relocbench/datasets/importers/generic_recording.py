@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets import images
-from relocbench.datasets.groundtruth.lidar_odometry import lidar_odometry
+from relocbench.datasets.groundtruth.lidar_odometry import FromLidar, lidar_odometry
 from relocbench.datasets.groundtruth.recording import CameraStream, FieldRecording, LidarStream, Trajectory
 from relocbench.datasets.importers.generic import CAMERA_FILE, POSE_FILE, CameraFolder, read_folder, undistort
-from relocbench.datasets.importers.generic_lidar import LIDAR_FILE, read_lidar_file, read_lidars
+from relocbench.datasets.importers.generic_scans import LIDAR_FILE, read_lidar_file, read_lidars
 from relocbench.datasets.importers.sources import read_trajectory, traversal_names
 from relocbench.datasets.schema import Condition
 from relocbench.errors import DatasetError
@@ -67,6 +67,7 @@ def read_generic(
     odometry: OdometrySource = "auto",
     max_gap_s: float = 1.0,
     reporter: Reporter | None = None,
+    from_lidar: FromLidar = lidar_odometry,
 ) -> FieldRecording:
     """Look through a generic folder that has ``lidar.yaml``; compute odometry where it has none.
 
@@ -75,6 +76,7 @@ def read_generic(
         odometry: ``poses`` takes ``poses.txt``, ``lidar`` registers the scans of the first spinning lidar, ``auto``
             does the first if the file is there.
         max_gap_s: longest time between two poses that is interpolated over.
+        from_lidar: computes odometry from scans.
 
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
@@ -96,7 +98,7 @@ def read_generic(
         motion = _trajectory(folder / POSE_FILE, T_new_rig, max_gap_ns)
         motion = Trajectory(motion.times_ns, invert(motion.T_odom_rig[0]) @ motion.T_odom_rig, max_gap_ns)
     else:
-        motion = lidar_odometry(_spinning(lidars, folder), report, max_gap_ns=max_gap_ns)
+        motion = from_lidar(_spinning(lidars, folder), report, max_gap_ns=max_gap_ns)
     prior = folder / PRIOR_FILE
     return FieldRecording(
         name=title,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets import images
-from relocbench.datasets.groundtruth.lidar_odometry import lidar_odometry
+from relocbench.datasets.groundtruth.lidar_odometry import FromLidar, lidar_odometry
 from relocbench.datasets.groundtruth.recording import CameraStream, FieldRecording, Scan, Trajectory
 from relocbench.datasets.importers.kitti_files import Sequence
 from relocbench.datasets.importers.velodyne import LIDAR_SIGMA, read_scan
@@ -110,6 +110,7 @@ def read_kitti(
     rate_hz: float = 10.0,
     condition: Condition | None = None,
     reporter: Reporter | None = None,
+    from_lidar: FromLidar = lidar_odometry,
 ) -> FieldRecording:
     """Look through a sequence, and compute its odometry where none is taken from it.
 
@@ -121,6 +122,7 @@ def read_kitti(
         motion: whether the car's own motion is still in the scans (``distorted``) or not, as in KITTI's own.
         elevation_deg: turn beams up; the real lidar's want :data:`REAL_ELEVATION_DEG`.
         rate_hz: frames a second where ``times.txt`` is missing.
+        from_lidar: computes odometry from scans; called when everything else was found good.
 
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
@@ -138,13 +140,14 @@ def read_kitti(
     if missing:
         report.note(f"{files.traversal}: {missing} scans between the first and the last are missing")
     lidar = VelodyneStream(tuple(scans.values()), times[list(scans)], motion, elevation_deg)
+    streams = {camera: _camera(files, camera, numbers, times) for camera, numbers in found.items()}
     return FieldRecording(
         name=name or files.traversal,
         folder=files.folder,
         condition=condition or Condition(),
-        odometry=_poses(files, times) if odometry == "poses" else lidar_odometry(lidar, report),
+        odometry=_poses(files, times) if odometry == "poses" else from_lidar(lidar, report),
         lidars=(lidar,),
-        cameras={camera: _camera(files, camera, numbers, times) for camera, numbers in found.items()},
+        cameras=streams,
     )
 
 

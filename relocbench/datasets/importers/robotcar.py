@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -9,7 +10,7 @@ from pydantic import Field
 
 from relocbench.datasets.groundtruth.options import FieldOptions
 from relocbench.datasets.importers import Run
-from relocbench.datasets.importers.assembly import check_conditions, configuration
+from relocbench.datasets.importers.assembly import check_conditions, check_folder, configuration
 from relocbench.datasets.importers.options import ImportOptions
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.progress import Reporter
@@ -35,21 +36,32 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         DatasetError: with file and line, what is missing or wrong in a recording; or that no pair can be accepted.
         ConfigError: options that do not fit the recordings.
     """
-    from relocbench.datasets.groundtruth.build import build_ground_truth
+    from relocbench.datasets.groundtruth.build import build_ground_truth, check
     from relocbench.datasets.importers.robotcar_recording import read_robotcar_drives
 
     assert isinstance(options, Options)
+    for source in sources:
+        check_folder(source, "a traversal")
     recordings = read_robotcar_drives(
         sources,
         extrinsics=options.extrinsics,
         models=options.models,
         tags=options.tags,
         lidars=options.lidars or None,
-        cameras=options.cameras or None,
+        cameras=_with_partners(sources, options.cameras),
         odometry=options.odometry,
         reporter=reporter,
     )
     check_conditions(options, [r.name for r in recordings])
+    check(recordings, options)
     name = options.name or "robotcar_" + recordings[0].name
     writer = DatasetWriter(out, name, configuration("robotcar", sources, options), options.licence)
     return build_ground_truth(recordings, writer, options, reporter, run)
+
+
+def _with_partners(sources: Sequence[Path], cameras: tuple[str, ...]) -> tuple[str, ...] | None:
+    """The cameras that are asked for, and the right one of the stereo pair, which depth is checked with; None: all."""
+    if not cameras:
+        return None
+    right = "stereo_left" in cameras and all((source / "stereo" / "right").is_dir() for source in sources)
+    return (*cameras, "stereo_right") if right else cameras
