@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.block_store import BlockStore
+from relocbench.datasets.groundtruth.edge_information import minimum, scatter_by_patch
 from relocbench.datasets.groundtruth.local_edges import LocalFit
-from relocbench.datasets.groundtruth.planes import PlaneMap, PlaneOptions
-from relocbench.datasets.groundtruth.refinement import Linearised, linearise
+from relocbench.datasets.groundtruth.planes import PlaneMap, PlaneOptions, Planes, Sample, cell_keys
+from relocbench.datasets.groundtruth.refinement import weighted_median
 from relocbench.datasets.groundtruth.submaps import Submap
 
 Array = NDArray[np.float64]
@@ -19,6 +21,12 @@ _OPTIONS = PlaneOptions(thinning_m=(0.0,), reach_m=(0.3,), samples=(1500,), near
 _KEPT = 64
 _SCALE_M = 0.05
 _REACH_M = 0.2
+_COSINE = 0.8
+"""of the largest angle between normals that may meet"""
+_PATCH_M = 1.0
+"""side of the patches of surface on which points err alike"""
+_LEVER_M, _OPEN_SHARE = 10.0, 1e-4
+"""see :class:`relocbench.datasets.groundtruth.local_edges.LocalOptions`"""
 
 
 class BlockFits:
@@ -34,17 +42,12 @@ class BlockFits:
     def __call__(self, ref: int, query: int, T_ref_query: Array, /) -> LocalFit:
         """The fit at a pose ``T_ref_query`` (4, 4), node to node."""
         planes, points = self._planes(0, ref).level(0), self._planes(1, query).sample(0)
-        found: Linearised = linearise(
-            planes,
-            points.points,
-            points.normals,
-            T_ref_query,
-            _REACH_M,
-            weights=points.weights,
-            scale_m=_SCALE_M,
-        )
-        sigma = found.sigma_m if found.count else 0.0
-        return LocalFit(found.H, found.g, sigma, found.count)
+        met = meet(planes, points, T_ref_query)
+        H, g = met.J.T @ (met.weights[:, None] * met.J), met.J.T @ (met.weights * met.residuals)
+        sigma = 1.4826 * weighted_median(np.abs(met.residuals), met.weights) if len(met) else 0.0
+        # Where the fit of this block alone would lie, its points say how far they disagree.
+        left = met.residuals + met.J @ minimum(H, g, _LEVER_M, _OPEN_SHARE)
+        return LocalFit(H, g, sigma, len(met), scatter_by_patch((met.weights * left)[:, None] * met.J, met.patches))
 
     def _planes(self, side: int, node: int) -> PlaneMap:
         key = side, node
@@ -55,6 +58,39 @@ class BlockFits:
             if len(self._kept) > _KEPT:
                 self._kept.popitem(last=False)
         return self._kept[key]
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Points of a query's block that lie near a plane of a reference's block."""
+
+    J: Array
+    """(M, 6) derivative of the distance by xi = (rho, phi) of ``T_ref_query @ se3_exp(xi)``"""
+    residuals: Array
+    """(M,) distances, metres"""
+    weights: Array
+    """(M,) by surface, steadiness and distance (Geman-McClure)"""
+    patches: NDArray[np.int64]
+    """(M,) points on the same metre of surface have the same number"""
+
+    def __len__(self) -> int:
+        return len(self.residuals)
+
+
+def meet(planes: Planes, points: Sample, T_ref_query: Array) -> Contacts:
+    """The residual of a point q with the plane (p, n) is ``r = n^T (R q + t - p)``, its derivative ``(m, q x m)`` with
+    m = R^T n."""
+    rotation, translation = T_ref_query[:3, :3], T_ref_query[:3, 3]
+    there = points.points @ rotation.T + translation
+    match = planes.nearest(there, points.normals @ rotation.T, _REACH_M, _COSINE)
+    rows = np.flatnonzero(match >= 0)
+    match, q = match[rows], points.points[rows]
+    n = planes.normals[match]
+    residuals = np.einsum("ni,ni->n", n, there[rows] - planes.points[match])
+    weights = np.minimum(planes.weights[match], points.weights[rows]) / np.square(1 + np.square(residuals / _SCALE_M))
+    m = n @ rotation
+    facing = np.argmax(np.abs(points.normals[rows]), axis=1) if len(rows) else rows
+    return Contacts(np.hstack([m, np.cross(q, m)]), residuals, weights, 4 * cell_keys(q, _PATCH_M) + facing)
 
 
 def as_submap(store: BlockStore, node: int) -> Submap:

@@ -96,7 +96,7 @@ class Solution:
         nodes = np.array([ref]), np.array([query + self.drives.reference_count])
         return self.pose(ref, query), self._covariances.relative(*nodes)[0]
 
-    def stressed_odometry(self, significance: float = 1e-5) -> list[tuple[int, int, float]]:
+    def stressed_odometry(self, significance: float = 1e-9) -> list[tuple[int, int, float]]:
         """Odometry edges that registrations contradict: node, next node (both numbered through), excess of chi2.
 
         A run of wrong registrations that agree with each other, as a facade's period makes them, shows at its ends.

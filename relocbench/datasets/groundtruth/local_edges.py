@@ -14,10 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.groundtruth.drives import Drives
+from relocbench.datasets.groundtruth.edge_information import distorted, minimum, sandwich
 from relocbench.datasets.groundtruth.edges import Edges, Kind
 from relocbench.datasets.groundtruth.graph import Solution
 from relocbench.datasets.groundtruth.least_squares import Covariances, solve
 from relocbench.datasets.groundtruth.odometry_noise import OdometryNoise, estimate, variance_factor
+from relocbench.datasets.groundtruth.odometry_scale import rescaled
 from relocbench.datasets.groundtruth.selection import check_odometry, settled, spread, weakened
 from relocbench.datasets.groundtruth.snooping import check_used
 from relocbench.errors import ConfigError
@@ -41,6 +44,8 @@ class LocalFit:
     """robust standard deviation of the distances r"""
     count: int
     """points that found a plane"""
+    scatter: Array | None = None
+    """(6, 6) of g, as its parts say (:func:`scatter_by_patch`); None: all points err alike, with sigma_m"""
 
 
 Linearise = Callable[[int, int, Array], LocalFit]
@@ -56,7 +61,13 @@ class LocalOptions:
     trusted_within_m: float = 20.0
     """along the road from a trusted registration: further away, blocks would be drawn to whatever lies near"""
     correlation: float = 4.0
-    """neighbouring points err alike: so many count as one"""
+    """neighbouring points err alike: so many count as one, where a fit does not say how alike"""
+    repeats: float = 6.0
+    """each point meets about so many blocks of the other drive, and takes part in as many edges"""
+    inside_m: float = 3.0
+    """odometry over so many metres distorts the two blocks of an edge"""
+    scale_m: float = 30.0
+    """of road over which the scale of the odometry is found (:mod:`.odometry_scale`)"""
     least_sigma_m: float = 0.003
     """of a distance, however well the points of a block fit"""
     least_count: int = 10
@@ -75,8 +86,15 @@ class LocalOptions:
     """edges of each kind that noise is estimated from"""
 
     def __post_init__(self) -> None:
-        positive = (self.reach_m, self.trusted_within_m, self.correlation, self.least_sigma_m, self.lever_m)
-        if min(positive) <= 0 or min(self.iterations, self.least_count, self.noise_edges) < 1:
+        positive = (
+            self.reach_m,
+            self.trusted_within_m,
+            self.correlation,
+            self.least_sigma_m,
+            self.lever_m,
+            self.scale_m,
+        )
+        if min(positive) <= 0 or min(self.iterations, self.least_count, self.noise_edges, self.repeats) < 1:
             raise ConfigError("reaches, correlation, sigma and counts of local edges must be positive")
         if not 0 < self.open_share < 1 or not 0 < self.significance < 1:
             raise ConfigError("open_share and significance of local edges lie between 0 and 1")
@@ -92,22 +110,26 @@ def refine_locally(solution: Solution, linearise: Linearise, options: LocalOptio
     options = options or LocalOptions()
     pairs = meeting(solution, options)
     T, noise, factor = solution.T_world_node, solution.noise, 1.0
+    local = solution.edges[np.zeros(0, dtype=np.int64)]
     odometry = solution.drives.odometry(noise)
-    local = odometry[np.zeros(0, dtype=np.int64)]
-    for _ in range(options.iterations):
-        before = T
-        local = local_edges(solution, T, pairs, linearise, options)
-        T, local = _without_outliers(T, odometry, local, factor, options)
-        for _ in range(_NOISE_ROUNDS if options.estimate_noise else 0):
-            assumed = noise, factor
-            noise, factor = _noise(solution, T, assumed, local, options)
-            odometry = solution.drives.odometry(noise)
-            T = solve(T, Edges.join([odometry, weakened(local, factor)]))
-            if settled(assumed, (noise, factor)):
+    for attempt in range(2):
+        # First with the odometry as it is, then with its scale as that has shown it to be.
+        drives = rescaled(solution.drives, T, options.scale_m) if attempt else solution.drives
+        odometry = drives.odometry(noise)
+        for _ in range(options.iterations):
+            before = T
+            local = local_edges(solution, T, pairs, linearise, options, noise)
+            T, local = _without_outliers(T, odometry, local, factor, options)
+            for _ in range(_NOISE_ROUNDS if options.estimate_noise else 0):
+                assumed = noise, factor
+                noise, factor = _noise(drives, T, assumed, local, options)
+                odometry = drives.odometry(noise)
+                T = solve(T, Edges.join([odometry, weakened(local, factor)]))
+                if settled(assumed, (noise, factor)):
+                    break
+            moved = invert(local.apart(before)) @ local.apart(T)
+            if np.linalg.norm(moved[:, :3, 3], axis=1).max(initial=0.0) < options.settled_m:
                 break
-        moved = invert(local.apart(before)) @ local.apart(T)
-        if np.linalg.norm(moved[:, :3, 3], axis=1).max(initial=0.0) < options.settled_m:
-            break
     edges = Edges.join([odometry, weakened(local, factor)])
     T = solve(T, edges)
     return replace(
@@ -133,9 +155,15 @@ def meeting(solution: Solution, options: LocalOptions) -> list[tuple[int, int]]:
 
 
 def local_edges(
-    solution: Solution, T_world_node: Array, pairs: list[tuple[int, int]], linearise: Linearise, options: LocalOptions
+    solution: Solution,
+    T_world_node: Array,
+    pairs: list[tuple[int, int]],
+    linearise: Linearise,
+    options: LocalOptions,
+    noise: OdometryNoise,
 ) -> Edges:
-    """Edges of blocks that meet: ``T_ref_query @ se3_exp(-H^+ g)`` with information ``H / (sigma^2 correlation)``."""
+    """Edges of blocks that meet: ``T_ref_query @ se3_exp(-H^+ g)``, with the information of their fit less what the
+    odometry inside the blocks takes from it."""
     count = solution.drives.reference_count
     first, second, poses, information = [], [], [], []
     for ref, query in pairs:
@@ -145,8 +173,8 @@ def local_edges(
             continue
         first.append(ref)
         second.append(count + query)
-        poses.append(T_ref_query @ se3_exp(-bounded_step(fit.H, fit.g, options)))
-        information.append(fit.H / (max(fit.sigma_m, options.least_sigma_m) ** 2 * options.correlation))
+        poses.append(T_ref_query @ se3_exp(minimum(fit.H, fit.g, options.lever_m, options.open_share)))
+        information.append(distorted(_information(fit, options), options.inside_m * noise.sigma**2))
     return Edges(
         np.array(first, dtype=np.int64),
         np.array(second, dtype=np.int64),
@@ -156,13 +184,11 @@ def local_edges(
     )
 
 
-def bounded_step(H: Array, g: Array, options: LocalOptions) -> Array:
-    """``H^+ g`` (6,): the minimum's way back, without the directions that the block leaves open."""
-    scale = np.array([1.0, 1.0, 1.0, *[1.0 / options.lever_m] * 3])
-    values, vectors = np.linalg.eigh(scale[:, None] * H * scale)
-    known = values > options.open_share * max(values[-1], 1e-300)
-    inverse = np.where(known, 1.0 / np.where(known, values, 1.0), 0.0)
-    return np.asarray(scale * (vectors @ (inverse * (vectors.T @ (scale * g)))))
+def _information(fit: LocalFit, options: LocalOptions) -> Array:
+    if fit.scatter is None:
+        return np.asarray(fit.H / (max(fit.sigma_m, options.least_sigma_m) ** 2 * options.correlation))
+    floor = options.least_sigma_m**2 * options.correlation
+    return sandwich(fit.H, options.repeats * fit.scatter, floor, options.lever_m)
 
 
 def _without_outliers(
@@ -182,15 +208,15 @@ def _without_outliers(
 
 
 def _noise(
-    solution: Solution, T: Array, before: tuple[OdometryNoise, float], local: Edges, options: LocalOptions
+    drives: Drives, T: Array, before: tuple[OdometryNoise, float], local: Edges, options: LocalOptions
 ) -> tuple[OdometryNoise, float]:
     """Odometry's noise, and by how much local edges overstate themselves, from the poses solved with those before."""
     noise, factor = before
-    odometry, local = solution.drives.odometry(noise), weakened(local, factor)
+    odometry, local = drives.odometry(noise), weakened(local, factor)
     covariances = Covariances(T, Edges.join([odometry, local]))
     some = odometry[spread(len(odometry), options.noise_edges)]
     posterior = np.diagonal(covariances.relative(some.first, some.second), axis1=1, axis2=2)
-    noise = estimate(noise, solution.drives.way(some.first, some.second), some.residuals(T), posterior)
+    noise = estimate(noise, drives.way(some.first, some.second), some.residuals(T), posterior)
     some = local[spread(len(local), options.noise_edges)]
     tested = check_used(some.residuals(T), some.information, covariances.relative(some.first, some.second))
     more = variance_factor(tested.squares.ravel(), tested.free.ravel())
