@@ -18,13 +18,13 @@ from typer.testing import CliRunner
 from relocbench.cli.app import app
 from relocbench.datasets.dataset import Dataset
 from relocbench.datasets.groundtruth.block_store import BlockStore, write_block
-from relocbench.datasets.groundtruth.blocks import Block, Nodes
+from relocbench.datasets.groundtruth.blocks import Block, Nodes, Surface
 from relocbench.datasets.groundtruth.evidence import Registration
 from relocbench.datasets.groundtruth.graph_files import PlacedDrive, read_graph, write_graph
 from relocbench.datasets.groundtruth.inspected import chosen_spots, inspected_sets, relative_pose
 from relocbench.datasets.groundtruth.overlay_picture import Cloud, detail_places
 from relocbench.datasets.groundtruth.pictures import write_ground_truth
-from relocbench.datasets.groundtruth.reasons import by_kind
+from relocbench.datasets.groundtruth.reasons import by_kind, common
 from relocbench.datasets.groundtruth.residual_picture import measure_residuals
 from relocbench.datasets.groundtruth.track_files import write_registrations
 from relocbench.datasets.images import read_image
@@ -160,6 +160,19 @@ def test_residuals_show_a_graph_that_is_wrong(tmp_path: Path) -> None:
 def test_details_are_where_both_drives_see_walls_of_two_directions() -> None:
     T = make_transform(np.eye(3), np.array([FIRST_M, 0.0, 1.5]))
     ref, query = (Cloud.of(street_clouds.submap(STREET, seed, T), np.eye(4)) for seed in (1, 2))
+    # A tree in front, whose points face anywhere.
+    rng = np.random.default_rng(0)
+    normals = rng.normal(size=(400, 3)) * (1, 1, 0)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    tree = rng.uniform([-1, 5, 0], [1, 7, 4], size=(400, 3))
+    ref, query = (
+        Cloud(
+            np.concatenate([cloud.points, tree]),
+            np.concatenate([cloud.normals, normals]),
+            np.concatenate([cloud.surface, np.full(400, Surface.STRUCTURE, dtype=np.uint8)]),
+        )
+        for cloud in (ref, query)
+    )
     places = detail_places(ref, query, np.zeros(2))
     assert len(places) == 2
     assert np.linalg.norm(places[0] - places[1]) > 3.0
@@ -182,7 +195,7 @@ def test_a_pair_that_the_graph_does_not_tie_is_shown_by_what_was_refused(tmp_pat
     far = relative_pose(found, Pair(int(times[0][7]), int(times[1][7]), None, accepted=False, reason="not registered"))
     assert (far.ref, far.query, far.T_ref_query) == (7, 7, None)
     page = write_ground_truth(lost, [lost.pair_set(ACROSS)], tmp_path / "page", 1, 0, Silent())
-    assert "overlap … %: of the query&#x27;s walls" in page.read_text(encoding="utf-8")
+    assert "overlap 12 %: of the query&#x27;s walls" in page.read_text(encoding="utf-8")
 
 
 def test_places_are_the_least_certain_some_evenly_and_one_of_each_rejection() -> None:
@@ -191,12 +204,13 @@ def test_places_are_the_least_certain_some_evenly_and_one_of_each_rejection() ->
     odd = [Pair(30, 30, None, accepted=False, reason="no odometry at the time of the query")]
     spots = chosen_spots([*good, *odd, *bad], 3)
     assert [s.pair.query_timestamp_ns for s in spots] == [5, 0, 4, 8, 22, 30]
-    assert spots[4].why == "one of 5 rejected: no keyframe within … m: nearest … m"
+    assert spots[4].why == "one of 5 rejected: no keyframe within 5 m: nearest … m"
 
 
 def test_reasons_that_differ_by_numbers_alone_are_one_kind() -> None:
     found = by_kind(["sigma 0.07 m exceeds 0.05 m", "lost", "sigma 0.1 m exceeds 0.05 m"])
     assert {kind: len(same) for kind, same in found.items()} == {"sigma … m exceeds … m": 2, "lost": 1}
+    assert common(found["sigma … m exceeds … m"]) == "sigma … m exceeds 0.05 m"
 
 
 def test_a_graph_is_read_as_it_was_written(tmp_path: Path) -> None:

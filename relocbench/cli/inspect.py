@@ -70,7 +70,7 @@ def print_summary(dataset: Dataset) -> None:
     """The tables of ``relocbench inspect``."""
     from relocbench.cli.console import print_table
     from relocbench.datasets.fingerprint import SHORT
-    from relocbench.datasets.groundtruth.reasons import by_kind
+    from relocbench.datasets.groundtruth.reasons import by_kind, common
     from relocbench.datasets.inspection import take_inventory
 
     found = take_inventory(dataset)
@@ -109,8 +109,8 @@ def print_summary(dataset: Dataset) -> None:
         [_pair_set_row(s) for s in found.pair_sets],
     )
     for pair_set in found.pair_sets:
-        for kind, same in by_kind(Counter(pair_set.rejected).elements()).items():
-            print(f"{pair_set.name}: {len(same)} rejected: {same[0] if len(set(same)) == 1 else kind}")
+        for same in by_kind(Counter(pair_set.rejected).elements()).values():
+            print(f"{pair_set.name}: {len(same)} rejected: {common(same)}")
     if found.splits:
         print_table("Splits", ["name", "pair sets"], [[name, ", ".join(sets)] for name, sets in found.splits.items()])
 

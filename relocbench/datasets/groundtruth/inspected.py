@@ -13,7 +13,7 @@ from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.groundtruth.block_store import BlockStore
 from relocbench.datasets.groundtruth.evidence import Registration
 from relocbench.datasets.groundtruth.graph_files import PlacedDrive, read_graph
-from relocbench.datasets.groundtruth.reasons import by_kind, kind_of
+from relocbench.datasets.groundtruth.reasons import by_kind, common, kind_of
 from relocbench.datasets.groundtruth.submaps import SubmapWindow
 from relocbench.datasets.groundtruth.track_files import read_registrations
 from relocbench.datasets.pairfile import Pair
@@ -61,8 +61,8 @@ class InspectedSet:
 
     def connected(self, pair: Pair) -> bool:
         """Whether the graph says how the query lies to the reference."""
-        node = self.query.nearest(pair.query_timestamp_ns)
-        return bool(self.query.connected[node]) and bool(self.reference.connected.any())
+        i, j = self.reference.nearest(pair.ref_timestamp_ns), self.query.nearest(pair.query_timestamp_ns)
+        return bool(self.reference.connected[i] and self.query.connected[j])
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,9 +125,9 @@ def chosen_spots(pairs: Sequence[Pair], count: int) -> list[Spot]:
     even = [accepted[row] for row in rows]
     spots += [Spot(p, "evenly along the drive") for p in even if not spots or p.key != spots[0].pair.key]
     rejected = [p for p in pairs if not p.accepted]
-    for kind in list(by_kind(_reason(p) for p in rejected))[:_KINDS]:
+    for kind, same in list(by_kind(_reason(p) for p in rejected).items())[:_KINDS]:
         members = [p for p in rejected if kind_of(_reason(p)) == kind]
-        spots.append(Spot(members[len(members) // 2], f"one of {len(members)} rejected: {kind}"))
+        spots.append(Spot(members[len(members) // 2], f"one of {len(members)} rejected: {common(same)}"))
     return spots
 
 
@@ -147,10 +147,15 @@ class Relative:
 
 
 def relative_pose(found: InspectedSet, pair: Pair) -> Relative:
-    """By the graph, where registrations tie both drives together; else by the nearest registration that was refused."""
+    """By the graph, where registrations tie both drives together; else by the nearest registration that was refused.
+
+    By the graph the reference's node is the nearest one to the query, even if its keyframes lie further away.
+    """
     j = found.query.nearest(pair.query_timestamp_ns)
     i = found.reference.nearest(pair.ref_timestamp_ns)
     if found.connected(pair):
+        apart = np.linalg.norm((found.reference.T_world_node - found.query.T_world_node[j])[:, :3, 3], axis=1)
+        i = int(np.argmin(np.where(found.reference.connected, apart, np.inf)))
         return Relative(i, j, invert(found.reference.T_world_node[i]) @ found.query.T_world_node[j], "pose graph")
     tried = [r for r in found.registrations if np.isfinite(r.T_ref_query).all() and 0 <= r.ref < len(found.reference)]
     if tried:

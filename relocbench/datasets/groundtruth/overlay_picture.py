@@ -22,7 +22,7 @@ from relocbench.datasets.groundtruth.figures import QUERY, REFERENCE, shortened,
 from relocbench.datasets.groundtruth.inspected import InspectedSet, Spot, relative_pose
 from relocbench.datasets.groundtruth.submaps import Submap
 from relocbench.datasets.pairfile import Pair
-from relocbench.geometry import apply, invert
+from relocbench.geometry import apply, invert, make_transform
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -34,6 +34,8 @@ _DETAIL_M = 3.0
 _CLOSE_M = 1.6
 """and shown as large as this"""
 _APART_M = 8.0
+_DIRECTIONS = 12
+"""of walls from above, over half a turn"""
 _STEADY = 0.5
 
 
@@ -64,23 +66,23 @@ class Cloud:
 def write_overlay(path: Path, found: InspectedSet, spot: Spot, number: int) -> None:
     """The picture of one pair, by the pose graph or by whatever is known of the pair instead."""
     said = relative_pose(found, spot.pair)
-    ref = Cloud.of(found.window(0, _LENGTH_M / 2).at(said.ref), np.eye(4))
+    windows = [found.window(side, _LENGTH_M / 2) for side in (0, 1)]
     if said.T_ref_query is None:
-        query = Cloud.of(found.window(1, _LENGTH_M / 2).at(said.query), np.eye(4))
+        clouds = [Cloud.of(w.at(node), np.eye(4)) for w, node in zip(windows, (said.ref, said.query), strict=True)]
         lines = [*_title(spot, number), "nobody knows how they lie to each other: each drive on its own"]
-        write_figure(path, (12, 12.5), lambda figure: _draw_apart(figure, ref, query, lines))
+        write_figure(path, (12, 12.5), lambda figure: _draw_apart(figure, clouds[0], clouds[1], lines))
         return
-    query = Cloud.of(found.window(1, _LENGTH_M / 2).at(said.query), said.T_ref_query)
+    T_ref_world = invert(found.reference.T_world_node[said.ref])
+    T_querynode_world = invert(found.query.T_world_node[said.query])
+    keyframe = (T_ref_world @ found.reference.at(spot.pair.ref_timestamp_ns))[:3, 3]
+    image = (said.T_ref_query @ T_querynode_world @ found.query.at(spot.pair.query_timestamp_ns))[:3, 3]
+    # The query's image is the middle of the picture; its axes are those of the reference there.
+    T_view_ref = make_transform(np.eye(3), -image * (1, 1, 0))
+    ref = Cloud.of(windows[0].at(said.ref), T_view_ref)
+    query = Cloud.of(windows[1].at(said.query), T_view_ref @ said.T_ref_query)
     lines = [*_title(spot, number), f"laid together by: {shortened(said.said_by, 110)}"]
-    at = [
-        (invert(found.reference.T_world_node[said.ref]) @ found.reference.at(spot.pair.ref_timestamp_ns))[:2, 3],
-        (
-            said.T_ref_query
-            @ invert(found.query.T_world_node[said.query])
-            @ found.query.at(spot.pair.query_timestamp_ns)
-        )[:2, 3],
-    ]
-    write_figure(path, (12, 10.5), lambda figure: _draw(figure, ref, query, at, lines))
+    away = (keyframe - image)[:2]
+    write_figure(path, (12, 10.5), lambda figure: _draw(figure, ref, query, away, lines))
 
 
 def _title(spot: Spot, number: int) -> list[str]:
@@ -99,14 +101,20 @@ def _state(pair: Pair) -> str:
     return f"accepted, {said}" if pair.accepted else f"REJECTED: {shortened(pair.reason, 110)}; {said}"
 
 
-def _draw(figure: Figure, ref: Cloud, query: Cloud, at: list[Array], lines: list[str]) -> None:
+def _draw(figure: Figure, ref: Cloud, query: Cloud, keyframe: Array, lines: list[str]) -> None:
+    here = np.zeros(2)
     figure.suptitle("\n".join(lines), fontsize=10)
     grid = figure.add_gridspec(2, 4, height_ratios=(1.9, 1.1))
     above = figure.add_subplot(grid[0, :])
-    _from_above(above, [(ref, REFERENCE), (query, QUERY)], "structure from above; dark: both drives; grey: road")
-    for place, colour, marker in zip(at, (REFERENCE, QUERY), ("o", "^"), strict=True):
+    title = (
+        f"structure from above; dark: both drives; grey: road; circle: keyframe, {np.linalg.norm(keyframe):.1f} m away"
+    )
+    _from_above(above, [(ref, REFERENCE), (query, QUERY)], title)
+    for place, colour, marker in ((keyframe, REFERENCE, "o"), (here, QUERY, "^")):
         above.plot(*place, marker, color=colour, markeredgecolor="black", markersize=8)
-    details = detail_places(ref, query, at[1])
+    above.set_xlim(-_LENGTH_M / 2, _LENGTH_M / 2)
+    above.set_ylim(-_WIDTH_M / 2, _WIDTH_M / 2)
+    details = detail_places(ref, query, here)
     for k in range(2):
         axes = figure.add_subplot(grid[1, k])
         if k >= len(details):
@@ -117,8 +125,8 @@ def _draw(figure: Figure, ref: Cloud, query: Cloud, at: list[Array], lines: list
         x, y = (details[k] + _CLOSE_M / 2).tolist()
         above.text(x, y, "ab"[k], fontsize=11, fontweight="bold")
         _detail(axes, ref, query, details[k], f"{'ab'[k]}: walls from above")
-    _section(figure.add_subplot(grid[1, 2]), ref, query, at[1])
-    _road(figure.add_subplot(grid[1, 3]), ref, query, at[1])
+    _section(figure.add_subplot(grid[1, 2]), ref, query)
+    _road(figure.add_subplot(grid[1, 3]), ref, query)
 
 
 def _draw_apart(figure: Figure, ref: Cloud, query: Cloud, lines: list[str]) -> None:
@@ -143,7 +151,8 @@ def _from_above(axes: Axes, clouds: list[tuple[Cloud, str]], title: str) -> None
     axes.imshow(image, extent=extent, origin="lower", interpolation="none")
     for k, (_, colour) in enumerate(clouds):
         name = "reference" if colour == REFERENCE else "query"
-        axes.text(0.005 + 0.09 * k, 0.97, name, color=colour, transform=axes.transAxes, va="top", fontweight="bold")
+        axes.text(0.005 + 0.09 * k, 0.97, name, color=colour, transform=axes.transAxes, va="top", fontweight="bold",
+                  bbox={"fc": "white", "ec": "none", "pad": 1})  # fmt: skip
     axes.set_title(title, fontsize=9)
     axes.set_ylabel("m to the left")
 
@@ -191,18 +200,23 @@ def _cell_middles() -> Array:
 
 
 def _corners(cloud: Cloud) -> Array:
-    """(X, Y) a cell: the lesser eigenvalue of the sum of n n^T over upright structure, n from above."""
+    """(X, Y) a cell: how many wall points face across its main wall; less where normals point anywhere, as in trees."""
     shape = _cell_middles().shape[:2]
-    points, n = cloud.points[cloud.upright], cloud.normals[cloud.upright][:, :2]
+    points, n = cloud.points[cloud.upright], cloud.normals[cloud.upright]
     cell = np.floor((points[:, :2] + (_LENGTH_M / 2, _WIDTH_M / 2)) / _DETAIL_M).astype(np.int64)
     inside = np.all((cell >= 0) & (cell < shape), axis=1)
     index = np.ravel_multi_index((cell[inside, 0], cell[inside, 1]), shape)
-    n = n[inside]
-    a, b, c = (
-        np.bincount(index, n[:, i] * n[:, j], minlength=shape[0] * shape[1]) for i, j in ((0, 0), (0, 1), (1, 1))
-    )
-    least = (a + c) / 2 - np.sqrt(np.square((a - c) / 2) + np.square(b))
-    return np.asarray(least.reshape(shape))
+    turned = np.mod(np.arctan2(n[inside, 1], n[inside, 0]), np.pi) / np.pi
+    bins = np.minimum((turned * _DIRECTIONS).astype(np.int64), _DIRECTIONS - 1)
+    counts = np.bincount(index * _DIRECTIONS + bins, minlength=shape[0] * shape[1] * _DIRECTIONS)
+    counts = counts.reshape(-1, _DIRECTIONS)
+    near = counts + np.roll(counts, 1, axis=1) + np.roll(counts, -1, axis=1)
+    main = np.argmax(near, axis=1)
+    # Directions at least 60 degrees from the main one.
+    others = (main[:, None] + np.arange(4, _DIRECTIONS - 3)) % _DIRECTIONS
+    across = np.take_along_axis(near, others, axis=1).max(axis=1)
+    both = (near.max(axis=1) + across) / np.maximum(counts.sum(axis=1), 1)
+    return np.asarray((across * both**3).reshape(shape))
 
 
 def _detail(axes: Axes, ref: Cloud, query: Cloud, middle: Array, title: str) -> None:
@@ -227,23 +241,23 @@ def _dots(
     axes.grid(True, color="#dddddd", linewidth=0.6)
 
 
-def _section(axes: Axes, ref: Cloud, query: Cloud, at: Array) -> None:
-    _dots(axes, ref, query, lambda cloud: np.abs(cloud.points[:, 0] - at[0]) < 1.0, (1, 2))
-    axes.set_xlim(at[1] + 8, at[1] - 8)
+def _section(axes: Axes, ref: Cloud, query: Cloud) -> None:
+    _dots(axes, ref, query, lambda cloud: np.abs(cloud.points[:, 0]) < 1.0, (1, 2))
+    axes.set_xlim(8, -8)
     axes.set_ylim(-3, 8)
     axes.set_title("2 m of road, looking along it", fontsize=9)
 
 
-def _road(axes: Axes, ref: Cloud, query: Cloud, at: Array) -> None:
+def _road(axes: Axes, ref: Cloud, query: Cloud) -> None:
     """The road's height, much exaggerated."""
     heights = []
     for cloud, colour in ((ref, REFERENCE), (query, QUERY)):
         ground = cloud.surface == Surface.GROUND
-        near = ground & (np.abs(cloud.points[:, 0] - at[0]) < 1.0) & (np.abs(cloud.points[:, 1] - at[1]) < 5.0)
+        near = ground & (np.abs(cloud.points[:, 0]) < 1.0) & (np.abs(cloud.points[:, 1]) < 5.0)
         y, z = cloud.points[near, 1], 100 * cloud.points[near, 2]
         axes.plot(y, z, ".", color=colour, markersize=2, alpha=0.4, markeredgewidth=0)
         heights.append(z)
-        edges = np.arange(at[1] - 5, at[1] + 5.1, 0.5)
+        edges = np.arange(-5, 5.1, 0.5)
         bins = np.digitize(y, edges)
         medians = [
             np.median(z[bins == k]) if np.count_nonzero(bins == k) >= 5 else np.nan for k in range(1, len(edges))
@@ -253,6 +267,6 @@ def _road(axes: Axes, ref: Cloud, query: Cloud, at: Array) -> None:
     if every.size:
         low, high = np.percentile(every, [2, 98])
         axes.set_ylim(low - 3, high + 3)
-    axes.set_xlim(at[1] + 5, at[1] - 5)
+    axes.set_xlim(5, -5)
     axes.grid(True, color="#dddddd", linewidth=0.6)
     axes.set_title("height of the road (cm)", fontsize=9)

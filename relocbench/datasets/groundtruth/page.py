@@ -12,7 +12,7 @@ import numpy as np
 
 from relocbench.datasets.dataset import Dataset
 from relocbench.datasets.groundtruth.inspected import InspectedSet, Spot
-from relocbench.datasets.groundtruth.reasons import by_kind
+from relocbench.datasets.groundtruth.reasons import by_kind, common
 from relocbench.datasets.groundtruth.residual_picture import Residuals
 from relocbench.files import write_text
 
@@ -133,7 +133,7 @@ def _pair_set(one: DrawnSet) -> str:
 def _reasons(title: str, reasons: list[str]) -> str:
     if not reasons:
         return ""
-    rows = [_row("td", (escape(kind), str(len(same)))) for kind, same in by_kind(reasons).items()]
+    rows = [_row("td", (escape(common(same)), str(len(same)))) for same in by_kind(reasons).values()]
     return f'<div class="wide"><table>\n{_row("th", (title, "how many"))}\n{chr(10).join(rows)}\n</table></div>'
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 _NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")
 
@@ -11,6 +11,17 @@ _NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")
 def kind_of(reason: str) -> str:
     """The reason with its numbers taken out: ``no keyframe within … m: nearest … m``."""
     return _NUMBER.sub("…", reason)
+
+
+def common(reasons: Sequence[str]) -> str:
+    """One sentence for reasons of a kind: numbers on which all agree stay, such as a limit.
+
+    ``no keyframe within 5 m: nearest … m``
+    """
+    numbers = [[match.group() for match in _NUMBER.finditer(reason)] for reason in reasons]
+    same = [values[0] if len(set(values)) == 1 else "…" for values in zip(*numbers, strict=True)]
+    left = iter(same)
+    return _NUMBER.sub(lambda _: next(left), reasons[0])
 
 
 def by_kind(reasons: Iterable[str]) -> dict[str, list[str]]:

@@ -23,13 +23,13 @@ from relocbench.datasets.groundtruth.figures import (
     write_figure,
 )
 from relocbench.datasets.groundtruth.inspected import InspectedSet, Spot
-from relocbench.datasets.groundtruth.reasons import by_kind, kind_of
+from relocbench.datasets.groundtruth.reasons import by_kind, common, kind_of
 from relocbench.datasets.pairfile import Pair
 
 Array = NDArray[np.float64]
 
-_BAND_M = 0.5
-"""half the width of a pair's bar along the way"""
+_BAND_M = 1.5
+"""a pair's bar reaches half-way to its neighbours, but is no longer than this"""
 
 
 def write_map(path: Path, found: InspectedSet, spots: list[Spot]) -> None:
@@ -105,7 +105,7 @@ def _map(figure: Figure, axes: Axes, found: InspectedSet, spots: list[Spot], col
         Line2D([], [], color="#21918c", marker="o", linestyle="", label=f"{good.sum()} accepted"),
     ]
     for kind, members in by_kind(_reason(p) for p in pairs if not p.accepted).items():
-        label = f"{len(members)} rejected: {shortened(kind, 100)}"
+        label = f"{len(members)} rejected: {shortened(common(members), 100)}"
         handles.append(Line2D([], [], color=colours[kind], marker="x", linestyle="", label=label))
     _legend_below(axes, handles, 2 if colours else 3, 3)
 
@@ -128,10 +128,19 @@ def _place(found: InspectedSet, pair: Pair) -> Array:
 
 def _bands(strips: list[Axes], pairs: list[Pair], ways: Array, colours: dict[str, str]) -> None:
     for axes in strips:
-        for pair, way in zip(pairs, ways, strict=True):
+        for pair, (begin, end) in zip(pairs, _bars(ways), strict=True):
             if not pair.accepted:
-                colour = colours[kind_of(_reason(pair))]
-                axes.axvspan(way - _BAND_M, way + _BAND_M, color=colour, alpha=0.15, linewidth=0)
+                axes.axvspan(begin, end, color=colours[kind_of(_reason(pair))], alpha=0.15, linewidth=0)
+
+
+def _bars(ways: Array) -> list[tuple[float, float]]:
+    """From where to where each pair's bar reaches."""
+    order = np.argsort(ways, kind="stable")
+    half = np.minimum(np.diff(ways[order]), _BAND_M) / 2
+    begins, ends = np.empty(len(ways)), np.empty(len(ways))
+    begins[order] = ways[order] - np.concatenate([[_BAND_M / 2], half])[: len(ways)]
+    ends[order] = ways[order] + np.concatenate([half, [_BAND_M / 2]])[: len(ways)]
+    return list(zip(begins.tolist(), ends.tolist(), strict=True))
 
 
 def _sigmas(axes: Axes, found: InspectedSet, pairs: list[Pair], ways: Array) -> None:
@@ -176,9 +185,9 @@ def _overlaps(axes: Axes, found: InspectedSet) -> None:
 
 
 def _verdicts(axes: Axes, found: InspectedSet, pairs: list[Pair], ways: Array, colours: dict[str, str]) -> None:
-    for pair, way in zip(pairs, ways, strict=True):
+    for pair, (begin, end) in zip(pairs, _bars(ways), strict=True):
         colour = ACCEPTED if pair.accepted else colours[kind_of(_reason(pair))]
-        axes.axvspan(way - _BAND_M, way + _BAND_M, 0.55, 0.95, color=colour, linewidth=0)
+        axes.axvspan(begin, end, 0.55, 0.95, color=colour, linewidth=0)
     travelled = found.query.travelled_m
     step = float(np.median(np.diff(travelled))) if len(travelled) > 1 else 1.0
     for node, verdict in found.query.verdicts.items():
