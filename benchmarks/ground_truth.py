@@ -27,6 +27,7 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "
 
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,27 +42,27 @@ from ground_truth_drives import (
     record_legs,
 )
 from ground_truth_judging import Judged, figures, reasons, table, worst, write_rows
-from ground_truth_stages import ablation, long_road, speed, starts
+from ground_truth_stages import START_PAIRS, ablation, long_road, speed, starts
 from ground_truth_work import Decided, Registered, decide, register_drive
 from ground_truth_world import DrivePair, World, judge, rounded, say
 
 PARTS = ("pairs", "starts", "ablation", "speed")
 
 
-def all_pairs(world: World) -> tuple[dict[DrivePair, Registered], dict[DrivePair, Decided]]:
+def all_pairs(world: World, pairs: Sequence[DrivePair]) -> tuple[dict[DrivePair, Registered], dict[DrivePair, Decided]]:
     """The builder on every pair of drives."""
-    found = world.all_of(register_drive, [world.register_unit(*p) for p in PAIRS], "drives to register")
-    registered = dict(zip(PAIRS, found, strict=True))
-    units = [world.decide_unit(*p, registered[p].registrations) for p in PAIRS]
-    return registered, dict(zip(PAIRS, world.all_of(decide, units, "graphs to solve"), strict=True))
+    found = world.all_of(register_drive, [world.register_unit(*p) for p in pairs], "drives to register")
+    registered = dict(zip(pairs, found, strict=True))
+    units = [world.decide_unit(*p, registered[p].registrations) for p in pairs]
+    return registered, dict(zip(pairs, world.all_of(decide, units, "graphs to solve"), strict=True))
 
 
 def tell_pairs(
     world: World, registered: dict[DrivePair, Registered], rows: dict[DrivePair, list[Judged]]
 ) -> dict[str, Any]:
     """Tables of all pairs, and whether what is promised of them holds."""
-    groups = [(rows[p][0].query, figures(rows[p])) for p in PAIRS]
-    everything = [row for p in PAIRS for row in rows[p]]
+    groups = [(judged[0].query, figures(judged)) for judged in rows.values()]
+    everything = [row for judged in rows.values() for row in judged]
     total = figures(everything)
     say(f"\n{table('Sunny against', [*groups, ('all', total)])}")
     say(f"\n{reasons(everything)}")
@@ -82,7 +83,7 @@ def tell_pairs(
         "p95": total["p95_m"] <= 0.05 and total["p95_deg"] <= 0.15,
         "none wrong": total["wrong"] == 0,
         "accepted of overlapping": total["accepted_of_overlapping"] >= 95,
-        "rejected of elsewhere": total["rejected_of_elsewhere"] == 100,
+        "rejected of elsewhere": not total["rejected_of_elsewhere"] < 100,
         "calibrated": 0.5 <= total["normalised"] <= 2,
         "pairs": total["pairs"] >= 500,
     }
@@ -98,6 +99,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the district and the drives")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--parts", default=",".join(PARTS), help="which tables to make")
+    numbers = ",".join(str(query) for _, query in PAIRS)
+    parser.add_argument("--queries", default=numbers, help="numbers of the query drives of the tables, for development")
     parser.add_argument("--long", action="store_true", help="1 km and 4 km of road instead")
     a = parser.parse_args()
     parts = a.parts.split(",")
@@ -108,9 +111,13 @@ def main() -> None:
     if a.long:
         result["long"] = long_road(work, a.split, a.seed, a.workers, spoken)
     else:
+        pairs = [p for p in PAIRS if str(p[1]) in a.queries.split(",")] if parts != ["starts"] else []
+        if not pairs and parts != ["starts"]:
+            parser.error(f"--queries: none of {numbers}")
         folders = record_legs(LEGS, work / "recording", a.split, a.seed, FRAMES, EXTENT_M, spoken, a.workers)
-        world = World(read_legs(LEGS, folders), work, a.workers, spoken)
-        registered, decided = all_pairs(world) if parts != ["starts"] else ({}, {})
+        used = {n for p in pairs for n in p} | ({n for p in START_PAIRS for n in p} if "starts" in parts else set())
+        world = World(read_legs([leg for leg in LEGS if leg.number in used], folders), work, a.workers, spoken)
+        registered, decided = all_pairs(world, pairs)
         rows = {p: judge(world, p, d.outcomes) for p, d in decided.items()}
         plain: list[Judged] = []
         if "pairs" in parts:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ground_truth_drives import EXTENT_M, PAIRS, T_RIG_CAM, Leg, Spoken, read_legs, record_legs
+from ground_truth_drives import EXTENT_M, T_RIG_CAM, Leg, Spoken, read_legs, record_legs
 from ground_truth_judging import WRONG_DEG, WRONG_M, Exact, Judged, figures, table
 from ground_truth_plain import AloneUnit, open3d_pairs, own_pairs
 from ground_truth_work import (
@@ -39,6 +39,8 @@ from relocbench.geometry import invert, make_transform, so3_exp
 Array = NDArray[np.float64]
 
 ABLATED: tuple[DrivePair, ...] = ((0, 3), (5, 6), (0, 8))
+START_PAIRS: tuple[DrivePair, DrivePair] = ((0, 3), (5, 6))
+"""a common street, and repeating facades"""
 ALONE = 8
 """pairs on their own of each drive of the ablation"""
 PLAIN = 4
@@ -64,7 +66,7 @@ class Start:
 
 def start_cases(period_m: float) -> list[Start]:
     """Without help, and with help that is right or wrong."""
-    common, repeating = (0, 3), (5, 6)
+    common, repeating = START_PAIRS
     turned = make_transform(so3_exp(np.array([0.0, 0.0, np.pi])), np.zeros(3))
     further, period = (make_transform(np.eye(3), [metres, 0.0, 0.0]) for metres in (15.0, period_m))
     return [
@@ -131,11 +133,10 @@ def ablation(
     plain: Sequence[Judged],
 ) -> dict[str, Any]:
     """One stage after the other, on the same pairs."""
-    loose = world.all_of(
-        register_drive, [world.register_unit(*p, verified=False) for p in ABLATED], "without verifying"
-    )
+    pairs = [p for p in ABLATED if p in decided]
+    loose = world.all_of(register_drive, [world.register_unit(*p, verified=False) for p in pairs], "without verifying")
     units = [AloneUnit(world.drives[r], world.drives[q], tuple(world.node_pairs(r, q, ALONE)), OPTIONS.alignment)
-             for r, q in ABLATED]  # fmt: skip
+             for r, q in pairs]  # fmt: skip
     alone = world.all_of(own_pairs, units, "drives with pairs on their own")
     stages: dict[str, list[Judged]] = {
         "pairs on their own, plain Open3D": list(plain),
@@ -145,7 +146,7 @@ def ablation(
         "+ pose graph": [],
         "+ local edges (the builder)": [],
     }
-    for p, unit, answers, unchecked in zip(ABLATED, units, alone, loose, strict=True):
+    for p, unit, answers, unchecked in zip(pairs, units, alone, loose, strict=True):
         drives = world.drives[p[0]], world.drives[p[1]]
         asked = [(o.ref_timestamp_ns, o.query_timestamp_ns) for o in decided[p].outcomes]
         stages["pairs on their own"] += judge(world, p, at_nodes(unit, [T for T, _, _ in answers]))
@@ -155,7 +156,7 @@ def ablation(
         stages["+ pose graph"] += judge(world, p, decided[p].without_local)
         stages["+ local edges (the builder)"] += judge(world, p, decided[p].outcomes)
     told = {name: figures(rows) for name, rows in stages.items() if rows}
-    titles = "; ".join(world.taken[q].leg.title for _, q in ABLATED)
+    titles = "; ".join(world.taken[q].leg.title for _, q in pairs)
     say(f"\n{table(f'stage ({titles})', told.items())}")
     return {name: rounded(f) for name, f in told.items()}
 
@@ -176,7 +177,7 @@ def speed(
     rows: dict[DrivePair, list[Judged]],
 ) -> tuple[dict[str, Any], list[Judged]]:  # fmt: skip
     """Processor seconds a pair: all stages of the builder over all its pairs, and the plain recipe."""
-    pair = ABLATED[0]
+    pair = next((p for p in ABLATED if p in decided), next(iter(decided)))
     nodes = world.node_pairs(*pair, PLAIN)
     units = [AloneUnit(world.drives[pair[0]], world.drives[pair[1]], (n,), OPTIONS.alignment) for n in nodes]
     answers = [answer for found in world.all_of(open3d_pairs, units, "pairs by the plain recipe") for answer in found]
@@ -187,7 +188,7 @@ def speed(
     say("\n| CPU seconds a pair | blocks of both drives | registration | graph and outcomes | all | pairs |")
     say("|---|---|---|---|---|---|")
     each = {}
-    for p in PAIRS:
+    for p in rows:
         parts = cost_parts(world.cut_spent[p[0]], world.cut_spent[p[1]], registered[p].spent, decided[p].spent)
         count = len(decided[p].outcomes)
         each[world.taken[p[1]].leg.title] = sum(parts) / count
