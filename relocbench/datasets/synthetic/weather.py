@@ -18,9 +18,11 @@ _DROPS_PER_MM_H = 0.16
 """visible streaks per cubic metre and mm/h"""
 _STREAK_M = 0.0032
 """width of a streak: a large drop's, and what the lens adds this near"""
+_RAIN_OPACITY, _SNOW_OPACITY = 0.15, 0.35
+"""of a streak: a drop stays over a pixel for a tenth of the exposure (Garg and Nayar, CVPR 2004), and brightens it"""
 _FLAKES_PER_MM_H = 2.2
 _MOST_DROPS = 60
-_DROP_SHARE = 0.15
+_DROP_SHARE = 0.06
 """of the lens, that drops cover in the worst case"""
 
 
@@ -65,12 +67,12 @@ def draw_falling(
         factor = rng.uniform(0.7, 1.3, len(drops)).astype(np.float32)
         length = factor * (_RAIN_SPEED * _RAIN_EXPOSURE_S * focal[1]) / drops[:, 2]
         radius = 0.5 * _STREAK_M * focal[0] / drops[:, 2]
-        _streaks(image, depth, drops, length, radius, fall, light * np.float32(1.25), 0.75)
+        _streaks(image, depth, drops, length, radius, fall, light * np.float32(1.25), _RAIN_OPACITY)
     if snow_mm_h > 0:
         flakes = _in_view(rng, _FLAKES_PER_MM_H * snow_mm_h, focal, (width, height))
         length = _SNOW_SPEED * _SNOW_EXPOSURE_S * focal[1] / flakes[:, 2]
         radius = rng.uniform(0.0025, 0.006, len(flakes)).astype(np.float32) * focal[0] / flakes[:, 2]
-        _streaks(image, depth, flakes, length, radius, fall, light * np.float32(1.3), 0.85)
+        _streaks(image, depth, flakes, length, radius, fall, light * np.float32(1.3), _SNOW_OPACITY)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
