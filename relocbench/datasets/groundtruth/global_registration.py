@@ -81,6 +81,8 @@ def describe(submap: Submap, options: GlobalOptions | None = None) -> Features:
     if np.count_nonzero(chosen) < 0.1 * np.count_nonzero(flat):
         chosen = flat
     points, normals = submap.points[chosen].astype(np.float64), submap.normals[chosen].astype(np.float64)
+    if not len(points):
+        return Features(points, normals, np.zeros((33, 0)))
     keep = thinned(points, o.voxel_m)
     cloud = _cloud(points[keep], normals[keep])
     search = o3d.geometry.KDTreeSearchParamHybrid(radius=5 * o.voxel_m, max_nn=100)

@@ -117,8 +117,12 @@ class _Tracker:
             nearest = min(range(len(steps)), key=lambda i: abs(steps[i] - start.query))
             self._along(steps[nearest:], start)
             self._along(steps[:nearest][::-1], start)
+        stretch = self.query.nodes.stretches()
         for i, node in enumerate(steps):
             way = float(self.query.nodes.travelled_m[node])
+            if i and stretch[node] != stretch[steps[i - 1]]:
+                # Beyond a gap nothing is known from before it.
+                searched = -np.inf
             if node in self.found and self.found[node].trusted:
                 continue
             if not self._is_lost(node):
