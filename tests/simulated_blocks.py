@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from simulated_graph import NO_EVIDENCE, Drive
 
-from relocbench.datasets.groundtruth.edges import adjoint
 from relocbench.datasets.groundtruth.evidence import Registration
 from relocbench.datasets.groundtruth.local_edges import LocalFit
-from relocbench.geometry import apply, invert, se3_exp
+from relocbench.geometry import adjoint, apply, invert, se3_exp
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from relocbench.geometry import (
+    adjoint,
     apply,
     compose,
     hat,
@@ -278,6 +279,12 @@ def test_trajectory_needs_a_pose_for_every_time() -> None:
     times, poses = ramp()
     with pytest.raises(ValueError, match="4 times"):
         interpolate_trajectory(times, poses[:3], [NOW_NS])
+
+
+@given(TRANSFORMS, st.integers(0, 2**32 - 1))
+def test_the_adjoint_carries_a_twist_to_the_other_side(transform: Array, seed: int) -> None:
+    xi = np.random.default_rng(seed).uniform(-1, 1, 6)
+    np.testing.assert_allclose(transform @ se3_exp(xi), se3_exp(adjoint(transform) @ xi) @ transform, atol=1e-9)
 
 
 @given(TRANSFORMS, st.integers(0, 2**32 - 1))

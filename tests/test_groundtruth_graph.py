@@ -22,7 +22,6 @@ from simulated_graph import (
 
 from relocbench.datasets.groundtruth.blocks import Nodes
 from relocbench.datasets.groundtruth.consensus import RunOptions
-from relocbench.datasets.groundtruth.edges import adjoint
 from relocbench.datasets.groundtruth.evidence import Registration
 from relocbench.datasets.groundtruth.graph import Solution, optimise
 from relocbench.datasets.groundtruth.local_edges import LocalOptions, refine_locally
@@ -32,7 +31,7 @@ from relocbench.datasets.groundtruth.recording import Trajectory
 from relocbench.datasets.groundtruth.selection import GraphOptions
 from relocbench.datasets.synthetic.odometry import OdometryErrors
 from relocbench.errors import ConfigError
-from relocbench.geometry import invert, make_transform, se3_exp, se3_log, so3_exp
+from relocbench.geometry import adjoint, invert, make_transform, se3_exp, se3_log, so3_exp
 
 Array = NDArray[np.float64]
 INDEPENDENT = GraphOptions(shared_points=False)

@@ -2,6 +2,7 @@
 
 from relocbench.geometry.camera import Camera, CameraModel, camera_from_dict
 from relocbench.geometry.se3 import (
+    adjoint,
     apply,
     compose,
     hat,
@@ -25,6 +26,7 @@ from relocbench.geometry.se3 import (
 __all__ = [
     "Camera",
     "CameraModel",
+    "adjoint",
     "apply",
     "camera_from_dict",
     "compose",

@@ -142,6 +142,19 @@ def se3_exp(xi: ArrayLike) -> Array:
     return make_transform(so3_exp(phi), (v @ rho[..., None])[..., 0])
 
 
+def adjoint(transform: ArrayLike) -> Array:
+    """(..., 6, 6) with ``T @ se3_exp(xi) = se3_exp(adjoint(T) @ xi) @ T`` for ``xi = (rho, phi)``. (..., 4, 4).
+
+    Barfoot, State Estimation for Robotics, section 7.1.4.
+    """
+    m = np.asarray(transform, dtype=np.float64)
+    rotation = m[..., :3, :3]
+    out = np.zeros((*m.shape[:-2], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = rotation
+    out[..., :3, 3:] = hat(m[..., :3, 3]) @ rotation
+    return out
+
+
 def se3_log(transform: ArrayLike) -> Array:
     """Twist (rho, phi) of a transform, |phi| <= pi. (..., 4, 4) -> (..., 6).
 

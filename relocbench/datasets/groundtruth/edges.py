@@ -13,7 +13,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.geometry import hat, invert, se3_log
+from relocbench.geometry import invert, se3_log
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -74,18 +74,6 @@ class Edges:
         """(E,) squared residuals in units of their standard deviations."""
         r = self.residuals(T_world_node)
         return np.einsum("ei,eij,ej->e", r, self.information, r)
-
-
-def adjoint(transform: Array) -> Array:
-    """(..., 6, 6) with ``T @ se3_exp(xi) = se3_exp(adjoint(T) @ xi) @ T`` for ``xi = (rho, phi)``.
-
-    Barfoot, State Estimation for Robotics, section 7.1.4.
-    """
-    R = transform[..., :3, :3]
-    out = np.zeros((*transform.shape[:-2], 6, 6))
-    out[..., :3, :3] = out[..., 3:, 3:] = R
-    out[..., :3, 3:] = hat(transform[..., :3, 3]) @ R
-    return out
 
 
 def components(count: int, first: Indices, second: Indices) -> Indices:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.edges import Edges, adjoint, components
-from relocbench.geometry import invert, project_to_rotation
+from relocbench.datasets.groundtruth.edges import Edges, components
+from relocbench.geometry import adjoint, invert, project_to_rotation
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

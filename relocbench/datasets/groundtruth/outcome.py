@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks import Nodes
-from relocbench.datasets.groundtruth.edges import adjoint
 from relocbench.datasets.groundtruth.evidence import Registration
 from relocbench.datasets.groundtruth.graph import Solution
 from relocbench.datasets.groundtruth.recording import Trajectory
 from relocbench.datasets.pairfile import Pair
 from relocbench.errors import ConfigError
-from relocbench.geometry import interpolate, invert
+from relocbench.geometry import adjoint, interpolate, invert
 
 Array = NDArray[np.float64]
 SOURCE = "lidar registration, pose graph"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.planes import PlaneMap, Planes, Sample
 from relocbench.errors import ConfigError
-from relocbench.geometry import hat, invert, project_to_rotation, se3_exp, se3_log
+from relocbench.geometry import adjoint, hat, invert, project_to_rotation, se3_exp, se3_log
 
 Array = NDArray[np.float64]
 Metric = Literal["plane", "generalised"]
@@ -206,14 +206,6 @@ def weighted_median(values: Array, weights: Array) -> float:
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     return float(values[order[min(np.searchsorted(total, total[-1] / 2), len(order) - 1)]])
-
-
-def adjoint(transform: Array) -> Array:
-    """(6, 6) of (4, 4): ``T se3_exp(xi) = se3_exp(Ad(T) xi) T`` with xi = (rho, phi)."""
-    out = np.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = transform[:3, :3]
-    out[:3, 3:] = hat(transform[:3, 3]) @ transform[:3, :3]
-    return out
 
 
 def refine(
