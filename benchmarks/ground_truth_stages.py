@@ -166,9 +166,9 @@ def at_nodes(unit: AloneUnit, poses: Sequence[Array]) -> list[PairOutcome]:
     out = []
     for (ref, query), T in zip(unit.nodes, poses, strict=True):
         T_query_ref = invert(T @ T_RIG_CAM) @ T_RIG_CAM if np.isfinite(T).all() else None
-        times = int(unit.reference.nodes.times_ns[ref]), int(unit.query.nodes.times_ns[query])
+        ref_ns, query_ns = int(unit.reference.nodes.times_ns[ref]), int(unit.query.nodes.times_ns[query])
         reason = "" if T_query_ref is not None else "nothing found"
-        out.append(PairOutcome(*times, T_query_ref, None, None, None, None, None, None, reason))
+        out.append(PairOutcome(ref_ns, query_ns, T_query_ref, None, None, None, None, None, reason))
     return out
 
 
