@@ -353,8 +353,7 @@ def test_a_drive_the_other_way_has_no_keyframe_that_looks_its_way(drives: Drives
     outcome = build(tmp_path / "dataset", drives.reference.folder, drives.backwards.folder)
     assert outcome.status == 2
     complaint = next(line for line in outcome.err.splitlines() if line.startswith("relocbench: "))
-    assert "could be accepted; most often: " in complaint
-    assert "no keyframe within 60 deg: 180 deg" in complaint or "not registered" in complaint
+    assert re.search(r"could be accepted; most often: no keyframe within 60 deg: 1[78]\d deg", complaint), complaint
 
 
 def test_drives_that_never_meet_are_told_so(drives: Drives, tmp_path: Path) -> None:
