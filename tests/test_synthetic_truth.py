@@ -155,7 +155,7 @@ def test_patches_stay_alike_within_a_condition_and_not_across(tmp_path: Path) ->
     itself = patch_correlations(sunny, 1, sunny, 1)
     assert len(itself) > 50
     np.testing.assert_allclose(itself, 1.0, atol=1e-3)
-    half = Apart(0.5, 0.3)
+    half = Apart(0.5, 0.3, 20.0)
     within = median_correlation(sunny, sunny, matches(sunny.posed, sunny.posed, half, 9, same_drive=True))
     across = median_correlation(sunny, snow, matches(sunny.posed, snow.posed, half, 9, same_drive=False))
     assert within > 0.9
