@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from relocbench.datasets.groundtruth.block_store import BlockStore
 from relocbench.datasets.groundtruth.edge_information import minimum, scatter_by_patch
 from relocbench.datasets.groundtruth.local_edges import LocalFit
-from relocbench.datasets.groundtruth.planes import PlaneMap, PlaneOptions, Planes, Sample, cell_keys
+from relocbench.datasets.groundtruth.planes import PlaneMap, PlaneOptions, Planes, Sample
 from relocbench.datasets.groundtruth.refinement import weighted_median
 from relocbench.datasets.groundtruth.submaps import Submap
+from relocbench.datasets.groundtruth.voxels import voxel_keys
 
 Array = NDArray[np.float64]
 
@@ -90,7 +91,7 @@ def meet(planes: Planes, points: Sample, T_ref_query: Array) -> Contacts:
     weights = np.minimum(planes.weights[match], points.weights[rows]) / np.square(1 + np.square(residuals / _SCALE_M))
     m = n @ rotation
     facing = np.argmax(np.abs(points.normals[rows]), axis=1) if len(rows) else rows
-    return Contacts(np.hstack([m, np.cross(q, m)]), residuals, weights, 4 * cell_keys(q, _PATCH_M) + facing)
+    return Contacts(np.hstack([m, np.cross(q, m)]), residuals, weights, 4 * voxel_keys(q, _PATCH_M) + facing)
 
 
 def as_submap(store: BlockStore, node: int) -> Submap:

@@ -15,15 +15,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks import Surface
-from relocbench.datasets.groundtruth.planes import cell_keys, find_cell, tabulate, thinned
+from relocbench.datasets.groundtruth.planes import thinned
 from relocbench.datasets.groundtruth.submaps import Submap
+from relocbench.datasets.groundtruth.voxels import Grid, cell_of, cubes_of, make_grid, pack
 from relocbench.geometry import apply
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
-
-_BITS = 21
-_MIDDLE = 1 << (_BITS - 1)
 
 
 @dataclass(frozen=True)
@@ -68,11 +66,10 @@ class Pieces:
     """(V, 3) where the sensor was, on average"""
     weights: Array
     """(V,)"""
-    cell_m: float
     held: float
     """share of the points that lie in pieces"""
-    keys: Counts
-    slots: NDArray[np.int32]
+    grid: Grid
+    """of the points"""
     rows: NDArray[np.int32]
     """(C,) piece of each occupied cell, -1 if what is in it is no surface"""
 
@@ -152,15 +149,16 @@ class FreeSpace:
         origins, ends = (apply(T_this_other, p) for p in beams)
         pieces, o = self.pieces, self.options
         through, reached = _follow(
-            origins, ends, pieces.middle, pieces.normals, pieces.keys, pieces.slots, pieces.rows, pieces.cell_m,
-            o.start_margin_m, o.end_margin_m, o.grazing, o.within * pieces.cell_m, o.longest_m,
+            origins, ends, pieces.middle, pieces.normals, pieces.grid, pieces.rows,
+            o.start_margin_m, o.end_margin_m, o.grazing, o.within * pieces.grid.size_m, o.longest_m,
         )  # fmt: skip
         return Judged(through, reached, pieces.weights)
 
 
 def make_pieces(points: Array, normals: Array, origins: Array, cell_m: float, options: FreeSpaceOptions) -> Pieces:
     """Pieces of points (N, 3) with unit normals (N, 3), measured from origins (N, 3)."""
-    keys, slots, cells, count = tabulate(cell_keys(points, cell_m))
+    grid = make_grid(points, cell_m)
+    cells, count = cubes_of(grid), len(grid.starts) - 1
     size = np.bincount(cells, minlength=count).astype(np.float64)
 
     def mean(values: Array) -> Array:
@@ -173,15 +171,16 @@ def make_pieces(points: Array, normals: Array, origins: Array, cell_m: float, op
     middle, facing = middle[surface], facing[surface] / length[surface, None]
     weights = np.where(middle[:, 2] < options.low_m, options.low_weight, 1.0)
     held = float(size[surface].sum()) / max(len(points), 1)
-    return Pieces(middle, facing, measured_from[surface], weights, cell_m, held, keys, slots, rows)
+    return Pieces(middle, facing, measured_from[surface], weights, held, grid, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _follow(
-    origins: Array, ends: Array, middle: Array, normals: Array, keys: Counts, slots: NDArray[np.int32],
-    rows: NDArray[np.int32], cell: float, start_margin: float, end_margin: float, grazing: float, within: float,
+    origins: Array, ends: Array, middle: Array, normals: Array, grid: Grid,
+    rows: NDArray[np.int32], start_margin: float, end_margin: float, grazing: float, within: float,
     longest: float,
 ) -> tuple[Counts, Counts]:  # fmt: skip  # pragma: no cover - compiled
+    cell = grid.size_m
     through = np.zeros(len(middle), dtype=np.int64)
     reached = np.zeros(len(middle), dtype=np.int64)
     at, step = np.empty(3, np.int64), np.empty(3, np.int64)
@@ -208,8 +207,7 @@ def _follow(
                 step[k], stride[k], following[k] = 0, np.inf, np.inf
         travelled = 0.0
         while travelled <= last:
-            key = ((at[0] + _MIDDLE) << 2 * _BITS) | ((at[1] + _MIDDLE) << _BITS) | (at[2] + _MIDDLE)
-            slot = find_cell(key, keys, slots)
+            slot = cell_of(pack(at[0], at[1], at[2]), grid.keys, grid.cells)
             if slot >= 0 and rows[slot] >= 0:
                 v = rows[slot]
                 towards = normals[v, 0] * d[0] + normals[v, 1] * d[1] + normals[v, 2] * d[2]

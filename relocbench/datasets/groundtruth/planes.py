@@ -11,15 +11,12 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks import Surface
 from relocbench.datasets.groundtruth.submaps import Submap
+from relocbench.datasets.groundtruth.voxels import Grid, cell_of, make_grid, pack, voxel_keys
 from relocbench.errors import ConfigError
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_BITS = 21
-"""of each coordinate of a cell in its key"""
-_MIDDLE = 1 << (_BITS - 1)
-_EMPTY = -1
 _BINS = 6
 """directions are told apart on an octahedral map of so many by so many"""
 
@@ -64,13 +61,8 @@ class Planes:
     """(N,) by surface and steadiness"""
     away_m: Array
     """(N,) how far from the node the sensor was: odometry drifts with it"""
-    cell_m: float
-    starts: Indices
-    """(C + 1,) first point of each occupied cell"""
-    keys: Indices
-    """(S,) open-addressing table of cells, -1 where empty"""
-    slots: NDArray[np.int32]
-    """(S,) which cell each entry is"""
+    grid: Grid
+    """of these points, which are in its order"""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -84,12 +76,9 @@ class Planes:
             reach_m: at most the grid's cell.
             cosine: of the largest angle between the normals.
         """
-        if reach_m > self.cell_m * (1 + 1e-9):
-            raise ValueError(f"a grid of {self.cell_m} m cells cannot be searched to {reach_m} m")
-        return np.asarray(
-            _nearest(points, normals, self.points, self.normals, self.starts, self.keys, self.slots, self.cell_m,
-                     reach_m, cosine)
-        )  # fmt: skip
+        if reach_m > self.grid.size_m * (1 + 1e-9):
+            raise ValueError(f"a grid of {self.grid.size_m} m cells cannot be searched to {reach_m} m")
+        return np.asarray(_nearest(points, normals, self.points, self.normals, self.grid, reach_m, cosine))
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,23 +155,16 @@ class PlaneMap:
 
 def grid_planes(points: Array, normals: Array, weights: Array, away_m: Array, cell_m: float) -> Planes:
     """Planes of (N, 3) points with unit normals (N, 3), weights (N,) and distances from the node (N,)."""
-    keys, slots, cells, count = tabulate(cell_keys(points, cell_m))
-    order, starts = _by_cell(cells, count)
-    return Planes(points[order], normals[order], weights[order], away_m[order], cell_m, starts, keys, slots)
-
-
-def cell_keys(points: Array, cell_m: float) -> Indices:
-    """(N,) one number for each cell of the grid that points (N, 3) lie in."""
-    cells = np.floor(points / cell_m).astype(np.int64) + _MIDDLE
-    return np.asarray((cells[:, 0] << 2 * _BITS) | (cells[:, 1] << _BITS) | cells[:, 2])
+    grid = make_grid(points, cell_m)
+    order = grid.order
+    return Planes(points[order], normals[order], weights[order], away_m[order], grid)
 
 
 def thinned(points: Array, voxel_m: float) -> Indices:
     """(M,) rows of points (N, 3): the first in each voxel, in order; all for a voxel of 0."""
     if voxel_m <= 0:
         return np.arange(len(points))
-    _, _, cells, count = tabulate(cell_keys(points, voxel_m))
-    return np.asarray(_first_rows(cells, count))
+    return np.sort(np.unique(voxel_keys(points, voxel_m), return_index=True)[1])
 
 
 def direction_bins(normals: Array) -> Indices:
@@ -217,88 +199,11 @@ def balanced(bins: Indices, count: int, often: Array) -> Indices:
     return np.sort(order[rank < int(share)])
 
 
-def tabulate(cells: Indices) -> tuple[Indices, NDArray[np.int32], Indices, int]:
-    """A table of cells for :func:`find_cell`.
-
-    Returns:
-        keys and slots of the table, each point's cell (N,), numbered as they first appear, and how many there are.
-    """
-    size = 1 << max(4, (2 * max(len(cells), 1) - 1).bit_length())
-    keys, slots, rows, count = _tabulate(cells, size)
-    return keys, slots, rows, int(count)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _slot(key: int, mask: int) -> int:  # pragma: no cover - compiled
-    mixed = key ^ (key >> 29)
-    mixed = mixed * 0x1E3779B97F4A7C15
-    return (mixed ^ (mixed >> 31)) & mask
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _tabulate(
-    cells: Indices, size: int
-) -> tuple[Indices, NDArray[np.int32], Indices, int]:  # pragma: no cover - compiled
-    keys = np.full(size, _EMPTY, dtype=np.int64)
-    slots = np.zeros(size, dtype=np.int32)
-    rows = np.empty(len(cells), dtype=np.int64)
-    count = 0
-    for i in range(len(cells)):
-        at = _slot(cells[i], size - 1)
-        while keys[at] != _EMPTY and keys[at] != cells[i]:
-            at = (at + 1) & (size - 1)
-        if keys[at] == _EMPTY:
-            keys[at] = cells[i]
-            slots[at] = count
-            count += 1
-        rows[i] = slots[at]
-    return keys, slots, rows, count
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _by_cell(cells: Indices, count: int) -> tuple[Indices, Indices]:  # pragma: no cover - compiled
-    """Rows sorted by cell, in order within each, and where each cell begins."""
-    starts = np.zeros(count + 1, dtype=np.int64)
-    for cell in cells:
-        starts[cell + 1] += 1
-    for k in range(count):
-        starts[k + 1] += starts[k]
-    at = starts.copy()
-    order = np.empty(len(cells), dtype=np.int64)
-    for i in range(len(cells)):
-        order[at[cells[i]]] = i
-        at[cells[i]] += 1
-    return order, starts
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _first_rows(cells: Indices, count: int) -> Indices:  # pragma: no cover - compiled
-    first = np.empty(count, dtype=np.int64)
-    seen = 0
-    for i in range(len(cells)):
-        if cells[i] == seen:  # cells are numbered as they appear
-            first[seen] = i
-            seen += 1
-    return first
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def find_cell(key: int, keys: Indices, slots: NDArray[np.int32]) -> int:  # pragma: no cover - compiled
-    """Which cell a key is, -1 if it is empty."""
-    mask = len(keys) - 1
-    at = _slot(key, mask)
-    while keys[at] != _EMPTY:
-        if keys[at] == key:
-            return int(slots[at])
-        at = (at + 1) & mask
-    return -1
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def _nearest(
-    points: Array, normals: Array, planes: Array, facing: Array, starts: Indices, keys: Indices,
-    slots: NDArray[np.int32], cell: float, reach: float, cosine: float,
-) -> Indices:  # fmt: skip  # pragma: no cover - compiled
+    points: Array, normals: Array, planes: Array, facing: Array, grid: Grid, reach: float, cosine: float
+) -> Indices:  # pragma: no cover - compiled
+    cell, starts = grid.size_m, grid.starts
     found = np.full(len(points), -1, dtype=np.int64)
     low, high = np.empty(3), np.empty(3)
     for i in range(len(points)):
@@ -318,8 +223,7 @@ def _nearest(
             gz = low[2] if dz < 0 else (high[2] if dz > 0 else 0.0)
             if gx * gx + gy * gy + gz * gz > best:
                 continue
-            key = ((cx + dx + _MIDDLE) << 2 * _BITS) | ((cy + dy + _MIDDLE) << _BITS) | (cz + dz + _MIDDLE)
-            cell_row = find_cell(key, keys, slots)
+            cell_row = cell_of(pack(cx + dx, cy + dy, cz + dz), grid.keys, grid.cells)
             if cell_row < 0:
                 continue
             for j in range(starts[cell_row], starts[cell_row + 1]):

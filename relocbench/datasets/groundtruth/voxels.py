@@ -70,6 +70,13 @@ def make_grid(points: NDArray[np.floating], size_m: float) -> Grid:
     return Grid(size_m, order, np.append(first, len(keys)).astype(np.int64), table, cells)
 
 
+def cubes_of(grid: Grid) -> Indices:
+    """(N,) the cube of each point, as ``starts`` counts them."""
+    out = np.empty(len(grid.order), dtype=np.int64)
+    out[grid.order] = np.repeat(np.arange(len(grid.starts) - 1), np.diff(grid.starts))
+    return out
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fill(unique: Indices, size: int) -> tuple[Indices, NDArray[np.int32]]:
     keys = np.full(size, EMPTY, dtype=np.int64)
