@@ -44,7 +44,7 @@ def pair() -> tuple[Prepared, Prepared]:
 def test_nearest_planes_are_those_of_a_search_through_all():
     points, normals = RNG.uniform(-5, 5, size=(3000, 3)), RNG.normal(size=(3000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    planes = grid_planes(points, normals, np.ones(3000), np.zeros(3000), 0.8)
+    planes = grid_planes(points, normals, np.ones(3000), np.zeros((3000, 3)), 0.8)
     asked, facing = RNG.uniform(-6, 6, size=(500, 3)), normals[:500]
     found = planes.nearest(asked, facing, 0.7, 0.5)
     apart = np.linalg.norm(asked[:, None] - planes.points[None], axis=2)
@@ -55,7 +55,7 @@ def test_nearest_planes_are_those_of_a_search_through_all():
 
 
 def test_a_grid_is_not_searched_further_than_it_can():
-    planes = grid_planes(np.zeros((1, 3)), np.array([[0, 0, 1.0]]), np.ones(1), np.zeros(1), 0.5)
+    planes = grid_planes(np.zeros((1, 3)), np.array([[0, 0, 1.0]]), np.ones(1), np.zeros((1, 3)), 0.5)
     with pytest.raises(ValueError, match=r"0\.5 m cells"):
         planes.nearest(np.zeros((1, 3)), np.zeros((1, 3)), 0.6)
 
@@ -75,35 +75,40 @@ def test_sampling_gives_rare_directions_their_share():
     assert len(np.unique(rows)) == len(rows)
 
 
+@pytest.mark.parametrize("planes_stretch", [False, True])
 @pytest.mark.parametrize("metric", ["plane", "generalised"])
-def test_linearisation_is_the_derivative(metric):
+def test_linearisation_is_the_derivative(metric, planes_stretch):
     centres = RNG.uniform(-20, 20, size=(40, 3))
     normals = RNG.normal(size=(40, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    planes = grid_planes(centres, normals, np.ones(40), np.zeros(40), 1.0)
+    carried = RNG.uniform(-5, 5, size=(40, 3))
+    planes = grid_planes(centres, normals, np.ones(40), carried, 1.0)
     T = se3_exp([0.3, -0.2, 0.1, 0.1, 0.2, -0.3])
     points = apply(invert(T), centres + 0.02 * RNG.normal(size=(40, 3)))
     facing = normals @ T[:3, :3]
 
-    def at(xi):
-        return linearise(planes, points, facing, T @ se3_exp(xi), 0.9, scale_m=1e6, metric=metric)
+    def at(x):
+        stretched, moved = (planes.stretched(x[6]), points) if planes_stretch else (planes, points + x[6] * carried)
+        given = {"carried": carried, "planes_stretch": planes_stretch}
+        return linearise(stretched, moved, facing, T @ se3_exp(x[:6]), 0.9, scale_m=1e6, metric=metric, **given)
 
-    here, small = at(np.zeros(6)), 1e-5
+    here, small = at(np.zeros(7)), 1e-5
     assert here.count == 40
     if metric == "plane":
         costs = [
-            [0.5 * float(np.sum(at(sign * small * np.eye(6)[k]).residuals ** 2)) for sign in (1, -1)] for k in range(6)
+            [0.5 * float(np.sum(at(sign * small * np.eye(7)[k]).residuals ** 2)) for sign in (1, -1)] for k in range(7)
         ]
         np.testing.assert_allclose(here.g, [(a - b) / (2 * small) for a, b in costs], rtol=1e-4, atol=1e-7)
-    slope = np.column_stack([(at(small * e).g - at(-small * e).g) / (2 * small) for e in np.eye(6)])
+    slope = np.column_stack([(at(small * e).g - at(-small * e).g) / (2 * small) for e in np.eye(7)])
     np.testing.assert_allclose(slope, here.H, rtol=0.05, atol=0.02 * np.abs(here.H).max())
 
 
 def test_both_ways_pull_in_the_same_direction(pair):
     options = RefinementOptions()
     wrong = np.array([0.05, -0.04, 0.03, 0.002, -0.003, 0.004])
-    problem = linearise_both(pair[0].planes, pair[1].planes, TRUTH @ se3_exp(wrong), 1, 0.5, 0.5, options)
-    step = -np.linalg.solve(problem.H, problem.g)
+    sides = [(side.planes.level(1), side.planes.sample(1)) for side in pair]
+    problem = linearise_both(*sides, TRUTH @ se3_exp(wrong), 0.5, 0.5, options)
+    step = -np.linalg.solve(problem.H[:6, :6], problem.g[:6])
     np.testing.assert_allclose(step, -wrong, atol=0.03)
     np.testing.assert_allclose(step[3:], -wrong[3:], atol=0.002)
 
@@ -116,6 +121,47 @@ def test_refinement_finds_the_pose_from_a_metre_away(pair, metric):
     assert found.converged
     assert metres < 0.006
     assert degrees < 0.03
+
+
+def longer(submap: Submap, share: float) -> Submap:
+    """As odometry would lay it that tells every way longer by a share."""
+    return replace(
+        submap,
+        points=submap.points + np.float32(share) * submap.origins,
+        origins=submap.origins * np.float32(1 + share),
+    )
+
+
+@pytest.mark.parametrize("metric", ["plane", "generalised"])
+@pytest.mark.parametrize("share", [0.03, -0.02])
+def test_refinement_finds_by_how_much_one_odometry_is_longer(pair, share, metric):
+    # Here places on the road see what stands beside them: origins lie along x only, as those of a car do.
+    query = Prepared(longer(pair[1].submap, share))
+    start = TRUTH @ se3_exp([0.3, -0.2, 0.05, 0.005, -0.005, 0.01])
+    found = refine(pair[0].planes, query.planes, start, RefinementOptions(metric=metric))
+    assert found.stretch == pytest.approx(1 / (1 + share) - 1, abs=5e-4)
+    metres, degrees = error(found.T_ref_query)
+    assert metres < 0.01
+    assert degrees < 0.05
+    rigid = refine(pair[0].planes, query.planes, start, RefinementOptions(metric=metric, stretch_sigma=0.0))
+    assert rigid.stretch == 0
+    assert error(rigid.T_ref_query)[0] > 2 * metres
+
+
+def test_what_stands_far_ahead_alone_is_worth_less_with_the_stretch_unknown(pair):
+    def far_ahead(submap: Submap) -> Submap:
+        keep = submap.origins[:, 0] > 15
+        names = ("points", "normals", "origins", "surface", "steady", "block")
+        return replace(submap, **{name: getattr(submap, name)[keep] for name in names})
+
+    ref, query = (Prepared(far_ahead(side.submap)) for side in pair)
+    known, unknown = (
+        refine(ref.planes, query.planes, TRUTH, RefinementOptions(drift_per_m=0.0, stretch_sigma=sigma)).information
+        for sigma in (1e-6, 0.02)
+    )
+    sigma_known, sigma_unknown = (float(np.sqrt(np.linalg.inv(information)[0, 0])) for information in (known, unknown))
+    # 15 m of street tell the stretch only roughly, and its error counts as often as the street is metres away.
+    assert sigma_unknown > 5 * sigma_known
 
 
 def test_refinement_gives_the_same_bytes(pair):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -59,13 +59,25 @@ class Planes:
     """(N, 3) unit, towards the sensor"""
     weights: Array
     """(N,) by surface and steadiness"""
-    away_m: Array
-    """(N,) how far from the node the sensor was: odometry drifts with it"""
+    carried: Array
+    """(N, 3) from the node to where the sensor was, as odometry tells: it drifts on that way"""
     grid: Grid
     """of these points, which are in its order"""
 
     def __len__(self) -> int:
         return len(self.points)
+
+    @property
+    def away_m(self) -> Array:
+        """(N,)"""
+        return np.asarray(np.linalg.norm(self.carried, axis=1))
+
+    def stretched(self, stretch: float) -> Planes:
+        """The planes where they would lie had odometry told every way longer by this share."""
+        if not stretch:
+            return self
+        points = self.points + stretch * self.carried
+        return grid_planes(points, self.normals, self.weights, self.carried, self.grid.size_m)
 
     def nearest(self, points: Array, normals: Array, reach_m: float, cosine: float = 0.7) -> Indices:
         """(M,) the nearest plane to each point that faces the same way, -1 where there is none.
@@ -91,11 +103,20 @@ class Sample:
     """(M, 3)"""
     weights: Array
     """(M,)"""
-    away_m: Array
-    """(M,)"""
+    carried: Array
+    """(M, 3)"""
 
     def __len__(self) -> int:
         return len(self.points)
+
+    @property
+    def away_m(self) -> Array:
+        """(M,)"""
+        return np.asarray(np.linalg.norm(self.carried, axis=1))
+
+    def stretched(self, stretch: float) -> Sample:
+        """See :meth:`Planes.stretched`."""
+        return replace(self, points=self.points + stretch * self.carried) if stretch else self
 
 
 class PlaneMap:
@@ -116,7 +137,7 @@ class PlaneMap:
         self.points = submap.points[used].astype(np.float64)
         self.normals = submap.normals[used].astype(np.float64)
         self._weights = weights[used].astype(np.float64)
-        self._away = np.linalg.norm(submap.origins[used].astype(np.float64), axis=1)
+        self._carried = submap.origins[used].astype(np.float64)
         self._levels: dict[int, Planes] = {}
         self._samples: dict[int, Sample] = {}
 
@@ -135,7 +156,7 @@ class PlaneMap:
                 self.points[keep],
                 self.normals[keep],
                 self._weights[keep],
-                self._away[keep],
+                self._carried[keep],
                 self.options.reach_m[k],
             )
         return self._levels[k]
@@ -147,17 +168,17 @@ class PlaneMap:
         other way (Rusinkiewicz and Levoy, Efficient variants of the ICP algorithm, 3DIM 2001).
         """
         if k not in self._samples:
-            often = 1 / (1 + np.square(self._away / self.options.near_m[k]))
+            often = 1 / (1 + np.square(np.linalg.norm(self._carried, axis=1) / self.options.near_m[k]))
             keep = balanced(self._bins, self.options.samples[k], often)
-            self._samples[k] = Sample(self.points[keep], self.normals[keep], self._weights[keep], self._away[keep])
+            self._samples[k] = Sample(self.points[keep], self.normals[keep], self._weights[keep], self._carried[keep])
         return self._samples[k]
 
 
-def grid_planes(points: Array, normals: Array, weights: Array, away_m: Array, cell_m: float) -> Planes:
-    """Planes of (N, 3) points with unit normals (N, 3), weights (N,) and distances from the node (N,)."""
+def grid_planes(points: Array, normals: Array, weights: Array, carried: Array, cell_m: float) -> Planes:
+    """Planes of (N, 3) points with unit normals (N, 3), weights (N,) and ways from the node (N, 3)."""
     grid = make_grid(points, cell_m)
     order = grid.order
-    return Planes(points[order], normals[order], weights[order], away_m[order], grid)
+    return Planes(points[order], normals[order], weights[order], carried[order], grid)
 
 
 def thinned(points: Array, voxel_m: float) -> Indices:
