@@ -1,0 +1,177 @@
+"""Ways to register two real scans, for ``real_clouds.py``: this package's, and others that share nothing with it."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from real_clouds_scans import Pair, Scans
+
+from relocbench.datasets.groundtruth.edges import Edges, Kind
+from relocbench.datasets.groundtruth.global_registration import Features, GlobalOptions, Prior, describe, guesses
+from relocbench.datasets.groundtruth.hypotheses import plausibility
+from relocbench.datasets.groundtruth.least_squares import solve
+from relocbench.datasets.groundtruth.prepared import Prepared
+from relocbench.datasets.groundtruth.refinement import RefinementOptions, assess, refine
+from relocbench.datasets.groundtruth.verification import gather_evidence
+from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp
+
+Array = NDArray[np.float64]
+Answers = dict[Pair, Array]
+"""``T_ref_query`` of each pair"""
+Method = Callable[[Scans, Pair, Array], Array]
+"""from a prediction of a pair's ``T_ref_query`` to its pose"""
+
+OWN = "own"
+_RUNS = tuple(range(10))
+SEARCHES = (GlobalOptions(), GlobalOptions(voxel_m=1.0, seeds=_RUNS), GlobalOptions(voxel_m=1.4, seeds=_RUNS))
+"""the builder's, and others by coarser features: single scans far apart are too thin for the fine ones"""
+PRIOR_SIGMA_M = 12.0
+"""of the identity as a prediction: scans lie up to 28 m apart"""
+_SIGMA_M, _SIGMA_RAD = 0.01, 5e-4
+"""of each registration, when poses are adjusted to all of them"""
+_NEIGHBOURS = 15
+
+
+def apart(T: Array, other: Array) -> tuple[float, float]:
+    """Metres and degrees between two poses."""
+    E = invert(other) @ T
+    return float(np.linalg.norm(E[:3, 3])), float(np.degrees(rotation_angle(E[:3, :3])))
+
+
+def _refined(scans: Scans, pair: Pair, start: Array) -> Array:
+    return refine(scans.sides[pair[0]].planes, scans.sides[pair[1]].planes, start).T_ref_query
+
+
+def _cloud(points: Array) -> Any:
+    import open3d as o3d
+
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_NEIGHBOURS))
+    return cloud
+
+
+def _point_to_plane(scans: Scans, pair: Pair, start: Array) -> Array:
+    """Open3D, all points, one way, with a robust kernel of 5 cm."""
+    import open3d as o3d
+
+    registration = o3d.pipelines.registration
+    target, source = (_cloud(scans.points[k]) for k in pair)
+    estimation = registration.TransformationEstimationPointToPlane(registration.GMLoss(0.05))
+    T = start
+    for reach in (1.0, 0.5, 0.3):
+        criteria = registration.ICPConvergenceCriteria(1e-9, 1e-9, 100)
+        T = registration.registration_icp(source, target, reach, T, estimation, criteria).transformation
+    return np.array(T, dtype=np.float64)
+
+
+def _generalised(scans: Scans, pair: Pair, start: Array) -> Array:
+    """Open3D's generalised ICP, all points, no kernel."""
+    import open3d as o3d
+
+    registration = o3d.pipelines.registration
+    target, source = (_cloud(scans.points[k]) for k in pair)
+    estimation = registration.TransformationEstimationForGeneralizedICP()
+    T = start
+    for reach in (1.0, 0.5):
+        criteria = registration.ICPConvergenceCriteria(1e-9, 1e-9, 100)
+        T = registration.registration_generalized_icp(source, target, reach, T, estimation, criteria).transformation
+    return np.array(T, dtype=np.float64)
+
+
+def _small_gicp(scans: Scans, pair: Pair, start: Array) -> Array:
+    """small_gicp's generalised ICP, all points."""
+    small_gicp = importlib.import_module("small_gicp")
+    target, source = (small_gicp.PointCloud(scans.points[k]) for k in pair)
+    trees = [small_gicp.KdTree(cloud, num_threads=1) for cloud in (target, source)]
+    for cloud, tree in zip((target, source), trees, strict=True):
+        small_gicp.estimate_covariances(cloud, tree, 20, 1)
+    result = small_gicp.align(
+        target, source, trees[0], init_T_target_source=start, registration_type="GICP",
+        max_correspondence_distance=0.5, num_threads=1, max_iterations=100,
+    )  # fmt: skip
+    return np.array(result.T_target_source, dtype=np.float64)
+
+
+def methods() -> dict[str, Method]:
+    """By name, ours first; small_gicp where it is installed."""
+    found: dict[str, Method] = {OWN: _refined, "point-to-plane": _point_to_plane, "GICP": _generalised}
+    return {**found, "small_gicp": _small_gicp} if importlib.util.find_spec("small_gicp") else found
+
+
+def spread_m(scans: Scans, pair: Pair, T_ref_query: Array) -> float:
+    """Robust standard deviation of distances between both scans' surfaces at a pose."""
+    ref, query = (scans.sides[k].planes for k in pair)
+    return assess(ref, query, T_ref_query, RefinementOptions(), 0).sigma_m
+
+
+def adjusted(scans: Scans, answers: Answers) -> Array:
+    """(5, 4, 4) ``T_world_scan`` to which all registrations together fit best, all counting the same."""
+    pairs = list(answers)
+    information = np.diag(1 / np.square(np.repeat([_SIGMA_M, _SIGMA_RAD], 3)))
+    edges = Edges(
+        first=np.array([p[0] for p in pairs]),
+        second=np.array([p[1] for p in pairs]),
+        T_first_second=np.array([answers[p] for p in pairs]),
+        information=np.broadcast_to(information, (len(pairs), 6, 6)),
+        kind=np.full(len(pairs), Kind.REGISTRATION),
+    )
+    return solve(scans.T_graph_scan, edges)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A guess, refined and judged."""
+
+    guess: Array
+    T_ref_query: Array
+    plausibility: float
+
+
+def judged(scans: Scans, pair: Pair, guess: Array) -> Candidate:
+    """Refined from a guess; how well it holds is told by what both see and by free space, not by fit alone."""
+    ref, query = (scans.sides[k] for k in pair)
+    options = RefinementOptions()
+    found = refine(ref.planes, query.planes, guess, options)
+    if found.count < options.least_matches:
+        return Candidate(guess, found.T_ref_query, -1.0)
+    evidence = gather_evidence(ref, query, found.T_ref_query, found.information)
+    return Candidate(guess, found.T_ref_query, plausibility(evidence))
+
+
+def best(candidates: Sequence[Candidate]) -> Array | None:
+    """The most plausible one."""
+    return max(candidates, key=lambda c: c.plausibility).T_ref_query if candidates else None
+
+
+class Search:
+    """Guesses for any pair by features alone."""
+
+    def __init__(self, sides: Sequence[Prepared], options: Sequence[GlobalOptions] = SEARCHES) -> None:
+        self._options = options
+        self._features: list[list[Features]] = [[describe(side.submap, o) for side in sides] for o in options]
+
+    def guesses(self, pair: Pair) -> list[list[Array]]:
+        """Of each search."""
+        found = zip(self._features, self._options, strict=True)
+        return [guesses(features[pair[0]], features[pair[1]], None, o) for features, o in found]
+
+
+def turned_identities(count: int, seed: int, most_deg: float = 30.0) -> list[Array]:
+    """The identity turned about random axes by up to ``most_deg``, one of them by all of it."""
+    rng = np.random.default_rng(seed)
+    axes = rng.normal(size=(count, 3))
+    angles = np.radians(most_deg) * np.append(1.0, rng.uniform(size=count - 1))
+    axes *= (angles / np.linalg.norm(axes, axis=1))[:, None]
+    return [make_transform(so3_exp(axis), [0.0, 0.0, 0.0]) for axis in axes]
+
+
+def allowed(start: Array, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Those that came from guesses which a turned identity as a prediction allows."""
+    prior = Prior(start, PRIOR_SIGMA_M)
+    return [c for c in candidates if prior.allows(c.guess)]
