@@ -36,7 +36,7 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 
 def write_image(path: Path, image: NDArray[np.uint8]) -> None:
     """An 8-bit PNG of (H, W) grey or (H, W, 3) RGB."""
-    write_bytes(path, _encode(image[..., ::-1] if image.ndim == 3 else image))
+    write_bytes(path, _encode(cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image))
 
 
 def read_depth(path: Path) -> NDArray[np.float32]:
@@ -54,8 +54,8 @@ def read_raw_depth(path: Path, metres_per_unit: float) -> NDArray[np.float32]:
 
 def write_depth(path: Path, depth: NDArray[np.floating]) -> None:
     """A 16-bit PNG; depths that are not positive, not finite or beyond 256 m become 0 (unknown)."""
-    stored = np.rint(np.nan_to_num(np.asarray(depth, dtype=np.float64) * DEPTH_SCALE, nan=0, posinf=0, neginf=0))
-    stored[(stored < 1) | (stored > 65535)] = 0
+    stored = np.rint(np.asarray(depth, dtype=np.result_type(depth, np.float32)) * DEPTH_SCALE)
+    stored[~((stored >= 1) & (stored <= 65535))] = 0
     write_bytes(path, _encode(stored.astype(np.uint16)))
 
 

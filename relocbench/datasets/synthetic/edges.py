@@ -17,6 +17,10 @@ OFFSETS = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 
 _CONTRAST = 0.04
 """between the pixels of an edge, of their sum; a fainter edge needs no smoothing"""
 
+_AROUND = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
+"""rows and columns to a pixel and its neighbours, the nearest first"""
+_KEPT = 256
+
 
 def surface_names(geometry: Geometry) -> NDArray[np.uint32]:
     """(T,) one number for each object, material and variant."""
@@ -36,10 +40,12 @@ def edge_pixels(
     n = len(triangle)
     depth, normal, position = hits.depth, hits.normal, hits.position
     marked = np.zeros(n, dtype=np.bool_)
+    column = -1
     for i in range(n):
+        column = column + 1 if column < width - 1 else 0
         for k in range(2):
             j = i + (1 if k == 0 else width)
-            if j >= n or (k == 0 and j % width == 0):
+            if j >= n or (k == 0 and column == width - 1):
                 continue
             a, b = triangle[i], triangle[j]
             if a == b:
@@ -76,6 +82,9 @@ def neighbours_seen(
     out = np.full(4 * len(edges), -1, dtype=np.int64)
     tried = np.empty(9, dtype=np.uint32)
     nearest = np.empty(4)
+    # Neighbouring edge pixels try the same triangles: the last ones are kept, each in the place its number says.
+    kept = np.full(_KEPT, NOTHING, dtype=np.uint32)
+    planes = np.empty((_KEPT, 10))
     o = (view.origin[0], view.origin[1], view.origin[2])
     for e in range(len(edges)):
         i = edges[e]
@@ -86,9 +95,9 @@ def neighbours_seen(
         d3, _, _ = ray(view, column + OFFSETS[3, 0], i // width + OFFSETS[3, 1])
         nearest[:] = np.inf
         count = 0
-        for step in (0, 1, -1, width, -width, width + 1, width - 1, -width + 1, -width - 1):
-            j = i + step
-            if j < 0 or j >= n or abs(j % width - column) > 1:
+        for step, aside in _AROUND:
+            j = i + step * width + aside
+            if j < 0 or j >= n or not 0 <= column + aside < width:
                 continue
             t = triangle[j]
             new = t != NOTHING
@@ -98,11 +107,20 @@ def neighbours_seen(
                 continue
             tried[count] = t
             count += 1
-            A = minus(corner(geometry.vertices, geometry.triangles[t, 0]), o)
-            B = minus(corner(geometry.vertices, geometry.triangles[t, 1]), o)
-            C = minus(corner(geometry.vertices, geometry.triangles[t, 2]), o)
-            AB, BC, CA = cross(A, B), cross(B, C), cross(C, A)
-            volume = dot(A, BC)
+            slot = t % _KEPT
+            if kept[slot] != t:
+                kept[slot] = t
+                A = minus(corner(geometry.vertices, geometry.triangles[t, 0]), o)
+                B = minus(corner(geometry.vertices, geometry.triangles[t, 1]), o)
+                C = minus(corner(geometry.vertices, geometry.triangles[t, 2]), o)
+                AB, BC, CA = cross(A, B), cross(B, C), cross(C, A)
+                for k in range(3):
+                    planes[slot, k], planes[slot, 3 + k], planes[slot, 6 + k] = AB[k], BC[k], CA[k]
+                planes[slot, 9] = dot(A, BC)
+            AB = (planes[slot, 0], planes[slot, 1], planes[slot, 2])
+            BC = (planes[slot, 3], planes[slot, 4], planes[slot, 5])
+            CA = (planes[slot, 6], planes[slot, 7], planes[slot, 8])
+            volume = planes[slot, 9]
             for k in range(4):
                 d = d0 if k == 0 else (d1 if k == 1 else (d2 if k == 2 else d3))
                 x, y, z = dot(d, AB), dot(d, BC), dot(d, CA)
@@ -133,9 +151,9 @@ def known_colours(
     for s in range(len(found)):
         i = pixels[s]
         t = found[s]
-        for step in (0, 1, -1, width, -width, width + 1, width - 1, -width + 1, -width - 1):
-            j = i + step
-            if j < 0 or j >= n or abs(j % width - i % width) > 1:
+        for step, aside in _AROUND:
+            j = i + step * width + aside
+            if j < 0 or j >= n or not 0 <= i % width + aside < width:
                 continue
             other = triangle[j]
             if other == t:

@@ -52,11 +52,11 @@ def direct_samples(u: Floats, v: Floats) -> Samples:
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def ray(view: View, u: float, v: float) -> tuple[Vector, Vector, Vector]:
     """Direction of a point of the image, and its derivatives by u and by v."""
-    r = view.rotation
-    x, y = (u - view.cx) / view.fx, (v - view.cy) / view.fy
+    r, ix, iy = view.rotation, 1.0 / view.fx, 1.0 / view.fy
+    x, y = (u - view.cx) * ix, (v - view.cy) * iy
     d = (r[0, 0] * x + r[0, 1] * y + r[0, 2], r[1, 0] * x + r[1, 1] * y + r[1, 2], r[2, 0] * x + r[2, 1] * y + r[2, 2])
-    dx = (r[0, 0] / view.fx, r[1, 0] / view.fx, r[2, 0] / view.fx)
-    dy = (r[0, 1] / view.fy, r[1, 1] / view.fy, r[2, 1] / view.fy)
+    dx = (r[0, 0] * ix, r[1, 0] * ix, r[2, 0] * ix)
+    dy = (r[0, 1] * iy, r[1, 1] * iy, r[2, 1] * iy)
     return d, dx, dy
 
 

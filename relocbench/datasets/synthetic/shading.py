@@ -12,7 +12,7 @@ from relocbench.datasets.synthetic.samples import Samples, View, start
 from relocbench.datasets.synthetic.sky import MAP, Sky
 from relocbench.datasets.synthetic.skylight import Skylight, ground_share, sky_share
 from relocbench.datasets.synthetic.surfaces import Geometry, Hits, Setting
-from relocbench.datasets.synthetic.vectors import Vector, dot, smooth
+from relocbench.datasets.synthetic.vectors import Vector, dot, fading, smooth
 
 Floats = NDArray[np.float32]
 _LEAF = int(Material.LEAF)
@@ -67,11 +67,12 @@ def radiance(
     for i in range(n):
         _, d, _, _ = start(view, samples, i)
         length = np.sqrt(dot(d, d))
-        d = (d[0] / length, d[1] / length, d[2] / length)
+        per_length = 1.0 / length
+        d = (d[0] * per_length, d[1] * per_length, d[2] * per_length)
         if hits.depth[i] <= 0.0:
             r, g, b = sky_radiance(sky, d[0], d[1], d[2])
             distance = _FOG_LAYER_M / (max(d[2], 0.0) + 0.02)
-            veil = np.exp(-setting.extinction * distance)
+            veil = fading(setting.extinction * distance)
         else:
             x, y, z = hits.position[i, 0], hits.position[i, 1], hits.position[i, 2]
             nx, ny, nz = hits.normal[i, 0], hits.normal[i, 1], hits.normal[i, 2]
@@ -117,7 +118,7 @@ def radiance(
                     mr, mg, mb = mr * low, mg * low, mb * low
                 r, g, b = r + f * (mr - r), g + f * (mg - g), b + f * (mb - b)
             r, g, b = r + hits.emission[i, 0], g + hits.emission[i, 1], b + hits.emission[i, 2]
-            veil = np.exp(-(setting.extinction + _HAZE) * hits.depth[i] * length)
+            veil = fading((setting.extinction + _HAZE) * hits.depth[i] * length)
         glow = 0.0
         if setting.extinction > 0.0:
             glow = 0.25 * max(d[0] * sky.to_sun[0] + d[1] * sky.to_sun[1] + d[2] * sky.to_sun[2], 0.0) ** 8

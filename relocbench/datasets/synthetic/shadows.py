@@ -50,9 +50,9 @@ def shadow_rays(
 @njit(cache=True, nogil=True, error_model="numpy")
 def every_other(count: int, width: int) -> NDArray[np.bool_]:
     """The dark squares (count,) of a chess board ``width`` wide."""
-    out = np.empty(count, dtype=np.bool_)
-    for i in range(count):
-        out[i] = (i % width + i // width) % 2 == 0
+    out = np.zeros(count, dtype=np.bool_)
+    for row in range(count // width):
+        out[row * width + row % 2 : (row + 1) * width : 2] = True
     return out
 
 
@@ -65,32 +65,33 @@ def fill_between(hits: Hits, lit: Floats, width: int) -> NDArray[np.bool_]:
     n = len(lit)
     depth, normal, position = hits.depth, hits.normal, hits.position
     left = np.zeros(n, dtype=np.bool_)
-    for i in range(n):
-        column = i % width
-        if (column + i // width) % 2 == 0 or depth[i] <= 0.0:
-            continue
-        if column == 0 or column == width - 1 or i < width or i >= n - width:
-            left[i] = True
-            continue
-        nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
-        most = np.float32(0.01 + 0.002 * depth[i])
-        value = lit[i - 1]
-        alike = True
-        for step in (-1, 1, -width, width):
-            j = i + step
-            off = (
-                nx * (position[j, 0] - position[i, 0])
-                + ny * (position[j, 1] - position[i, 1])
-                + nz * (position[j, 2] - position[i, 2])
-            )
-            cosine = nx * normal[j, 0] + ny * normal[j, 1] + nz * normal[j, 2]
-            if lit[j] != value or abs(off) > most or cosine < 0.95 or depth[j] <= 0.0:
-                alike = False
-                break
-        if alike:
-            lit[i] = value
-        else:
-            left[i] = True
+    for row in range(n // width):
+        for column in range(1 - row % 2, width, 2):
+            i = row * width + column
+            if depth[i] <= 0.0:
+                continue
+            if column == 0 or column == width - 1 or i < width or i >= n - width:
+                left[i] = True
+                continue
+            nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
+            most = np.float32(0.01 + 0.002 * depth[i])
+            value = lit[i - 1]
+            alike = True
+            for step in (-1, 1, -width, width):
+                j = i + step
+                off = (
+                    nx * (position[j, 0] - position[i, 0])
+                    + ny * (position[j, 1] - position[i, 1])
+                    + nz * (position[j, 2] - position[i, 2])
+                )
+                cosine = nx * normal[j, 0] + ny * normal[j, 1] + nz * normal[j, 2]
+                if lit[j] != value or abs(off) > most or cosine < 0.95 or depth[j] <= 0.0:
+                    alike = False
+                    break
+            if alike:
+                lit[i] = value
+            else:
+                left[i] = True
     return left
 
 
@@ -109,15 +110,15 @@ def penumbra_rays(view: View, hits: Hits, lit: Floats, width: int, to_sun: Float
     n = len(lit)
     found = np.empty(n, dtype=np.int64)
     m = 0
+    column = -1
     for i in range(n):
-        if hits.depth[i] <= 0.0:
-            continue
+        column = column + 1 if column < width - 1 else 0
         turned = False
         for step in (1, width, -1, -width):
             j = i + step
-            if j < 0 or j >= n or hits.depth[j] <= 0.0 or (abs(step) == 1 and j // width != i // width):
+            if j < 0 or j >= n or lit[i] == lit[j] or hits.depth[i] <= 0.0 or hits.depth[j] <= 0.0:
                 continue
-            if lit[i] == lit[j]:
+            if (step == 1 and column == width - 1) or (step == -1 and column == 0):
                 continue
             alike = 0.0
             facing = 0.0

@@ -150,8 +150,8 @@ def sky_share(light: Skylight, x: float, y: float, z: float, nx: float, ny: floa
     """Irradiance by a sky of radiance 1/pi at a point with a normal, and the mean visibility there."""
     points, heights = light.points, light.heights
     layers, rows, columns = light.shape
-    gx = (x + _OFF_WALL_M * nx - light.low[0]) / _CELL_M
-    gy = (y + _OFF_WALL_M * ny - light.low[1]) / _CELL_M
+    gx = (x + _OFF_WALL_M * nx - light.low[0]) * (1 / _CELL_M)
+    gy = (y + _OFF_WALL_M * ny - light.low[1]) * (1 / _CELL_M)
     if gx < 0 or gy < 0 or gx >= columns - 1 or gy >= rows - 1:
         return 0.5 + 0.5 * nz, 1.0
     h = z + 0.5 * max(nz, 0.0)
@@ -171,8 +171,9 @@ def sky_share(light: Skylight, x: float, y: float, z: float, nx: float, ny: floa
         weight += w
         v0 += w * open_sky
         share += w * (points[at, 1] * nx + points[at, 2] * ny + points[at, 3] * nz)
-    v0 /= weight
-    return max(0.5 * v0 + share / weight, 0.04), v0
+    per_weight = 1.0 / weight
+    v0 *= per_weight
+    return max(0.5 * v0 + share * per_weight, 0.04), v0
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -85,6 +85,57 @@ def corner(vertices: Floats, i: int) -> Vector:
     return float(vertices[i, 0]), float(vertices[i, 1]), float(vertices[i, 2])
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _facet(geometry: Geometry, triangle: int) -> tuple[Vector, Vector, Vector, Vector, float, float]:
+    """A corner, the unit normal, the gradients of u and v in space, and u and v at the corner.
+
+    Barycentric coordinates are linear in the point, and so are u and v. All is 0 for a triangle without area.
+    """
+    corners = geometry.triangles
+    a = corner(geometry.vertices, corners[triangle, 0])
+    e1 = minus(corner(geometry.vertices, corners[triangle, 1]), a)
+    e2 = minus(corner(geometry.vertices, corners[triangle, 2]), a)
+    c = cross(e1, e2)
+    area2 = dot(c, c)
+    per_area = 1.0 / area2 if area2 > 0.0 else 0.0
+    size = np.sqrt(per_area)
+    g1, g2 = cross(e2, c), cross(c, e1)
+    uv = geometry.uv
+    u0, v0 = float(uv[triangle, 0, 0]), float(uv[triangle, 0, 1])
+    u1, v1 = (uv[triangle, 1, 0] - u0) * per_area, (uv[triangle, 1, 1] - v0) * per_area
+    u2, v2 = (uv[triangle, 2, 0] - u0) * per_area, (uv[triangle, 2, 1] - v0) * per_area
+    return (
+        a,
+        (c[0] * size, c[1] * size, c[2] * size),
+        (g1[0] * u1 + g2[0] * u2, g1[1] * u1 + g2[1] * u2, g1[2] * u1 + g2[2] * u2),
+        (g1[0] * v1 + g2[0] * v2, g1[1] * v1 + g2[1] * v2, g1[2] * v1 + g2[2] * v2),
+        u0,
+        v0,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _paint(
+    geometry: Geometry, looks: Looks, seed: int, triangle: int
+) -> tuple[np.int64, np.int64, float, float, Vector]:
+    """Material, dice, shift of the pattern, tone and first colour of a triangle."""
+    material, variant = np.int64(geometry.material[triangle]), np.int64(geometry.variant[triangle])
+    dice = np.int64(scramble(variant, material * 7919 + seed))
+    shift = 0.0 if material == _MARKING else (dice & 255) / 255.0 * 7.3
+    tone = 1.0 + looks.spread[material] * 2 * (((dice >> 8) & 255) / 255.0 - 0.5)
+    choice = (dice >> 16) % CHOICES
+    r, g, b = looks.first[material, choice, 0], looks.first[material, choice, 1], looks.first[material, choice, 2]
+    if material in (_LEAF, _HEDGE):
+        kind = scramble(np.int64(geometry.instance[triangle]), seed) & 3
+        turned = 1.0 if material == _LEAF else 0.5
+        r += (looks.foliage[kind, 0] - r) * turned
+        g += (looks.foliage[kind, 1] - g) * turned
+        b += (looks.foliage[kind, 2] - b) * turned
+        hue = 0.72 + 0.56 * ((dice >> 4) & 255) / 255.0
+        r, g, b = r * hue, g * hue, b * hue
+    return material, dice, shift, tone, (float(r), float(g), float(b))
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def surfaces(
     view: View, geometry: Geometry, patterns: Patterns, looks: Looks, setting: Setting, samples: Samples
@@ -94,87 +145,71 @@ def surfaces(
     The depth is that of the ray and the triangle's plane in double precision, whatever Embree's own rounding.
     """
     n = len(samples.u)
-    uv = geometry.uv
     texels, per_tile = patterns.texels, patterns.per_tile
-    depth = np.zeros(n, dtype=np.float64)
-    position = np.zeros((n, 3), dtype=np.float32)
-    normal = np.zeros((n, 3), dtype=np.float32)
-    albedo = np.zeros((n, 3), dtype=np.float32)
+    depth = np.empty(n, dtype=np.float64)
+    position = np.empty((n, 3), dtype=np.float32)
+    normal = np.empty((n, 3), dtype=np.float32)
+    albedo = np.empty((n, 3), dtype=np.float32)
     emission = np.zeros((n, 3), dtype=np.float32)
-    mirror = np.zeros(n, dtype=np.float32)
-    sharpness = np.zeros(n, dtype=np.float32)
+    mirror = np.empty(n, dtype=np.float32)
+    sharpness = np.empty(n, dtype=np.float32)
+    # Neighbours in a row mostly meet one triangle, of which all but the point itself stays the same.
+    last = np.uint32(NOTHING)
+    a = c = gu = gv = first_colour = (0.0, 0.0, 0.0)
+    u0 = v0 = shift = varied = 0.0
+    material = dice = np.int64(0)
     for i in range(n):
         triangle = samples.triangle[i]
-        if triangle == NOTHING:
+        slope = 0.0
+        if triangle != NOTHING:
+            o, d, dx, dy = start(view, samples, i)
+            if triangle != last:
+                last = triangle
+                a, c, gu, gv, u0, v0 = _facet(geometry, triangle)
+                material, dice, shift, varied, first_colour = _paint(geometry, looks, setting.seed, triangle)
+            slope = dot(c, d)
+        if slope == 0.0:
+            depth[i] = 0.0
+            for k in range(3):
+                position[i, k] = normal[i, k] = albedo[i, k] = 0.0
+            mirror[i] = sharpness[i] = 0.0
             continue
-        o, d, dx, dy = start(view, samples, i)
-        a = corner(geometry.vertices, geometry.triangles[triangle, 0])
-        e1 = minus(corner(geometry.vertices, geometry.triangles[triangle, 1]), a)
-        e2 = minus(corner(geometry.vertices, geometry.triangles[triangle, 2]), a)
-        c = cross(e1, e2)
-        area2 = dot(c, c)
-        slope = dot(c, d)
-        if area2 == 0.0 or slope == 0.0:
-            continue
-        t = dot(c, minus(a, o)) / slope
+        per_slope = 1.0 / slope
+        t = dot(c, minus(a, o)) * per_slope
         p = along(o, t, d)
-        size = (-1.0 if slope > 0 else 1.0) / np.sqrt(area2)
-        nx, ny, nz = c[0] * size, c[1] * size, c[2] * size
+        side = -1.0 if slope > 0 else 1.0
+        nx, ny, nz = c[0] * side, c[1] * side, c[2] * side
 
-        # Barycentric coordinates are linear in the point, and so is (u, v) on the surface with its footprint.
-        g1, g2, per_area = cross(e2, c), cross(c, e1), 1 / area2
         reach = samples.before[i] + t
-        px = along((reach * dx[0], reach * dx[1], reach * dx[2]), -reach * dot(c, dx) / slope, d)
-        py = along((reach * dy[0], reach * dy[1], reach * dy[2]), -reach * dot(c, dy) / slope, d)
-        u0, v0 = uv[triangle, 0, 0], uv[triangle, 0, 1]
-        u1, v1, u2, v2 = (
-            uv[triangle, 1, 0] - u0,
-            uv[triangle, 1, 1] - v0,
-            uv[triangle, 2, 0] - u0,
-            uv[triangle, 2, 1] - v0,
-        )
+        px = along((reach * dx[0], reach * dx[1], reach * dx[2]), -reach * dot(c, dx) * per_slope, d)
+        py = along((reach * dy[0], reach * dy[1], reach * dy[2]), -reach * dot(c, dy) * per_slope, d)
         q = minus(p, a)
-        b1, b2 = dot(g1, q) * per_area, dot(g2, q) * per_area
-        x1, x2 = dot(g1, px) * per_area, dot(g2, px) * per_area
-        y1, y2 = dot(g1, py) * per_area, dot(g2, py) * per_area
-        su, sv = u0 + b1 * u1 + b2 * u2, v0 + b1 * v1 + b2 * v2
-        dudx, dvdx, dudy, dvdy = x1 * u1 + x2 * u2, x1 * v1 + x2 * v2, y1 * u1 + y2 * u2, y1 * v1 + y2 * v2
+        su, sv = u0 + dot(gu, q) + shift, v0 + dot(gv, q)
+        dudx, dvdx, dudy, dvdy = dot(gu, px), dot(gv, px), dot(gu, py), dot(gv, py)
 
-        material, variant = np.int64(geometry.material[triangle]), np.int64(geometry.variant[triangle])
-        dice = scramble(variant, material * 7919 + setting.seed)
-        shift = 0.0 if material == _MARKING else (dice & 255) / 255.0 * 7.3
         # What is seen in a mirror is dim or blurred.
         most = 6 if samples.before[i] <= 0.0 else 3
         share, bright = sample(
-            texels, per_tile[material], material, su + shift, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy, most
+            texels, per_tile[material], material, su, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy, most
         )
         # Slow stains: along the surface on walls, from above on the ground.
         flat = nz > 0.7
         if flat:
             slow, stain = sample(texels, per_tile[MACRO], MACRO, p[0], p[1], px[0], px[1], py[0], py[1], most // 3)
         else:
-            slow, stain = sample(texels, per_tile[MACRO], MACRO, su + 3 * shift, sv, dudx, dvdx, dudy, dvdy, 1)
-        tone = 1.0 + looks.spread[material] * 2 * (((dice >> 8) & 255) / 255.0 - 0.5)
+            slow, stain = sample(texels, per_tile[MACRO], MACRO, su + 2 * shift, sv, dudx, dvdx, dudy, dvdy, 1)
+        tone = varied
         stained = 0.19 if material == _ASPHALT else 0.12
         if material != _PAINT and material != _CAR_GLASS and material != _LAMP:
             tone *= 1 - stained + stained * stain
-        choice = (dice >> 16) % CHOICES
-        r, g, b = looks.first[material, choice, 0], looks.first[material, choice, 1], looks.first[material, choice, 2]
-        if material in (_LEAF, _HEDGE):
-            kind = scramble(np.int64(geometry.instance[triangle]), setting.seed) & 3
-            turned = 1.0 if material == _LEAF else 0.5
-            r += (looks.foliage[kind, 0] - r) * turned
-            g += (looks.foliage[kind, 1] - g) * turned
-            b += (looks.foliage[kind, 2] - b) * turned
-            hue = 0.72 + 0.56 * ((dice >> 4) & 255) / 255.0
-            r, g, b = r * hue, g * hue, b * hue
         shine = tone * bright
+        r, g, b = first_colour
         r = (r + (looks.second[material, 0] - r) * share) * shine
         g = (g + (looks.second[material, 1] - g) * share) * shine
         b = (b + (looks.second[material, 2] - b) * share) * shine
 
-        cosine = -(d[0] * nx + d[1] * ny + d[2] * nz) / np.sqrt(dot(d, d))
-        gloss, sharp = looks.gloss[material] * _fresnel(cosine), 1.0
+        fresnel = _fresnel(abs(slope) / np.sqrt(dot(d, d)))
+        gloss, sharp = looks.gloss[material] * fresnel, 1.0
         if material in (_WINDOW, _SHOP):
             gloss = min(1.0, 1.6 * gloss + 0.07)
 
@@ -213,7 +248,7 @@ def surfaces(
                     still = smooth(hollow, line, line + 0.05) * (1 - snow)
                 film += (1 - film) * still
                 lost = gloss
-                gloss = lost + (1 - lost) * film * _fresnel(cosine)
+                gloss = lost + (1 - lost) * film * fresnel
                 sharp = 0.25 + 0.75 * still
             keep = 1 - looks.porous[material] * soaked * (1 + 0.4 * still)
             r, g, b = r * keep, g * keep, b * keep

@@ -25,13 +25,17 @@ MACRO = len(Material)
 """the layer of slow noise with uniform distribution: stains, puddles, drifts of snow"""
 MACRO_TILE_M = 29.0
 UNIT_BRIGHTNESS = 128.0
+_POSITIVE = 2.0**40
+_BLENDS = 16
+"""steps from one level to the next; as many times eight probes fit into the bits of a channel"""
+_PARTS = np.array([0, *(1 / k for k in range(1, 9))])
 
 
 class Patterns(NamedTuple):
     """All layers: one per material, then :data:`MACRO`."""
 
-    texels: NDArray[np.uint32]
-    """layer after layer, in each level after level; a texel is second + 65536 brightness"""
+    texels: NDArray[np.uint64]
+    """layer after layer, in each level after level; a texel is second + 2^32 brightness"""
     per_tile: Floats
     """(layer,) tiles a metre: each pattern repeats after its own length"""
 
@@ -165,14 +169,14 @@ def bake(seed: int) -> Patterns:
     return Patterns(np.stack(layers).ravel(), (1 / np.array(tiles)).astype(np.float32))
 
 
-def _pyramid(image: NDArray[np.floating]) -> NDArray[np.uint32]:
+def _pyramid(image: NDArray[np.floating]) -> NDArray[np.uint64]:
     """All levels of (SIZE, SIZE, 2) one after the other, each the mean of 2 x 2 of the one before."""
     levels = [image]
     while len(levels[-1]) > 1:
         last = levels[-1]
         levels.append((last[::2, ::2] + last[1::2, ::2] + last[::2, 1::2] + last[1::2, 1::2]) / 4)
-    flat = np.concatenate([np.rint(level).reshape(-1, 2) for level in levels]).astype(np.uint32)
-    return np.asarray(flat[:, 0] + flat[:, 1] * np.uint32(65536))
+    flat = np.concatenate([np.rint(level).reshape(-1, 2) for level in levels]).astype(np.uint64)
+    return np.asarray(flat[:, 0] + (flat[:, 1] << np.uint64(32)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -183,16 +187,15 @@ def _log2(x: float) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _bilinear(
-    texels: NDArray[np.uint32], first: int | np.int64, level: int, u: float, v: float
-) -> tuple[np.int64, np.int64]:
-    """Both channels times 65536 at (u, v) in tiles, on one level of the layer that starts at ``first``.
+def _bilinear(texels: NDArray[np.uint64], first: int | np.int64, size: int, u: float, v: float) -> np.int64:
+    """Both channels times 65536 at (u, v) in tiles, on the level with ``size`` texels a side of the layer at ``first``.
 
     Both lie in one number and are mixed at once, by weights of 1/256.
     """
-    size = SIZE >> level
     mask = size - 1
-    x, y = math.floor(256.0 * (u * size - 0.5)), math.floor(256.0 * (v * size - 0.5))
+    # The offset makes numbers positive, so that cutting off their fraction rounds down; the masks take it away again.
+    scale = 256.0 * size
+    x, y = np.int64(u * scale + (_POSITIVE - 128.0)), np.int64(v * scale + (_POSITIVE - 128.0))
     fx, fy = x & 255, y & 255
     i, j = (x >> 8) & mask, (y >> 8) & mask
     # Levels before this one hold SIZE^2 + SIZE^2/4 + ... texels. Unsigned numbers index without a look at the sign.
@@ -201,12 +204,12 @@ def _bilinear(
     right = (i + 1) & mask
     a = np.int64(texels[np.uint64(upper + i)]) * (256 - fx) + np.int64(texels[np.uint64(upper + right)]) * fx
     b = np.int64(texels[np.uint64(lower + i)]) * (256 - fx) + np.int64(texels[np.uint64(lower + right)]) * fx
-    return (a & 0xFFFF) * (256 - fy) + (b & 0xFFFF) * fy, (a >> 16) * (256 - fy) + (b >> 16) * fy
+    return np.int64(a * (256 - fy) + b * fy)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def sample(
-    texels: NDArray[np.uint32],
+    texels: NDArray[np.uint64],
     per_tile: float,
     layer: int | np.int64,
     u: float,
@@ -220,34 +223,43 @@ def sample(
     """Second colour's share [0, 1] and brightness of a layer at (u, v) metres, averaged over the pixel's footprint.
 
     Trilinear probes along the longer side of the footprint, as many as it is longer than the shorter one but at most
-    ``most``, beyond which they blur (Heckbert, "Survey of texture mapping", 1986; the derivatives are Igehy's ray
-    differentials, 1999). ``texels`` and ``per_tile`` are those of :class:`Patterns`.
+    ``most`` (of 8), beyond which they blur (Heckbert, "Survey of texture mapping", 1986; the derivatives are Igehy's
+    ray differentials, 1999). Levels are blended over the middle half of the way from one to the next alone: elsewhere
+    one will do. ``texels`` and ``per_tile`` are those of :class:`Patterns`.
     """
     u, v = u * per_tile, v * per_tile
     ax, ay, bx, by = dudx * per_tile, dvdx * per_tile, dudy * per_tile, dvdy * per_tile
     long2, short2 = ax * ax + ay * ay, bx * bx + by * by
-    if long2 < short2:
-        ax, ay, bx, by = bx, by, ax, ay
-        long2, short2 = short2, long2
     # The footprint is a parallelogram: across its long side it is as wide as its area says.
-    length = math.sqrt(long2)
-    width = abs(ax * by - ay * bx) / max(length, 1e-12)
-    probes = min(most, int(length / max(width, 1.0 / SIZE)) + 1)
-    spread = max(width, length / probes) * SIZE
-    level, blend = 0, 0.0
-    if spread > 1.0:
-        lod = min(_log2(spread), LEVELS - 1.0)
-        level = int(lod)
-        blend = lod - level
+    area = abs(ax * by - ay * bx)
+    if long2 < short2:
+        ax, ay, long2 = bx, by, short2
+    size = SIZE
     first = layer * LAYER
-    second, bright = 0.0, 0.0
-    for k in range(probes):
-        at = (k + 0.5) / probes - 0.5
-        s, b = _bilinear(texels, first, level, u + at * ax, v + at * ay)
-        second += (1 - blend) * s
-        bright += (1 - blend) * b
-        if blend > 0.0:
-            s, b = _bilinear(texels, first, level + 1, u + at * ax, v + at * ay)
-            second += blend * s
-            bright += blend * b
-    return second / (65536.0 * 255.0 * probes), bright / (65536.0 * UNIT_BRIGHTNESS * probes)
+    if long2 * (SIZE * SIZE) <= 1.0:
+        total, step = _BLENDS * _bilinear(texels, first, size, u, v), 1.0
+    else:
+        longer = long2 / area
+        probes = min(most, int(min(longer, SIZE * math.sqrt(long2))) + 1)
+        narrowed = min(longer, float(probes))
+        lod = 0.5 * _log2(max(1.0, SIZE * SIZE * long2 / (narrowed * narrowed)))
+        lod = min(lod, LEVELS - 1.0)
+        level = int(lod)
+        blend = int(min(max(2 * _BLENDS * (lod - level) - 0.5 * (_BLENDS - 1), 0.0), float(_BLENDS)))
+        if blend == _BLENDS:
+            level, blend = level + 1, 0
+        size >>= level
+        step = _PARTS[probes]
+        ax, ay = ax * step, ay * step
+        at = 0.5 * (1 - probes)
+        u, v = u + at * ax, v + at * ay
+        total = np.int64(0)
+        for _ in range(probes):
+            if blend == 0:
+                total += _BLENDS * _bilinear(texels, first, size, u, v)
+            else:
+                total += (_BLENDS - blend) * _bilinear(texels, first, size, u, v)
+                total += blend * _bilinear(texels, first, size >> 1, u, v)
+            u, v = u + ax, v + ay
+    step *= 1.0 / (65536.0 * _BLENDS)
+    return (total & 0xFFFFFFFF) * (step * (1 / 255.0)), (total >> 32) * (step * (1 / UNIT_BRIGHTNESS))
