@@ -1,4 +1,10 @@
-"""How single blocks of two drives fit each other: what the local edges of the graph are made of."""
+"""How single blocks of two drives fit each other: what the local edges of the graph are made of.
+
+Normals are noisy. The square of a wall's thousand normals, each a few degrees off, looks like a few surfaces that face
+along the street; so a bare wall would claim to know where along it one is, and always: just here. What two drives
+measured of the same surface errs independently, so the normals of one stand in for those of the other in one factor of
+each product: they are its instrument (Durbin, Errors in variables, 1954), and noise no longer counts as knowledge.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.block_store import BlockStore
-from relocbench.datasets.groundtruth.edge_information import minimum, scatter_by_patch
+from relocbench.datasets.groundtruth.edge_information import held, minimum, scatter_by_patch
 from relocbench.datasets.groundtruth.local_edges import LocalFit
 from relocbench.datasets.groundtruth.planes import PlaneMap, PlaneOptions, Planes, Sample
 from relocbench.datasets.groundtruth.refinement import weighted_median
@@ -44,11 +50,14 @@ class BlockFits:
         """The fit at a pose ``T_ref_query`` (4, 4), node to node."""
         planes, points = self._planes(0, ref).level(0), self._planes(1, query).sample(0)
         met = meet(planes, points, T_ref_query)
-        H, g = met.J.T @ (met.weights[:, None] * met.J), met.J.T @ (met.weights * met.residuals)
+        H = held(met.by_points.T @ (met.weights[:, None] * met.by_planes), _LEVER_M)
+        gradients = (met.weights * met.residuals)[:, None] * met.by_points
+        g = gradients.sum(axis=0)
         sigma = 1.4826 * weighted_median(np.abs(met.residuals), met.weights) if len(met) else 0.0
         # Where the fit of this block alone would lie, its points say how far they disagree.
-        left = met.residuals + met.J @ minimum(H, g, _LEVER_M, _OPEN_SHARE)
-        return LocalFit(H, g, sigma, len(met), scatter_by_patch((met.weights * left)[:, None] * met.J, met.patches))
+        left = met.residuals + met.by_planes @ minimum(H, g, _LEVER_M, _OPEN_SHARE)
+        scatter = scatter_by_patch((met.weights * left)[:, None] * met.by_points, met.patches)
+        return LocalFit(H, g, sigma, len(met), scatter)
 
     def _planes(self, side: int, node: int) -> PlaneMap:
         key = side, node
@@ -65,8 +74,10 @@ class BlockFits:
 class Contacts:
     """Points of a query's block that lie near a plane of a reference's block."""
 
-    J: Array
+    by_planes: Array
     """(M, 6) derivative of the distance by xi = (rho, phi) of ``T_ref_query @ se3_exp(xi)``"""
+    by_points: Array
+    """(M, 6) the same with the point's normal in place of the plane's"""
     residuals: Array
     """(M,) distances, metres"""
     weights: Array
@@ -80,7 +91,7 @@ class Contacts:
 
 def meet(planes: Planes, points: Sample, T_ref_query: Array) -> Contacts:
     """The residual of a point q with the plane (p, n) is ``r = n^T (R q + t - p)``, its derivative ``(m, q x m)`` with
-    m = R^T n."""
+    m = R^T n, or the point's own normal."""
     rotation, translation = T_ref_query[:3, :3], T_ref_query[:3, 3]
     there = points.points @ rotation.T + translation
     match = planes.nearest(there, points.normals @ rotation.T, _REACH_M, _COSINE)
@@ -89,9 +100,9 @@ def meet(planes: Planes, points: Sample, T_ref_query: Array) -> Contacts:
     n = planes.normals[match]
     residuals = np.einsum("ni,ni->n", n, there[rows] - planes.points[match])
     weights = np.minimum(planes.weights[match], points.weights[rows]) / np.square(1 + np.square(residuals / _SCALE_M))
-    m = n @ rotation
+    by_planes, by_points = (np.hstack([m, np.cross(q, m)]) for m in (n @ rotation, points.normals[rows]))
     facing = np.argmax(np.abs(points.normals[rows]), axis=1) if len(rows) else rows
-    return Contacts(np.hstack([m, np.cross(q, m)]), residuals, weights, 4 * voxel_keys(q, _PATCH_M) + facing)
+    return Contacts(by_planes, by_points, residuals, weights, 4 * voxel_keys(q, _PATCH_M) + facing)
 
 
 def as_submap(store: BlockStore, node: int) -> Submap:

@@ -17,6 +17,18 @@ _RIDGE = 1e-9
 """of the largest eigenvalue, so that directions that nothing holds stay solvable"""
 
 
+def held(H: Array, lever_m: float) -> Array:
+    """(6, 6) the nearest matrix that is symmetric and holds no direction less than not at all.
+
+    Args:
+        lever_m: at which rotations are weighed against translations.
+    """
+    scale = np.array([1.0, 1.0, 1.0, *[1.0 / lever_m] * 3])
+    values, vectors = np.linalg.eigh(scale[:, None] * (H + H.T) / 2 * scale)
+    nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return np.asarray(nearest / scale[:, None] / scale)
+
+
 def minimum(H: Array, g: Array, lever_m: float, open_share: float) -> Array:
     """``-H^+ g`` (6,): the step to the minimum, without the directions that the block leaves open.
 

@@ -1,0 +1,117 @@
+"""What single blocks say of each other: how sure a fit may be, and what a bare wall must not claim to know."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from relocbench.datasets.groundtruth.block_fits import meet
+from relocbench.datasets.groundtruth.blocks import Surface
+from relocbench.datasets.groundtruth.edge_information import distorted, held, minimum, sandwich, scatter_by_patch
+from relocbench.datasets.groundtruth.planes import PlaneMap, PlaneOptions
+from relocbench.datasets.groundtruth.submaps import Submap
+from relocbench.geometry import se3_exp
+
+OPTIONS = PlaneOptions(thinning_m=(0.0,), reach_m=(0.3,), samples=(4000,), near_m=(1e9,))
+LEVER_M = 10.0
+
+
+def walls(seed: int, flanks: float, noise_m: float = 0.01, tilt: float = 0.05) -> Submap:
+    """Walls 9 m to both sides, a road, and flanks that face along the street, so many metres deep; noisy normals."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for sign in (1.0, -1.0):
+        p = np.column_stack([rng.uniform(-3, 3, 1500), np.full(1500, sign * 9.0), rng.uniform(0, 6, 1500)])
+        parts.append((p, np.tile([0.0, -sign, 0.0], (1500, 1))))
+        count = round(100 * flanks)
+        p = np.column_stack([np.full(count, 1.0), sign * (9 - rng.uniform(0, flanks, count)), rng.uniform(0, 6, count)])
+        parts.append((p, np.tile([-1.0, 0.0, 0.0], (count, 1))))
+    p = np.column_stack([rng.uniform(-3, 3, 800), rng.uniform(-8, 8, 800), np.zeros(800)])
+    parts.append((p, np.tile([0.0, 0.0, 1.0], (800, 1))))
+    points, normals = (np.concatenate([part[i] for part in parts]) for i in range(2))
+    points = points + noise_m * rng.normal(size=(len(points), 1)) * normals
+    normals = normals + tilt * rng.normal(size=normals.shape)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    n = len(points)
+    kind = np.full(n, Surface.STRUCTURE, np.uint8)
+    origins = np.tile(np.array([0, 0, 1.8], np.float32), (n, 1))
+    ones, block = np.ones(n, np.float32), np.zeros(n, np.int32)
+    return Submap(0, points.astype(np.float32), normals.astype(np.float32), origins, kind, ones, block)
+
+
+def contacts(seed: int, flanks: float, T=None):
+    ref, query = (PlaneMap(walls(seed + k, flanks), OPTIONS) for k in (0, 100))
+    return meet(ref.level(0), query.sample(0), np.eye(4) if T is None else T)
+
+
+def test_a_bare_wall_does_not_claim_to_know_the_way_along_it():
+    met = contacts(1, flanks=0.0)
+    plain = met.by_planes.T @ (met.weights[:, None] * met.by_planes)
+    instrumented = met.by_points.T @ (met.weights[:, None] * met.by_planes)
+    # A thousand normals 3 degrees off look like a few points that face along the street.
+    assert plain[0, 0] > 3.0
+    assert abs(instrumented[0, 0]) < 0.1 * plain[0, 0]
+    np.testing.assert_allclose(instrumented[1, 1], plain[1, 1], rtol=0.02)
+
+
+def test_what_faces_along_the_street_still_counts_in_full():
+    met = contacts(2, flanks=1.0)
+    instrumented = met.by_points.T @ (met.weights[:, None] * met.by_planes)
+    facing = np.abs(met.by_planes[:, 0]) > 0.9
+    assert facing.sum() > 100
+    assert instrumented[0, 0] == pytest.approx(met.weights[facing].sum(), rel=0.05)
+
+
+def test_the_step_leads_back_along_the_street():
+    off = 0.03
+    met = contacts(3, 1.0, se3_exp([off, 0.01, 0, 0, 0, 0]))
+    H = held(met.by_points.T @ (met.weights[:, None] * met.by_planes), LEVER_M)
+    step = minimum(H, met.by_points.T @ (met.weights * met.residuals), LEVER_M, 1e-4)
+    assert step[0] == pytest.approx(-off, abs=0.01)
+    assert step[1] == pytest.approx(-0.01, abs=0.003)
+
+
+def test_information_promises_what_the_steps_show():
+    steps, variances = [], []
+    for seed in range(40):
+        met = contacts(1000 + seed, 1.0)
+        H = held(met.by_points.T @ (met.weights[:, None] * met.by_planes), LEVER_M)
+        gradients = (met.weights * met.residuals)[:, None] * met.by_points
+        step = minimum(H, gradients.sum(axis=0), LEVER_M, 1e-4)
+        left = met.residuals + met.by_planes @ step
+        scatter = scatter_by_patch((met.weights * left)[:, None] * met.by_points, met.patches)
+        steps.append(step)
+        variances.append(np.diag(np.linalg.inv(sandwich(H, scatter, 0.0, LEVER_M))))
+    # The noise of the planes' own normals, which all points of a plane share, is not in the scatter.
+    ratio = np.mean(np.square(steps), axis=0) / np.mean(variances, axis=0)
+    assert 0.3 < ratio[0] < 3.0
+    assert np.all(ratio < 2.0)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.integers(0, 2**32 - 1))
+def test_nothing_is_held_less_than_not_at_all(seed):
+    rng = np.random.default_rng(seed)
+    H = rng.normal(size=(6, 6)) * np.outer(*[np.array([1, 1, 1, 10, 10, 10])] * 2)
+    out = held(H, LEVER_M)
+    np.testing.assert_allclose(out, out.T)
+    assert np.linalg.eigvalsh(out).min() > -1e-9 * np.abs(H).max()
+    positive = H @ H.T
+    np.testing.assert_allclose(held(positive, LEVER_M), positive, rtol=1e-9, atol=1e-9 * np.abs(positive).max())
+
+
+def test_the_odometry_inside_blocks_bounds_what_an_edge_is_worth():
+    variance = np.array([1e-4, 4e-6, 4e-6, 1e-7, 1e-7, 1e-7])
+    worth = np.linalg.inv(distorted(1e12 * np.eye(6), variance))
+    np.testing.assert_allclose(np.diag(worth), variance, rtol=1e-3)
+    np.testing.assert_allclose(distorted(np.eye(6), np.zeros(6)), np.eye(6))
+
+
+def test_points_face_their_planes_only():
+    ref, query = walls(5, 0.0), walls(105, 0.0)
+    turned = replace(query, normals=-query.normals)
+    assert len(meet(PlaneMap(ref, OPTIONS).level(0), PlaneMap(turned, OPTIONS).sample(0), np.eye(4))) == 0
