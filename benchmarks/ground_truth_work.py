@@ -129,9 +129,17 @@ def register_drive(unit: RegisterUnit) -> Registered:
 
 
 def unverified(options: AlignmentOptions) -> AlignmentOptions:
-    """Options with which every registration is taken: nothing is asked of evidence, nor of both odometries."""
+    """Options with which every registration is taken: nothing is asked of evidence, nor of both odometries, and of
+    several guesses of where a drive begins the one that fits best is taken, without a look at what it leads to."""
     register = replace(options.tracking.register, thresholds=NO_THRESHOLDS)
-    return replace(options, tracking=replace(options.tracking, register=register, slack_m=1e9, slack_deg=1e9))
+    tracking = replace(
+        options.tracking,
+        register=register,
+        hypotheses=replace(options.tracking.hypotheses, tried=1, followed=1, share=0.0),
+        slack_m=1e9,
+        slack_deg=1e9,
+    )
+    return replace(options, tracking=tracking)
 
 
 @dataclass(frozen=True, eq=False)
