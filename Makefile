@@ -39,7 +39,7 @@ leaderboard: setup ## make the published results again (RECORDINGS=folder of kit
 	tools/publish_leaderboard.sh $(RECORDINGS)
 
 constraints: setup ## pin the newest versions that fit
-	$(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --upgrade --generate-hashes \
+	$(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --extra registration --upgrade --generate-hashes \
 	  --no-annotate --no-header --python-version 3.11 -o constraints.txt
 
 clean:           ## remove what was generated

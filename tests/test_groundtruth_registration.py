@@ -324,6 +324,21 @@ def test_a_missing_package_is_named(pair, monkeypatch):
         guesses(*features, None, options)
 
 
+def test_small_gicp_agrees(pair):
+    found = refine_with("small_gicp", *pair, TRUTH @ se3_exp([0.3, 0.1, 0, 0, 0, 0.01]), RefinementOptions())
+    assert error(found.T_ref_query)[0] < 0.02
+    assert error(found.T_ref_query)[1] < 0.1
+
+
+@pytest.mark.slow
+def test_kiss_matcher_finds_the_place(pair):
+    options = GlobalOptions(matcher="kiss-matcher")
+    features = [describe(side.submap, options) for side in pair]
+    found = guesses(*features, None, options)
+    assert min(error(T)[0] for T in found) < 1.0
+    assert min(error(T)[1] for T in found) < 5.0
+
+
 def test_open3d_agrees(pair):
     found = refine_with("open3d", *pair, TRUTH @ se3_exp([0.3, 0.1, 0, 0, 0, 0.01]), RefinementOptions())
     assert error(found.T_ref_query)[0] < 0.01

@@ -91,7 +91,9 @@ def _small_gicp(
     try:
         small_gicp = importlib.import_module("small_gicp")
     except ImportError:
-        raise ConfigError("backend 'small_gicp' needs the package small_gicp: install it, or use 'own'") from None
+        raise ConfigError(
+            "backend 'small_gicp' needs the package small_gicp: pip install 'relocbench[registration]', or use 'own'"
+        ) from None
     target, source = (small_gicp.PointCloud(_thin(side)[0]) for side in (ref, query))
     tree = small_gicp.KdTree(target, num_threads=1)
     for cloud, own in ((target, tree), (source, None)):

@@ -184,7 +184,8 @@ def _kiss_matcher(ref: Features, query: Features, options: GlobalOptions) -> Arr
         kiss_matcher = importlib.import_module("kiss_matcher")
     except ImportError:
         raise ConfigError(
-            "the matcher 'kiss-matcher' needs the package kiss-matcher; install it or use ransac"
+            "the matcher 'kiss-matcher' needs the package kiss-matcher: pip install 'relocbench[registration]', or use "
+            "ransac"
         ) from None
     matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(options.voxel_m))
     solution = matcher.estimate(list(query.points.astype(np.float32)), list(ref.points.astype(np.float32)))

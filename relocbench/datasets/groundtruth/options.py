@@ -26,10 +26,10 @@ class FieldOptions(ImportOptions):
         "lidar", description="where depth comes from; stereo needs a second camera, rectified with the first"
     )
     matcher: Literal["ransac", "fgr", "kiss-matcher"] = Field(
-        "ransac", description="search for the first pair and for lost ones (kiss-matcher: a package of its own)"
+        "ransac", description="search for the first pair and for lost ones (kiss-matcher: of the extra 'registration')"
     )
     icp: Literal["own", "open3d", "small_gicp"] = Field(
-        "own", description="refinement of registrations (small_gicp: a package of its own)"
+        "own", description="refinement of registrations (small_gicp: of the extra 'registration')"
     )
     first_pose: str = Field(
         "",
