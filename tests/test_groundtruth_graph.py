@@ -26,6 +26,7 @@ from relocbench.datasets.groundtruth.evidence import Registration
 from relocbench.datasets.groundtruth.graph import Solution, optimise
 from relocbench.datasets.groundtruth.local_edges import LocalOptions, refine_locally
 from relocbench.datasets.groundtruth.odometry_noise import OdometryNoise, estimate
+from relocbench.datasets.groundtruth.odometry_scale import scales_of
 from relocbench.datasets.groundtruth.outcome import Outcomes
 from relocbench.datasets.groundtruth.recording import Trajectory
 from relocbench.datasets.groundtruth.selection import GraphOptions
@@ -92,12 +93,24 @@ def test_covariances_are_those_of_the_dense_normal_equations() -> None:
     reference, query, found = two_drives(30.0, 1)
     solution = optimise(reference.nodes, query.nodes, found, options=INDEPENDENT)
     edges, T = solution.edges, solution.T_world_node
-    H = np.zeros((6 * len(T), 6 * len(T)))
-    for first, second, information in zip(edges.first, edges.second, edges.information, strict=True):
-        J = np.zeros((6, 6 * len(T)))
+    scales = scales_of(solution.drives, edges)
+    # Poses, then the odometry's scales: 30 m of road are three pieces of either drive.
+    assert scales.number.max() == 5
+    assert scales.neighbours.tolist() == [[0, 1], [1, 2], [3, 4], [4, 5]]
+    poses = 6 * len(T)
+    H = np.zeros((poses + 6, poses + 6))
+    for e in range(len(edges)):
+        first, second, scale = edges.first[e], edges.second[e], scales.number[e]
+        J = np.zeros((6, len(H)))
         J[:, 6 * first : 6 * first + 6] = -adjoint(invert(T[second]) @ T[first])
         J[:, 6 * second : 6 * second + 6] = np.eye(6)
-        H += J.T @ information @ J
+        if scale >= 0:
+            J[:3, poses + scale] = -invert(edges.T_first_second[e])[:3, :3] @ edges.T_first_second[e, :3, 3]
+        H += J.T @ edges.information[e] @ J
+    for scale in scales.begins:
+        H[poses + scale, poses + scale] += scales.sigma**-2
+    for m, n in scales.neighbours + poses:
+        H[np.ix_([m, n], [m, n])] += np.array([[1, -1], [-1, 1]]) * scales.neighbour_sigma**-2
     joint = np.zeros_like(H)
     joint[6:, 6:] = np.linalg.inv(H[6:, 6:])
     ref, query_node = 7, 9
@@ -108,6 +121,22 @@ def test_covariances_are_those_of_the_dense_normal_equations() -> None:
     _, covariance = solution.relative(ref, query_node)
     sigma = np.sqrt(np.diagonal(expected))
     np.testing.assert_allclose(covariance / np.outer(sigma, sigma), expected / np.outer(sigma, sigma), atol=0.02)
+
+
+def test_where_nothing_holds_the_way_the_error_of_the_scale_adds_up() -> None:
+    reference, query, found = two_drives(120.0, 12)
+    known = [r for r in found if query.nodes.travelled_m[r.query] < 60]
+    options = replace(INDEPENDENT, estimate_noise=False)
+    noise = OdometryNoise(along_m=0.002)
+    solution = optimise(reference.nodes, query.nodes, known, noise, options)
+    last = max(r.query for r in known)
+    way = query.nodes.travelled_m - query.nodes.travelled_m[last]
+    along = {
+        d: float(np.sqrt(solution.relative(n, n)[1][0, 0])) for d in (20, 40) for n in [int(np.argmin(np.abs(way - d)))]
+    }
+    # As a random walk it would grow by sqrt(2); an unknown scale doubles it, one that wanders does more.
+    assert along[20] > 3 * np.sqrt(2 * 20) * 0.002
+    assert 1.8 < along[40] / along[20] < 2.8
 
 
 def test_gross_errors_are_left_out_and_named_and_covariances_are_calibrated() -> None:

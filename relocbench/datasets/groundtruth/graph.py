@@ -20,6 +20,7 @@ from relocbench.datasets.groundtruth.edges import Edges, Kind, components
 from relocbench.datasets.groundtruth.evidence import Registration
 from relocbench.datasets.groundtruth.least_squares import Covariances
 from relocbench.datasets.groundtruth.odometry_noise import OdometryNoise
+from relocbench.datasets.groundtruth.odometry_scale import scales_of
 from relocbench.datasets.groundtruth.placing import place
 from relocbench.datasets.groundtruth.selection import GraphOptions, Selected, select
 from relocbench.datasets.groundtruth.snooping import Tested
@@ -81,7 +82,7 @@ class Solution:
 
     @cached_property
     def _covariances(self) -> Covariances:
-        return Covariances(self.T_world_node, self.edges)
+        return Covariances(self.T_world_node, self.edges, scales_of(self.drives, self.edges))
 
     def relative(self, ref: int, query: int) -> tuple[Array, Array]:
         """``T_ref_query`` (4, 4) and the covariance (6, 6) of ``xi = (rho, phi)`` in ``T_ref_query @ se3_exp(xi)``.

@@ -5,6 +5,7 @@ gtsam orders a twist as rotation, translation; everything outside this module as
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -76,14 +77,38 @@ def solve(
     return out
 
 
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Unknown scales by which the ways of edges may be wrong."""
+
+    number: Indices
+    """(E,) of each edge's scale; -1: it has none"""
+    begins: Indices
+    """(B,) scales of which only the size is known"""
+    sigma: float
+    """of these, about 1"""
+    neighbours: Indices
+    """(M, 2) scales that differ little"""
+    neighbour_sigma: float
+
+
 class Covariances:
     """Covariances of relative poses. Neighbouring pairs share most of the work: ask in the order of the road."""
 
-    def __init__(self, T_world_node: Array, edges: Edges) -> None:
+    def __init__(self, T_world_node: Array, edges: Edges, scales: Scales | None = None) -> None:
+        """
+        Args:
+            scales: of edges, that are not known either; edges' own information is for known ones.
+        """
         import gtsam
 
         self._T_world_node = T_world_node
-        self._marginals = gtsam.Marginals(_graph(edges, T_world_node, None, None), _values(T_world_node))
+        graph, values = _graph(edges, T_world_node, None, None), _values(T_world_node)
+        if scales is None:
+            self._marginals = gtsam.Marginals(graph, values)
+        else:
+            linear = _with_scales(graph.linearize(values), edges, scales, len(T_world_node))
+            self._marginals = gtsam.Marginals(linear, linear.optimize())
 
     def relative(self, first: Indices, second: Indices) -> Array:
         """(M, 6, 6) of the twists ``xi`` in ``T_first_second @ se3_exp(xi)`` of M connected pairs of nodes (M,).
@@ -108,3 +133,36 @@ class Covariances:
         out[6:, :6] = out[:6, 6:].T
         out[6:, 6:] = joint.at(second, second)[_SWAP][:, _SWAP]
         return out
+
+
+def _with_scales(linear: Any, edges: Edges, scales: Scales, nodes: int) -> Any:
+    """The linear graph with a scale as third unknown of each edge that has one; scales are numbered after the nodes.
+
+    A way longer by a share s moves the residual of ``T_first_second`` by ``-s (R^T t)`` in the second node's axes.
+    """
+    import gtsam
+
+    unit = gtsam.noiseModel.Unit
+    out = gtsam.GaussianFactorGraph()
+    for e in range(linear.size()):
+        factor = linear.at(e)
+        if e >= len(edges) or scales.number[e] < 0:
+            out.push_back(factor)
+            continue
+        information = edges.information[e][_SWAP][:, _SWAP] + _LEAST_INFORMATION * np.eye(6)
+        T = edges.T_first_second[e]
+        moves = np.concatenate([np.zeros(3), -T[:3, :3].T @ T[:3, 3]])
+        by_scale = np.linalg.cholesky(information).T @ moves
+        A, b = factor.jacobian()
+        first, second = int(edges.first[e]), int(edges.second[e])
+        scale = nodes + int(scales.number[e])
+        out.add(gtsam.JacobianFactor(
+            first, A[:, :6], second, A[:, 6:], scale, by_scale[:, None], b, unit.Create(6)
+        ))  # fmt: skip
+    one, none = np.ones((1, 1)), np.zeros(1)
+    for begin in scales.begins.tolist():
+        out.add(gtsam.JacobianFactor(nodes + begin, one / scales.sigma, none, unit.Create(1)))
+    for a, b in scales.neighbours.tolist():
+        weight = one / scales.neighbour_sigma
+        out.add(gtsam.JacobianFactor(nodes + a, -weight, nodes + b, weight, none, unit.Create(1)))
+    return out
