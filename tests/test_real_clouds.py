@@ -7,6 +7,7 @@ scans are no truth to centimetres: methods that share no code agree with one ano
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from collections.abc import Callable
 from itertools import combinations
@@ -21,11 +22,11 @@ from relocbench.errors import DatasetError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, so3_exp
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-import real_clouds
-from real_clouds_kitti import kitti_00
+from real_clouds_figures import register_all, tell_kitti_00, tell_precision, tell_starts
 from real_clouds_methods import Candidate, adjusted, allowed, apart, best, methods, turned_identities
 from real_clouds_scans import SOURCES, Scans, Source, read_scans, submap
 
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 Array = NDArray[np.float64]
 FindData = Callable[[str], Path]
 
@@ -107,11 +108,51 @@ def test_scans_that_are_missing_or_cut_off_are_named(tmp_path: Path) -> None:
         read_scans(tmp_path, source)
 
 
-def test_without_recordings_the_benchmark_says_so_and_ends_well(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_without_recordings_the_benchmark_says_so_and_ends_well(tmp_path: Path) -> None:
+    command = [sys.executable, str(BENCHMARKS / "real_clouds.py"), "--data", str(tmp_path)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert json.loads(ran.stdout.splitlines()[-1]) == {"benchmark": "real_clouds"}
+    assert ran.stderr.count("skipped: ") == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("source", "limits"),
+    [
+        (SOURCES[0], {"mutual": 0.045, "adjusted": 0.020, "triangles": 0.050, "close": 4, "outside": 5}),
+        (SOURCES[1], {"mutual": 0.035, "adjusted": 0.020, "triangles": 0.050, "close": 4, "outside": 6}),
+        (SOURCES[2], {"mutual": 0.010, "adjusted": 0.010, "triangles": 0.025, "close": 6, "outside": 9}),
+    ],
+    ids=lambda value: value.title if isinstance(value, Source) else "",
+)
+def test_methods_that_share_no_code_agree_with_us_more_than_with_the_graph(
+    real_data: FindData, source: Source, limits: dict[str, float]
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["real_clouds.py", "--data", str(tmp_path)])
-    real_clouds.main()
-    out, err = capsys.readouterr()
-    assert json.loads(out.splitlines()[-1]) == {"benchmark": "real_clouds"}
-    assert err.count("skipped: ") == 2
+    found = tell_precision(register_all(read_scans(real_data("lidar_submaps_with_graph"), source)))
+    own = found["methods"]["own"]
+    assert found["mutual"]["max_cm"] < 100 * limits["mutual"]
+    assert own["off_adjusted"]["max_cm"] < 100 * limits["adjusted"]
+    assert own["triangles"]["max_cm"] < 100 * limits["triangles"]
+    assert own["within_of_graph"] >= limits["close"]
+    assert found["graph_outside_methods"] >= limits["outside"]
+    assert own["spread_cm"] < found["graph_spread_cm"]
+    assert found["methods"]["GICP"]["spread_cm"] < found["graph_spread_cm"]
+
+
+@pytest.mark.slow
+def test_every_pair_is_found_from_a_turned_identity_and_from_no_prior(real_data: FindData) -> None:
+    found = tell_starts(read_scans(real_data("lidar_submaps_with_graph"), SOURCES[1]), count=1, seed=7)
+    assert found["with_guesses"] == found["starts"] == 10
+    assert found["coarse"] == found["pairs"] == 10
+    assert found["search"] >= 6
+
+
+@pytest.mark.slow
+def test_the_builder_reproduces_what_is_known_of_kitti_00(real_data: FindData) -> None:
+    found = tell_kitti_00(real_data("kitti_odometry"))
+    for figures in found.values():
+        assert figures["max_error_cm"] < 1.5
+        assert figures["median_px"] < 0.7
+        assert figures["within_3px"] > 0.85
+        assert figures["coverage"] > 0.4
+    assert abs(found["elevation_0.205"]["bias_px"]) < 0.15
