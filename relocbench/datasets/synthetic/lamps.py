@@ -1,4 +1,11 @@
-"""Street lamps and the own car's headlights."""
+"""Street lamps and the own car's headlights.
+
+By night a unit of irradiance stands for 80 lx. Lamps are road luminaires: their intensity grows towards the sides, so
+that the road between two of them is not dark, and ends below the horizon (EN 13201-2:2015: 7.5 to 20 lx on the road in
+classes C4 to C2, the least no less than 0.4 of the mean; cut-off by the classes G*3 and above). Headlights are dipped
+beams after UN Regulation 112, class B: the brightest part lies just below a sharp cut-off at 1 % below the horizon, and
+hardly any light above it.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +21,22 @@ Floats = NDArray[np.float32]
 _LAMP_CELL_M = 8.0
 _LAMP_REACH_M = 26.0
 _LAMPS_A_CELL = 6
-_LAMP_POWER = 10.0
-_BEAM_POWER = 96.0
+_LAMP_POWER = 7.0
+"""straight down, 560 cd; about 15 lx on the road on average, by lamps of 5.6 m every 23 m on both sides"""
+_WIDEST = 0.42
+"""cosine of the angle from straight down, 65 degrees, at which a luminaire is brightest"""
+_UPWARDS = 0.02
+"""of the intensity straight down: what housing and lit road send up"""
+_BEAM_POWER = 250.0
+"""20 000 cd of two headlights where they are brightest"""
+_CUT_OFF = -0.0057
+_ABOVE = 0.03
+"""of the largest intensity, above the cut-off: at most 350 cd for an oncoming eye (B50L) and 625 cd elsewhere (zone
+III), of some 10 000 cd in a headlight"""
+_FOREGROUND = 0.075
+"""so much further below the cut-off (sine of the angle) the beam has fallen to half: the road nearby needs less"""
+_SPREAD = 0.25
+"""tangent of the angle to either side at which it has fallen to 1/e"""
 
 
 class Lamps(NamedTuple):
@@ -54,6 +75,16 @@ def make_lamps(heads: NDArray[np.floating]) -> Lamps:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _luminaire(down: float) -> float:
+    """Intensity over that straight down, by the cosine of the angle from straight down.
+
+    As 1 / cosine^2 up to the brightest direction, so that the road is lit more evenly; then it falls to nearly nothing
+    at the horizon.
+    """
+    return (1 - _UPWARDS) / max(down, _WIDEST) ** 2 * smooth(down, 0.0, _WIDEST) + _UPWARDS
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def strongest(lamps: Lamps, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tuple[int, float, float]:
     """The lamp that gives most light at a point, its irradiance, and that of all others."""
     column, row = int((x - lamps.low[0]) / _LAMP_CELL_M), int((y - lamps.low[1]) / _LAMP_CELL_M)
@@ -71,9 +102,9 @@ def strongest(lamps: Lamps, x: float, y: float, z: float, nx: float, ny: float, 
         facing = (lx * nx + ly * ny + lz * nz) / distance
         if facing <= 0.0 or distance > _LAMP_REACH_M:
             continue
-        lobe = smooth(lz / distance, -0.25, 0.5)
-        fade = 1 - distance / _LAMP_REACH_M
-        power = _LAMP_POWER * facing * lobe * fade / (square + 4.0)
+        down = lz / distance
+        fade = 1 - smooth(distance, 0.75 * _LAMP_REACH_M, _LAMP_REACH_M)
+        power = _LAMP_POWER * _luminaire(down) * facing * fade / (square + 1.0)
         total += power
         if power > most:
             best, most = lamp, power
@@ -82,14 +113,17 @@ def strongest(lamps: Lamps, x: float, y: float, z: float, nx: float, ny: float, 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def beam_light(beam: Beam, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
-    """Irradiance by the dipped headlights of the own car."""
+    """Irradiance by the dipped headlights of the own car, seen as one."""
     dx, dy, dz = x - beam.origin[0], y - beam.origin[1], z - beam.origin[2]
     square = dx * dx + dy * dy + dz * dz
     distance = np.sqrt(square) + 1e-6
     ahead = (dx * beam.forward[0] + dy * beam.forward[1]) / distance
     if ahead <= 0.3:
         return 0.0
+    side = dx * beam.forward[1] - dy * beam.forward[0]
     rise = dz / distance
     facing = -(dx * nx + dy * ny + dz * nz) / distance
-    lobe = smooth(ahead, 0.75, 0.99) * (1 - smooth(rise, -0.01, 0.06) * 0.93)
-    return _BEAM_POWER * max(facing, 0.0) * lobe / (square + 30.0)
+    below = (rise - _CUT_OFF) / _FOREGROUND
+    lobe = _ABOVE + (1 - _ABOVE) * (1 - smooth(rise, _CUT_OFF - 0.005, _CUT_OFF + 0.005)) / (1 + below * below)
+    lobe *= np.exp(-((side / (ahead * distance * _SPREAD)) ** 2))
+    return _BEAM_POWER * max(facing, 0.0) * lobe / (square + 0.5)

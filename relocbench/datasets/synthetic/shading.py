@@ -102,7 +102,7 @@ def radiance(
                 power = most * (lit[i] if by_lamp else 1.0) + 0.5 * rest
                 er, eg, eb = er + power, eg + 0.76 * power, eb + 0.46 * power
             if setting.headlights:
-                power = beam_light(beam, x, y, z, nx, ny, nz) * (0.06 + 0.94 * setting.night)
+                power = beam_light(beam, x, y, z, nx, ny, nz) * (0.01 + 0.99 * setting.night)
                 er, eg, eb = er + power, eg + 0.93 * power, eb + 0.8 * power
             r, g, b = hits.albedo[i, 0] * er, hits.albedo[i, 1] * eg, hits.albedo[i, 2] * eb
             f = hits.mirror[i]

@@ -249,7 +249,7 @@ def surfaces(
                 film += (1 - film) * still
                 lost = gloss
                 gloss = lost + (1 - lost) * film * fresnel
-                sharp = 0.25 + 0.75 * still
+                sharp = 0.05 + 0.95 * still
             keep = 1 - looks.porous[material] * soaked * (1 + 0.4 * still)
             r, g, b = r * keep, g * keep, b * keep
 
