@@ -72,13 +72,21 @@ def _named(weather: str, season: str, time: str, **factors: object) -> NamedCond
 
 
 CONDITIONS: dict[str, NamedCondition] = {
-    "Neutral": _named("overcast", "summer", "noon", cloud_cover=1.0, sun_elevation_deg=60, parked_share=0.5),
+    "Neutral": _named(
+        "partly cloudy",
+        "summer",
+        "afternoon",
+        sun_elevation_deg=48,
+        sun_azimuth_deg=255,
+        cloud_cover=0.6,
+        parked_share=0.5,
+    ),
     "Sunny": _named("sunny", "summer", "morning", sun_elevation_deg=38, sun_azimuth_deg=120, cloud_cover=0.1),
     "Overcast": _named(
         "overcast",
         "autumn",
         "noon",
-        cloud_cover=0.95,
+        cloud_cover=1.0,
         sun_elevation_deg=30,
         leaf_colour=0.75,
         foliage=0.8,
@@ -92,7 +100,7 @@ CONDITIONS: dict[str, NamedCondition] = {
         sun_elevation_deg=22,
         sun_azimuth_deg=230,
         rain_mm_h=8.0,
-        lens_drops=0.35,
+        lens_drops=0.3,
         wetness=1.0,
         puddles=0.7,
         fog_density=0.003,
@@ -156,11 +164,11 @@ CONDITIONS: dict[str, NamedCondition] = {
         "noon",
         sun_elevation_deg=75,
         sun_azimuth_deg=180,
-        cloud_cover=0.85,
+        cloud_cover=0.76,
         rain_mm_h=2.0,
         wetness=0.8,
         puddles=0.4,
-        lens_drops=0.2,
+        lens_drops=0.15,
         parked_seed=7,
     ),
     "WetCloudySunset": _named(
