@@ -11,9 +11,17 @@ its own depth and the true pose, so that neither motion nor perspective lowers t
 pixels; all their pixels must be seen in the query, and the grey levels of the reference's patch must vary (standard
 deviation of at least 8). Second table: recall@(0.25m,2deg) of trackers at 0.8 +- 0.2 m and turned by less than 2
 degrees, as on a straight road (in bends the picture moves by more than direct alignment reaches, whatever the weather):
-within one drive, in the same condition driven again, and from the first condition to each other. JSON on the last line.
+within one drive, in the same condition driven again, and from the first condition to each other. Third table: the same
+recall within a condition by how far the frames are turned, over all pairs of the two drives, bends and straight roads,
+so that the limit of 2 degrees can be judged.
+
+``--vary`` adds conditions that differ from a named one in some factors, to find out which of them matters. All of its
+kind are driven along the same poses as the named one.
 
     python benchmarks/realistic_change.py [--steps N] [--pairs N] [--split validation] [--seed N] [--conditions A,B]
+    python benchmarks/realistic_change.py --split train --conditions Night --vary Dark=Night:headlights=false
+
+JSON on the last line.
 """
 
 from __future__ import annotations
@@ -25,28 +33,31 @@ import sys
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import yaml
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from relocbench.datasets.dataset import Dataset, Traversal
 from relocbench.datasets.importers import Run
 from relocbench.datasets.layout import pair_set_name
 from relocbench.datasets.pairfile import Pair
 from relocbench.datasets.pairing import PosedFrames, posed_frames, relative_pose
-from relocbench.datasets.synthetic.condition import CONDITIONS
+from relocbench.datasets.synthetic.condition import CONDITIONS, Factors, condition_named
 from relocbench.datasets.synthetic.drive import DriveStyle
-from relocbench.datasets.synthetic.plan import make_plans
+from relocbench.datasets.synthetic.plan import TraversalPlan, make_plans
 from relocbench.datasets.synthetic.presets import conditions_of
 from relocbench.datasets.synthetic.rig import rig_named
 from relocbench.datasets.synthetic.work import render_all
 from relocbench.datasets.visibility import warp
 from relocbench.datasets.writer import DatasetWriter
+from relocbench.errors import ConfigError
 from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.execution import default_workers
 from relocbench.geometry import Camera, invert, rotation_angle
@@ -71,12 +82,44 @@ class Apart:
 
     metres: float
     give: float
-    turned_deg: float
-    """at most"""
+    most_deg: float
+    """turned by less than this"""
+    least_deg: float = 0.0
+
+    @property
+    def turned(self) -> str:
+        """The angle, in words; the group of such pairs."""
+        return f"{self.least_deg:g} to {self.most_deg:g} deg"
 
 
 PATCHES = Apart(0.5, 0.15, 20.0)
 TRACKED = Apart(0.8, 0.2, 2.0)
+TURNED = (TRACKED, Apart(0.8, 0.2, 5.0, 2.0), Apart(0.8, 0.2, 45.0, 5.0))
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A condition that differs from a named one in some factors."""
+
+    name: str
+    base: str
+    factors: Factors
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What trackers make of the pairs of one pair set, turned so far."""
+
+    reference: str
+    query: str
+    """conditions"""
+    one_drive: bool
+    band: Apart
+    pairs: int
+    distance_m: float
+    angle_deg: float
+    recall: dict[str, float]
+    """method -> percent"""
 
 
 class Frames:
@@ -111,10 +154,8 @@ def matches(
         if same_drive:
             off[q] = np.inf
         best = int(np.argmin(off))
-        turned = rotation_angle(reference.T_world_cam[best, :3, :3].T @ T_world_query[:3, :3])
-        if np.degrees(turned) > apart.turned_deg:
-            continue
-        if off[best] <= apart.give:
+        turned = np.degrees(rotation_angle(reference.T_world_cam[best, :3, :3].T @ T_world_query[:3, :3]))
+        if off[best] <= apart.give and apart.least_deg <= turned < apart.most_deg:
             found.append((best, q))
     rows = np.unique(np.linspace(0, len(found) - 1, min(count, len(found))).round().astype(int))
     return [found[i] for i in rows]
@@ -176,13 +217,38 @@ def correlate(dataset: Dataset, split: str, names: list[str], count: int) -> dic
     return table
 
 
-def town(given: argparse.Namespace, names: list[str], out: Path) -> tuple[Dataset, Sets]:
-    """Two drives in each condition, rendered, and the pair sets that trackers are asked."""
-    conditions = conditions_of(names, {}, None, 2)
+def variant(text: str) -> Variant:
+    """Of ``NAME=CONDITION:factor=value,...``. Raises ConfigError."""
+    name, _, rest = text.partition("=")
+    base, _, given = rest.partition(":")
+    changed = {key: yaml.safe_load(value) for key, _, value in (item.partition("=") for item in given.split(","))}
+    try:
+        factors = Factors.model_validate({**condition_named(base).factors.model_dump(), **changed})
+    except ValidationError as error:
+        raise ConfigError(f"--vary {text}: {error.errors()[0]['loc']}: {error.errors()[0]['msg']}") from None
+    return Variant(name, base, factors)
+
+
+def planned(given: argparse.Namespace, names: list[str], variants: list[Variant]) -> list[TraversalPlan]:
+    """Two drives in each condition; variants are driven as the condition that they vary."""
+    every = [*names, *(v.name for v in variants)]
+    conditions = conditions_of(every, {v.name: v.factors for v in variants}, None, 2)
     style = DriveStyle(given.speed, given.lateral, given.heading)
     plans = make_plans(
         (given.split,), conditions, 2, given.steps, style, seed=given.seed, extent_m=_EXTENT_M, reporter=Silent()
     )
+    found = {plan.name: plan for plan in plans}
+    for v in variants:
+        if v.base not in names:
+            raise ConfigError(f"--vary {v.name}: '{v.base}' is not among --conditions {','.join(names)}")
+        for number in (0, 1):
+            name, like = (drive_name(given.split, k, number) for k in (v.name, v.base))
+            found[name] = replace(found[name], drive=found[like].drive)
+    return list(found.values())
+
+
+def town(given: argparse.Namespace, names: list[str], plans: list[TraversalPlan], out: Path) -> tuple[Dataset, Sets]:
+    """The drives, rendered, and the pair sets that trackers are asked; ``names`` of their conditions."""
     width, height = map(int, given.size.split("x"))
     cameras = rig_named(CAMERA).cameras(width, height)
     settings = {k: v if isinstance(v, int | float) else str(v) for k, v in vars(given).items()}
@@ -195,43 +261,78 @@ def town(given: argparse.Namespace, names: list[str], out: Path) -> tuple[Datase
     asked = [*zip(first, first, strict=True), *zip(first, second, strict=True)]
     asked += [(first[0], name) for name in second[1:]]
     for a, b in asked:
-        rows = matches(frames[a], frames[b], TRACKED, given.pairs, same_drive=a == b)
-        writer.pairs(a, b, CAMERA, [_pair(frames[a], frames[b], r, q) for r, q in rows])
+        bands = TURNED if a.split("-")[1] == b.split("-")[1] else TURNED[:1]
+        pairs = [
+            _pair(frames[a], frames[b], r, q, band.turned)
+            for band in bands
+            for r, q in matches(frames[a], frames[b], band, given.pairs, same_drive=a == b)
+        ]
+        writer.pairs(a, b, CAMERA, pairs)
     sets = {(a, b): pair_set_name(a, b, CAMERA) for a, b in asked}
     return writer.finish({"test": list(sets.values())}), sets
 
 
-def _pair(reference: PosedFrames, query: PosedFrames, r: int, q: int) -> Pair:
+def _pair(reference: PosedFrames, query: PosedFrames, r: int, q: int, group: str) -> Pair:
     T_query_ref = relative_pose(query.T_world_cam[q], reference.T_world_cam[r])
-    return Pair(reference.timestamps[r], query.timestamps[q], T_query_ref, group="all", source="rendered poses")
+    return Pair(reference.timestamps[r], query.timestamps[q], T_query_ref, group=group, source="rendered poses")
 
 
-def recall_of(method: str, dataset: Path, sets: tuple[str, ...], out: Path) -> dict[str, float]:
-    """pair set -> recall in percent; one process, as workers would start anew for each set of some tens of pairs."""
+def recall_of(method: str, dataset: Path, sets: tuple[str, ...], out: Path) -> dict[tuple[str, str], float]:
+    """(pair set, group) -> recall in percent; one process, as workers would start anew for each of these small sets."""
     options = EvaluateOptions(dataset=dataset, methods=(method,), pair_sets=sets, out=out, workers=1)
     scores = evaluate_methods(options, Silent()).folders[0].score_record().pair_sets
-    return {name: round(100 * float(scores[name]["all"][_RECALL] or 0.0), 1) for name in sets}
+    return {(name, g): 100 * float(row[_RECALL] or 0.0) for name in sets for g, row in scores[name].items()}
 
 
-def track(dataset: Dataset, sets: Sets, methods: list[str], out: Path) -> dict[str, dict[str, Any]]:
-    """pairs of drives -> recall of each method in percent, number and mean distance of pairs."""
+def track(dataset: Dataset, sets: Sets, methods: list[str], out: Path) -> list[Tracked]:
+    """Recall of each method for each pair set and angle between its frames."""
     workers = default_workers()
     parts = [part for k in range(workers) if (part := tuple(sets.values())[k::workers])]
-    recall: dict[str, dict[str, float]] = {m: {} for m in methods}
+    recall: dict[str, dict[tuple[str, str], float]] = {m: {} for m in methods}
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
         asked = [(m, k) for m in methods for k in range(len(parts))]
         jobs = [pool.submit(recall_of, m, dataset.root, parts[k], out / f"{m}-{k}") for m, k in asked]
         for (m, _), job in zip(asked, jobs, strict=True):
             recall[m] |= job.result()
-    table: dict[str, dict[str, Any]] = {}
+    found = []
     for (a, b), name in sets.items():
-        pairs = dataset.pair_set(name).pairs
-        distance = float(np.mean([p.distance_m for p in pairs if p.distance_m is not None]))
-        angle = float(np.mean([p.angle_deg for p in pairs if p.angle_deg is not None]))
-        label = f"{a.split('-')[1]} -> {b.split('-')[1]}" + (", one drive" if a == b else "")
-        row: dict[str, Any] = {"pairs": len(pairs), "distance_m": round(distance, 2), "angle_deg": round(angle, 1)}
-        table[label] = row | {m: recall[m][name] for m in methods}
+        everything = dataset.pair_set(name).pairs
+        for band in TURNED:
+            pairs = [p for p in everything if p.group == band.turned]
+            if pairs:
+                distance = float(np.mean([p.distance_m for p in pairs if p.distance_m is not None]))
+                angle = float(np.mean([p.angle_deg for p in pairs if p.angle_deg is not None]))
+                of = {m: recall[m][name, band.turned] for m in methods}
+                found.append(Tracked(a.split("-")[1], b.split("-")[1], a == b, band, len(pairs), distance, angle, of))
+    return found
+
+
+def by_condition(tracked: list[Tracked]) -> dict[str, dict[str, Any]]:
+    """label -> columns of pairs that are hardly turned."""
+    rows = [t for t in tracked if t.band == TRACKED]
+    return {f"{t.reference} -> {t.query}" + (", one drive" if t.one_drive else ""): _columns([t]) for t in rows}
+
+
+def by_angle(tracked: list[Tracked]) -> dict[str, dict[str, Any]]:
+    """label -> columns of pairs within a condition, all conditions together."""
+    table = {}
+    for one_drive in (True, False):
+        for band in TURNED:
+            rows = [t for t in tracked if (t.one_drive, t.band) == (one_drive, band) and t.reference == t.query]
+            if rows:
+                table[("one drive" if one_drive else "driven again") + f", {band.turned}"] = _columns(rows)
     return table
+
+
+def _columns(rows: list[Tracked]) -> dict[str, Any]:
+    """Means over all pairs of the rows."""
+    pairs = np.array([t.pairs for t in rows])
+    row: dict[str, Any] = {
+        "pairs": int(pairs.sum()),
+        "distance_m": round(float(np.average([t.distance_m for t in rows], weights=pairs)), 2),
+        "angle_deg": round(float(np.average([t.angle_deg for t in rows], weights=pairs)), 1),
+    }
+    return row | {m: round(float(np.average([t.recall[m] for t in rows], weights=pairs)), 1) for m in rows[0].recall}
 
 
 def print_patches(patches: dict[str, dict[str, dict[str, float]]]) -> None:
@@ -243,12 +344,12 @@ def print_patches(patches: dict[str, dict[str, dict[str, float]]]) -> None:
         print(f"| {a} | " + " | ".join(f"{patches[a][b]['median']:.2f}" for b in names) + " |", flush=True)
 
 
-def print_tracked(tracked: dict[str, dict[str, Any]]) -> None:
+def print_tracked(table: dict[str, dict[str, Any]], title: str) -> None:
     """Recall as Markdown."""
-    columns = list(next(iter(tracked.values())))
-    print(f"\n{_RECALL} in percent\n")
-    print("| reference -> query | " + " | ".join(columns) + " |\n|" + "---|" * (len(columns) + 1))
-    for label, row in tracked.items():
+    columns = list(next(iter(table.values())))
+    print(f"\n{_RECALL} in percent, {title}\n")
+    print("| | " + " | ".join(columns) + " |\n|" + "---|" * (len(columns) + 1))
+    for label, row in table.items():
         print(f"| {label} | " + " | ".join(str(row[c]) for c in columns) + " |")
 
 
@@ -265,9 +366,14 @@ def main() -> None:
     parser.add_argument("--heading", type=float, default=2.0, help="degrees off the direction of travel, at most")
     parser.add_argument("--split", default="test", help="whose district is driven in; tune on another")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--vary", action="append", default=[], help="NAME=CONDITION:factor=value,...; repeat for several"
+    )
     parser.add_argument("--keep", type=Path, help="folder for the dataset and predictions, kept")
     given = parser.parse_args()
-    names = given.conditions.split(",")
+    named, variants = given.conditions.split(","), [variant(text) for text in given.vary]
+    names = [*named, *(v.name for v in variants)]
+    plans = planned(given, named, variants)
     start = time.perf_counter()
 
     def say(what: str) -> None:
@@ -276,15 +382,18 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="relocbench-change-") as scratch:
         folder = given.keep or Path(scratch)
         say(f"rendering two drives of {given.steps} frames in each of {len(names)} conditions")
-        dataset, sets = town(given, names, folder / "dataset")
+        dataset, sets = town(given, names, plans, folder / "dataset")
         say("comparing patches")
         patches = correlate(dataset, given.split, names, given.frames)
         print_patches(patches)
         say(f"tracking {len(sets)} pair sets with {given.methods}")
         tracked = track(dataset, sets, given.methods.split(","), folder / "results")
         say("done")
-    print_tracked(tracked)
-    print(json.dumps({"benchmark": "realistic_change", "zncc": patches, "recall_percent": tracked}))
+    conditions, angles = by_condition(tracked), by_angle(tracked)
+    print_tracked(conditions, f"turned by less than {TRACKED.most_deg:g} degrees")
+    print_tracked(angles, "within a condition, by how far the frames are turned")
+    result = {"zncc": patches, "recall_percent": conditions, "recall_percent_by_angle": angles}
+    print(json.dumps({"benchmark": "realistic_change", **result}))
 
 
 if __name__ == "__main__":
