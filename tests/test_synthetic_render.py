@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic.condition import Factors
+from relocbench.datasets.synthetic.lamps import NIGHT_LUX, Beam, beam_light, make_lamps, strongest
 from relocbench.datasets.synthetic.mesh import Material, Mesh, Semantic, merge
 from relocbench.datasets.synthetic.render import Frame, Renderer
 from relocbench.errors import ConfigError
@@ -354,3 +355,35 @@ def test_only_a_pinhole_camera_is_rendered() -> None:
     fisheye = Camera("equidistant", SIZE, SIZE, 60, 60, 47.5, 47.5, (0.0, 0.0, 0.0, 0.0))
     with pytest.raises(ConfigError, match="pinhole"):
         renderer().render(fisheye, pose(), 0)
+
+
+def test_a_row_of_lamps_lights_the_road_as_town_streets_are_lit() -> None:
+    # Posts every 23 m on both sides of a road 7 m wide; EN 13201-2, classes C4 to C1: 10 to 30 lx, uniformity 0.4.
+    x = np.arange(-92.0, 93.0, 23.0)
+    heads = np.concatenate(
+        [
+            np.column_stack([x + shift, np.full(len(x), y), np.full(len(x), 5.62)])
+            for y, shift in ((-2.7, 0.0), (2.7, 11.5))
+        ]
+    )
+    lamps = make_lamps(heads)
+    lux = []
+    for along in np.arange(0.0, 23.0, 0.5):
+        for across in np.arange(-3.25, 3.5, 0.5):
+            _, most, rest = strongest(lamps, along, across, 0.0, 0.0, 0.0, 1.0)
+            lux.append(NIGHT_LUX * (most + rest))
+    assert 10 <= np.mean(lux) <= 30
+    assert np.min(lux) / np.mean(lux) >= 0.4
+
+
+def test_dipped_headlights_end_at_a_cut_off() -> None:
+    # UN Regulation 112, class B, a lamp's limits on a screen 25 m ahead: two are taken as one here.
+    beam = Beam(np.array([0, 0, 0.65], np.float32), np.array([1, 0, 0], np.float32))
+
+    def lux(left: float, up_deg: float) -> float:
+        return NIGHT_LUX * beam_light(beam, 25.0, left, 0.65 + 25 * np.tan(np.radians(up_deg)), -1.0, 0.0, 0.0)
+
+    assert lux(0.0, -0.86) >= 2 * 12, "50R: the road 50 m ahead"
+    assert lux(0.0, 0.57) <= 2 * 0.7, "zone III"
+    assert all(lux(0.0, up) < lux(0.0, -0.86) for up in (-10.0, -5.0, 0.0, 5.0))
+    assert lux(9.0, -1.7) < 0.5 * lux(0.0, -1.7)

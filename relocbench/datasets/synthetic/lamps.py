@@ -1,10 +1,10 @@
 """Street lamps and the own car's headlights.
 
-By night a unit of irradiance stands for 80 lx. Lamps are road luminaires: their intensity grows towards the sides, so
-that the road between two of them is not dark, and ends below the horizon (EN 13201-2:2015: 7.5 to 20 lx on the road in
-classes C4 to C2, the least no less than 0.4 of the mean; cut-off by the classes G*3 and above). Headlights are dipped
-beams after UN Regulation 112, class B: the brightest part lies just below a sharp cut-off at 1 % below the horizon, and
-hardly any light above it.
+By night a unit of irradiance stands for :data:`NIGHT_LUX`. Lamps are road luminaires: their intensity grows towards the
+sides, so that the road between two of them is not dark, and ends below the horizon (EN 13201-2:2015: 10 to 30 lx on the
+road in classes C4 to C1, the least no less than 0.4 of the mean). Headlights are dipped beams after UN Regulation 112,
+class B: the brightest part lies just below a sharp cut-off at 1 % below the horizon, and hardly any light above it. A
+pattern that moves with the car is then but a part of what lights the road.
 """
 
 from __future__ import annotations
@@ -18,18 +18,21 @@ from numpy.typing import NDArray
 from relocbench.datasets.synthetic.vectors import smooth
 
 Floats = NDArray[np.float32]
+NIGHT_LUX = 80.0
+"""lx, of a unit of irradiance; by day, when lamps hardly count, it stands for some hundred times as much"""
 _LAMP_CELL_M = 8.0
 _LAMP_REACH_M = 26.0
 _LAMPS_A_CELL = 6
 _LAMP_POWER = 7.0
-"""straight down, 560 cd; about 15 lx on the road on average, by lamps of 5.6 m every 23 m on both sides"""
+"""straight down, 560 cd: with lamps of 5.6 m every 23 m on both sides 28 lx on the road on average"""
 _WIDEST = 0.42
 """cosine of the angle from straight down, 65 degrees, at which a luminaire is brightest"""
 _UPWARDS = 0.02
 """of the intensity straight down: what housing and lit road send up"""
 _BEAM_POWER = 250.0
 """20 000 cd of two headlights where they are brightest"""
-_CUT_OFF = -0.0057
+_CUT_OFF = -0.01
+"""sine of the angle above the horizon"""
 _ABOVE = 0.03
 """of the largest intensity, above the cut-off: at most 350 cd for an oncoming eye (B50L) and 625 cd elsewhere (zone
 III), of some 10 000 cd in a headlight"""
