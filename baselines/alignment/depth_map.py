@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,28 +97,43 @@ def dilate(sums: InverseDepthSums, neighbours: tuple[tuple[int, int], ...]) -> I
 
 
 def coarse_points(points: KeyframePoints, levels: list[Level]) -> list[LevelPoints]:
-    """The points of every level: sums carried down the pyramid, each dilated once, divided, read off.
+    """The points of every level, with the values that the level's map has there; see :func:`coarse_depths`."""
+    depths = coarse_depths(points, [level.camera for level in levels])
+    return [
+        sample_points(uv, inverse_depth, level.map, level.camera)
+        for (uv, inverse_depth), level in zip(depths, levels, strict=True)
+    ]
+
+
+def coarse_depths(points: KeyframePoints, cameras: Sequence[Camera]) -> list[tuple[NDArray[np.int64], Array]]:
+    """Sums carried down the pyramid, each dilated once, divided, read off.
 
     Empty pixels are filled from their diagonal neighbours on levels 0 and 1, from their four nearest above.
+
+    Args:
+        points: pixels of level 0.
+        cameras: of the levels, finest first.
+
+    Returns:
+        pixels (N, 2) in raster order and inverse depth (N,) 1/m, level by level.
     """
-    camera = levels[0].camera
-    sums = splat(points, camera.width, camera.height)
+    sums = splat(points, cameras[0].width, cameras[0].height)
     out = []
-    for number, level in enumerate(levels):
+    for number in range(len(cameras)):
         if number > 0:
             sums = halve_sums(sums)
-        out.append(_read_off(dilate(sums, DIAGONAL if number < 2 else STRAIGHT), level))
+        out.append(_read_off(dilate(sums, DIAGONAL if number < 2 else STRAIGHT)))
     return out
 
 
-def _read_off(sums: InverseDepthSums, level: Level) -> LevelPoints:
+def _read_off(sums: InverseDepthSums) -> tuple[NDArray[np.int64], Array]:
     kept = sums.weight > 0
     kept[:KEPT_BORDER] = kept[-KEPT_BORDER:] = False
     kept[:, :KEPT_BORDER] = kept[:, -KEPT_BORDER:] = False
     v, u = np.nonzero(kept)
     inverse_depth = sums.weighted[v, u] / sums.weight[v, u]
     positive = inverse_depth > 0
-    return sample_points(np.stack([u, v], axis=-1)[positive], inverse_depth[positive], level.map, level.camera)
+    return np.stack([u, v], axis=-1)[positive], inverse_depth[positive]
 
 
 def sample_points(

@@ -33,15 +33,15 @@ BORDER = 2
 """pixels; nearer to the query's border a point is dropped"""
 
 # Rows of the scratch block: what one stage hands to the next, one column a point.
-_U, _V, _ID, _PX, _PY, _VALID = 0, 1, 2, 3, 4, 5
-_F, _FX, _FY = 6, 7, 8
-_AXX, _AXY, _AYY, _BX, _BY = 9, 10, 11, 12, 13
-_CX, _CY, _DX, _DY = 14, 15, 16, 17
+U, V, ID, PX, PY, VALID = 0, 1, 2, 3, 4, 5
+F, FX, FY = 6, 7, 8
+AXX, AXY, AYY, BX, BY = 9, 10, 11, 12, 13
+CX, CY, DX, DY = 14, 15, 16, 17
 SCRATCH_ROWS = 18
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _warp(
+def warp(
     points: FloatArray,
     start: int,
     n: int,
@@ -71,12 +71,12 @@ def _warp(
         i = inverse_depth * inv_z
         px, py = fx * u + cx, fy * v + cy
         valid = (i > zero) & (px > border) & (py > border) & (px < right) & (py < bottom)
-        s[_U, k] = u if valid else zero
-        s[_V, k] = v if valid else zero
-        s[_ID, k] = i if valid else zero
-        s[_PX, k] = px if valid else border
-        s[_PY, k] = py if valid else border
-        s[_VALID, k] = one if valid else zero
+        s[U, k] = u if valid else zero
+        s[V, k] = v if valid else zero
+        s[ID, k] = i if valid else zero
+        s[PX, k] = px if valid else border
+        s[PY, k] = py if valid else border
+        s[VALID, k] = one if valid else zero
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -85,26 +85,26 @@ def _look_up(level_map: FloatArray, n: int, s: FloatArray) -> None:
     one = s.dtype.type(1)
     next_one = np.uint32(1)
     for k in range(n):
-        px, py = s[_PX, k], s[_PY, k]
+        px, py = s[PX, k], s[PY, k]
         ix, iy = np.uint32(np.int32(px)), np.uint32(np.int32(py))  # unsigned: spares the test for negative indices
         ax, ay = px - s.dtype.type(np.int32(px)), py - s.dtype.type(np.int32(py))
         w11 = ax * ay
         w10, w01 = ay - w11, ax - w11
         w00 = one - ax - w10
         jx, jy = np.uint32(ix + next_one), np.uint32(iy + next_one)
-        s[_F, k] = (
+        s[F, k] = (
             w00 * level_map[iy, ix, 0]
             + w01 * level_map[iy, jx, 0]
             + w10 * level_map[jy, ix, 0]
             + w11 * level_map[jy, jx, 0]
         )
-        s[_FX, k] = (
+        s[FX, k] = (
             w00 * level_map[iy, ix, 1]
             + w01 * level_map[iy, jx, 1]
             + w10 * level_map[jy, ix, 1]
             + w11 * level_map[jy, jx, 1]
         )
-        s[_FY, k] = (
+        s[FY, k] = (
             w00 * level_map[iy, ix, 2]
             + w01 * level_map[iy, jx, 2]
             + w10 * level_map[jy, ix, 2]
@@ -137,11 +137,11 @@ def _weigh_intensity(
     reference = values.reshape(-1)[start : start + n]
     for k in range(n):
         ja = -gain * reference[k]  # J_a = -gain F_ref, J_b = -1
-        r = s[_F, k] + ja - offset
-        gx, gy = fx * s[_FX, k], fy * s[_FY, k]
+        r = s[F, k] + ja - offset
+        gx, gy = fx * s[FX, k], fy * s[FY, k]
         size = abs(r)
         beyond = size > cutoff
-        within = s[_VALID, k]
+        within = s[VALID, k]
         w = huber / max(size, huber)  # 1 below the Huber threshold
         fit = w * r * r * (two - w)
         energy += within * (saturated_energy if beyond else fit)
@@ -150,15 +150,15 @@ def _weigh_intensity(
         saturated += within - kept
         w = kept * w
         wgx, wgy, wja, wr = w * gx, w * gy, w * ja, w * r
-        s[_AXX, k] = wgx * gx
-        s[_AXY, k] = wgx * gy
-        s[_AYY, k] = wgy * gy
-        s[_BX, k] = gx * wr
-        s[_BY, k] = gy * wr
-        s[_CX, k] = gx * wja
-        s[_CY, k] = gy * wja
-        s[_DX, k] = -wgx
-        s[_DY, k] = -wgy
+        s[AXX, k] = wgx * gx
+        s[AXY, k] = wgx * gy
+        s[AYY, k] = wgy * gy
+        s[BX, k] = gx * wr
+        s[BY, k] = gy * wr
+        s[CX, k] = gx * wja
+        s[CY, k] = gy * wja
+        s[DX, k] = -wgx
+        s[DY, k] = -wgy
         saa += wja * ja
         sab -= wja
         sbb += w
@@ -197,9 +197,9 @@ def _weigh_features(
     energy, saturated = zero, zero
     valid = 0
     for k in range(n):
-        px, py = s[_PX, k], s[_PY, k]
+        px, py = s[PX, k], s[PY, k]
         axx, axy, ayy, bx, by = zero, zero, zero, zero, zero
-        if s[_VALID, k] > zero:
+        if s[VALID, k] > zero:
             ix, iy = int(px), int(py)
             ax, ay = px - s.dtype.type(ix), py - s.dtype.type(iy)
             w11 = ax * ay
@@ -246,15 +246,15 @@ def _weigh_features(
                 energy += saturated_energy if beyond else w * rr * (two - w)
                 saturated += one if beyond else zero
                 axx, axy, ayy, bx, by = w * axx, w * axy, w * ayy, w * bx, w * by
-        s[_AXX, k], s[_AXY, k], s[_AYY, k] = fx * fx * axx, fx * fy * axy, fy * fy * ayy
-        s[_BX, k], s[_BY, k] = fx * bx, fy * by
+        s[AXX, k], s[AXY, k], s[AYY, k] = fx * fx * axx, fx * fy * axy, fy * fy * ayy
+        s[BX, k], s[BY, k] = fx * bx, fy * by
     sums[0] += energy
     sums[1] += valid
     sums[2] += saturated
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _accumulate_pose(s: FloatArray, n: int, H: FloatArray, g: FloatArray) -> None:
+def accumulate_pose(s: FloatArray, n: int, H: FloatArray, g: FloatArray) -> None:
     """Add sum P^T A P to the upper triangle of H[:6, :6] and sum P^T b to g[:6], with P = dp'/dxi (2x6)."""
     one = s.dtype.type(1)
     z = s.dtype.type(0)
@@ -264,8 +264,8 @@ def _accumulate_pose(s: FloatArray, n: int, H: FloatArray, g: FloatArray) -> Non
     h33, h34, h35, h44, h45, h55 = z, z, z, z, z, z
     g0, g1, g2, g3, g4, g5 = z, z, z, z, z, z
     for k in range(n):
-        u, v, i = s[_U, k], s[_V, k], s[_ID, k]
-        axx, axy, ayy, bx, by = s[_AXX, k], s[_AXY, k], s[_AYY, k], s[_BX, k], s[_BY, k]
+        u, v, i = s[U, k], s[V, k], s[ID, k]
+        axx, axy, ayy, bx, by = s[AXX, k], s[AXY, k], s[AYY, k], s[BX, k], s[BY, k]
         # The rows of P: (i, 0, x2, x3, x4, -v) and (0, i, y2, y3, -x3, u).
         x2, x3, x4 = -i * u, -u * v, one + u * u
         y2, y3 = -i * v, -(one + v * v)
@@ -326,8 +326,8 @@ def _accumulate_light(s: FloatArray, n: int, H: FloatArray) -> None:
     a0, a1, a2, a3, a4, a5 = z, z, z, z, z, z
     b0, b1, b2, b3, b4, b5 = z, z, z, z, z, z
     for k in range(n):
-        u, v, i = s[_U, k], s[_V, k], s[_ID, k]
-        cx, cy, dx, dy = s[_CX, k], s[_CY, k], s[_DX, k], s[_DY, k]
+        u, v, i = s[U, k], s[V, k], s[ID, k]
+        cx, cy, dx, dy = s[CX, k], s[CY, k], s[DX, k], s[DY, k]
         x3, x4, y3 = -u * v, one + u * u, -(one + v * v)
         a0 += i * cx
         a1 += i * cy
@@ -397,14 +397,14 @@ def linearize(
     one_channel = values.shape[1] == 1
     for start in range(0, points.shape[1], BLOCK):
         n = min(BLOCK, points.shape[1] - start)
-        _warp(points, start, n, K, T, level_map.shape[1], level_map.shape[0], scratch)
+        warp(points, start, n, K, T, level_map.shape[1], level_map.shape[0], scratch)
         if one_channel:
             _look_up(level_map, n, scratch)
             _weigh_intensity(values, start, n, K, L, h, c, scratch, sums)
             _accumulate_light(scratch, n, H)
         else:
             _weigh_features(level_map, values, start, n, K, h, c, per_channel, scratch, sums)
-        _accumulate_pose(scratch, n, H, g)
+        accumulate_pose(scratch, n, H, g)
     H[6, 6], H[6, 7], H[7, 7] = sums[3], sums[4], sums[5]
     g[6], g[7] = sums[6], sums[7]
     valid, saturated = int(sums[1]), int(sums[2])

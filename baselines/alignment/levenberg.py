@@ -34,6 +34,14 @@ SCALE = (1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 10.0, 1000.0)
 @njit(cache=True)
 def se3_exp(xi: Array) -> Array:
     """exp of a twist (rho, phi): [[exp(phi^), V(phi) rho], [0, 1]], (6,) -> (4, 4)."""
+    out = np.empty((4, 4))
+    se3_exp_into(xi, out)
+    return out
+
+
+@njit(cache=True)
+def se3_exp_into(xi: Array, out: Array) -> None:
+    """As :func:`se3_exp`, written to ``out`` (4, 4); allocates nothing."""
     theta2 = xi[3] * xi[3] + xi[4] * xi[4] + xi[5] * xi[5]
     theta = np.sqrt(theta2)
     if theta < 1e-3:  # sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3 to the last bit
@@ -42,31 +50,44 @@ def se3_exp(xi: Array) -> Array:
         a = np.sin(theta) / theta
         b = 2 * (np.sin(theta / 2) / theta) ** 2
         c = (theta - np.sin(theta)) / (theta2 * theta)
-    W = np.array([[0.0, -xi[5], xi[4]], [xi[5], 0.0, -xi[3]], [-xi[4], xi[3], 0.0]])
-    out = np.eye(4)
+    W = ((0.0, -xi[5], xi[4]), (xi[5], 0.0, -xi[3]), (-xi[4], xi[3], 0.0))
+    for i in range(4):
+        for j in range(4):
+            out[i, j] = 1.0 if i == j else 0.0
     for i in range(3):
         for j in range(3):
-            w2 = W[i, 0] * W[0, j] + W[i, 1] * W[1, j] + W[i, 2] * W[2, j]
-            out[i, j] += a * W[i, j] + b * w2
-            out[i, 3] += (b * W[i, j] + c * w2) * xi[j]
+            w2 = W[i][0] * W[0][j] + W[i][1] * W[1][j] + W[i][2] * W[2][j]
+            out[i, j] += a * W[i][j] + b * w2
+            out[i, 3] += (b * W[i][j] + c * w2) * xi[j]
         out[i, 3] += xi[i]
-    return out
 
 
 @njit(cache=True)
 def _product(A: Array, B: Array) -> Array:
-    out = np.zeros((4, 4))
+    out = np.empty((4, 4))
+    product_into(A, B, out)
+    return out
+
+
+@njit(cache=True)
+def product_into(A: Array, B: Array, out: Array) -> None:
+    """A @ B, all (4, 4), written to ``out``, which is neither of the two."""
     for i in range(4):
         for j in range(4):
+            out[i, j] = 0.0
             for k in range(4):
                 out[i, j] += A[i, k] * B[k, j]
-    return out
 
 
 @njit(cache=True)
 def solve_cholesky(A: Array, b: Array, n: int, x: Array) -> bool:
     """Solve the leading n x n part of A x = b, A symmetric. False when A is not positive definite."""
-    L = np.zeros((n, n))
+    return solve_cholesky_with(A, b, n, np.empty((n, n)), x)
+
+
+@njit(cache=True)
+def solve_cholesky_with(A: Array, b: Array, n: int, L: Array, x: Array) -> bool:
+    """As :func:`solve_cholesky`; the lower triangle of L (n, n) is room to work in."""
     for i in range(n):
         for j in range(i + 1):
             rest = A[i, j]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,28 +107,59 @@ def align(
             energy is 1.5 times the rival's or more.
     """
     T, light = np.array(T_start, dtype=np.float64), np.zeros(2)
-    rival_energy = {outcome.level: outcome.energy for outcome in rival.outcomes} if rival else {}
-    outcomes: list[LevelOutcome] = []
 
-    def ended(trouble: str = "", abandoned: bool = False) -> Alignment:
-        size = len(reference[0])
-        return Alignment(compose(T), light[0], light[1], tuple(outcomes), size, trouble, abandoned)
-
-    repeated = False
-    level = min(len(reference), len(query)) - 1
-    while level >= 0:
+    def minimise(level: int) -> tuple[LevelOutcome, str]:
+        nonlocal T, light
         T, light, outcome = _minimise(reference[level], query[level], level, T, light, settings)
+        return outcome, _trouble(outcome, T, light)
+
+    coarsest = min(len(reference), len(query)) - 1
+    walk = coarse_to_fine(coarsest, minimise, rival.outcomes if rival else ())
+    size = len(reference[0])
+    return Alignment(compose(T), light[0], light[1], walk.outcomes, size, walk.trouble, walk.abandoned)
+
+
+@dataclass(frozen=True)
+class Walk:
+    """How the way down the levels went."""
+
+    outcomes: tuple[LevelOutcome, ...]
+    """in the order of work"""
+    trouble: str
+    """why it ended early; empty if it reached the finest level"""
+    abandoned: bool
+    """the trouble is that a rival fits clearly better"""
+
+
+def coarse_to_fine(
+    coarsest: int, minimise: Callable[[int], tuple[LevelOutcome, str]], rival: Sequence[LevelOutcome] = ()
+) -> Walk:
+    """Work on one level after another, from ``coarsest`` to 0.
+
+    The first level whose cutoff had to be raised is repeated once. The way ends at the first trouble, or on a level
+    where the root mean energy is 1.5 times the rival's or more.
+
+    Args:
+        coarsest: number of the first level; -1 leaves nothing to do.
+        minimise: aligns one level from where the last one ended; its outcome, and its trouble or an empty string.
+        rival: outcomes of the best alignment so far from another start.
+    """
+    rival_energy = {outcome.level: outcome.energy for outcome in rival}
+    outcomes: list[LevelOutcome] = []
+    repeated = False
+    level = coarsest
+    while level >= 0:
+        outcome, trouble = minimise(level)
         outcomes.append(outcome)
-        trouble = _trouble(outcome, T, light)
         if trouble:
-            return ended(trouble)
+            return Walk(tuple(outcomes), trouble, abandoned=False)
         if outcome.energy > ABANDON_FACTOR**2 * rival_energy.get(level, np.inf):
-            return ended("another start fits clearly better", abandoned=True)
+            return Walk(tuple(outcomes), "another start fits clearly better", abandoned=True)
         if outcome.cutoff_factor > 1 and not repeated:
             repeated = True
             continue
         level -= 1
-    return ended()
+    return Walk(tuple(outcomes), "", abandoned=False)
 
 
 def align_best(
@@ -138,11 +170,32 @@ def align_best(
     Raises:
         ValueError: no start.
     """
+    return best_of(starts, lambda start, rival: align(reference, query, start, settings, rival))
+
+
+class Attempt(Protocol):
+    """What an alignment from one start tells those from other starts."""
+
+    @property
+    def trouble(self) -> str: ...
+    @property
+    def final(self) -> LevelOutcome: ...
+
+
+AnyAttempt = TypeVar("AnyAttempt", bound=Attempt)
+
+
+def best_of(starts: Sequence[Array], attempt: Callable[[Array, AnyAttempt | None], AnyAttempt]) -> AnyAttempt:
+    """Attempt every start, telling each the best so far; the lowest final energy wins, trouble loses to any answer.
+
+    Raises:
+        ValueError: no start.
+    """
     if not starts:
         raise ValueError("an alignment needs at least one start")
-    best = align(reference, query, starts[0], settings)
+    best = attempt(starts[0], None)
     for start in starts[1:]:
-        candidate = align(reference, query, start, settings, None if best.trouble else best)
+        candidate = attempt(start, None if best.trouble else best)
         if not candidate.trouble and (best.trouble or candidate.final.energy < best.final.energy):
             best = candidate
     return best
