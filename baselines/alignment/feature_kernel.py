@@ -1,0 +1,247 @@
+"""Residuals, robust weights and normal equations of alignment on feature maps, in one pass over the points.
+
+Warp and geometry are those of :mod:`baselines.alignment.kernel`. Per point, with D channels (von Stumberg et al.,
+GN-Net, RA-L 2020):
+
+    r   = F'(p') - F_ref                        F' looked up bilinearly
+    F_g = [F'(p' + x) - F'(p' - x), F'(p' + y) - F'(p' - y)] / 2           (D, 2), one pixel to either side
+    J   = F_g dp'/dxi,      H = sum omega w J^T J,      g = sum omega w J^T r
+
+omega is the point's own weight, w the Huber weight. F_g^T w F_g and F_g^T w r, a 2x2 tensor and a 2-vector, are formed
+first and meet the 2x6 geometry once. The bilinear map and its central differences at a place need the twelve pixels of
+a 4x4 square without its corners.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from baselines.alignment import kernel
+from baselines.alignment.kernel import (
+    AXX,
+    AXY,
+    AYY,
+    BLOCK,
+    BORDER,
+    BX,
+    BY,
+    FAST,
+    PX,
+    PY,
+    SCRATCH_ROWS,
+    VALID,
+    FloatArray,
+    Number,
+    accumulate_pose,
+    warp,
+)
+
+Array = NDArray[np.float64]
+
+ENERGY, SQUARES, WEIGHT, COUNT, SATURATED, NOT_FINITE = 0, 1, 2, 3, 4, 5
+"""places in the statistics of one linearization"""
+STATISTICS = 6
+
+
+def source_digest(*modules: ModuleType) -> str:
+    """Digest of modules' sources.
+
+    Numba's cache looks at the file of the compiled function alone. A function into which others are compiled holds the
+    digest of their files among its free variables; else old ones would go on being used after an update.
+    """
+    digest = hashlib.sha256()
+    for module in modules:
+        digest.update(Path(str(module.__file__)).read_bytes())
+    return digest.hexdigest()
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _weigh(
+    level_map: FloatArray,
+    values: FloatArray,
+    weights: FloatArray,
+    start: int,
+    n: int,
+    intrinsics: FloatArray,
+    huber: Number,
+    cutoff: Number,
+    per_channel: bool,
+    s: FloatArray,
+    statistics: Array,
+) -> None:
+    """Rows A (2x2, focal lengths included) and b of points start .. start + n; the statistics are added to."""
+    number = s.dtype.type
+    zero, half, one, two = number(0), number(0.5), number(1), number(2)
+    infinite = number(np.inf)
+    fx, fy = intrinsics[0], intrinsics[1]
+    channels = values.shape[1]
+    residuals_a_point = channels if per_channel else 1
+    saturated_energy = two * huber * cutoff - huber * huber
+    energy, squares, weight = zero, zero, zero
+    count, saturated, not_finite = 0, 0, 0
+    for k in range(n):
+        axx, axy, ayy, bx, by = zero, zero, zero, zero, zero
+        if s[VALID, k] > zero:
+            px, py = s[PX, k], s[PY, k]
+            ix, iy = int(px), int(py)
+            ax, ay = px - number(ix), py - number(iy)
+            cx, cy = one - ax, one - ay
+            hcx, hax, hcy, hay = half * cx, half * ax, half * cy, half * ay
+            # Rows of the square from above: t, a, b, d; columns from the left: 0, 1, 2, 3.
+            t1, t2 = level_map[iy - 1, ix], level_map[iy - 1, ix + 1]
+            a0, a1, a2, a3 = level_map[iy, ix - 1], level_map[iy, ix], level_map[iy, ix + 1], level_map[iy, ix + 2]
+            b0, b1 = level_map[iy + 1, ix - 1], level_map[iy + 1, ix]
+            b2, b3 = level_map[iy + 1, ix + 1], level_map[iy + 1, ix + 2]
+            d1, d2 = level_map[iy + 2, ix], level_map[iy + 2, ix + 1]
+            wanted = values[start + k]
+            omega = weights[start + k]
+            rr, point_energy, point_squares = zero, zero, zero
+            point_saturated = 0
+            if per_channel:
+                for c in range(channels):
+                    t, a = cx * t1[c] + ax * t2[c], cx * a1[c] + ax * a2[c]
+                    b, d = cx * b1[c] + ax * b2[c], cx * d1[c] + ax * d2[c]
+                    r = cy * a + ay * b - wanted[c]
+                    gx = cy * (hcx * (a2[c] - a0[c]) + hax * (a3[c] - a1[c]))
+                    gx += ay * (hcx * (b2[c] - b0[c]) + hax * (b3[c] - b1[c]))
+                    gy = hcy * (b - t) + hay * (d - a)
+                    size = abs(r)
+                    beyond = size > cutoff
+                    w = zero if beyond else huber / max(size, huber)
+                    rr += r * r + gx * gx + gy * gy
+                    point_energy += saturated_energy if beyond else w * r * r * (two - w)
+                    point_squares += w * r * r
+                    point_saturated += 1 if beyond else 0
+                    wgx, wgy = w * gx, w * gy
+                    axx += wgx * gx
+                    axy += wgx * gy
+                    ayy += wgy * gy
+                    bx += wgx * r
+                    by += wgy * r
+                not_finite += 0 if rr < infinite else 1
+            else:
+                for c in range(channels):
+                    t, a = cx * t1[c] + ax * t2[c], cx * a1[c] + ax * a2[c]
+                    b, d = cx * b1[c] + ax * b2[c], cx * d1[c] + ax * d2[c]
+                    r = cy * a + ay * b - wanted[c]
+                    gx = cy * (hcx * (a2[c] - a0[c]) + hax * (a3[c] - a1[c]))
+                    gx += ay * (hcx * (b2[c] - b0[c]) + hax * (b3[c] - b1[c]))
+                    gy = hcy * (b - t) + hay * (d - a)
+                    rr += r * r
+                    axx += gx * gx
+                    axy += gx * gy
+                    ayy += gy * gy
+                    bx += gx * r
+                    by += gy * r
+                not_finite += 0 if rr + axx + ayy < infinite else 1
+                size = np.sqrt(rr)
+                beyond = size > cutoff
+                w = zero if beyond else huber / max(size, huber)
+                point_energy = saturated_energy if beyond else w * rr * (two - w)
+                point_squares = w * rr
+                point_saturated = 1 if beyond else 0
+                axx, axy, ayy, bx, by = w * axx, w * axy, w * ayy, w * bx, w * by
+            energy += omega * point_energy
+            squares += omega * point_squares
+            weight += omega
+            count += residuals_a_point
+            saturated += point_saturated
+            axx, axy, ayy, bx, by = omega * axx, omega * axy, omega * ayy, omega * bx, omega * by
+        s[AXX, k], s[AXY, k], s[AYY, k] = fx * fx * axx, fx * fy * axy, fy * fy * ayy
+        s[BX, k], s[BY, k] = fx * bx, fy * by
+    statistics[ENERGY] += energy
+    statistics[SQUARES] += squares
+    statistics[WEIGHT] += weight * number(residuals_a_point)
+    statistics[COUNT] += count
+    statistics[SATURATED] += saturated
+    statistics[NOT_FINITE] += not_finite
+
+
+def _compiled_with(digest: str) -> Callable[..., None]:
+    @njit(cache=True, error_model="numpy")
+    def linearize_features(
+        level_map: FloatArray,
+        points: FloatArray,
+        values: FloatArray,
+        weights: FloatArray,
+        intrinsics: Array,
+        T_query_ref: Array,
+        huber: float,
+        cutoff: float,
+        per_channel: bool,
+        room: tuple[FloatArray, FloatArray, FloatArray],
+        H: Array,
+        g: Array,
+        statistics: Array,
+    ) -> None:
+        """Energy and normal equations at one pose; allocates nothing.
+
+        Computes in the precision of ``points`` (float32 in use, float64 where a test wants the digits); sums over
+        blocks are float64.
+
+        Args:
+            level_map: (H, W, D) query features.
+            points: (3, N) normalised x, y and inverse depth (1/m) in the reference camera.
+            values: (N, D) reference features.
+            weights: (N,) positive.
+            intrinsics: (4,) fx, fy, cx, cy of the query level.
+            T_query_ref: (4, 4).
+            huber, cutoff: in units of the features, on the norm over the channels or, ``per_channel``, on |r| of each;
+                then each channel of a point counts as one residual.
+            room: what :func:`working_room` gives.
+            H: (6, 6) out: mean omega w J^T J, symmetric; translation 3, rotation 3. Means are weighted, over the valid
+                residuals.
+            g: (6,) out: mean omega w J^T r.
+            statistics: (6,) out: mean energy (infinite without a valid residual), mean omega w r^2 of the residuals
+                that are not saturated, sum of omega, number of valid residuals, of saturated ones among them, of points
+                whose residual or gradient is not finite. A residual is valid when the point falls more than 2 px inside
+                the query's border, in front of the camera; it is saturated beyond the cutoff, adds
+                2 huber cutoff - huber^2 to the energy and nothing to H, g.
+        """
+        _ = digest
+        number = points.dtype.type
+        scratch, K, T = room
+        for i in range(4):
+            K[i] = intrinsics[i]
+            for j in range(4):
+                T[i, j] = T_query_ref[i, j]
+        h, c = number(huber), number(cutoff)
+        H[:] = 0.0
+        g[:] = 0.0
+        statistics[:] = 0.0
+        height, width = level_map.shape[0], level_map.shape[1]
+        if min(height, width) >= 2 * BORDER + 2:
+            for start in range(0, points.shape[1], BLOCK):
+                n = min(BLOCK, points.shape[1] - start)
+                warp(points, start, n, K, T, width, height, scratch)
+                _weigh(level_map, values, weights, start, n, K, h, c, per_channel, scratch, statistics)
+                accumulate_pose(scratch, n, H, g)
+        total = statistics[WEIGHT]
+        if total == 0.0:
+            statistics[ENERGY] = np.inf
+            return
+        statistics[ENERGY] /= total
+        statistics[SQUARES] /= total
+        for row in range(6):
+            g[row] /= total
+            for column in range(row, 6):
+                H[row, column] /= total
+                H[column, row] = H[row, column]
+
+    return linearize_features
+
+
+linearize_features = _compiled_with(source_digest(kernel))
+
+
+def working_room(dtype: Any = np.float32) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The arrays that :func:`linearize_features` works in, for points of this precision."""
+    return np.empty((SCRATCH_ROWS, BLOCK), dtype), np.empty(4, dtype), np.empty((4, 4), dtype)

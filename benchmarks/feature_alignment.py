@@ -1,0 +1,185 @@
+"""How long alignment on feature maps takes on one core, compiled and in plain NumPy.
+
+The corridor of ``benchmarks/alignment.py`` carries D = 16 smooth features on its surfaces, on each of four levels from
+512x512 down with waves twice as long. 2000 pixels of the reference have depth. The query stands 1 m ahead and is
+turned; its maps carry smooth noise, and a part of them shows something else. What is timed is the tracking alone: maps
+of both sides exist (a network makes them), the query is solved for from the identity. Both implementations see the same
+arrays and must find the same pose. Beside it: one evaluation with gradients taken where the map is sampled, and with
+gradients stored beforehand, and what storing them costs.
+
+    python benchmarks/feature_alignment.py [--repeats N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+import cv2
+import numpy as np
+from alignment import CAMERA, STEP, WALLS, error, evaluation_ms, median_ms
+from numpy.typing import NDArray
+
+from baselines.alignment import feature_plain
+from baselines.alignment.feature_kernel import STATISTICS, linearize_features, working_room
+from baselines.alignment.feature_pyramid import FeaturePyramid
+from baselines.alignment.feature_reference import ReferenceFeatures
+from baselines.alignment.feature_settings import FeatureSettings
+from baselines.alignment.feature_solver import align_features, align_features_best
+from baselines.alignment.pyramid import level_camera, with_gradients
+from baselines.alignment.solver import camera_intrinsics
+from baselines.dso.tracker import small_rotations
+from relocbench.geometry import Camera, invert, make_transform, so3_exp
+from relocbench.tracking import KeyframePoints
+
+Array = NDArray[np.float64]
+
+LEVELS = 4
+CHANNELS = 16
+POINTS = 2000
+WAVES = 6
+SHORTEST = 0.7
+"""m; the shortest wave of the finest level"""
+TURN_DEG = (1.0, -2.0, 0.5)
+NOISE = 0.3
+"""standard deviation on each channel of the query, whose features have a mean square of 1/2"""
+NOISE_GRID = 8
+"""pixels"""
+HIDDEN = (0.1, 0.5, 0.4, 0.9)
+"""top, bottom, left, right of the part of the query that shows something else, as shares of its sides"""
+
+
+def surface(T_cam_world: Array, camera: Camera) -> tuple[Array, Array]:
+    """World point (H, W, 3) and depth (H, W) that each pixel of the corridor shows, metres."""
+    v, u = np.mgrid[0 : camera.height, 0 : camera.width]
+    rays, _ = camera.unproject(np.stack([u, v], axis=-1))
+    T_world_cam = invert(T_cam_world)
+    directions, origin = rays @ T_world_cam[:3, :3].T, T_world_cam[:3, 3]
+    depth = np.full(u.shape, np.inf)
+    for axis, coordinate in WALLS:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = (coordinate - origin[axis]) / directions[..., axis]
+        depth = np.where((distance > 0) & (distance < depth), distance, depth)
+    return origin + directions * depth[..., None], depth
+
+
+def features(points: Array, level: int) -> NDArray[np.float32]:
+    """D smooth functions of world points (H, W, 3), each a sum of seeded waves, with mean square 1/2 -> (H, W, D)."""
+    rng = np.random.default_rng(100 + level)
+    lengths = SHORTEST * 2.0**level * np.exp(rng.uniform(0, np.log(4), (CHANNELS, WAVES)))
+    directions = rng.normal(size=(CHANNELS, WAVES, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    phases = rng.uniform(0, 2 * np.pi, (CHANNELS, WAVES))
+    out = np.zeros((*points.shape[:2], CHANNELS), dtype=np.float32)
+    for c in range(CHANNELS):
+        for w in range(WAVES):
+            argument = points @ (2 * np.pi / lengths[c, w] * directions[c, w]) + phases[c, w]
+            out[..., c] += np.sin(argument.astype(np.float32)) / np.float32(np.sqrt(WAVES))
+    return out
+
+
+def pyramid(T_cam_world: Array, changed: bool) -> FeaturePyramid:
+    """All levels of what a camera at this pose sees, each rendered by the level's own camera."""
+    rng = np.random.default_rng(11)
+    maps = []
+    for level in range(LEVELS):
+        camera = level_camera(CAMERA, level)
+        points, _ = surface(T_cam_world, camera)
+        if changed:
+            rows, columns = slice(*_span(HIDDEN[:2], camera.height)), slice(*_span(HIDDEN[2:], camera.width))
+            points[rows, columns] += 50.0  # elsewhere in the world: as smooth, unrelated
+        values = features(points, level)
+        if changed:
+            values += NOISE * smooth_noise(values.shape, rng)
+        maps.append(values)
+    return FeaturePyramid.from_maps(maps, CAMERA)
+
+
+def smooth_noise(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.float32]:
+    """Noise of variance one, drawn every eighth pixel and interpolated: a network errs smoothly. (H, W, D)."""
+    coarse = rng.standard_normal((shape[0] // NOISE_GRID, shape[1] // NOISE_GRID, shape[2]), dtype=np.float32)
+    fine = cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(fine / fine.std(), dtype=np.float32)
+
+
+def _span(shares: tuple[float, ...], side: int) -> tuple[int, int]:
+    return round(shares[0] * side), round(shares[1] * side)
+
+
+def keyframe_points() -> KeyframePoints:
+    """2000 pixels drawn at random over the image, with their exact inverse depth."""
+    rng = np.random.default_rng(3)
+    uv = np.rint(rng.uniform(4, [CAMERA.width - 5, CAMERA.height - 5], (POINTS, 2)))
+    depth = surface(np.eye(4), CAMERA)[1][uv[:, 1].astype(int), uv[:, 0].astype(int)]
+    return KeyframePoints(uv, 1.0 / depth, np.zeros(POINTS))
+
+
+def sampled_evaluation_ms(reference: ReferenceFeatures, query: FeaturePyramid, repeats: int) -> float:
+    """One residual + Jacobian + accumulation of all points on level 0, gradients taken where the map is sampled."""
+    points, level = reference.levels[0], query.levels[0]
+    H, g, statistics, room = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS), working_room()
+    arrays = (level.map, points.points, points.values, points.weights, camera_intrinsics(level.camera), np.eye(4))
+    return median_ms(lambda: linearize_features(*arrays, 0.3, 2.0, False, room, H, g, statistics), repeats)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=25)
+    repeats = parser.parse_args().repeats
+
+    truth = make_transform(so3_exp(np.deg2rad(TURN_DEG)), np.array([0.0, 0.0, -STEP]))
+    keyframe, query = pyramid(np.eye(4), changed=False), pyramid(truth, changed=True)
+    points = keyframe_points()
+    reference = ReferenceFeatures.at_points(points, keyframe)
+    dilated = ReferenceFeatures.on_coarse_depth(points, keyframe)
+    settings, start = FeatureSettings(), np.eye(4)
+
+    found = align_features(reference, query, start, settings)
+    T_plain, plain_iterations = feature_plain.align(reference, query, start, settings)
+    if found.trouble:
+        raise RuntimeError(found.trouble)
+    metres, degrees = error(found.T_query_ref, truth)
+    apart_m, apart_deg = error(found.T_query_ref, T_plain)
+    if apart_m > 1e-3 or apart_deg > 1e-2:
+        raise RuntimeError(f"the two solvers disagree by {apart_m:.2g} m, {apart_deg:.2g} deg")
+    iterations = [outcome.iterations for outcome in found.outcomes]
+
+    compiled_ms = median_ms(lambda: align_features(reference, query, start, settings), repeats)
+    dilated_ms = median_ms(lambda: align_features(dilated, query, start, settings), repeats)
+    starts = [start, *(rotation @ start for rotation in small_rotations())]
+    starts_ms = median_ms(lambda: align_features_best(reference, query, starts, settings), max(3, repeats // 5))
+    numpy_ms = median_ms(lambda: feature_plain.align(reference, query, start, settings), max(3, repeats // 5))
+    sampled_ms = sampled_evaluation_ms(reference, query, 10 * repeats)
+    stored_ms = evaluation_ms(CHANNELS, 10 * repeats, POINTS)
+    storing_ms = median_ms(lambda: [with_gradients(level.map) for level in query.levels], max(3, repeats // 5))
+
+    print(f"points of the levels          {[len(level) for level in reference.levels]}")
+    print(f"iterations, coarsest first    compiled {iterations}, numpy {plain_iterations}")
+    print(f"error against the truth       {metres:.4f} m, {degrees:.4f} deg")
+    print(f"compiled against numpy        {apart_m:.2g} m, {apart_deg:.2g} deg")
+    print(f"one alignment                 compiled {compiled_ms:.2f} ms, numpy {numpy_ms:.0f} ms")
+    print(f"  on coarse depth             {dilated_ms:.2f} ms for {[len(level) for level in dilated.levels]} points")
+    print(f"  from {len(starts)} starts              {starts_ms:.1f} ms")
+    print(f"one evaluation, D = {CHANNELS}        gradients sampled {sampled_ms:.3f} ms, stored {stored_ms:.3f} ms")
+    print(f"storing gradients of a query  {storing_ms:.1f} ms")
+    summary = {
+        "benchmark": "feature_alignment",
+        "alignment_ms": round(compiled_ms, 3),
+        "numpy_ms": round(numpy_ms, 1),
+        "ratio": round(numpy_ms / compiled_ms, 2),
+        "coarse_depth_ms": round(dilated_ms, 3),
+        "starts_27_ms": round(starts_ms, 2),
+        "iterations": sum(iterations),
+        "numpy_iterations": sum(plain_iterations),
+        "evaluation_sampled_ms": round(sampled_ms, 4),
+        "evaluation_stored_ms": round(stored_ms, 4),
+        "storing_ms": round(storing_ms, 2),
+        "error_m": round(metres, 6),
+        "error_deg": round(degrees, 6),
+        "apart_m": apart_m,
+    }
+    print(json.dumps(summary))
+
+
+if __name__ == "__main__":
+    main()
