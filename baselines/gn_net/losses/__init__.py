@@ -1,0 +1,15 @@
+"""What the features are trained by: each loss of GN-Net and LM-Reloc in a module of its own."""
+
+from baselines.gn_net.losses.contrastive import ContrastiveOptions
+from baselines.gn_net.losses.descent import DescentOptions
+from baselines.gn_net.losses.gauss_newton import GaussNewtonOptions
+from baselines.gn_net.losses.total import LossOptions, LossValue, total_loss
+
+__all__ = [
+    "ContrastiveOptions",
+    "DescentOptions",
+    "GaussNewtonOptions",
+    "LossOptions",
+    "LossValue",
+    "total_loss",
+]

@@ -1,0 +1,75 @@
+"""Contrastive loss: features of one point agree, features of different points differ.
+
+With d = ||F_a(u_a) - F_b(u_b)||_2, GN-Net (von Stumberg et al., RA-L 2020, section III):
+
+    positives  mean d^2                negatives  mean max(0, M - d)^2
+
+LM-Reloc (von Stumberg et al., 3DV 2020) has max(0, M - d^2) for negatives. Published reimplementations also leave
+positives alone that are nearer than a margin m: max(0, d - m)^2, and likewise max(0, d^2 - m).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from baselines.gn_net.options import NO_OTHER_KEYS
+from relocbench.errors import ConfigError
+
+Form = Literal["distance", "squared"]
+
+
+@dataclass(frozen=True)
+class ContrastiveOptions:
+    """Which form, and what it wants.
+
+    Raises:
+        ConfigError: a value that makes no sense.
+    """
+
+    weight: float = 1.0
+    """of positives and negatives together; 0 leaves the loss out"""
+    negative_weight: float = 1.0
+    """of negatives against positives"""
+    form: Form = "distance"
+    """``distance``: max(0, M - d)^2 (GN-Net); ``squared``: max(0, M - d^2) (LM-Reloc)"""
+    margin: float = 1.0
+    """M: negatives farther apart than this cost nothing"""
+    positive_margin: float = 0.0
+    """m: positives nearer than this cost nothing"""
+    negatives: Literal["random", "hard", "both"] = "random"
+    """which wrong pixels of the query a feature is compared to"""
+    away: float = 4.0
+    """pixels of the level; no pixel so near the true one is a negative"""
+    candidates: int = 1024
+    """pixels drawn for each image, of which the hardest is taken for each point"""
+
+    __pydantic_config__ = NO_OTHER_KEYS
+
+    def __post_init__(self) -> None:
+        if self.form not in ("distance", "squared"):
+            raise ConfigError(f"contrastive form is '{self.form}', expected distance or squared")
+        if self.negatives not in ("random", "hard", "both"):
+            raise ConfigError(f"negatives is '{self.negatives}', expected random, hard or both")
+        if min(self.weight, self.negative_weight, self.positive_margin, self.away) < 0:
+            raise ConfigError("weight, negative_weight, positive_margin and away of the contrastive loss are 0 or more")
+        if self.margin <= self.positive_margin or self.candidates < 1:
+            raise ConfigError("the contrastive loss needs margin > positive_margin and at least one candidate")
+
+
+def positive_terms(f_a: Tensor, f_b: Tensor, form: Form = "distance", margin: float = 0.0) -> Tensor:
+    """(...) cost of features (..., D) of the same point: max(0, d - m)^2 or max(0, d^2 - m); m = 0 gives d^2."""
+    squared = ((f_a - f_b) ** 2).sum(-1)
+    if form == "squared" or margin == 0.0:
+        return (squared - margin).clamp(min=0)
+    return (torch.linalg.vector_norm(f_a - f_b, dim=-1) - margin).clamp(min=0) ** 2
+
+
+def negative_terms(f_a: Tensor, f_b: Tensor, form: Form = "distance", margin: float = 1.0) -> Tensor:
+    """(...) cost of features (..., D) of different points: max(0, M - d)^2 or max(0, M - d^2)."""
+    if form == "squared":
+        return (margin - ((f_a - f_b) ** 2).sum(-1)).clamp(min=0)
+    return (margin - torch.linalg.vector_norm(f_a - f_b, dim=-1)).clamp(min=0) ** 2

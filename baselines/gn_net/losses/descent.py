@@ -1,0 +1,86 @@
+"""Descent loss: from a start some pixels off, one heavily damped step must come nearer to the true pixel.
+
+LM-Reloc (von Stumberg et al., 3DV 2020), names as in ``gauss_newton``, starts about 5 px off:
+
+    x_after = x_s - (J^T J + lambda_f I)^-1 b
+    E = max(0, ||x_after - u_b||^2 - ||x_s - u_b||^2 + margin)      lambda_f = 2, margin = 0.1
+
+So far away the system's minimum says little, but the direction of descent can be right. ``diagonal`` damps by
+lambda_f diag(J^T J), which has no unit, so that the step does not depend on the features' scale.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from torch import Tensor
+
+from baselines.gn_net.losses.symmetric import Symmetric, normal_equations
+from baselines.gn_net.options import NO_OTHER_KEYS
+from baselines.gn_net.sampling import sample_with_gradient
+from relocbench.errors import ConfigError
+
+Damping = Literal["identity", "diagonal"]
+
+_LEAST = 1e-12
+"""added to the diagonal: without contrast there is no step, and no division by zero"""
+
+
+@dataclass(frozen=True)
+class DescentOptions:
+    """How far off, how damped, by how much nearer.
+
+    Raises:
+        ConfigError: a value that makes no sense.
+    """
+
+    weight: float = 0.0
+    """against the contrastive loss; 0 leaves the loss out (GN-Net)"""
+    vicinity: float = 5.0
+    """pixels of the level; starts are uniform within so much of the true pixel, along u and v each"""
+    damping: float = 2.0
+    """lambda_f"""
+    damped: Damping = "identity"
+    """what lambda_f is multiplied with: the identity, or the diagonal of J^T J"""
+    margin: float = 0.1
+    """pixels^2 of the level"""
+
+    __pydantic_config__ = NO_OTHER_KEYS
+
+    def __post_init__(self) -> None:
+        if min(self.weight, self.margin) < 0 or min(self.vicinity, self.damping) <= 0:
+            raise ConfigError("the descent loss needs weight and margin of 0 or more, positive vicinity and damping")
+        if self.damped not in ("identity", "diagonal"):
+            raise ConfigError(f"damped is '{self.damped}', expected identity or diagonal")
+
+
+class DescentTerms(NamedTuple):
+    """The loss of each point."""
+
+    cost: Tensor
+    """(..., N) float64, pixels^2"""
+    valid: Tensor
+    """(..., N) bool: the features about the start are on the map"""
+    nearer: Tensor
+    """(..., N) bool: the step came nearer to the true pixel, by whatever"""
+
+
+def descent_terms(
+    features_query: Tensor, f_ref: Tensor, u_true: Tensor, start: Tensor, options: DescentOptions
+) -> DescentTerms:
+    """The cost of one damped step for each point; arguments as of ``gauss_newton_terms``."""
+    values, jacobian, valid = sample_with_gradient(features_query, start)
+    hessian, b = normal_equations(jacobian, values - f_ref)
+    after = start.double() - _damped(hessian, options).solve(b)
+    before_squared = ((start - u_true).double() ** 2).sum(-1)
+    after_squared = ((after - u_true.double()) ** 2).sum(-1)
+    cost = (after_squared - before_squared + options.margin).clamp(min=0)
+    return DescentTerms(cost, valid, (after_squared < before_squared).detach())
+
+
+def _damped(hessian: Symmetric, options: DescentOptions) -> Symmetric:
+    if options.damped == "identity":
+        return hessian.plus_diagonal(options.damping)
+    more = 1.0 + options.damping
+    return Symmetric(more * hessian.xx, hessian.xy, more * hessian.yy).plus_diagonal(_LEAST)

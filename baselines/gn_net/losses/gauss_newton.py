@@ -1,0 +1,106 @@
+"""Gauss-Newton loss: one step from a start nearby should land on the true pixel, and know how surely it does.
+
+GN-Net (von Stumberg et al., RA-L 2020, section III.B), for a point with feature f = F_a(u_a) and true pixel u_b, from a
+start x_s = u_b + noise:
+
+    r = F_b(x_s) - f      J = dF_b/dx (x_s)      H = J^T J + eps I      b = J^T r      mu = x_s - H^-1 b
+    E = e1 + e2      e1 = 1/2 (u_b - mu)^T H (u_b - mu)      e2 = log(2 pi) - 1/2 log|H|
+
+E is the negative log-likelihood of u_b under the Gaussian of mean mu and covariance H^-1 that the linear system stands
+for. e1 alone is least for features without contrast, e2 alone for features of endless contrast.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from baselines.gn_net.losses.symmetric import normal_equations
+from baselines.gn_net.options import NO_OTHER_KEYS
+from baselines.gn_net.sampling import sample_with_gradient
+from relocbench.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class GaussNewtonOptions:
+    """How the loss is weighted, and how its starts are chosen.
+
+    Raises:
+        ConfigError: a value that makes no sense.
+    """
+
+    weight: float = 0.1
+    """against the contrastive loss; 0 leaves the loss out"""
+    e1: float = 1.0
+    """weight of e1"""
+    e2: float = 2.0 / 7.0
+    """weight of e2; GN-Net's likelihood has 1, published reimplementations 2/7"""
+    eps: float = 1e-6
+    """added to both diagonal entries of J^T J, squared features / pixel^2"""
+    vicinity: float = 1.0
+    """pixels of the level; starts are uniform within so much of the true pixel, along u and v each"""
+    start: Literal["drawn", "integrated", "affine"] = "drawn"
+    """``drawn``: one random start a point, as in the paper; ``integrated``: the mean over all starts; ``affine``: that
+    mean as it would be if the features were linear about the true pixel"""
+    nodes: int = 2
+    """of ``integrated``: along each side of a pixel's cell"""
+
+    __pydantic_config__ = NO_OTHER_KEYS
+
+    def __post_init__(self) -> None:
+        if min(self.weight, self.e1, self.e2) < 0:
+            raise ConfigError("weight, e1 and e2 of the Gauss-Newton loss are 0 or more")
+        if min(self.eps, self.vicinity, self.nodes) <= 0:
+            raise ConfigError("eps, vicinity and nodes of the Gauss-Newton loss are positive")
+        if self.start not in ("drawn", "integrated", "affine"):
+            raise ConfigError(f"start of the Gauss-Newton loss is '{self.start}', expected drawn, integrated or affine")
+
+
+class GaussNewtonTerms(NamedTuple):
+    """The loss of each point, in its two parts."""
+
+    e1: Tensor
+    """(..., N) float64"""
+    e2: Tensor
+    """(..., N) float64"""
+    valid: Tensor
+    """(..., N) bool: the features about the start are on the map"""
+    near_singular: Tensor
+    """(..., N): 1 where the smaller eigenvalue of J^T J is below eps, so that eps decides what is certain, else 0;
+    where a mean over starts is taken, the share of them"""
+
+
+def draw_starts(u_true: Tensor, vicinity: float, generator: torch.Generator) -> Tensor:
+    """(..., N, 2): u_true plus noise, uniform in [-vicinity, vicinity] along u and v.
+
+    Args:
+        generator: on the CPU, so that every device sees the same draws.
+    """
+    noise = 2.0 * torch.rand(u_true.shape, generator=generator, dtype=torch.float64) - 1.0
+    return u_true + vicinity * noise.to(u_true)
+
+
+def gauss_newton_terms(
+    features_query: Tensor, f_ref: Tensor, u_true: Tensor, start: Tensor, eps: float
+) -> GaussNewtonTerms:
+    """e1 and e2 of one Gauss-Newton step for each point.
+
+    Args:
+        features_query: (..., D, H, W), the map F_b.
+        f_ref: (..., N, D), F_a(u_a).
+        u_true: (..., N, 2), u_b in pixels of the map.
+        start: (..., N, 2), x_s.
+        eps: see ``GaussNewtonOptions``.
+    """
+    values, jacobian, valid = sample_with_gradient(features_query, start)
+    hessian, b = normal_equations(jacobian, values - f_ref)
+    damped = hessian.plus_diagonal(eps)
+    mu = start.double() - damped.solve(b)
+    e1 = 0.5 * damped.quadratic(u_true.double() - mu)
+    e2 = math.log(2 * math.pi) - 0.5 * torch.log(damped.determinant())
+    near_singular = (hessian.smaller_eigenvalue() < eps).to(e1)
+    return GaussNewtonTerms(e1, e2, valid, near_singular)

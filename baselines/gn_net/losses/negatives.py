@@ -1,0 +1,72 @@
+"""Wrong pixels of the query to hold against a right one.
+
+Random ones teach most at first; once they are all far away, hard ones do: the pixels whose features are nearest to the
+point's although they are somewhere else. Both stay some pixels away from the true pixel, whose neighbours are not wrong
+but nearly right.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+_TRIES = 8
+
+
+def random_negatives(
+    size: tuple[int, int], u_true: Tensor, away: float, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """One pixel for each point, uniform over the map but for a disc about the true pixel.
+
+    Args:
+        size: (H, W) of the map.
+        u_true: (..., N, 2) pixels of the map.
+        away: pixels; radius of the disc.
+        generator: on the CPU, so that every device sees the same draws.
+
+    Returns:
+        (..., N, 2) pixels between first and last centre, and (..., N) bool: false where the disc left no place
+        (eight draws fell into it).
+    """
+    drawn = _uniform((*u_true.shape[:-1], _TRIES), size, generator).to(u_true)
+    outside = _far(drawn, u_true[..., None, :], away)
+    first = outside.int().argmax(-1)[..., None, None].expand(*u_true.shape[:-1], 1, 2)
+    return drawn.gather(-2, first)[..., 0, :], outside.any(-1)
+
+
+@torch.no_grad()
+def hard_negatives(
+    features_query: Tensor, f_ref: Tensor, u_true: Tensor, away: float, candidates: int, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """For each point the pixel, of some drawn from its image, whose feature is nearest although it is ``away``.
+
+    Args:
+        features_query: (D, H, W) or (B, D, H, W).
+        f_ref: (N, D) or (B, N, D) features of the points.
+        u_true: (N, 2) or (B, N, 2) their true pixels in the query's map.
+        away: pixels of the map.
+        candidates: drawn for each image, whole pixels; all points of an image choose among the same.
+        generator: on the CPU.
+
+    Returns:
+        (..., N, 2) pixels, and (..., N) bool: false where all candidates were too near. No derivatives.
+    """
+    height, width = features_query.shape[-2:]
+    batch = u_true.shape[:-2]
+    index = torch.randint(height * width, (*batch, candidates), generator=generator).to(u_true.device)
+    table = features_query.flatten(-2)
+    chosen = table.gather(-1, index[..., None, :].expand(*batch, table.shape[-2], candidates))
+    distances = torch.cdist(f_ref.float(), chosen.movedim(-2, -1).float())  # (..., N, candidates)
+    places = torch.stack([index % width, index // width], dim=-1).to(u_true)
+    outside = _far(places[..., None, :, :], u_true[..., None, :], away)
+    nearest = distances.masked_fill(~outside, torch.inf).argmin(-1)
+    return places.gather(-2, nearest[..., None].expand(*nearest.shape, 2)), outside.any(-1)
+
+
+def _uniform(shape: tuple[int, ...], size: tuple[int, int], generator: torch.Generator) -> Tensor:
+    height, width = size
+    return torch.rand((*shape, 2), generator=generator) * torch.tensor([width - 1.0, height - 1.0])
+
+
+def _far(u: Tensor, u_true: Tensor, away: float) -> Tensor:
+    return ((u - u_true) ** 2).sum(-1) > away * away

@@ -1,0 +1,173 @@
+"""All losses of a batch of pairs, over all levels, as one number and as the parts it is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from baselines.gn_net.losses.contrastive import ContrastiveOptions, negative_terms, positive_terms
+from baselines.gn_net.losses.descent import DescentOptions, descent_terms
+from baselines.gn_net.losses.gauss_newton import (
+    GaussNewtonOptions,
+    GaussNewtonTerms,
+    draw_starts,
+    gauss_newton_terms,
+)
+from baselines.gn_net.losses.gauss_newton_affine import affine_gauss_newton_terms
+from baselines.gn_net.losses.gauss_newton_integrated import integrated_gauss_newton_terms
+from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
+from baselines.gn_net.losses.reduce import masked_mean
+from baselines.gn_net.options import NO_OTHER_KEYS
+from baselines.gn_net.sampling import level_coordinates, sample
+from relocbench.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class LossOptions:
+    """Which losses, how much of each, on which levels. A weight of 0 leaves a loss out.
+
+    Raises:
+        ConfigError: nothing is left to train by, or a value makes no sense.
+    """
+
+    contrastive: ContrastiveOptions = field(default_factory=ContrastiveOptions)
+    gauss_newton: GaussNewtonOptions = field(default_factory=GaussNewtonOptions)
+    descent: DescentOptions = field(default_factory=DescentOptions)
+    level_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
+    """finest first; as many as the network has levels"""
+
+    __pydantic_config__ = NO_OTHER_KEYS
+
+    def __post_init__(self) -> None:
+        if not self.level_weights or min(self.level_weights) < 0 or max(self.level_weights) == 0:
+            raise ConfigError(f"level_weights is {self.level_weights}, expected 0 or more, at least one above 0")
+        if max(self.contrastive.weight, self.gauss_newton.weight, self.descent.weight) == 0:
+            raise ConfigError("all losses have weight 0: nothing is left to train by")
+
+
+class LossValue(NamedTuple):
+    """What to descend, and what to write into the log."""
+
+    total: Tensor
+    """scalar"""
+    parts: dict[str, Tensor]
+    """by ``level/part``, scalars without derivatives, before weights: ``positive``, ``negative``, ``e1``, ``e2``,
+    ``near_singular`` (share of points), ``descent``, ``nearer`` (share of points), ``points`` (that counted)"""
+
+
+def total_loss(
+    features_ref: Sequence[Tensor],
+    features_query: Sequence[Tensor],
+    u_ref: Tensor,
+    u_query: Tensor,
+    mask: Tensor,
+    options: LossOptions,
+    generator: torch.Generator,
+) -> LossValue:
+    """Weighted sum over levels and losses; each loss is a mean over the points that are on the maps.
+
+    Args:
+        features_ref, features_query: (B, D, H_l, W_l) for each level, finest first.
+        u_ref, u_query: (B, N, 2) pixels of level 0 that see the same surface points.
+        mask: (B, N) bool: which of them count (pairs have different numbers of correspondences); what is not finite
+            never counts.
+        options: what to sum.
+        generator: on the CPU; starts and negatives are drawn from it.
+
+    Raises:
+        ValueError: the numbers of levels disagree.
+    """
+    if not len(features_ref) == len(features_query) == len(options.level_weights):
+        raise ValueError(
+            f"{len(features_ref)} and {len(features_query)} levels of features, "
+            f"{len(options.level_weights)} level weights: they must agree"
+        )
+    # What does not count must be finite all the same: zero times NaN would reach the derivatives.
+    mask = mask & torch.isfinite(u_ref).all(-1) & torch.isfinite(u_query).all(-1)
+    u_ref, u_query = (torch.where(mask[..., None], u, torch.zeros_like(u)) for u in (u_ref, u_query))
+    total = torch.zeros((), dtype=torch.float64, device=u_ref.device)
+    parts: dict[str, Tensor] = {}
+    for level, weight in enumerate(options.level_weights):
+        if weight == 0:
+            continue
+        one = _Level(
+            features_ref[level],
+            features_query[level],
+            level_coordinates(u_ref, level),
+            level_coordinates(u_query, level),
+            mask,
+        )
+        cost, named = _level_loss(one, options, generator)
+        total = total + weight * cost
+        parts.update({f"{level}/{name}": value.detach() for name, value in named.items()})
+    return LossValue(total, parts)
+
+
+class _Level(NamedTuple):
+    """Maps of one level, and the correspondences in its pixels."""
+
+    features_ref: Tensor
+    features_query: Tensor
+    u_ref: Tensor
+    u_query: Tensor
+    mask: Tensor
+
+
+def _level_loss(one: _Level, options: LossOptions, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:
+    f_ref, on_ref = sample(one.features_ref, one.u_ref)
+    counted = on_ref & one.mask
+    total = torch.zeros((), dtype=torch.float64, device=f_ref.device)
+    parts: dict[str, Tensor] = {"points": counted.sum()}
+    if options.contrastive.weight > 0:
+        positive, negative = _contrastive(one, f_ref, counted, options.contrastive, generator)
+        total = total + options.contrastive.weight * (positive + options.contrastive.negative_weight * negative)
+        parts.update(positive=positive, negative=negative)
+    if options.gauss_newton.weight > 0:
+        terms = _gauss_newton(one, f_ref, options.gauss_newton, generator)
+        valid = counted & terms.valid
+        e1, e2 = masked_mean(terms.e1, valid), masked_mean(terms.e2, valid)
+        total = total + options.gauss_newton.weight * (options.gauss_newton.e1 * e1 + options.gauss_newton.e2 * e2)
+        parts.update(e1=e1, e2=e2, near_singular=masked_mean(terms.near_singular, valid))
+    if options.descent.weight > 0:
+        start = draw_starts(one.u_query, options.descent.vicinity, generator)
+        cost, on_query, nearer = descent_terms(one.features_query, f_ref, one.u_query, start, options.descent)
+        descent = masked_mean(cost, counted & on_query)
+        total = total + options.descent.weight * descent
+        parts.update(descent=descent, nearer=masked_mean(nearer.double(), counted & on_query))
+    return total, parts
+
+
+def _contrastive(
+    one: _Level, f_ref: Tensor, counted: Tensor, options: ContrastiveOptions, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Means over positives and over negatives."""
+    f_query, on_query = sample(one.features_query, one.u_query)
+    positive = masked_mean(positive_terms(f_ref, f_query, options.form, options.positive_margin), counted & on_query)
+    wrong: list[tuple[Tensor, Tensor]] = []
+    if options.negatives in ("random", "both"):
+        height, width = one.features_query.shape[-2:]
+        wrong.append(random_negatives((height, width), one.u_query, options.away, generator))
+    if options.negatives in ("hard", "both"):
+        wrong.append(
+            hard_negatives(one.features_query, f_ref, one.u_query, options.away, options.candidates, generator)
+        )
+    means = []
+    for u_wrong, found in wrong:
+        f_wrong, _ = sample(one.features_query, u_wrong)
+        means.append(masked_mean(negative_terms(f_ref, f_wrong, options.form, options.margin), counted & found))
+    return positive, torch.stack(means).mean()
+
+
+def _gauss_newton(
+    one: _Level, f_ref: Tensor, options: GaussNewtonOptions, generator: torch.Generator
+) -> GaussNewtonTerms:
+    features, u, eps = one.features_query, one.u_query, options.eps
+    if options.start == "integrated":
+        return integrated_gauss_newton_terms(features, f_ref, u, options.vicinity, eps, options.nodes)
+    if options.start == "affine":
+        return affine_gauss_newton_terms(features, f_ref, u, options.vicinity, eps)
+    return gauss_newton_terms(features, f_ref, u, draw_starts(u, options.vicinity, generator), eps)

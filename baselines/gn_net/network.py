@@ -1,0 +1,145 @@
+"""The feature network: a U-Net that gives each pixel D numbers at each of several resolutions.
+
+Layout, with widths w_0 .. w_n (GN-Net, von Stumberg et al., RA-L 2020, uses a Siamese U-Net; reference and query go
+through the same weights):
+
+    encoder   level 0: 3x3, 3x3    level k: 2x2 mean, 3x3, 3x3
+    decoder   level n: as encoded   level k: 1x1 of the coarser one, doubled, plus the encoder's level k, 3x3
+    head      1x1 to D at each level
+
+Nothing moves a feature against its pixel: convolutions are odd and centred, halving is the mean of 2x2 pixels, doubling
+is bilinear about the same centres. So pixel i of level l sits at pixel 2^l (i + 0.5) - 0.5 of the image.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+from torch.nn.utils import skip_init
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+from baselines.gn_net.options import NetworkOptions
+
+_MEAN, _SPREAD = 0.45, 0.25
+"""about what pictures of streets have in [0, 1]: the first layer starts from numbers of about zero mean, unit spread"""
+
+
+class FeatureNet(nn.Module):
+    """Dense features of images at ``options.levels`` resolutions.
+
+    Args:
+        options: the network's shape.
+        generator: where the first weights are drawn from; default seed 0. Torch's global state is not touched.
+    """
+
+    def __init__(self, options: NetworkOptions | None = None, generator: torch.Generator | None = None) -> None:
+        super().__init__()
+        self.options = options or NetworkOptions()
+        widths, levels, norm = self.options.widths, self.options.levels, self.options.norm == "batch"
+        self.encoder = nn.ModuleList()
+        for inside, outside in zip((3, *widths), widths, strict=False):
+            self.encoder.append(nn.Sequential(_Filter(inside, outside, norm), _Filter(outside, outside, norm)))
+        self.reduce = nn.ModuleList(_convolution(widths[k + 1], widths[k], 1) for k in range(len(widths) - 1))
+        self.decoder = nn.ModuleList(_Filter(widths[k], widths[k], norm) for k in range(len(widths) - 1))
+        self.heads = nn.ModuleList(_convolution(widths[k], self.options.dim, 1) for k in range(levels))
+        self._draw_weights(generator or torch.Generator().manual_seed(0))
+
+    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
+        """Feature maps, finest first.
+
+        Args:
+            images: (B, 3, H, W) RGB or (B, 1, H, W) grey, in [0, 1]. Sizes that are no multiple of 2^depth are padded
+                at the right and below by repeating the last column and row.
+
+        Returns:
+            (B, D, H // 2^l, W // 2^l) for each level l: whole pixels only, what the padding gave is cut off. These are
+            the sizes that the aligner's pyramid has.
+
+        Raises:
+            ValueError: the shape is another, or the image has no pixel at the coarsest level.
+        """
+        x = self._padded(images)
+        height, width = images.shape[-2:]
+        skips = []
+        for k, stage in enumerate(self.encoder):
+            x = stage(functional.avg_pool2d(x, 2) if k else x)
+            skips.append(x)
+        maps = [skips[-1]]
+        for k in reversed(range(len(skips) - 1)):
+            # One by one, then double: the same numbers as the other way about, at a quarter of the work.
+            up = functional.interpolate(self.reduce[k](maps[0]), scale_factor=2, mode="bilinear", align_corners=False)
+            maps.insert(0, self.decoder[k](up + skips[k]))
+        out = []
+        for level, head in enumerate(self.heads):
+            features = head(maps[level])[..., : height >> level, : width >> level]
+            out.append(functional.normalize(features, dim=1) if self.options.normalise == "unit" else features)
+        return tuple(out)
+
+    @property
+    def parameters_count(self) -> int:
+        """Numbers that training may change."""
+        return sum(parameter.numel() for parameter in self.parameters())
+
+    def for_tracking(self) -> FeatureNet:
+        """A copy for run time: batch normalisation is folded into the convolutions, nothing is to be trained."""
+        net = copy.deepcopy(self).eval().requires_grad_(False)
+        for module in net.modules():
+            if isinstance(module, _Filter):
+                module.fold()
+        return net.to(memory_format=torch.channels_last)
+
+    def _padded(self, images: Tensor) -> Tensor:
+        if images.ndim != 4 or images.shape[1] not in (1, 3):
+            raise ValueError(f"images are {tuple(images.shape)}, expected (B, 3, H, W) or (B, 1, H, W)")
+        height, width = images.shape[-2:]
+        smallest = 1 << (self.options.levels - 1)
+        if min(height, width) < smallest:
+            raise ValueError(f"images are {height}x{width}: {self.options.levels} levels need {smallest}x{smallest}")
+        x = (images.expand(-1, 3, -1, -1) - _MEAN) / _SPREAD
+        stride = self.options.stride
+        missing = (0, -width % stride, 0, -height % stride)
+        return functional.pad(x, missing, mode="replicate") if any(missing) else x
+
+    def _draw_weights(self, generator: torch.Generator) -> None:
+        """He et al., 2015: variances are kept from layer to layer; heads start with features of about unit norm."""
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, nonlinearity="relu", generator=generator)
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
+        for head in self.heads:
+            nn.init.xavier_normal_(cast(Tensor, head.weight), gain=self.options.dim**-0.5, generator=generator)
+
+
+class _Filter(nn.Module):
+    """3x3 convolution, normalisation, ReLU."""
+
+    def __init__(self, inside: int, outside: int, norm: bool) -> None:
+        super().__init__()
+        self.conv = _convolution(inside, outside, 3, bias=not norm)
+        self.norm: nn.Module = nn.BatchNorm2d(outside) if norm else nn.Identity()
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.relu(self.norm(self.conv(x)))
+
+    def fold(self) -> None:
+        if isinstance(self.norm, nn.BatchNorm2d):
+            self.conv = fuse_conv_bn_eval(self.conv, self.norm)
+            self.norm = nn.Identity()
+
+
+def _convolution(inside: int, outside: int, size: int, bias: bool = True) -> nn.Conv2d:
+    """A convolution whose weights are still to be drawn: no number is taken from torch's global generator."""
+    return cast(nn.Conv2d, skip_init(nn.Conv2d, inside, outside, size, padding=size // 2, bias=bias))
+
+
+def image_tensor(image: NDArray[np.uint8]) -> Tensor:
+    """(1, 3, H, W) or (1, 1, H, W) float32 in [0, 1] of an (H, W, 3) RGB or (H, W) grey image."""
+    channels = image[..., None] if image.ndim == 2 else image
+    return torch.from_numpy(np.ascontiguousarray(channels)).permute(2, 0, 1)[None].float() / 255.0

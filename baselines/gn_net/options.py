@@ -1,0 +1,75 @@
+"""What a network can be told, checked once and stored with its weights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, TypeVar
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from relocbench.errors import ConfigError
+
+Options = TypeVar("Options")
+
+NO_OTHER_KEYS = ConfigDict(extra="forbid")
+"""for ``__pydantic_config__`` of a dataclass of options: a key that does not exist is refused by name"""
+
+
+@dataclass(frozen=True)
+class NetworkOptions:
+    """Shape of the feature network.
+
+    Raises:
+        ConfigError: a combination that no network can have.
+    """
+
+    widths: tuple[int, ...] = (16, 32, 64, 96, 128)
+    """channels of the encoder at resolutions 1, 1/2, 1/4, ...; one pooling between neighbours"""
+    dim: int = 16
+    """D: channels of each feature map"""
+    levels: int = 4
+    """feature maps that come out, level 0 (full resolution) to level ``levels - 1``"""
+    norm: Literal["batch", "none"] = "batch"
+    """after each 3x3 convolution; batch normalisation is a fixed scaling at run time, so that a feature depends on its
+    surroundings and not on the rest of the image"""
+    normalise: Literal["none", "unit"] = "none"
+    """``unit``: each pixel's D features are divided by their norm; residuals and derivatives are both taken from the
+    divided map; a pixel without any feature stays zero"""
+
+    __pydantic_config__ = NO_OTHER_KEYS
+
+    def __post_init__(self) -> None:
+        if not self.widths or min(self.widths) < 1:
+            raise ConfigError(f"widths is {self.widths}, expected at least one, all positive")
+        if self.dim < 2:
+            raise ConfigError(f"dim is {self.dim}, expected 2 or more: one channel cannot place a pixel both ways")
+        if not 1 <= self.levels <= len(self.widths):
+            raise ConfigError(f"levels is {self.levels}, expected 1 to {len(self.widths)}, the number of widths")
+        if self.norm not in ("batch", "none"):
+            raise ConfigError(f"norm is '{self.norm}', expected batch or none")
+        if self.normalise not in ("none", "unit"):
+            raise ConfigError(f"normalise is '{self.normalise}', expected none or unit")
+
+    @property
+    def stride(self) -> int:
+        """2^depth: images are padded to a multiple of it inside the network."""
+        return 1 << (len(self.widths) - 1)
+
+
+def options_to_dict(options: Any) -> dict[str, Any]:
+    """A dataclass of options as plain values, for JSON or YAML."""
+    return asdict(options)
+
+
+def options_from_dict(kind: type[Options], values: Mapping[str, Any]) -> Options:
+    """The dataclass of options ``kind`` from plain values; what is absent keeps its default.
+
+    Raises:
+        ConfigError: an unknown key, a wrong type or an impossible value, each named.
+    """
+    try:
+        return TypeAdapter(kind).validate_python(dict(values))
+    except ValidationError as bad:
+        faults = "; ".join(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in bad.errors())
+        raise ConfigError(f"{kind.__name__}: {faults}") from bad

@@ -1,0 +1,123 @@
+"""How long GN-Net's network takes for an image, against ResNet-18, and how long its losses take for a pair.
+
+Two threads, on the CPU. The reference is what torchvision's ResNet-18 needs for its features of the same 512x512 image
+(without pooling and classifier), in channels-last layout with batch normalisation folded, as the network itself. Both are
+run in turn, so that whatever else the machine does falls on both. The weights are as drawn: time does not depend on them.
+
+    python benchmarks/gn_net.py [--repeats N]
+"""
+
+# ruff: noqa: E402  (the number of threads must be set before torch is imported)
+from __future__ import annotations
+
+import os
+
+THREADS = 2
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[variable] = str(THREADS)
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.fx.experimental.optimization import fuse
+from torchvision.models import resnet18
+
+from baselines.gn_net.losses import GaussNewtonOptions, LossOptions, total_loss
+from baselines.gn_net.network import FeatureNet
+from baselines.gn_net.weights import save_weights
+
+SIZE = 512
+POINTS = 1024
+
+
+def plain_reference() -> nn.Module:
+    """ResNet-18 up to its last feature map."""
+    torch.manual_seed(0)
+    net = resnet18(weights=None).eval().requires_grad_(False)
+    fused = fuse(net)
+    fused.avgpool = nn.Identity()
+    fused.fc = nn.Identity()
+    return fused.to(memory_format=torch.channels_last)
+
+
+def medians_ms(works: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Median milliseconds of each, run in turn."""
+    times: dict[str, list[float]] = {name: [] for name in works}
+    for round_number in range(repeats + 1):
+        for name, work in works.items():
+            start = time.perf_counter()
+            work()
+            if round_number:  # the first is warming up
+                times[name].append(1e3 * (time.perf_counter() - start))
+    return {name: float(np.median(each)) for name, each in times.items()}
+
+
+def loss_work(net: FeatureNet, options: LossOptions) -> Callable[[], object]:
+    """All losses of one pair forward and backward to its maps, features given."""
+    generator = torch.Generator().manual_seed(0)
+    images = torch.rand((2, 3, SIZE, SIZE), generator=generator)
+    with torch.no_grad():
+        maps = net(images)
+    u_ref, u_query = torch.rand((2, 1, POINTS, 2), generator=generator) * (SIZE - 1)
+    mask = torch.ones((1, POINTS), dtype=torch.bool)
+
+    def work() -> Tensor:
+        leaves = [level.detach().requires_grad_() for level in maps]
+        ref, query = [level[:1] for level in leaves], [level[1:] for level in leaves]
+        total = total_loss(ref, query, u_ref, u_query, mask, options, generator).total
+        total.backward()
+        return total
+
+    return work
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=15)
+    repeats = parser.parse_args().repeats
+    torch.set_num_threads(THREADS)
+
+    net = FeatureNet()
+    tracking, reference = net.for_tracking(), plain_reference()
+    image = torch.rand((1, 3, SIZE, SIZE), generator=torch.Generator().manual_seed(0))
+    image = image.to(memory_format=torch.channels_last)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "net.safetensors"
+        save_weights(path, net, {})
+        weights_bytes = path.stat().st_size
+    with torch.inference_mode():
+        forward = medians_ms({"network": lambda: tracking(image), "resnet18": lambda: reference(image)}, repeats)
+    starts = {
+        start: loss_work(tracking, LossOptions(gauss_newton=replace(GaussNewtonOptions(), start=start)))
+        for start in ("drawn", "affine", "integrated")
+    }
+    losses = medians_ms(starts, max(2, repeats // 5))
+
+    shapes = [tuple(level.shape[1:]) for level in tracking(image)]
+    print(f"parameters                     {net.parameters_count} ({weights_bytes / 1e6:.2f} MB on disk)")
+    print(f"maps of a {SIZE}x{SIZE} image        {shapes}")
+    print(f"one image, {THREADS} threads           {forward['network']:.0f} ms, ResNet-18 {forward['resnet18']:.0f} ms")
+    for start, ms in losses.items():
+        print(f"losses of a pair, {start:<10}   {ms:.0f} ms ({POINTS} points, four levels, forward and backward)")
+    summary = {
+        "benchmark": "gn_net",
+        "parameters": net.parameters_count,
+        "weights_bytes": weights_bytes,
+        "network_ms": round(forward["network"], 1),
+        "resnet18_ms": round(forward["resnet18"], 1),
+        "ratio": round(forward["resnet18"] / forward["network"], 2),
+        **{f"losses_{start}_ms": round(ms, 1) for start, ms in losses.items()},
+    }
+    print(json.dumps(summary))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,470 @@
+"""The losses against hand-computed values, finite differences, and what they are said to be."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+from torch.distributions import MultivariateNormal
+
+from baselines.gn_net.losses import (
+    ContrastiveOptions,
+    DescentOptions,
+    GaussNewtonOptions,
+    LossOptions,
+    LossValue,
+    total_loss,
+)
+from baselines.gn_net.losses.contrastive import negative_terms, positive_terms
+from baselines.gn_net.losses.descent import descent_terms
+from baselines.gn_net.losses.gauss_newton import draw_starts, gauss_newton_terms
+from baselines.gn_net.losses.gauss_newton_affine import affine_gauss_newton_terms
+from baselines.gn_net.losses.gauss_newton_integrated import integrated_gauss_newton_terms
+from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
+from baselines.gn_net.losses.reduce import masked_mean
+from baselines.gn_net.losses.symmetric import Symmetric, normal_equations
+from baselines.gn_net.network import FeatureNet
+from baselines.gn_net.options import NetworkOptions, options_from_dict, options_to_dict
+from baselines.gn_net.sampling import sample, sample_with_gradient
+from relocbench.errors import ConfigError
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def noise(*shape: int, seed: int = 0) -> Tensor:
+    return torch.randn(shape, generator=generator(seed), dtype=torch.float64)
+
+
+def affine_map(slopes: list[list[float]], height: int = 12, width: int = 14) -> Tensor:
+    """(D, H, W): channel d is slopes[d] . (u, v)."""
+    v, u = torch.meshgrid(torch.arange(height).double(), torch.arange(width).double(), indexing="ij")
+    return torch.stack([a * u + b * v for a, b in slopes])
+
+
+def smooth_map(dim: int = 4, size: int = 16, seed: int = 3) -> Tensor:
+    """(D, H, W) sums of waves some pixels long."""
+    v, u = torch.meshgrid(torch.arange(size), torch.arange(size), indexing="ij")
+    waves = noise(dim, 5, 4, seed=seed)
+    phases = 0.4 * (waves[..., 0, None, None] * u + waves[..., 1, None, None] * v) + 6 * waves[..., 2, None, None]
+    return (waves[..., 3, None, None] * torch.sin(phases)).sum(1)
+
+
+def at(*places: tuple[float, float]) -> Tensor:
+    return torch.tensor(places, dtype=torch.float64)
+
+
+# Contrastive
+
+
+def test_contrastive_values_by_hand() -> None:
+    a, b = at((0.0, 0.0), (1.0, 1.0), (0.0, 0.0)), at((0.3, 0.4), (1.0, 1.0), (3.0, 4.0))  # d = 0.5, 0, 5
+    assert positive_terms(a, b).tolist() == pytest.approx([0.25, 0.0, 25.0])
+    assert positive_terms(a, b, "distance", 0.2).tolist() == pytest.approx([0.09, 0.0, 23.04])
+    assert positive_terms(a, b, "squared", 0.2).tolist() == pytest.approx([0.05, 0.0, 24.8])
+    assert negative_terms(a, b).tolist() == pytest.approx([0.25, 1.0, 0.0])
+    assert negative_terms(a, b, "squared").tolist() == pytest.approx([0.75, 1.0, 0.0])
+    assert negative_terms(a, b, "distance", 2.0).tolist() == pytest.approx([2.25, 4.0, 0.0])
+
+
+@pytest.mark.parametrize("form", ["distance", "squared"])
+def test_contrastive_derivatives(form: str) -> None:
+    a, b = noise(6, 3).requires_grad_(), (noise(6, 3) + 0.5 * noise(6, 3, seed=1)).requires_grad_()
+    assert torch.autograd.gradcheck(lambda x, y: positive_terms(x, y, form, 0.3), (a, b))  # type: ignore[arg-type]
+    assert torch.autograd.gradcheck(lambda x, y: negative_terms(x, y, form, 1.5), (a, b))  # type: ignore[arg-type]
+
+
+def test_equal_features_of_different_points_have_a_finite_derivative() -> None:
+    a = torch.ones(4, 3, requires_grad=True)
+    negative_terms(a, torch.ones(4, 3)).sum().backward()
+    assert a.grad is not None
+    assert a.grad.isfinite().all()
+
+
+# Gauss-Newton
+
+
+def test_gauss_newton_values_by_hand() -> None:
+    """F = (2 u, 3 v), r0 = (0.2, -0.3), delta = (0.5, -0.25), eps = 0.1:
+
+    H = diag(4.1, 9.1); b = (2 (0.2 + 1.0), 3 (-0.3 - 0.75)) = (2.4, -3.15);
+    u_b - mu = (2.4 / 4.1 - 0.5, -3.15 / 9.1 + 0.25) = (0.0853659, -0.0961538);
+    e1 = (4.1 * 0.00728733 + 9.1 * 0.00924556) / 2 = 0.0570063; e2 = 1.8378771 - ln(37.31) / 2 = 0.0282541.
+    """
+    features, u = affine_map([[2.0, 0.0], [0.0, 3.0]]), at((5.2, 6.6))
+    f = at((2 * 5.2 - 0.2, 3 * 6.6 + 0.3))
+    terms = gauss_newton_terms(features, f, u, u + at((0.5, -0.25)), eps=0.1)
+    assert float(terms.e1) == pytest.approx(0.0570063, abs=1e-6)
+    assert float(terms.e2) == pytest.approx(math.log(2 * math.pi) - 0.5 * math.log(37.31))
+    assert float(terms.e2) == pytest.approx(0.0282541, abs=1e-4)
+
+
+def test_a_ramp_has_no_error_and_the_hessian_of_its_slopes() -> None:
+    slopes = [[0.5, 0.2], [-0.3, 0.7], [0.1, 0.4]]
+    features, u = affine_map(slopes), at((5.3, 4.1), (7.0, 6.0), (6.4, 8.9))
+    terms = gauss_newton_terms(features, sample(features, u).values, u, u + at((0.9, -0.7)), eps=1e-9)
+    A = torch.tensor(slopes, dtype=torch.float64)
+    assert terms.e1.abs().max() < 1e-15
+    likelihood = math.log(2 * math.pi) - 0.5 * float(torch.logdet(A.T @ A + 1e-9 * torch.eye(2)))
+    assert terms.e2.tolist() == pytest.approx([likelihood] * 3)
+    assert not terms.near_singular.any()
+
+
+def test_both_terms_are_the_negative_log_likelihood_of_the_true_pixel() -> None:
+    features, u, eps = smooth_map(), at((7.2, 8.4), (5.5, 6.1), (9.9, 4.3)), 1e-3
+    f, start = noise(3, 4, seed=5), u + at((0.4, -0.8), (0.1, 0.9), (-0.7, -0.2))
+    terms = gauss_newton_terms(features, f, u, start, eps)
+    values, jacobian, _ = sample_with_gradient(features, start)
+    for i in range(3):
+        J, r = jacobian[i], values[i] - f[i]
+        H = J.T @ J + eps * torch.eye(2)
+        mu = start[i] - torch.linalg.solve(H, J.T @ r)
+        gaussian = MultivariateNormal(mu, precision_matrix=H)
+        assert float(terms.e1[i] + terms.e2[i]) == pytest.approx(-float(gaussian.log_prob(u[i])), rel=1e-9)
+
+
+def test_contrast_raises_e1_and_lowers_e2_as_the_formula_says() -> None:
+    features, u = smooth_map(), at((7.2, 8.4), (5.5, 6.1))
+    f, start = sample(features, u).values, u + 0.5
+    one = gauss_newton_terms(features, f, u, start, eps=1e-12)
+    ten = gauss_newton_terms(10 * features, 10 * f, u, start, eps=1e-10)
+    assert torch.allclose(ten.e1, 100 * one.e1, rtol=1e-9)
+    assert torch.allclose(ten.e2, one.e2 - 2 * math.log(10), rtol=1e-9)
+
+
+def test_an_edge_is_counted_as_near_singular_and_stays_finite() -> None:
+    features = affine_map([[1.0, 0.0], [-2.0, 0.0]]).float().requires_grad_()
+    u = at((5.0, 5.0)).float()
+    terms = gauss_newton_terms(features, torch.zeros(1, 2), u, u + 0.5, eps=1e-6)
+    assert terms.near_singular.tolist() == [1.0]
+    assert terms.e2.tolist() == pytest.approx([math.log(2 * math.pi) - 0.5 * math.log(5 * 1e-6)], rel=1e-5)
+    (terms.e1 + terms.e2).sum().backward()
+    assert features.grad is not None
+    assert features.grad.isfinite().all()
+
+
+def test_derivatives_of_gauss_newton_in_all_its_forms() -> None:
+    features, f = noise(3, 6, 7).requires_grad_(), noise(2, 3, seed=1).requires_grad_()
+    u = at((3.2, 2.7), (2.6, 2.9))
+    start = u + at((0.3, -0.6), (0.8, -0.1))
+
+    def drawn(maps: Tensor, ref: Tensor) -> Tensor:
+        return torch.stack(gauss_newton_terms(maps, ref, u, start, 1e-2)[:2])
+
+    def affine(maps: Tensor, ref: Tensor) -> Tensor:
+        return torch.stack(affine_gauss_newton_terms(maps, ref, u, 1.0, 1e-2)[:2])
+
+    def integrated(maps: Tensor, ref: Tensor) -> Tensor:
+        return torch.stack(integrated_gauss_newton_terms(maps, ref, u, 0.5, 1e-2)[:2])
+
+    for form in (drawn, affine, integrated):
+        assert torch.autograd.gradcheck(form, (features, f), fast_mode=True)
+
+
+def monte_carlo(features: Tensor, f: Tensor, u: Tensor, vicinity: float, eps: float) -> tuple[Tensor, Tensor]:
+    """Mean of (e1, e2) over 50 000 drawn starts of one point, and its standard error."""
+    count = 50_000
+    start = draw_starts(u.expand(count, 2), vicinity, generator(7))
+    terms = gauss_newton_terms(features, f.expand(count, -1), u.expand(count, 2), start, eps)
+    assert terms.valid.all()
+    both = torch.stack([terms.e1, terms.e2])
+    return both.mean(1), both.std(1) / math.sqrt(count)
+
+
+def test_the_closed_form_is_the_mean_over_drawn_starts_where_features_are_linear() -> None:
+    features, u, eps, vicinity = affine_map([[0.5, 0.2], [-0.3, 0.7], [0.1, 0.4]]), at((6.3, 5.2)), 0.4, 2.0
+    f = sample(features, u).values - torch.tensor([[0.4, -0.2, 0.3]], dtype=torch.float64)
+    closed = affine_gauss_newton_terms(features, f, u, vicinity, eps)
+    mean, error = monte_carlo(features, f, u, vicinity, eps)
+    assert abs(float(closed.e1) - float(mean[0])) < 4 * float(error[0])
+    assert float(error[0]) < 0.005 * float(closed.e1)
+    assert float(closed.e2) == pytest.approx(float(mean[1]), rel=1e-12)
+    whole = integrated_gauss_newton_terms(features, f, u, vicinity, eps)
+    assert float(whole.e1) == pytest.approx(float(closed.e1), rel=1e-12)
+    without_noise = affine_gauss_newton_terms(features, f, u, 1e-9, eps)
+    assert float(closed.e1) > 1.05 * float(without_noise.e1)  # the term of the noise is seen by this test
+
+
+@pytest.mark.parametrize("place", [(7.2, 8.4), (6.0, 9.5), (5.5, 6.1)])
+def test_the_integral_is_the_mean_over_drawn_starts(place: tuple[float, float]) -> None:
+    features, u, eps = smooth_map(), at(place), 1e-3
+    f = sample(features, u).values + 0.1 * noise(1, 4, seed=5)
+    mean, error = monte_carlo(features, f, u, 1.0, eps)
+    terms = integrated_gauss_newton_terms(features, f, u, 1.0, eps, nodes=3)
+    found = torch.stack([terms.e1, terms.e2])[:, 0]
+    assert ((found - mean).abs() < 4 * error).all()
+    assert (error < 0.02 * found.abs().clamp(min=0.1)).all()
+
+
+def test_more_nodes_converge_and_the_polynomial_part_is_exact_with_three() -> None:
+    features, u, eps = smooth_map(), at((7.2, 8.4), (5.5, 6.1)), 1e-3
+    f = sample(features, u).values + 0.1 * noise(2, 4, seed=5)
+    best = integrated_gauss_newton_terms(features, f, u, 1.0, eps, nodes=10)
+    errors = [
+        float((integrated_gauss_newton_terms(features, f, u, 1.0, eps, nodes=n).e1 - best.e1).abs().max())
+        for n in (1, 2, 3, 5)
+    ]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 1e-4 * float(best.e1.min())
+    # With eps so large that H is constant and H^-1 nothing, e1 - eps |delta|^2 / 2 is the polynomial part alone.
+    huge = 1e9
+    three, many = (integrated_gauss_newton_terms(features, f, u, 1.0, huge, nodes=n).e1 for n in (3, 10))
+    assert torch.allclose(three, many, rtol=1e-14)
+    assert three.tolist() == pytest.approx([huge / 3] * 2, rel=1e-6)  # E |delta|^2 = 2/3
+
+
+def test_two_by_two_matrices_agree_with_linear_algebra() -> None:
+    J, r = noise(5, 3, 2), noise(5, 3, seed=1)
+    H, b = normal_equations(J, r)
+    full = J.mT @ J
+    assert torch.allclose(H.determinant(), torch.linalg.det(full))
+    assert torch.allclose(H.solve(b), torch.linalg.solve(full, (J.mT @ r[..., None])[..., 0]))
+    assert torch.allclose(H.smaller_eigenvalue(), torch.linalg.eigvalsh(full)[:, 0])
+    assert torch.allclose(H.trace_of_inverse(), torch.linalg.inv(full).diagonal(dim1=-2, dim2=-1).sum(-1))
+    assert torch.allclose(H.quadratic(b), (b[..., None, :] @ full @ b[..., None])[..., 0, 0])
+    nothing = torch.zeros(1, dtype=torch.float64)
+    assert Symmetric(nothing, nothing, nothing).smaller_eigenvalue().tolist() == [0.0]
+
+
+def test_training_maps_by_the_loss_makes_steps_land() -> None:
+    maps = (0.3 * noise(2, 8, 24, 24)).requires_grad_()
+    u = 4 + 15 * torch.rand((200, 2), generator=generator(1), dtype=torch.float64)
+    optimiser = torch.optim.Adam([maps], lr=0.02)
+
+    def terms(seed: int) -> tuple[Tensor, Tensor]:
+        f = sample(maps[0], u).values
+        found = gauss_newton_terms(maps[1], f, u, draw_starts(u, 1.0, generator(seed)), 1e-6)
+        return found.e1 + found.e2, found.valid
+
+    def misses() -> float:
+        """Share of held-out starts whose step ends more than a quarter of a pixel off."""
+        with torch.no_grad():
+            start = draw_starts(u, 1.0, generator(10_000))
+            values, jacobian, _ = sample_with_gradient(maps[1], start)
+            H, b = normal_equations(jacobian, values - sample(maps[0], u).values)
+            off = (start - H.plus_diagonal(1e-6).solve(b) - u).norm(dim=-1)
+            return float((off > 0.25).double().mean())
+
+    before = misses()
+    for step in range(150):
+        optimiser.zero_grad()
+        cost, valid = terms(step)
+        masked_mean(cost, valid).backward()
+        optimiser.step()
+    assert before > 0.9
+    assert misses() < 0.5
+
+
+# Descent
+
+
+def test_descent_values_by_hand() -> None:
+    """F = (2 u, 3 v), f = F(u_b), delta = (4, -3), lambda = 2: x_after - u_b = (4 * 2 / 6, -3 * 2 / 11)."""
+    features, u = affine_map([[2.0, 0.0], [0.0, 3.0]]), at((5.2, 6.6))
+    f, start = sample(features, u).values, u + at((4.0, -3.0))
+    options = DescentOptions(weight=1.0, margin=30.0)
+    terms = descent_terms(features, f, u, start, options)
+    assert float(terms.cost) == pytest.approx((4 / 3) ** 2 + (6 / 11) ** 2 - 25 + 30)
+    assert terms.nearer.tolist() == [True]
+    assert descent_terms(features, f, u, start, DescentOptions()).cost.tolist() == [0.0]
+    # Damped by the diagonal every direction keeps 2/3 of its error, whatever its contrast.
+    diagonal = descent_terms(features, f, u, start, replace(options, damped="diagonal"))
+    assert float(diagonal.cost) == pytest.approx(4 / 9 * 25 - 25 + 30)
+
+
+def test_a_step_away_costs_more_than_the_margin() -> None:
+    features, u = affine_map([[1.0, 0.0], [0.0, 1.0]]), at((6.0, 6.0))
+    f = sample(features, u + at((6.0, 0.0))).values  # the features say: 6 px to the right
+    terms = descent_terms(features, f, u, u + at((1.0, 0.0)), DescentOptions())
+    assert float(terms.cost) == pytest.approx((1 + 5 / 3) ** 2 - 1 + 0.1)
+    assert terms.nearer.tolist() == [False]
+
+
+@pytest.mark.parametrize("damped", ["identity", "diagonal"])
+def test_derivatives_of_descent(damped: str) -> None:
+    features, f = noise(3, 6, 7).requires_grad_(), noise(2, 3, seed=1).requires_grad_()
+    u, start = at((3.2, 2.7), (2.6, 2.9)), at((4.1, 3.3), (1.2, 1.7))
+    options = DescentOptions(margin=50.0, damped=damped)  # type: ignore[arg-type]
+    assert torch.autograd.gradcheck(lambda maps, ref: descent_terms(maps, ref, u, start, options).cost, (features, f))
+
+
+# Starts and negatives
+
+
+def test_starts_fill_the_vicinity() -> None:
+    u = at((5.0, -3.0)).expand(4000, 2)
+    noise_drawn = draw_starts(u, 2.0, generator()) - u
+    assert noise_drawn.abs().max() <= 2.0
+    assert noise_drawn.std(0).tolist() == pytest.approx([2 / math.sqrt(3)] * 2, rel=0.05)
+    assert torch.equal(draw_starts(u, 2.0, generator(4)), draw_starts(u, 2.0, generator(4)))
+    assert not torch.equal(draw_starts(u, 2.0, generator(4)), draw_starts(u, 2.0, generator(5)))
+
+
+def test_random_negatives_are_on_the_map_and_away_from_the_true_pixel() -> None:
+    u = torch.rand((2, 500, 2), generator=generator(1)) * torch.tensor([29.0, 19.0])
+    drawn, found = random_negatives((20, 30), u, 4.0, generator())
+    assert drawn.shape == u.shape
+    assert found.all()
+    assert ((drawn >= 0) & (drawn <= torch.tensor([29.0, 19.0]))).all()
+    assert (drawn - u).norm(dim=-1).min() > 4.0
+    assert torch.equal(drawn, random_negatives((20, 30), u, 4.0, generator())[0])
+    assert not random_negatives((20, 30), u, 100.0, generator())[1].any()
+
+
+def test_a_hard_negative_is_the_nearest_feature_away_from_the_true_pixel() -> None:
+    maps, f = noise(2, 3, 8, 9), noise(2, 20, 3, seed=1)
+    u = torch.rand((2, 20, 2), generator=generator(2), dtype=torch.float64) * 7
+    chosen, found = hard_negatives(maps, f, u, 2.0, 5000, generator())  # so many that every pixel is drawn
+    assert found.all()
+    for b in range(2):
+        for i in range(20):
+            pixels = [(x, y) for y in range(8) for x in range(9) if math.dist((x, y), u[b, i].tolist()) > 2.0]
+            best = min(pixels, key=lambda p: float((maps[b, :, p[1], p[0]] - f[b, i]).norm()))
+            assert chosen[b, i].tolist() == list(best)
+    alone, _ = hard_negatives(maps[0], f[0], u[0], 2.0, 5000, generator())
+    assert torch.equal(alone, chosen[0])
+    assert not hard_negatives(maps, f, u, 100.0, 50, generator())[1].any()
+
+
+# Total
+
+ALL = LossOptions(
+    ContrastiveOptions(weight=2.0, negative_weight=0.5, negatives="both", away=2.0, candidates=64),
+    GaussNewtonOptions(weight=0.3, e1=1.5, e2=0.25),
+    DescentOptions(weight=0.7, vicinity=2.0),
+    level_weights=(1.0, 0.5),
+)
+
+
+def pyramids(seed: int = 0) -> tuple[list[Tensor], list[Tensor]]:
+    sides = [
+        [0.5 * noise(2, 4, 24 >> level, 32 >> level, seed=seed + 10 * side + level).float() for level in range(2)]
+        for side in range(2)
+    ]
+    return sides[0], sides[1]
+
+
+def points(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+    u = torch.rand((2, 2, 30, 2), generator=generator(seed)) * torch.tensor([31.0, 23.0])
+    return u[0], u[1], torch.ones((2, 30), dtype=torch.bool)
+
+
+def evaluate(options: LossOptions = ALL, seed: int = 0) -> LossValue:
+    return total_loss(*pyramids(), *points(), options, generator(seed))
+
+
+def test_the_total_is_the_weighted_sum_of_its_parts() -> None:
+    value = evaluate()
+    expected = 0.0
+    for level, weight in enumerate(ALL.level_weights):
+        part = {name: float(value.parts[f"{level}/{name}"]) for name in ("positive", "negative", "e1", "e2", "descent")}
+        expected += weight * 2.0 * (part["positive"] + 0.5 * part["negative"])
+        expected += weight * (0.3 * (1.5 * part["e1"] + 0.25 * part["e2"]) + 0.7 * part["descent"])
+    assert float(value.total) == pytest.approx(expected, rel=1e-6)
+    assert {name.split("/")[1] for name in value.parts} == {
+        *("positive", "negative", "e1", "e2", "near_singular", "descent", "nearer", "points")
+    }
+    assert not any(part.requires_grad for part in value.parts.values())
+
+
+def test_positives_of_the_total_by_hand() -> None:
+    (a, _), (b, _) = pyramids()
+    u_ref, u_query, mask = points()
+    only = LossOptions(ContrastiveOptions(), GaussNewtonOptions(weight=0), level_weights=(1.0,))
+    value = total_loss([a], [b], u_ref, u_query, mask, only, generator())
+    by_hand = ((sample(a, u_ref).values - sample(b, u_query).values) ** 2).sum(-1).mean()
+    assert float(value.parts["0/positive"]) == pytest.approx(float(by_hand), rel=1e-6)
+    assert set(value.parts) == {"0/positive", "0/negative", "0/points"}
+
+
+def test_a_seed_decides_everything_and_the_global_state_nothing() -> None:
+    torch.manual_seed(1)
+    state = torch.get_rng_state()
+    first = evaluate()
+    assert torch.equal(state, torch.get_rng_state())
+    torch.manual_seed(2)
+    assert torch.equal(first.total, evaluate().total)
+    assert not torch.equal(first.total, evaluate(seed=1).total)
+
+
+def test_what_is_masked_out_or_off_the_map_has_no_say() -> None:
+    u_ref, u_query, mask = points()
+    mask[:, 20:] = False
+    changed = u_query.clone()
+    changed[:, 20:] = torch.nan
+    maps = [level.requires_grad_() for side in pyramids() for level in side]
+    value = total_loss(maps[:2], maps[2:], u_ref, changed, mask, ALL, generator())
+    value.total.backward()
+    assert all(level.grad is not None and level.grad.isfinite().all() for level in maps)
+    kept = total_loss(*pyramids(), u_ref, torch.where(mask[..., None], u_query, 0), mask, ALL, generator())
+    assert torch.equal(value.total.detach(), kept.total)
+    assert int(value.parts["0/points"]) == 40
+    nothing = total_loss(*pyramids(), u_ref - 100, u_query, mask, ALL, generator())
+    assert float(nothing.total) == 0.0
+    assert int(nothing.parts["0/points"]) == 0
+
+
+@pytest.mark.parametrize("start", ["drawn", "integrated", "affine"])
+def test_every_weight_of_the_network_is_trained(start: str) -> None:
+    net = FeatureNet(NetworkOptions(widths=(4, 6, 8), dim=4, levels=2))
+    pictures = torch.rand((4, 3, 24, 32), generator=generator(3))
+    maps = net(pictures)
+    options = replace(ALL, gauss_newton=replace(ALL.gauss_newton, start=start))
+    value = total_loss([m[:2] for m in maps], [m[2:] for m in maps], *points(), options, generator())
+    value.total.backward()
+    for name, parameter in net.named_parameters():
+        assert parameter.grad is not None, name
+        assert parameter.grad.isfinite().all(), name
+        assert parameter.grad.abs().max() > 0, name
+
+
+def test_mixed_precision_gives_about_the_same_loss() -> None:
+    net = FeatureNet(NetworkOptions(widths=(4, 6, 8), dim=4, levels=2))
+    pictures = torch.rand((4, 3, 24, 32), generator=generator(3))
+    totals = []
+    for enabled in (False, True):
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=enabled):
+            maps = net(pictures)
+            assert (maps[0].dtype == torch.bfloat16) == enabled
+            totals.append(
+                total_loss([m[:2] for m in maps], [m[2:] for m in maps], *points(), ALL, generator()).total.item()
+            )
+    assert totals[1] == pytest.approx(totals[0], rel=0.1)
+
+
+def test_levels_must_agree() -> None:
+    with pytest.raises(ValueError, match="level weights"):
+        total_loss(*pyramids(), *points(), LossOptions(), generator())
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"contrastive": {"form": "cubic"}}, "form"),
+        ({"contrastive": {"negatives": "easy"}}, "negatives"),
+        ({"contrastive": {"margin": 0.1, "positive_margin": 0.2}}, "margin"),
+        ({"contrastive": {"away": -1}}, "away"),
+        ({"gauss_newton": {"eps": 0}}, "eps"),
+        ({"gauss_newton": {"e1": -1}}, "e1"),
+        ({"gauss_newton": {"start": "guessed"}}, "start"),
+        ({"gauss_newton": {"lambda": 1}}, "lambda"),
+        ({"descent": {"damping": 0}}, "damping"),
+        ({"descent": {"damped": "all"}}, "damped"),
+        ({"level_weights": [0, 0]}, "level_weights"),
+        ({"level_weights": []}, "level_weights"),
+        ({"contrastive": {"weight": 0}, "gauss_newton": {"weight": 0}}, "nothing is left"),
+        ({"pose": {}}, "pose"),
+    ],
+)
+def test_options_that_make_no_sense_are_named(values: dict[str, object], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        options_from_dict(LossOptions, values)
+
+
+def test_loss_options_survive_json() -> None:
+    assert options_from_dict(LossOptions, json.loads(json.dumps(options_to_dict(ALL)))) == ALL
