@@ -302,7 +302,9 @@ def track(dataset: Dataset, sets: Sets, methods: list[str], out: Path) -> list[T
             if pairs:
                 distance = float(np.mean([p.distance_m for p in pairs if p.distance_m is not None]))
                 angle = float(np.mean([p.angle_deg for p in pairs if p.angle_deg is not None]))
-                of = {m: recall[m][name, band.turned] for m in methods}
+                # A pair set of one group is scored as a whole only.
+                group = band.turned if len(pairs) < len(everything) else "all"
+                of = {m: recall[m][name, group] for m in methods}
                 found.append(Tracked(a.split("-")[1], b.split("-")[1], a == b, band, len(pairs), distance, angle, of))
     return found
 
