@@ -1,6 +1,10 @@
 """Coarse-to-fine direct image alignment, on intensities or on feature maps."""
 
 from baselines.alignment.depth_map import LevelPoints, coarse_points, sample_points
+from baselines.alignment.feature_pyramid import FeatureLevel, FeaturePyramid
+from baselines.alignment.feature_reference import FeaturePoints, ReferenceFeatures
+from baselines.alignment.feature_settings import DSO_DAMPING, LM_RELOC_DAMPING, Damping, FeatureSettings
+from baselines.alignment.feature_solver import FeatureAlignment, align_features, align_features_best
 from baselines.alignment.kernel import linearize
 from baselines.alignment.matching import DSO_PATTERN, SINGLE_PIXEL, MatchSettings, match_pixels
 from baselines.alignment.pyramid import Level, image_pyramid, level_camera, require_pinhole, with_gradients
@@ -8,16 +12,27 @@ from baselines.alignment.selection import select_pixels
 from baselines.alignment.solver import Alignment, LevelOutcome, Settings, align, align_best
 
 __all__ = [
+    "DSO_DAMPING",
     "DSO_PATTERN",
+    "LM_RELOC_DAMPING",
     "SINGLE_PIXEL",
     "Alignment",
+    "Damping",
+    "FeatureAlignment",
+    "FeatureLevel",
+    "FeaturePoints",
+    "FeaturePyramid",
+    "FeatureSettings",
     "Level",
     "LevelOutcome",
     "LevelPoints",
     "MatchSettings",
+    "ReferenceFeatures",
     "Settings",
     "align",
     "align_best",
+    "align_features",
+    "align_features_best",
     "coarse_points",
     "image_pyramid",
     "level_camera",

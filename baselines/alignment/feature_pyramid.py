@@ -48,7 +48,7 @@ class FeaturePyramid:
 
         Level l covers W >> l times H >> l pixels, as in the intensity pyramid; of a map that was rounded up to cover an
         odd last row or column that row or column is left out. Arrays that are C-contiguous float32 of the right size
-        are taken as they are, others are copied.
+        are taken as they are, others are copied: a network that keeps its channels last spares the copy.
 
         Args:
             maps: (H_l, W_l, D) each, finest first; pixel (u, v) of level l is the place
