@@ -1,8 +1,9 @@
 """How long GN-Net's network takes for an image, against ResNet-18, and how long its losses take for a pair.
 
-Two threads, on the CPU. The reference is what torchvision's ResNet-18 needs for its features of the same 512x512 image
-(without pooling and classifier), in channels-last layout with batch normalisation folded, as the network itself. Both are
-run in turn, so that whatever else the machine does falls on both. The weights are as drawn: time does not depend on them.
+On the CPU. The reference is what torchvision's ResNet-18 needs for its features of the same 512x512 image (without
+pooling and classifier), in channels-last layout with batch normalisation folded, as the network itself. Both are run in
+turn, so that whatever else the machine does falls on both: on two threads by the clock, and on one thread in processor
+time, which waits for nobody. The weights are as drawn: time does not depend on them.
 
     python benchmarks/gn_net.py [--repeats N]
 """
@@ -48,15 +49,17 @@ def plain_reference() -> nn.Module:
     return fused.to(memory_format=torch.channels_last)
 
 
-def medians_ms(works: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+def medians_ms(
+    works: dict[str, Callable[[], object]], repeats: int, clock: Callable[[], float] = time.perf_counter
+) -> dict[str, float]:
     """Median milliseconds of each, run in turn."""
     times: dict[str, list[float]] = {name: [] for name in works}
     for round_number in range(repeats + 1):
         for name, work in works.items():
-            start = time.perf_counter()
+            start = clock()
             work()
             if round_number:  # the first is warming up
-                times[name].append(1e3 * (time.perf_counter() - start))
+                times[name].append(1e3 * (clock() - start))
     return {name: float(np.median(each)) for name, each in times.items()}
 
 
@@ -95,6 +98,11 @@ def main() -> None:
         weights_bytes = path.stat().st_size
     with torch.inference_mode():
         forward = medians_ms({"network": lambda: tracking(image), "resnet18": lambda: reference(image)}, repeats)
+        torch.set_num_threads(1)
+        alone = medians_ms(
+            {"network": lambda: tracking(image), "resnet18": lambda: reference(image)}, repeats, time.process_time
+        )
+        torch.set_num_threads(THREADS)
     starts = {
         start: loss_work(tracking, LossOptions(gauss_newton=replace(GaussNewtonOptions(), start=start)))
         for start in ("drawn", "affine", "integrated")
@@ -105,6 +113,7 @@ def main() -> None:
     print(f"parameters                     {net.parameters_count} ({weights_bytes / 1e6:.2f} MB on disk)")
     print(f"maps of a {SIZE}x{SIZE} image        {shapes}")
     print(f"one image, {THREADS} threads           {forward['network']:.0f} ms, ResNet-18 {forward['resnet18']:.0f} ms")
+    print(f"one image, one thread          {alone['network']:.0f} ms, ResNet-18 {alone['resnet18']:.0f} ms (processor)")
     for start, ms in losses.items():
         print(f"losses of a pair, {start:<10}   {ms:.0f} ms ({POINTS} points, four levels, forward and backward)")
     summary = {
@@ -114,6 +123,9 @@ def main() -> None:
         "network_ms": round(forward["network"], 1),
         "resnet18_ms": round(forward["resnet18"], 1),
         "ratio": round(forward["resnet18"] / forward["network"], 2),
+        "network_processor_ms": round(alone["network"], 1),
+        "resnet18_processor_ms": round(alone["resnet18"], 1),
+        "processor_ratio": round(alone["resnet18"] / alone["network"], 2),
         **{f"losses_{start}_ms": round(ms, 1) for start, ms in losses.items()},
     }
     print(json.dumps(summary))

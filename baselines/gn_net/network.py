@@ -74,7 +74,7 @@ class FeatureNet(nn.Module):
         for k in reversed(range(len(skips) - 1)):
             # One by one, then double: the same numbers as the other way about, at a quarter of the work.
             up = functional.interpolate(self.reduce[k](maps[0]), scale_factor=2, mode="bilinear", align_corners=False)
-            maps.insert(0, self.decoder[k](up + skips[k]))
+            maps.insert(0, self.decoder[k](up.add_(skips[k])))
         out = []
         for level, head in enumerate(self.heads):
             features = head(maps[level])[..., : height >> level, : width >> level]
@@ -126,7 +126,7 @@ class _Filter(nn.Module):
         self.norm: nn.Module = nn.BatchNorm2d(outside) if norm else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:
-        return functional.relu(self.norm(self.conv(x)))
+        return functional.relu(self.norm(self.conv(x)), inplace=True)
 
     def fold(self) -> None:
         if isinstance(self.norm, nn.BatchNorm2d):

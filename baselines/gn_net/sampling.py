@@ -66,8 +66,7 @@ def sample_with_gradient(features: Tensor, u: Tensor) -> SampledWithGradient:
     Raises:
         ValueError: the map is smaller than 4 x 4.
     """
-    if min(features.shape[-2:]) < _SMALLEST_MAP:
-        raise ValueError(f"derivatives need maps of 4 x 4 pixels or more, got {tuple(features.shape[-2:])}")
+    _require_room(features)
     corner, fraction, valid = _locate(features, u, margin=1)
     taps = _gather(features, corner - 1, size=4)  # (..., N, 4 rows, 4 columns, D)
     a, b = fraction[..., 0, None, None], fraction[..., 1, None]
@@ -76,6 +75,63 @@ def sample_with_gradient(features: Tensor, u: Tensor) -> SampledWithGradient:
     values = _between(rows, b)
     jacobian = torch.stack([_between(across, b), _difference(rows, b)], dim=-1)
     return SampledWithGradient(values, jacobian, valid)
+
+
+def sample_grid_with_gradient(features: Tensor, along_u: Tensor, along_v: Tensor, span: float) -> SampledWithGradient:
+    """As ``sample_with_gradient``, at a grid of places for each point; pixels that its places share are read once.
+
+    Bilinear values are sums of hats, F(u, v) = sum_k sum_l hat(u - k) hat(v - l) F[l, k], so that a grid of places is a
+    product of small matrices.
+
+    Args:
+        features: (..., D, H, W), at least 4 x 4; half precision is raised to single after the look-up.
+        along_u, along_v: (..., N, M) pixels of this map, ascending; place (j, i) is (along_u[i], along_v[j]).
+        span: pixels; the most that a point's places reach from first to last, in either direction.
+
+    Returns:
+        Values (..., N, M, M, D), derivatives (..., N, M, M, D, 2), valid (..., N, M, M).
+
+    Raises:
+        ValueError: the map is smaller than 4 x 4.
+    """
+    _require_room(features)
+    height, width = features.shape[-2:]
+    last = torch.tensor([width - 2, height - 2], device=along_u.device)
+    first = torch.nan_to_num(torch.stack([along_u[..., 0], along_v[..., 0]], dim=-1).detach())
+    corner = torch.minimum(first.clamp(min=1).floor().long(), last) - 1
+    taps = _gather(features, corner, size=math.ceil(span) + 4)  # (..., N, K rows, K columns, D)
+    value_u, slope_u = _hats(along_u - corner[..., 0, None], taps)
+    value_v, slope_v = _hats(along_v - corner[..., 1, None], taps)
+
+    def along_rows(weights: Tensor) -> Tensor:
+        return torch.matmul(weights[..., None, :, :], taps).flatten(-2)  # (..., N, K rows, M D)
+
+    def along_columns(weights: Tensor, rows: Tensor) -> Tensor:
+        return torch.matmul(weights, rows).unflatten(-1, (-1, taps.shape[-1]))  # (..., N, M, M, D)
+
+    with torch.autocast(taps.device.type, enabled=False):
+        rows = along_rows(value_u)
+        values = along_columns(value_v, rows)
+        jacobian = torch.stack([along_columns(value_v, along_rows(slope_u)), along_columns(slope_v, rows)], dim=-1)
+    on_u = (along_u >= 1) & (along_u <= width - 2)
+    on_v = (along_v >= 1) & (along_v <= height - 2)
+    return SampledWithGradient(values, jacobian, on_v[..., :, None] & on_u[..., None, :])
+
+
+def _hats(t: Tensor, taps: Tensor) -> tuple[Tensor, Tensor]:
+    """Weights (..., M, K) of K taps in the value at t (..., M), counted from the first tap, and in the derivative."""
+    steps = torch.arange(taps.shape[-2], device=t.device)
+    distance = torch.nan_to_num(t)[..., None] - steps
+
+    def hat(x: Tensor) -> Tensor:
+        return (1 - x.abs()).clamp(min=0)
+
+    return hat(distance).to(taps.dtype), (0.5 * (hat(distance + 1) - hat(distance - 1))).to(taps.dtype)
+
+
+def _require_room(features: Tensor) -> None:
+    if min(features.shape[-2:]) < _SMALLEST_MAP:
+        raise ValueError(f"derivatives need maps of 4 x 4 pixels or more, got {tuple(features.shape[-2:])}")
 
 
 def _between(taps: Tensor, a: Tensor) -> Tensor:

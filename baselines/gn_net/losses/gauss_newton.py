@@ -97,10 +97,14 @@ def gauss_newton_terms(
         eps: see ``GaussNewtonOptions``.
     """
     values, jacobian, valid = sample_with_gradient(features_query, start)
-    hessian, b = normal_equations(jacobian, values - f_ref)
+    return terms_of_step(values - f_ref, jacobian, start - u_true, valid, eps)
+
+
+def terms_of_step(residual: Tensor, jacobian: Tensor, delta: Tensor, valid: Tensor, eps: float) -> GaussNewtonTerms:
+    """e1 and e2 of r (..., D), J (..., D, 2) and delta = x_s - u_b (..., 2)."""
+    hessian, b = normal_equations(jacobian, residual)
     damped = hessian.plus_diagonal(eps)
-    mu = start.double() - damped.solve(b)
-    e1 = 0.5 * damped.quadratic(u_true.double() - mu)
+    e1 = 0.5 * damped.quadratic(damped.solve(b) - delta.double())  # u_b - mu = H^-1 b - delta
     e2 = math.log(2 * math.pi) - 0.5 * torch.log(damped.determinant())
     near_singular = (hessian.smaller_eigenvalue() < eps).to(e1)
     return GaussNewtonTerms(e1, e2, valid, near_singular)

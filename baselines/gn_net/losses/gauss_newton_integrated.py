@@ -7,11 +7,11 @@ Names as in ``gauss_newton``; the start is u_b + delta with delta uniform in [-v
 Values of a bilinear map and their central differences are both bilinear inside each cell between four pixel centres,
 and neither is smooth across its sides. So the square of starts is cut along the cells. Inside one, the first two terms
 are polynomials, of degree 4 in each coordinate at most; the third is a ratio of polynomials and e2 the logarithm of
-one, smooth because |H| >= eps^2. Gauss-Legendre with n nodes along each side is exact for degrees up to 2 n - 1: from
-n = 3 on the first two terms are the exact integral, and the others converge geometrically in n, the slower the nearer H comes
-to being singular.
+one, smooth because |H| >= eps^2.
 
-For v = 1 the square meets at most 3 x 3 cells, so that a point costs (3 n)^2 look-ups.
+Gauss-Legendre with n nodes along each side of a cell is exact for degrees up to 2 n - 1: from n = 3 on the first two
+terms are the exact integral, and the others converge geometrically in n, the slower the nearer H comes to being
+singular. For v = 1 the square meets at most 3 x 3 cells, so that a point costs (3 n)^2 evaluations.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from baselines.gn_net.losses.gauss_newton import GaussNewtonTerms, gauss_newton_terms
+from baselines.gn_net.losses.gauss_newton import GaussNewtonTerms, terms_of_step
+from baselines.gn_net.sampling import sample_grid_with_gradient
 
 
 def integrated_gauss_newton_terms(
@@ -43,20 +44,13 @@ def integrated_gauss_newton_terms(
     """
     along_u, weight_u = _nodes_along(u_true[..., 0], vicinity, nodes)
     along_v, weight_v = _nodes_along(u_true[..., 1], vicinity, nodes)
-    grid = torch.broadcast_tensors(along_u[..., None, :], along_v[..., :, None])
-    starts = torch.stack(grid, dim=-1).flatten(-3, -2)  # (..., N, S, 2)
-    weights = (weight_u[..., None, :] * weight_v[..., :, None]).flatten(-2)  # (..., N, S)
-    count = starts.shape[-2]
-    each = gauss_newton_terms(
-        features_query,
-        f_ref.repeat_interleave(count, dim=-2),
-        u_true.repeat_interleave(count, dim=-2),
-        starts.flatten(-3, -2),
-        eps,
-    )
-    e1, e2, valid, near_singular = (part.unflatten(-1, (-1, count)) for part in each)
-    mean_e1, mean_e2, share = ((weights * part).sum(-1) for part in (e1, e2, near_singular))
-    return GaussNewtonTerms(mean_e1, mean_e2, valid.all(-1), share)
+    values, jacobian, valid = sample_grid_with_gradient(features_query, along_u, along_v, 2 * vicinity)
+    delta_u, delta_v = along_u - u_true[..., 0, None], along_v - u_true[..., 1, None]
+    delta = torch.stack(torch.broadcast_tensors(delta_u[..., None, :], delta_v[..., :, None]), dim=-1)
+    each = terms_of_step(values - f_ref[..., None, None, :], jacobian, delta, valid, eps)
+    weights = weight_v[..., :, None] * weight_u[..., None, :]
+    e1, e2, share = ((weights * part).sum((-2, -1)) for part in (each.e1, each.e2, each.near_singular))
+    return GaussNewtonTerms(e1, e2, valid.all(-1).all(-1), share)
 
 
 def _nodes_along(u: Tensor, vicinity: float, nodes: int) -> tuple[Tensor, Tensor]:
