@@ -84,6 +84,13 @@ def test_compiled_and_plain_take_the_same_path(
     np.testing.assert_allclose(fast.T_query_ref, T, atol=1e-4)
     assert abs(sum(iterations) - sum(outcome.iterations for outcome in fast.outcomes)) <= 3
 
+    # Two steps a level end far from where both converge to: every step must be the same.
+    short = FeatureSettings(per_channel=per_channel, damping=damping, cutoff_levels=4, iterations=(2,))
+    fast = align_features(reference, query, np.eye(4), short)
+    T, iterations = feature_plain.align(reference, query, np.eye(4), short)
+    np.testing.assert_allclose(fast.T_query_ref, T, atol=1e-6)
+    assert iterations == [outcome.iterations for outcome in fast.outcomes]
+
 
 def test_one_channel_is_the_intensity_aligner_without_brightness() -> None:
     maps, reference = pyramid(MOVED, channels=1), ReferenceFeatures.at_points(keyframe_points(), pyramid(channels=1))
