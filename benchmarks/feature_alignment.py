@@ -17,7 +17,7 @@ import json
 
 import cv2
 import numpy as np
-from alignment import CAMERA, STEP, WALLS, error, evaluation_ms, median_ms
+from alignment import CAMERA, STEP, WALLS, error, median_ms
 from numpy.typing import NDArray
 
 from baselines.alignment import feature_plain
@@ -26,6 +26,7 @@ from baselines.alignment.feature_pyramid import FeaturePyramid
 from baselines.alignment.feature_reference import ReferenceFeatures
 from baselines.alignment.feature_settings import FeatureSettings
 from baselines.alignment.feature_solver import align_features, align_features_best
+from baselines.alignment.kernel import linearize
 from baselines.alignment.pyramid import level_camera, with_gradients
 from baselines.alignment.solver import camera_intrinsics
 from baselines.dso.tracker import small_rotations
@@ -114,12 +115,16 @@ def keyframe_points() -> KeyframePoints:
     return KeyframePoints(uv, 1.0 / depth, np.zeros(POINTS))
 
 
-def sampled_evaluation_ms(reference: ReferenceFeatures, query: FeaturePyramid, repeats: int) -> float:
-    """One residual + Jacobian + accumulation of all points on level 0, gradients taken where the map is sampled."""
+def evaluations_ms(reference: ReferenceFeatures, query: FeaturePyramid, repeats: int) -> tuple[float, float]:
+    """One residual + Jacobian + accumulation of all points on level 0: gradients sampled, and stored beforehand."""
     points, level = reference.levels[0], query.levels[0]
-    H, g, statistics, room = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS), working_room()
-    arrays = (level.map, points.points, points.values, points.weights, camera_intrinsics(level.camera), np.eye(4))
-    return median_ms(lambda: linearize_features(*arrays, 0.3, 2.0, False, room, H, g, statistics), repeats)
+    K, T, room = camera_intrinsics(level.camera), np.eye(4), working_room()
+    H, g, statistics = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS)
+    sampled = (level.map, points.points, points.values, points.weights, K, T, 0.3, 2.0, False, room, H, g, statistics)
+    sampled_ms = median_ms(lambda: linearize_features(*sampled), repeats)
+    H, g, light = np.zeros((8, 8)), np.zeros(8), np.array([1.0, 0.0])
+    stored = (with_gradients(level.map), points.points, points.values, K, T, light, 0.3, 2.0, False, H, g)
+    return sampled_ms, median_ms(lambda: linearize(*stored), repeats)
 
 
 def main() -> None:
@@ -149,8 +154,7 @@ def main() -> None:
     starts = [start, *(rotation @ start for rotation in small_rotations())]
     starts_ms = median_ms(lambda: align_features_best(reference, query, starts, settings), max(3, repeats // 5))
     numpy_ms = median_ms(lambda: feature_plain.align(reference, query, start, settings), max(3, repeats // 5))
-    sampled_ms = sampled_evaluation_ms(reference, query, 10 * repeats)
-    stored_ms = evaluation_ms(CHANNELS, 10 * repeats, POINTS)
+    sampled_ms, stored_ms = evaluations_ms(reference, query, 10 * repeats)
     storing_ms = median_ms(lambda: [with_gradients(level.map) for level in query.levels], max(3, repeats // 5))
 
     print(f"points of the levels          {[len(level) for level in reference.levels]}")
