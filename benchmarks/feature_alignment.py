@@ -10,7 +10,13 @@ gradients stored beforehand, and what storing them costs.
     python benchmarks/feature_alignment.py [--repeats N]
 """
 
+# ruff: noqa: E402  (the number of threads must be set before numpy is imported)
 from __future__ import annotations
+
+import os
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[variable] = "1"  # one core; read when numpy is imported
 
 import argparse
 import json
