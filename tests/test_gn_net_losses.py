@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import nullcontext
 from dataclasses import replace
 
 import pytest
@@ -468,3 +469,14 @@ def test_options_that_make_no_sense_are_named(values: dict[str, object], said: s
 
 def test_loss_options_survive_json() -> None:
     assert options_from_dict(LossOptions, json.loads(json.dumps(options_to_dict(ALL)))) == ALL
+
+
+@pytest.mark.parametrize("start", ["drawn", "integrated", "affine"])
+def test_nothing_stays_behind_on_the_cpu(start: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tensors of another device than the CPU refuse to be mixed with it; the meta device has shapes alone."""
+    monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())  # which the meta device has not
+    options = replace(ALL, gauss_newton=replace(ALL.gauss_newton, start=start))
+    ref, query = ([level.to("meta") for level in side] for side in pyramids())
+    value = total_loss(ref, query, *(part.to("meta") for part in points()), options, generator())
+    assert value.total.device.type == "meta"
+    assert value.total.shape == ()

@@ -100,33 +100,30 @@ def sample_grid_with_gradient(features: Tensor, along_u: Tensor, along_v: Tensor
     first = torch.nan_to_num(torch.stack([along_u[..., 0], along_v[..., 0]], dim=-1).detach())
     corner = torch.minimum(first.clamp(min=1).floor().long(), last) - 1
     taps = _gather(features, corner, size=math.ceil(span) + 4)  # (..., N, K rows, K columns, D)
-    value_u, slope_u = _hats(along_u - corner[..., 0, None], taps)
-    value_v, slope_v = _hats(along_v - corner[..., 1, None], taps)
-
-    def along_rows(weights: Tensor) -> Tensor:
-        return torch.matmul(weights[..., None, :, :], taps).flatten(-2)  # (..., N, K rows, M D)
-
-    def along_columns(weights: Tensor, rows: Tensor) -> Tensor:
-        return torch.matmul(weights, rows).unflatten(-1, (-1, taps.shape[-1]))  # (..., N, M, M, D)
-
+    both_u = _hats(along_u - corner[..., 0, None], taps)
+    both_v = _hats(along_v - corner[..., 1, None], taps)
     with torch.autocast(taps.device.type, enabled=False):
-        rows = along_rows(value_u)
-        values = along_columns(value_v, rows)
-        jacobian = torch.stack([along_columns(value_v, along_rows(slope_u)), along_columns(slope_v, rows)], dim=-1)
+        rows = torch.matmul(both_u, taps.transpose(-3, -2).flatten(-2)).unflatten(
+            -1, taps.shape[-2:]
+        )  # (..., 2 M, K, D)
+        grid = torch.matmul(both_v, rows.transpose(-3, -2).flatten(-2)).unflatten(-1, (-1, taps.shape[-1]))
+    count = along_u.shape[-1]
+    (values, by_u), (by_v, _) = [part.split(count, dim=-2) for part in grid.split(count, dim=-3)]
+    jacobian = torch.stack([by_u, by_v], dim=-1)
     on_u = (along_u >= 1) & (along_u <= width - 2)
     on_v = (along_v >= 1) & (along_v <= height - 2)
     return SampledWithGradient(values, jacobian, on_v[..., :, None] & on_u[..., None, :])
 
 
-def _hats(t: Tensor, taps: Tensor) -> tuple[Tensor, Tensor]:
-    """Weights (..., M, K) of K taps in the value at t (..., M), counted from the first tap, and in the derivative."""
+def _hats(t: Tensor, taps: Tensor) -> Tensor:
+    """Weights (..., 2 M, K) of K taps at t (..., M), counted from the first tap: in the values, then in the slopes."""
     steps = torch.arange(taps.shape[-2], device=t.device)
     distance = torch.nan_to_num(t)[..., None] - steps
 
     def hat(x: Tensor) -> Tensor:
         return (1 - x.abs()).clamp(min=0)
 
-    return hat(distance).to(taps.dtype), (0.5 * (hat(distance + 1) - hat(distance - 1))).to(taps.dtype)
+    return torch.cat([hat(distance), 0.5 * (hat(distance + 1) - hat(distance - 1))], dim=-2).to(taps.dtype)
 
 
 def _require_room(features: Tensor) -> None:
@@ -136,12 +133,14 @@ def _require_room(features: Tensor) -> None:
 
 def _between(taps: Tensor, a: Tensor) -> Tensor:
     """Linear between the middle two of four taps along the dimension before the last."""
-    return (1 - a) * taps[..., 1, :] + a * taps[..., 2, :]
+    _, left, right, _ = taps.unbind(-2)
+    return (1 - a) * left + a * right
 
 
 def _difference(taps: Tensor, a: Tensor) -> Tensor:
     """Half of what the linear map differs by between one pixel on and one pixel back."""
-    return 0.5 * ((1 - a) * (taps[..., 2, :] - taps[..., 0, :]) + a * (taps[..., 3, :] - taps[..., 1, :]))
+    before, left, right, beyond = taps.unbind(-2)
+    return 0.5 * ((1 - a) * (right - before) + a * (beyond - left))
 
 
 def _locate(features: Tensor, u: Tensor, margin: int) -> tuple[Tensor, Tensor, Tensor]:
