@@ -6,10 +6,12 @@ from baselines.alignment.feature_reference import FeaturePoints, ReferenceFeatur
 from baselines.alignment.feature_settings import DSO_DAMPING, LM_RELOC_DAMPING, Damping, FeatureSettings
 from baselines.alignment.feature_solver import FeatureAlignment, align_features, align_features_best
 from baselines.alignment.kernel import linearize
+from baselines.alignment.keyframe import choose_points
 from baselines.alignment.matching import DSO_PATTERN, SINGLE_PIXEL, MatchSettings, match_pixels
 from baselines.alignment.pyramid import Level, image_pyramid, level_camera, require_pinhole, with_gradients
 from baselines.alignment.selection import select_pixels
 from baselines.alignment.solver import Alignment, LevelOutcome, Settings, align, align_best
+from baselines.alignment.starts import small_rotations
 
 __all__ = [
     "DSO_DAMPING",
@@ -33,6 +35,7 @@ __all__ = [
     "align_best",
     "align_features",
     "align_features_best",
+    "choose_points",
     "coarse_points",
     "image_pyramid",
     "level_camera",
@@ -41,5 +44,6 @@ __all__ = [
     "require_pinhole",
     "sample_points",
     "select_pixels",
+    "small_rotations",
     "with_gradients",
 ]

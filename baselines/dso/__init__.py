@@ -1,5 +1,6 @@
 """Direct tracking on raw intensities: the coarse tracker of Direct Sparse Odometry as a relocalization tracker."""
 
-from baselines.dso.tracker import Dso, DsoMultiStart, DsoReference, small_rotations
+from baselines.alignment import small_rotations
+from baselines.dso.tracker import Dso, DsoMultiStart, DsoReference
 
 __all__ = ["Dso", "DsoMultiStart", "DsoReference", "small_rotations"]

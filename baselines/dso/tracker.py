@@ -7,7 +7,7 @@ carried to all pyramid levels and aligned to the query, coarse to fine, together
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product, takewhile
+from itertools import takewhile
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -21,19 +21,17 @@ from baselines.alignment import (
     MatchSettings,
     Settings,
     align_best,
+    choose_points,
     coarse_points,
     image_pyramid,
     match_pixels,
-    select_pixels,
+    small_rotations,
 )
 from baselines.alignment.pyramid import Level
-from relocbench.geometry import make_transform, rotation_from_quaternion
-from relocbench.tracking import KeyframePoints, Query, Reference, TrackResult
+from relocbench.tracking import Query, Reference, TrackResult
 
 Array = NDArray[np.float64]
 
-SMALL_ROTATION = 0.02
-"""quaternion component before normalising: 2.3, 3.2 and 4.0 degrees about one, two and three axes"""
 LARGEST_LOG_GAIN = 1.2
 LARGEST_OFFSET = 200.0
 """grey levels; beyond these two DSO holds the tracking of consecutive frames for failed"""
@@ -53,14 +51,6 @@ class DsoReference:
     """points chosen, before they were carried to the levels"""
     maps: tuple[Level, ...]
     """the keyframe's pyramid, finest first"""
-
-
-def small_rotations() -> list[Array]:
-    """DSO's 26 small rotations: quaternion (x, y, z, 1) with components in {-0.02, 0, 0.02}, not all zero. (4, 4)."""
-    components = product((0.0, -SMALL_ROTATION, SMALL_ROTATION), repeat=3)
-    return [
-        make_transform(rotation_from_quaternion([*vector, 1.0]), np.zeros(3)) for vector in components if any(vector)
-    ]
 
 
 class Dso:
@@ -112,7 +102,7 @@ class Dso:
             MethodError: the camera is not pinhole.
         """
         levels = image_pyramid(reference.image, reference.camera, self.max_levels)
-        chosen = self._choose(reference, levels)
+        chosen = choose_points(reference, levels, self.points, np.random.default_rng(self.seed))
         return DsoReference(tuple(coarse_points(chosen, levels)), len(chosen), tuple(levels))
 
     def track(self, reference: DsoReference, query: Query, prior: Array | None = None) -> TrackResult:
@@ -154,15 +144,6 @@ class Dso:
 
     def _starts(self, first: Array) -> list[Array]:
         return [first]
-
-    def _choose(self, reference: Reference, levels: list[Level]) -> KeyframePoints:
-        if reference.sparse_points is not None or reference.depth is None:
-            return reference.points
-        known = np.isfinite(reference.depth) & (reference.depth > 0)
-        uv = select_pixels(levels, known, self.points, np.random.default_rng(self.seed))
-        z = reference.depth[uv[:, 1], uv[:, 0]].astype(np.float64)
-        a, b, c = reference.depth_sigma
-        return KeyframePoints(uv.astype(np.float64), 1.0 / z, (a + b * z + c * z * z) / (z * z))
 
     def _answer(self, found: Alignment) -> TrackResult:
         info = self._info(found)

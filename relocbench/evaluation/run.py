@@ -124,7 +124,7 @@ def _run_unit(unit: Unit) -> int:
                 answered, seconds = [_broken(broke)] * len(batch), None
             else:
                 _warm_up(tracker, reference, views[0], unit.spec)
-                answered, seconds = _ask(tracker, reference, views)
+                answered, seconds = ask(tracker, reference, views)
             for key, result in zip(batch, answered, strict=True):
                 each = None if seconds is None else seconds / len(batch)
                 stream.write(json.dumps(_entry(key, result, each)) + "\n")
@@ -132,7 +132,7 @@ def _run_unit(unit: Unit) -> int:
     return len(unit.keys)
 
 
-def _ask(tracker: Any, reference: Any, views: list[Query]) -> tuple[list[TrackResult], float]:
+def ask(tracker: Any, reference: Any, views: list[Query]) -> tuple[list[TrackResult], float]:
     """Answers to some queries of one reference and the seconds they took together."""
     start = time.perf_counter()
     if isinstance(tracker, SupportsBatch):
@@ -161,7 +161,7 @@ def _warm_up(tracker: Any, reference: Any, view: Query, spec: MethodSpec) -> Non
     if spec.label in _warm or spec.target.startswith(SUBPROCESS):
         return
     _warm.add(spec.label)
-    _ask(tracker, reference, [view])
+    ask(tracker, reference, [view])
 
 
 def _entry(key: PairKey, result: TrackResult, seconds: float | None) -> dict[str, Any]:

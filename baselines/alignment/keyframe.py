@@ -1,0 +1,25 @@
+"""Which pixels of a keyframe are aligned."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from baselines.alignment.pyramid import Level
+from baselines.alignment.selection import select_pixels
+from relocbench.tracking import KeyframePoints, Reference
+
+
+def choose_points(reference: Reference, levels: list[Level], count: int, rng: np.random.Generator) -> KeyframePoints:
+    """All points of a sparse map; of a dense depth about ``count`` pixels of large gradient.
+
+    Args:
+        levels: intensity pyramid of the keyframe, finest first.
+        rng: of the choice.
+    """
+    if reference.sparse_points is not None or reference.depth is None:
+        return reference.points
+    known = np.isfinite(reference.depth) & (reference.depth > 0)
+    uv = select_pixels(levels, known, count, rng)
+    z = reference.depth[uv[:, 1], uv[:, 0]].astype(np.float64)
+    a, b, c = reference.depth_sigma
+    return KeyframePoints(uv.astype(np.float64), 1.0 / z, (a + b * z + c * z * z) / (z * z))

@@ -1,0 +1,23 @@
+"""Where an alignment can start besides its first guess."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.geometry import make_transform, rotation_from_quaternion
+
+Array = NDArray[np.float64]
+
+SMALL_ROTATION = 0.02
+"""quaternion component before normalising: 2.3, 3.2 and 4.0 degrees about one, two and three axes"""
+
+
+def small_rotations() -> list[Array]:
+    """DSO's 26 small rotations: quaternion (x, y, z, 1) with components in {-0.02, 0, 0.02}, not all zero. (4, 4)."""
+    components = product((0.0, -SMALL_ROTATION, SMALL_ROTATION), repeat=3)
+    return [
+        make_transform(rotation_from_quaternion([*vector, 1.0]), np.zeros(3)) for vector in components if any(vector)
+    ]

@@ -1,0 +1,117 @@
+"""Batches of cut and augmented pairs, read by background processes; the same whatever their number.
+
+The batch of a step is a function of the step and the seed alone, so that a training that goes on from a checkpoint sees
+what it would have seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from baselines.gn_net.training.augmentation import augment
+from baselines.gn_net.training.crops import Image, Pixels, cut_pair
+from baselines.gn_net.training.drawing import EvenDraw
+from baselines.gn_net.training.options import TrainOptions
+from relocbench.training import TrainingData, TrainingPair
+
+_PREFETCH = 2
+_CUT, _REF, _QUERY = range(3)
+
+
+class Batch(NamedTuple):
+    """What a step learns from: B pairs."""
+
+    images_ref: Tensor
+    """(B, 3, S, S) float32 in [0, 1]"""
+    images_query: Tensor
+    """(B, 3, S, S)"""
+    u_ref: Tensor
+    """(B, N, 2) float32 pixels"""
+    u_query: Tensor
+    """(B, N, 2)"""
+    mask: Tensor
+    """(B, N) bool: rows that hold a correspondence; a pair may have fewer than N"""
+
+    def to(self, device: torch.device) -> Batch:
+        """On another device."""
+        return Batch(*(tensor.to(device, non_blocking=True) for tensor in self))
+
+
+class Batches(Dataset[Batch]):
+    """The batch of each step."""
+
+    def __init__(self, data: TrainingData, options: TrainOptions) -> None:
+        self._data = data
+        self._options = options
+        self._draw = EvenDraw(data, options.seed)
+
+    @property
+    def combinations(self) -> int:
+        """Of conditions, among which pairs are drawn evenly."""
+        return self._draw.combinations
+
+    def __len__(self) -> int:
+        return self._options.steps
+
+    def __getitem__(self, step: int) -> Batch:
+        parts = [self._sample(step, place) for place in range(self._options.batch)]
+        return Batch(*(torch.stack(tensors) for tensors in zip(*parts, strict=True)))
+
+    def _sample(self, step: int, place: int) -> tuple[Tensor, ...]:
+        options = self._options
+
+        def random(what: int) -> np.random.Generator:
+            return np.random.default_rng([options.seed, step, place, what])
+
+        rng = random(_CUT)
+        pair = _swapped(self._data.load(self._draw[step * options.batch + place]), rng.random() < options.swap)
+        cut = cut_pair(*pair, options.crop, options.scale, rng)
+        images = [
+            augment(image.astype(np.float32) / np.float32(255), options.augmentation, random(what))
+            for image, what in ((cut.image_ref, _REF), (cut.image_query, _QUERY))
+        ]
+        chosen = np.sort(rng.permutation(len(cut.u_ref))[: options.points])
+        u = np.zeros((2, options.points, 2), dtype=np.float32)
+        u[0, : len(chosen)], u[1, : len(chosen)] = cut.u_ref[chosen], cut.u_query[chosen]
+        mask = torch.arange(options.points) < len(chosen)
+        first, second = (torch.from_numpy(np.ascontiguousarray(x.transpose(2, 0, 1))) for x in images)
+        return first, second, torch.from_numpy(u[0]), torch.from_numpy(u[1]), mask
+
+
+def _swapped(pair: TrainingPair, swap: bool) -> tuple[Image, Image, Pixels, Pixels]:
+    if swap:
+        return pair.image_query, pair.image_ref, pair.u_query, pair.u_ref
+    return pair.image_ref, pair.image_query, pair.u_ref, pair.u_query
+
+
+def batches_from(batches: Batches, first: int, workers: int, pin_memory: bool) -> Iterator[Batch]:
+    """Batches of the steps from ``first`` to the last, in order.
+
+    Args:
+        workers: background processes; 0 reads in this one.
+        pin_memory: ready for a GPU to fetch.
+    """
+    loader = DataLoader(
+        batches,
+        batch_size=None,
+        sampler=range(first, len(batches)),
+        num_workers=workers,
+        worker_init_fn=_one_thread,
+        prefetch_factor=_PREFETCH if workers else None,
+        multiprocessing_context="spawn" if workers else None,
+        pin_memory=pin_memory,
+        generator=torch.Generator().manual_seed(0),  # the loader draws a seed that nothing uses
+    )
+    return iter(loader)
+
+
+def _one_thread(_: int) -> None:
+    """The cores belong to the training; the loader does the same for torch."""
+    cv2.setNumThreads(1)

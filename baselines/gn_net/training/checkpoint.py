@@ -1,0 +1,98 @@
+"""All that a training needs to go on after a kill, as one file that appears whole or not at all.
+
+Nothing random is kept: pairs, cuts, starts and negatives of a step are functions of the step and the seed.
+"""
+
+from __future__ import annotations
+
+import io
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from baselines.gn_net.training.files import write_whole
+from relocbench.errors import MethodError
+
+_VERSION = 1
+
+StateDict = dict[str, Tensor]
+
+
+@dataclass
+class Best:
+    """The weights that are kept, and what they scored."""
+
+    step: int
+    score: float
+    weights: StateDict
+    scores: dict[str, Any]
+    """``ValidationScores`` as plain values"""
+
+
+@dataclass
+class Checkpoint:
+    """Where a training stands after ``step`` steps."""
+
+    identity: dict[str, Any]
+    """options and data, as plain values: another training does not go on from here"""
+    step: int
+    net: StateDict
+    optimiser: dict[str, Any]
+    mean_net: StateDict | None
+    """the running mean of the weights, where there is one"""
+    window: dict[str, float]
+    """sums of what the log's next row is the mean of"""
+    window_steps: int
+    seconds: float
+    """so far, over all sittings"""
+    best: Best | None = None
+    messages: list[str] = field(default_factory=list)
+
+
+def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
+    """Write it, whole or not at all."""
+    values = {**vars(checkpoint), "version": _VERSION}
+    values["best"] = None if checkpoint.best is None else vars(checkpoint.best)
+    buffer = io.BytesIO()
+    torch.save(values, buffer)
+    write_whole(path, buffer.getvalue())
+
+
+def load_checkpoint(path: Path, identity: Mapping[str, Any]) -> Checkpoint | None:
+    """The checkpoint, its tensors on the CPU, or None where there is none.
+
+    Raises:
+        MethodError: the file is damaged, or of a training with other options or data; both are named.
+    """
+    if not path.exists():
+        return None
+    try:
+        values = torch.load(path, map_location="cpu", weights_only=True)
+    except (RuntimeError, pickle.UnpicklingError, EOFError, OSError, ValueError) as bad:
+        raise MethodError("not a whole checkpoint; remove it to train from the start", path) from bad
+    if not isinstance(values, dict) or values.pop("version", None) != _VERSION:
+        raise MethodError(f"a checkpoint of another version, expected version {_VERSION}", path)
+    best = values.pop("best")
+    found = Checkpoint(**values, best=None if best is None else Best(**best))
+    changed = list(_differences(found.identity, identity))
+    if changed:
+        raise MethodError(
+            f"a training made otherwise ({'; '.join(changed[:3])}); choose another --out or remove it", path
+        )
+    return found
+
+
+def _differences(there: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> list[str]:
+    out = []
+    for key in sorted(there.keys() | now.keys()):
+        a, b = there.get(key), now.get(key)
+        if isinstance(a, Mapping) and isinstance(b, Mapping):
+            out += _differences(a, b, f"{prefix}{key}.")
+        elif a != b:
+            out.append(f"{prefix}{key}: {a} there, {b} now")
+    return out

@@ -1,0 +1,96 @@
+"""Squares cut out of both images of a pair, about the same piece of the world, and the correspondences they hold.
+
+Pixel centres are at integers, so that scaling an image by s takes pixel u to (u + 0.5) s - 0.5.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+Pixels = NDArray[np.float32]
+
+
+class Cut(NamedTuple):
+    """A pair as the network sees it."""
+
+    image_ref: Image
+    """(S, S, 3)"""
+    image_query: Image
+    """(S, S, 3)"""
+    u_ref: Pixels
+    """(N, 2) pixels of the cut image, within its first and last pixel centres"""
+    u_query: Pixels
+    """(N, 2)"""
+
+
+def cut_pair(
+    image_ref: Image,
+    image_query: Image,
+    u_ref: Pixels,
+    u_query: Pixels,
+    side: int,
+    scale: tuple[float, float],
+    rng: np.random.Generator,
+) -> Cut:
+    """Scale both images by one factor, cut a square out of each, and keep the correspondences that both hold.
+
+    The reference's square holds a correspondence drawn at random, the query's follows the median shift of the
+    correspondences in the reference's. An image smaller than the square is continued at the right and below by its last
+    column and row.
+
+    Args:
+        image_ref, image_query: (H, W, 3).
+        u_ref, u_query: (N, 2) pixels that see the same points.
+        side: S, pixels.
+        scale: smallest and largest factor.
+        rng: of the factor and the place.
+    """
+    factor = float(rng.uniform(*scale))
+    image_ref, u_ref = scaled(image_ref, u_ref, factor)
+    image_query, u_query = scaled(image_query, u_query, factor)
+    centre = u_ref[rng.integers(len(u_ref))] if len(u_ref) else np.array(image_ref.shape[1::-1]) / 2
+    corner_ref = _inside(np.floor(centre - rng.uniform(0, side, 2)), image_ref, side)
+    shift = np.median((u_query - u_ref)[_within(u_ref - corner_ref, side)], axis=0) if len(u_ref) else np.zeros(2)
+    corner_query = _inside(np.rint(corner_ref + shift), image_query, side)
+    in_ref, in_query = u_ref - corner_ref.astype(np.float32), u_query - corner_query.astype(np.float32)
+    kept = _within(in_ref, side) & _within(in_query, side)
+    return Cut(
+        _cut(image_ref, corner_ref, side),
+        _cut(image_query, corner_query, side),
+        in_ref[kept].astype(np.float32),
+        in_query[kept].astype(np.float32),
+    )
+
+
+def scaled(image: Image, u: Pixels, factor: float) -> tuple[Image, Pixels]:
+    """An image of whole size next to ``factor`` times its own, and its pixels (N, 2) there, by the factor it got."""
+    height, width = image.shape[:2]
+    size = max(round(width * factor), 1), max(round(height * factor), 1)
+    if size == (width, height):
+        return image, u
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR)
+    exact = np.array([size[0] / width, size[1] / height])
+    return np.asarray(small, dtype=np.uint8), ((u + 0.5) * exact - 0.5).astype(np.float32)
+
+
+def _inside(corner: NDArray[np.floating], image: Image, side: int) -> NDArray[np.int64]:
+    """The corner (u, v) moved so that the square lies in the image, or begins where a smaller image begins."""
+    height, width = image.shape[:2]
+    last = np.maximum([width - side, height - side], 0)
+    return np.clip(corner, 0, last).astype(np.int64)
+
+
+def _within(u: NDArray[np.floating], side: int) -> NDArray[np.bool_]:
+    return np.asarray(np.all((u >= 0) & (u <= side - 1), axis=1), dtype=bool)
+
+
+def _cut(image: Image, corner: NDArray[np.int64], side: int) -> Image:
+    u, v = corner
+    part = image[v : v + side, u : u + side]
+    missing = side - part.shape[0], side - part.shape[1]
+    return np.pad(part, ((0, missing[0]), (0, missing[1]), (0, 0)), mode="edge") if any(missing) else part

@@ -1,0 +1,265 @@
+"""The steps of a training, from the first or from where a checkpoint stands to the last."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from baselines.gn_net.losses import total_loss
+from baselines.gn_net.network import FeatureNet
+from baselines.gn_net.options import options_to_dict
+from baselines.gn_net.tracker import GnNet
+from baselines.gn_net.training.batches import Batch, Batches, batches_from
+from baselines.gn_net.training.card import model_card, weights_card
+from baselines.gn_net.training.checkpoint import Best, Checkpoint, load_checkpoint, save_checkpoint
+from baselines.gn_net.training.curves import draw_curves
+from baselines.gn_net.training.ema import MeanNet
+from baselines.gn_net.training.files import write_whole
+from baselines.gn_net.training.log import TIMED, Table, Window
+from baselines.gn_net.training.options import TrainOptions
+from baselines.gn_net.weights import save_weights
+from relocbench.errors import MethodError
+from relocbench.training import TrainingData, TrainingReport, TrainingRun, Validate, ValidationScores
+
+_FIRST_WEIGHTS, _LOSS = range(2)
+
+
+class Outcome(NamedTuple):
+    """Of one step."""
+
+    loss: float
+    gradient_norm: float
+    parts: dict[str, float]
+
+
+class Training:
+    """One training in one folder.
+
+    Args:
+        tracker: what the weights are validated as.
+
+    Raises:
+        MethodError: the folder holds another training.
+    """
+
+    def __init__(
+        self,
+        data: TrainingData,
+        validate: Validate | None,
+        options: TrainOptions,
+        run: TrainingRun,
+        tracker: type[GnNet],
+        device: torch.device,
+    ) -> None:
+        self.options, self.run, self.device = options, run, device
+        self._validate, self._tracker = validate, tracker
+        self._data = dict(data.describe())
+        self._batches = Batches(data, options)
+        self._identity: dict[str, Any] = {
+            "name": tracker.name,
+            "options": options_to_dict(options),
+            "data": self._data,
+            "validated": validate is not None,
+        }
+        self.net = FeatureNet(options.network, _generator(options.seed, _FIRST_WEIGHTS))
+        self.net.to(memory_format=torch.channels_last).to(device).train()
+        self.optimiser = torch.optim.AdamW(
+            self.net.parameters(), lr=options.learning_rate, weight_decay=options.weight_decay
+        )
+        self.mean = MeanNet(self.net, options.ema) if options.ema > 0 else None
+        self.step, self.seconds, self.window = 0, 0.0, Window()
+        self.best: Best | None = None
+        self._resume()
+        self.log = Table(run.out / "log.csv", self.step)
+        self.validation = Table(run.out / "validation.csv", self.step)
+
+    def run_to_end(self) -> TrainingReport:
+        """All steps that are left.
+
+        Raises:
+            MethodError: the loss or its gradient is not finite any more.
+        """
+        options, since = self.options, time.monotonic() - self.seconds
+        left = options.steps - self.step
+        if left and self.step:
+            self.run.reporter.note(f"goes on after step {self.step} of {options.steps}")
+        batches = batches_from(self._batches, self.step, self.run.workers, self.device.type == "cuda")
+        with self.run.reporter.stage(f"training {self._tracker.name}", left) as advance:
+            for batch in batches if left else ():
+                self._one_step(batch)
+                self.seconds = time.monotonic() - since
+                if self.step % options.log_every == 0 or self.step == options.steps:
+                    self.log.add({"step": self.step, TIMED: self.seconds, **self.window.take()})
+                validates = self.step % options.validate_every == 0 or self.step == options.steps
+                if validates:
+                    self._keep_if_better()
+                    self.seconds = time.monotonic() - since
+                if validates or self.step % options.checkpoint_every == 0:
+                    self._save()
+                advance(1)
+        return self._finish()
+
+    def learning_rate(self, step: int) -> float:
+        """Of a step, counted from 0: a ramp, then half a cosine."""
+        options = self.options
+        if step < options.warm_up:
+            return options.learning_rate * (step + 1) / options.warm_up
+        done = (step - options.warm_up) / max(options.steps - 1 - options.warm_up, 1)
+        low = options.final_rate
+        return options.learning_rate * (low + (1 - low) * 0.5 * (1 + math.cos(math.pi * done)))
+
+    @property
+    def kept_net(self) -> FeatureNet:
+        """What is validated and kept: the running mean, or the network itself."""
+        return self.mean.net if self.mean else self.net
+
+    def _one_step(self, batch: Batch) -> None:
+        rate = self.learning_rate(self.step)
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        loss, parts = self._loss(batch.to(self.device))
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        limit = self.options.clip or math.inf
+        norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), limit)
+        names = ["loss", "gradient_norm", *parts]
+        numbers = torch.stack([x.detach().double() for x in (loss, norm, *parts.values())]).tolist()  # one wait
+        values = dict(zip(names, numbers, strict=True))
+        if not (math.isfinite(values["loss"]) and math.isfinite(values["gradient_norm"])):
+            wrong = ", ".join(name for name, value in values.items() if not math.isfinite(value))
+            raise MethodError(
+                f"training broke down at step {self.step + 1}: not finite: {wrong}; try a lower learning_rate "
+                f"(now {self.options.learning_rate:g}) in another --out",
+                self.run.out,
+            )
+        self.optimiser.step()
+        self.step += 1
+        if self.mean:
+            self.mean.follow(self.net, self.step)
+        self.window.add({"learning_rate": rate, **values})
+
+    def _loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        """Both images of all pairs go through the network together: batch normalisation sees all weathers at once."""
+        images = torch.cat([batch.images_ref, batch.images_query]).contiguous(memory_format=torch.channels_last)
+        half = self.options.mixed_precision and self.device.type == "cuda"
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=half):
+            maps = self.net(images)
+        pairs = len(batch.mask)
+        features = [m.float() for m in maps]
+        value = total_loss(
+            [m[:pairs] for m in features],
+            [m[pairs:] for m in features],
+            batch.u_ref,
+            batch.u_query,
+            batch.mask,
+            self.options.loss,
+            _generator(self.options.seed, _LOSS, self.step),
+        )
+        return value.total, value.parts
+
+    def _keep_if_better(self) -> None:
+        """Track the validation pairs with the weights as a user would, from a file."""
+        if self._validate is None:
+            return
+        candidate = self.run.out / "candidate.safetensors"
+        save_weights(candidate, self.kept_net, {})
+        scores = self._validate(self._tracker(weights=candidate, device=str(self.device)))
+        candidate.unlink()
+        for message in scores.messages:
+            self.run.reporter.note(f"validation at step {self.step}: {message}")
+        score = float(np.mean(list(scores.together.values())))
+        told = ", ".join(f"{name} {100 * value:.1f} %" for name, value in scores.together.items())
+        self.run.reporter.note(f"validation at step {self.step}: {told}")
+        groups = {"all": scores.together, **scores.by_conditions}
+        counts = {"all": sum(scores.pairs.values()), **scores.pairs}
+        for group, values in groups.items():
+            self.validation.add({"step": self.step, "conditions": group, "pairs": counts[group], **values})
+        if self.best is None or score >= self.best.score:
+            self.best = Best(self.step, score, _copied(self.kept_net), _plain(scores))
+
+    def _save(self) -> None:
+        if self.best is not None:
+            self._write_weights()
+        checkpoint = Checkpoint(
+            identity=self._identity,
+            step=self.step,
+            net=self.net.state_dict(),
+            optimiser=self.optimiser.state_dict(),
+            mean_net=self.mean.net.state_dict() if self.mean else None,
+            window=self.window.sums,
+            window_steps=self.window.steps,
+            seconds=self.seconds,
+            best=self.best,
+        )
+        save_checkpoint(self._checkpoint, checkpoint)
+        draw_curves(self.run.out / "curves.png", self.log.rows, self.validation.rows)
+
+    def _resume(self) -> None:
+        found = load_checkpoint(self._checkpoint, self._identity)
+        if found is None:
+            return
+        self.net.load_state_dict(found.net)
+        self.optimiser.load_state_dict(found.optimiser)
+        if self.mean and found.mean_net:
+            self.mean.net.load_state_dict(found.mean_net)
+        self.step, self.seconds, self.best = found.step, found.seconds, found.best
+        self.window = Window(found.window, found.window_steps)
+
+    def _finish(self) -> TrainingReport:
+        if self.best is None:  # without validation
+            self.best = Best(self.step, math.nan, _copied(self.kept_net), {})
+        self._write_weights()
+        scores = ValidationScores(**self.best.scores) if self.best.scores else None
+        text = model_card(
+            self._tracker.name,
+            self.options,
+            self._data,
+            self.run,
+            self.device,
+            self.seconds,
+            self.net.parameters_count,
+            self.best.step,
+            scores,
+        )
+        write_whole(self.run.out / "MODEL_CARD.md", text)
+        draw_curves(self.run.out / "curves.png", self.log.rows, self.validation.rows)
+        return TrainingReport(self._weights, self.step, scores, self.best.step)
+
+    def _write_weights(self) -> None:
+        assert self.best is not None
+        net = FeatureNet(self.options.network)
+        net.load_state_dict(self.best.weights)
+        card = weights_card(self._tracker.name, self.options, self._data, self.best.step, self.best.scores or None)
+        save_weights(self._weights, net, card)
+
+    @property
+    def _weights(self) -> Path:
+        return self.run.out / "weights.safetensors"
+
+    @property
+    def _checkpoint(self) -> Path:
+        return self.run.out / "checkpoint.pt"
+
+
+def _generator(seed: int, *of: int) -> torch.Generator:
+    """A stream of random numbers of its own, on the CPU."""
+    state = np.random.SeedSequence([seed, *of]).generate_state(1, np.uint64)[0]
+    return torch.Generator().manual_seed(int(state >> np.uint64(1)))
+
+
+def _copied(net: FeatureNet) -> dict[str, Tensor]:
+    return {name: tensor.detach().cpu().clone() for name, tensor in net.state_dict().items()}
+
+
+def _plain(scores: ValidationScores) -> dict[str, Any]:
+    return {
+        "together": dict(scores.together),
+        "by_conditions": {name: dict(values) for name, values in scores.by_conditions.items()},
+        "pairs": dict(scores.pairs),
+    }
