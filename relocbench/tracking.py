@@ -179,6 +179,42 @@ class SupportsMatching(Protocol):
     def match(self, reference: Any, query: Query, uv_ref: Array, uv_start: Array) -> Array: ...
 
 
+@runtime_checkable
+class SupportsLevelMatching(Protocol):
+    """Optional, beside :class:`SupportsMatching`: the same on each level of the method's pyramid alone.
+
+    The answer is one (N, 2) array for each level, finest first, in pixels of the image: where the method's Gauss-Newton
+    ends if it works on that level only. There are as many levels for every pair.
+    """
+
+    def match_levels(self, reference: Any, query: Query, uv_ref: Array, uv_start: Array) -> Sequence[Array]: ...
+
+
+class FeatureMap(Protocol):
+    """One level of what a method sees of an image."""
+
+    @property
+    def map(self) -> NDArray[np.float32]:
+        """(H, W, D)"""
+        ...
+
+
+class FeatureMaps(Protocol):
+    """What a method sees of an image, level by level."""
+
+    @property
+    def levels(self) -> Sequence[FeatureMap]:
+        """Finest first; pixel (u, v) of level l is the place ((u + 0.5) 2^l - 0.5, (v + 0.5) 2^l - 0.5)."""
+        ...
+
+
+@runtime_checkable
+class SupportsFeatures(Protocol):
+    """Optional: show the dense features that the method computes of an image, for pictures of them."""
+
+    def features(self, image: NDArray[np.uint8], camera: Camera) -> FeatureMaps: ...
+
+
 def match_fault_of(ends: object, count: int) -> str | None:
     """What keeps ``ends`` from being the answer to ``count`` pixels, or None if nothing does."""
     if not isinstance(ends, np.ndarray) or not np.issubdtype(ends.dtype, np.floating):

@@ -7,7 +7,7 @@ from baselines.alignment.feature_settings import DSO_DAMPING, LM_RELOC_DAMPING, 
 from baselines.alignment.feature_solver import FeatureAlignment, align_features, align_features_best
 from baselines.alignment.kernel import linearize
 from baselines.alignment.keyframe import choose_points
-from baselines.alignment.matching import DSO_PATTERN, SINGLE_PIXEL, MatchSettings, match_pixels
+from baselines.alignment.matching import DSO_PATTERN, SINGLE_PIXEL, MatchSettings, match_pixels, match_pixels_by_level
 from baselines.alignment.pyramid import Level, image_pyramid, level_camera, require_pinhole, with_gradients
 from baselines.alignment.selection import select_pixels
 from baselines.alignment.solver import Alignment, LevelOutcome, Settings, align, align_best
@@ -41,6 +41,7 @@ __all__ = [
     "level_camera",
     "linearize",
     "match_pixels",
+    "match_pixels_by_level",
     "require_pinhole",
     "sample_points",
     "select_pixels",

@@ -86,6 +86,30 @@ def match_pixels(
     Raises:
         ValueError: shapes or channels do not fit; fewer than two residuals a pixel, so that nothing is determined.
     """
+    common = min(len(reference), len(query))
+    return _match_on(range(common), reference, query, uv_ref, uv_start, settings)
+
+
+def match_pixels_by_level(
+    reference: Sequence[Level], query: Sequence[Level], uv_ref: Array, uv_start: Array, settings: MatchSettings
+) -> list[Array]:
+    """Where the Gauss-Newton of each pixel ends on each level alone, from the same starts; finest level first.
+
+    Arguments, (N, 2) pixels of the finest level that come back, and errors as in :func:`match_pixels`.
+    """
+    common = min(len(reference), len(query))
+    return [_match_on([level], reference, query, uv_ref, uv_start, settings) for level in range(common)]
+
+
+def _match_on(
+    levels: Sequence[int],
+    reference: Sequence[Level],
+    query: Sequence[Level],
+    uv_ref: Array,
+    uv_start: Array,
+    settings: MatchSettings,
+) -> Array:
+    """Matching on some levels, given finest first and worked on coarsest first."""
     n, channels = len(uv_ref), reference[0].channels
     if np.shape(uv_ref) != (n, 2) or np.shape(uv_start) != (n, 2) or query[0].channels != channels:
         raise ValueError(
@@ -101,7 +125,7 @@ def match_pixels(
     uv = np.array(uv_start, dtype=np.float64, order="C")
     pattern = np.array(settings.pattern, dtype=np.float64)
     moved = np.zeros(n, dtype=np.bool_)
-    for level in reversed(range(min(len(reference), len(query)))):
+    for level in reversed(levels):
         moved = _match_level(
             reference[level].map,
             query[level].map,

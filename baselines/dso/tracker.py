@@ -25,6 +25,7 @@ from baselines.alignment import (
     coarse_points,
     image_pyramid,
     match_pixels,
+    match_pixels_by_level,
     small_rotations,
 )
 from baselines.alignment.pyramid import Level
@@ -138,9 +139,16 @@ class Dso:
             MethodError: the camera is not pinhole.
         """
         levels = image_pyramid(query.image, query.camera, self.max_levels)
+        return match_pixels(reference.maps, levels, uv_ref, uv_start, self._match_settings())
+
+    def match_levels(self, reference: DsoReference, query: Query, uv_ref: Array, uv_start: Array) -> list[Array]:
+        """As :meth:`match` on each level of the pyramid alone, finest first; (N, 2) pixels of the image each."""
+        levels = image_pyramid(query.image, query.camera, self.max_levels)
+        return match_pixels_by_level(reference.maps, levels, uv_ref, uv_start, self._match_settings())
+
+    def _match_settings(self) -> MatchSettings:
         light: Literal["affine", "none"] = "affine" if self.settings.affine else "none"
-        settings = MatchSettings(DSO_PATTERN, light, damping=MATCH_DAMPING)
-        return match_pixels(reference.maps, levels, uv_ref, uv_start, settings)
+        return MatchSettings(DSO_PATTERN, light, damping=MATCH_DAMPING)
 
     def _starts(self, first: Array) -> list[Array]:
         return [first]

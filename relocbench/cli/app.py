@@ -16,6 +16,7 @@ from relocbench.cli.inspect import inspect
 from relocbench.cli.leaderboard import leaderboard
 from relocbench.cli.methods import methods
 from relocbench.cli.preview import preview
+from relocbench.cli.probe import probe
 from relocbench.cli.train import train
 from relocbench.cli.validate import validate
 
@@ -48,6 +49,7 @@ app.command()(demo)
 app.add_typer(build_dataset, name="build-dataset")
 app.command()(preview)
 app.command()(evaluate)
+app.command()(probe)
 app.command()(leaderboard)
 app.command()(train)
 app.command()(inspect)

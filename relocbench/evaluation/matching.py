@@ -74,17 +74,24 @@ class Starts:
         return len(self.offset_px)
 
 
-def draw_starts(known: Correspondences, query: Camera, key: PairKey, per_pair: int = PER_PAIR) -> Starts:
+def draw_starts(
+    known: Correspondences,
+    query: Camera,
+    key: PairKey,
+    per_pair: int = PER_PAIR,
+    offsets_px: Sequence[int] = OFFSETS_PX,
+    seed: int = _SEED,
+) -> Starts:
     """Up to ``per_pair`` of a pair's visible correspondences, each with a start at every offset, direction at random.
 
     A start that would lie outside the query's image is turned about the truth by quarters until it lies inside, so that
     a pixel near the border is not lost by the question.
     """
-    rng = np.random.default_rng([_SEED, *(time % 2**64 for time in key)])
+    rng = np.random.default_rng([seed, *(time % 2**64 for time in key)])
     visible = np.nonzero(known.visible)[0]
     rows = np.sort(rng.choice(visible, min(per_pair, len(visible)), replace=False))
-    n, k = len(rows), len(OFFSETS_PX)
-    offset = np.repeat(OFFSETS_PX, n)
+    n, k = len(rows), len(offsets_px)
+    offset = np.repeat(np.asarray(offsets_px, dtype=np.int64), n)
     uv_ref, uv_query = np.tile(known.uv_ref[rows], (k, 1)), np.tile(known.uv_query[rows], (k, 1))
     angle = rng.uniform(0.0, 2 * np.pi, k * n)
     step = offset[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)

@@ -12,6 +12,7 @@ from relocbench.metrics.failure_policy import (
 )
 from relocbench.metrics.matching import MatchingQuality, OffsetShare, matching_quality
 from relocbench.metrics.pose_errors import PoseErrors, pose_errors
+from relocbench.metrics.radius import Radius, Ratio, radius_of, radius_ratio, success_radius
 from relocbench.metrics.registry import METRICS, Metric, PairScores, metric_named, within
 from relocbench.metrics.significance import (
     Difference,
@@ -35,6 +36,8 @@ __all__ = [
     "PairSetSummary",
     "PoseErrors",
     "PrecisionRecall",
+    "Radius",
+    "Ratio",
     "Spread",
     "align_predictions",
     "answered_pairs",
@@ -51,8 +54,11 @@ __all__ = [
     "place_predictions",
     "pose_errors",
     "precision_recall",
+    "radius_of",
+    "radius_ratio",
     "rank_with_ties",
     "spread_over_seeds",
+    "success_radius",
     "summarize",
     "totals",
     "within",

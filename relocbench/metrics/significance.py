@@ -161,6 +161,21 @@ def rank_with_ties(
     return ranks
 
 
+def resampled_set_means(
+    pair_sets: Sequence[Array], rng: np.random.Generator, resamples: int = RESAMPLES
+) -> Array | None:
+    """Means of several per-pair values over resampled drives, the same blocks for all of them.
+
+    Args:
+        pair_sets: (K, N_s) each, ordered by reference time: K values of each pair.
+
+    Returns:
+        (K, resamples): of each value the mean over the sets of the mean over a set's resampled pairs; None when all
+        sets together hold fewer than :data:`MIN_BLOCKS` blocks.
+    """
+    return _bootstrap_means(pair_sets, rng, None, resamples)
+
+
 def common_block_length(values: ArrayLike) -> int:
     """One block length for all methods on a pair set, (methods, N): the longest that any of them asks for.
 

@@ -1,0 +1,157 @@
+"""Pictures of features: one place in several conditions, the first three principal components as red, green and blue.
+
+Features that do not change with the weather have the same colours in every row. The components are those of all images
+of a place together, on each level apart, and so is the scale of the colours: rows can be compared, columns cannot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.dataset import Dataset, PairSet
+from relocbench.datasets.drawing import rgb
+from relocbench.datasets.images import write_image
+from relocbench.datasets.pairfile import Pair
+from relocbench.errors import MethodError
+from relocbench.geometry import Camera
+from relocbench.tracking import SupportsFeatures
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+COMPONENTS = 3
+_SPREAD = (1.0, 99.0)
+"""percentiles of a component that become its darkest and brightest"""
+_BAR = 22
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Images of about one place, the keyframe first."""
+
+    name: str
+    images: tuple[tuple[str, Image, Camera], ...]
+    """title, image (H, W[, 3]) and camera of each"""
+
+
+def principal_components(maps: Sequence[NDArray[np.float32]]) -> list[Image]:
+    """Maps (H_i, W_i, D) as pictures (H_i, W_i, 3), by the first components of all their pixels together.
+
+    A component's sign is chosen so that its largest entry is positive. Where there are fewer than three components, the
+    others are grey.
+
+    Raises:
+        ValueError: no maps, or maps of different D.
+    """
+    if not maps or len({m.shape[2] for m in maps}) > 1:
+        raise ValueError(f"expected maps (H, W, D) of one D, got {[m.shape for m in maps]}")
+    pixels = np.concatenate([m.reshape(-1, m.shape[2]) for m in maps]).astype(np.float64)
+    centre = pixels.mean(axis=0)
+    pixels -= centre
+    variances, axes = np.linalg.eigh(pixels.T @ pixels / len(pixels))
+    order = np.argsort(variances)[::-1][:COMPONENTS]
+    axes = axes[:, order]
+    axes *= np.sign(axes[np.abs(axes).argmax(axis=0), np.arange(axes.shape[1])])
+    parts = pixels @ axes
+    low, high = np.percentile(parts, _SPREAD, axis=0)
+    scaled = np.full((len(parts), COMPONENTS), 0.5)
+    seen = high - low > 1e-9 * max(float(np.abs(pixels).max()), 1e-300)
+    scaled[:, : len(order)][:, seen] = np.clip((parts - low)[:, seen] / (high - low)[seen], 0, 1)
+    out, start = [], 0
+    for m in maps:
+        count = m.shape[0] * m.shape[1]
+        out.append(np.rint(255 * scaled[start : start + count]).astype(np.uint8).reshape(*m.shape[:2], COMPONENTS))
+        start += count
+    return out
+
+
+def feature_sheet(place: Place, method: SupportsFeatures, label: str) -> Image:
+    """A row an image: the image itself, then its features on each level, finest first, all of one size.
+
+    Raises:
+        MethodError: the method cannot work on the images.
+    """
+    seen = [_levels(method, label, image, camera) for _, image, camera in place.images]
+    levels = [principal_components([maps[k] for maps in seen]) for k in range(min(map(len, seen)))]
+    height, width = place.images[0][1].shape[:2]
+    rows = []
+    for index, (title, image, _) in enumerate(place.images):
+        panels = [(title, rgb(image))]
+        panels += [(f"{label}, level {k}: 3 components", pictures[index]) for k, pictures in enumerate(levels)]
+        rows.append(np.hstack([_panel(text, picture, width, height) for text, picture in panels]))
+    return np.vstack(rows)
+
+
+def shows_features(method: Any) -> bool:
+    """Whether a method has ``features`` to call; a parameter may have the same name."""
+    return isinstance(method, SupportsFeatures) and callable(method.features)
+
+
+def places_of(dataset: Dataset, pair_sets: Sequence[PairSet], count: int) -> list[Place]:
+    """Keyframes that queries of the most conditions look at, with the nearest query of each; spread along the drive."""
+    looked_at: dict[tuple[str, str, int], dict[str, tuple[float, PairSet, Pair]]] = {}
+    for pair_set in pair_sets:
+        condition = str(dataset.traversal(pair_set.query).condition)
+        for pair in pair_set.pairs:
+            nearest = looked_at.setdefault((pair_set.reference, pair_set.camera, pair.ref_timestamp_ns), {})
+            distance = float(np.linalg.norm(pair.T_query_ref[:3, 3])) if pair.T_query_ref is not None else np.inf
+            if condition not in nearest or distance < nearest[condition][0]:
+                nearest[condition] = (distance, pair_set, pair)
+    if not looked_at:
+        return []
+    most = max(map(len, looked_at.values()))
+    best = sorted(key for key, nearest in looked_at.items() if len(nearest) == most)
+    rows = np.unique(np.rint(np.linspace(0, len(best) - 1, min(count, len(best)) + 2)[1:-1]).astype(int))
+    return [_place(dataset, best[row], looked_at[best[row]]) for row in rows]
+
+
+def write_feature_maps(place: Place, method: Any, label: str, folder: Path) -> Path:
+    """``features_LABEL_PLACE.png``.
+
+    Raises:
+        MethodError: the method shows no features.
+    """
+    if not shows_features(method):
+        raise MethodError(f"method '{label}' shows no features (it has no features())")
+    path = folder / f"features_{label}_{place.name}.png"
+    write_image(path, feature_sheet(place, method, label))
+    return path
+
+
+def _levels(method: SupportsFeatures, label: str, image: Image, camera: Camera) -> list[NDArray[np.float32]]:
+    """Maps (H, W, D), finest first; anything else is not what the contract says."""
+    maps = [level.map for level in method.features(image, camera).levels]
+    wrong = [np.shape(m) for m in maps if not isinstance(m, np.ndarray) or m.ndim != 3 or not np.isfinite(m).all()]
+    if wrong or not maps:
+        told = f"{wrong[0]} or not finite" if wrong else "none"
+        raise MethodError(f"the features of '{label}' are {told}, expected finite maps (H, W, D)")
+    return maps
+
+
+def _place(dataset: Dataset, key: tuple[str, str, int], nearest: dict[str, tuple[float, PairSet, Pair]]) -> Place:
+    name, camera, time = key
+    traversal = dataset.traversal(name)
+    keyframe = traversal.query(camera, time)
+    images = [(f"keyframe, {traversal.condition}", keyframe.image, keyframe.camera)]
+    for condition, (_, pair_set, pair) in sorted(nearest.items()):
+        query = dataset.query(pair_set, pair)
+        images.append((f"query, {condition}", query.image, query.camera))
+    return Place(f"{name}_{camera}_{time}", tuple(images))
+
+
+def _panel(text: str, picture: Image, width: int, height: int) -> Image:
+    if picture.shape[:2] != (height, width):
+        picture = np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
+    bar = np.zeros((_BAR, width, 3), dtype=np.uint8)
+    plain = text.encode("ascii", "replace").decode()
+    needed = cv2.getTextSize(plain, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)[0][0]
+    size = 0.45 * min(1.0, (width - 8) / max(needed, 1))
+    cv2.putText(bar, plain, (4, 16), cv2.FONT_HERSHEY_SIMPLEX, size, (255, 255, 255), 1, cv2.LINE_AA)
+    return np.vstack([bar, picture])

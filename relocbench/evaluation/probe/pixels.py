@@ -1,0 +1,87 @@
+"""Single pixels: does the method's Gauss-Newton on a pixel walk to the true one, and from how far?
+
+Starts lie 0 to 16 px beside the true pixel of a ground-truth correspondence, in a direction drawn at random. A method
+that keeps a pyramid is asked a second time for each level alone; a coarse level cannot place a pixel of the image to
+1 px, so that there the ends within 1 px *of the level* are counted too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.correspondences import Correspondences
+from relocbench.datasets.pairfile import PairKey
+from relocbench.evaluation.matching import Starts, draw_starts
+from relocbench.evaluation.probe.tally import Tally
+from relocbench.evaluation.worker import guarded
+from relocbench.tracking import Query, match_fault_of
+
+Array = NDArray[np.float64]
+
+OFFSETS_PX = (0, 1, 2, 4, 8, 16)
+NEAR = "match@1px"
+NEAR_ON_LEVEL = "match@1levelpx"
+_WITHIN_PX = {NEAR: 1.0, "match@3px": 3.0}
+_DIGITS = 6
+"""a start meant to be 1 px off is 1 px off up to rounding"""
+
+
+def probe_pixels(
+    tracker: Any, reference: Any, query: Query, known: Correspondences, key: PairKey, per_pair: int, seed: int
+) -> tuple[list[Tally], str]:
+    """Tallies of one pair, none without visible correspondences; and how the method broke, empty if it did not.
+
+    A method that breaks has found nothing.
+
+    Args:
+        reference: as the tracker's ``prepare`` gave it; None if that broke, in which case nothing is asked.
+    """
+    starts = draw_starts(known, query.camera, key, per_pair, OFFSETS_PX, seed)
+    if not len(starts):
+        return [], ""
+    ends, broke = (None, None) if reference is None else _asked(tracker.match, reference, query, starts)
+    tallies = [_tally(None, starts, ends)]
+    if reference is None or not callable(getattr(tracker, "match_levels", None)):
+        return tallies, broke or ""
+    levels, broke_too = guarded(
+        lambda: list(tracker.match_levels(reference, query, starts.uv_ref.copy(), starts.uv_start.copy()))
+    )
+    broke_too = broke_too or next((f for e in levels if (f := match_fault_of(e, len(starts)))), None)
+    if not broke_too:
+        tallies += [_tally(level, starts, np.asarray(e, dtype=np.float64)) for level, e in enumerate(levels)]
+    return tallies, broke or broke_too or ""
+
+
+def level_names() -> tuple[str, ...]:
+    """What is counted on a level alone."""
+    return (*_WITHIN_PX, NEAR_ON_LEVEL)
+
+
+def _asked(match: Callable[..., Any], reference: Any, query: Query, starts: Starts) -> tuple[Array | None, str | None]:
+    # The method gets copies: what it does to them must not reach the truth.
+    ends, broke = guarded(lambda: match(reference, query, starts.uv_ref.copy(), starts.uv_start.copy()))
+    broke = broke or match_fault_of(ends, len(starts))
+    return (None, broke) if broke else (np.asarray(ends, dtype=np.float64), None)
+
+
+def _tally(level: int | None, starts: Starts, ends: Array | None) -> Tally:
+    where = np.full((len(starts), 2), np.nan) if ends is None else ends
+    distance = np.round(np.linalg.norm(where - starts.uv_query, axis=1), _DIGITS)  # NaN is near nothing
+    within = dict(_WITHIN_PX) if level is None else {**_WITHIN_PX, NEAR_ON_LEVEL: float(1 << level)}
+
+    def by_offset(lengths: NDArray[Any], px: float) -> tuple[int, ...]:
+        return tuple(int(np.sum(lengths[starts.offset_px == offset] <= px)) for offset in OFFSETS_PX)
+
+    return Tally(
+        "pixels",
+        level,
+        OFFSETS_PX,
+        by_offset(starts.offset_px, np.inf),
+        by_offset(distance, np.inf),
+        {name: by_offset(distance, px) for name, px in within.items()},
+        {name: by_offset(starts.offset_px, px) for name, px in within.items()},
+    )

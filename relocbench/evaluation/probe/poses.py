@@ -1,0 +1,120 @@
+"""Whole poses: does the tracker come back to the truth from a prior that is known to be off?
+
+The prior is the true pose with the camera's centre moved by so many metres, in a direction drawn at random, or with the
+camera turned about its centre by so many degrees, about an axis drawn at random: the convergence basin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.pairfile import PairKey
+from relocbench.evaluation.probe.tally import Tally, What
+from relocbench.evaluation.worker import guarded
+from relocbench.geometry import make_transform, so3_exp
+from relocbench.metrics import PoseErrors, pose_errors, within
+from relocbench.tracking import Query, SupportsBatch, TrackResult, fault_of
+
+Array = NDArray[np.float64]
+
+OFFSETS: dict[What, tuple[float, ...]] = {
+    "translation": (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0),
+    "rotation": (0.0, 0.5, 1.0, 2.0, 4.0, 8.0),
+}
+"""metres; degrees"""
+CONVERGED = "recall@(0.25m,2deg)"
+_WITHIN = {CONVERGED: (0.25, 2.0), "recall@(0.25m,1deg)": (0.25, 1.0), "recall@(0.1m,0.5deg)": (0.1, 0.5)}
+_SEED = 2
+
+
+def draw_priors(T_query_ref: Array, what: What, key: PairKey, directions: int, seed: int) -> Array:
+    """(K, M, 4, 4): M priors at each offset, off the true pose by exactly that much; the same for every method.
+
+    A direction is kept over all offsets, so that a pair is followed outwards along M rays.
+    """
+    kind = list(OFFSETS).index(what)
+    rng = np.random.default_rng([_SEED, kind, seed, *(time % 2**64 for time in key)])
+    rays = rng.normal(size=(directions, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    out = np.empty((len(OFFSETS[what]), directions, 4, 4))
+    for k, offset in enumerate(OFFSETS[what]):
+        for m, ray in enumerate(rays):
+            if what == "translation":
+                # |d| of t is |d| of the centre -R^T t: R is not touched.
+                out[k, m] = T_query_ref
+                out[k, m, :3, 3] += offset * ray
+            else:
+                # Turned about the query camera's own centre, which stays where it is.
+                out[k, m] = make_transform(so3_exp(np.radians(offset) * ray), np.zeros(3)) @ T_query_ref
+    return out
+
+
+def probe_poses(
+    tracker: Any, reference: Any, query: Query, T_query_ref: Array, key: PairKey, directions: int, seed: int
+) -> tuple[list[Tally], str]:
+    """Tallies of one pair, translation and rotation; and how the method broke, empty if it did not.
+
+    Args:
+        reference: as the tracker's ``prepare`` gave it; None if that broke, in which case nothing is asked.
+    """
+    tallies, broke = [], ""
+    for what, offsets in OFFSETS.items():
+        priors = draw_priors(T_query_ref, what, key, directions, seed)
+        flat = priors.reshape(-1, 4, 4)
+        results = _track(tracker, reference, query, flat)
+        broke = broke or next((r.message for r in results if r.info.get("status") == "error"), "")
+        answers = [np.full((4, 4), np.nan) if r.T_query_ref is None else r.T_query_ref for r in results]
+        truth = np.repeat(T_query_ref[None], len(flat), axis=0)
+        ends = pose_errors(np.array(answers, dtype=np.float64), truth)
+        tallies.append(
+            Tally(
+                what,
+                None,
+                offsets,
+                (directions,) * len(offsets),
+                _by_offset(ends.answered, offsets),
+                {name: _by_offset(_near(ends, name), offsets) for name in _WITHIN},
+                {name: _starts_near(what, offsets, name, directions) for name in _WITHIN},
+            )
+        )
+    return tallies, broke
+
+
+def _near(errors: PoseErrors, name: str) -> NDArray[np.bool_]:
+    return within(errors, *_WITHIN[name])
+
+
+def _starts_near(what: What, offsets: Sequence[float], name: str, directions: int) -> tuple[int, ...]:
+    """By the offsets themselves: what rounding makes of a prior 0.25 m off must not decide."""
+    limit = _WITHIN[name][0 if what == "translation" else 1]
+    return tuple(directions if offset <= limit else 0 for offset in offsets)
+
+
+def _by_offset(chosen: NDArray[np.bool_], offsets: Sequence[float]) -> tuple[int, ...]:
+    return tuple(int(n) for n in chosen.reshape(len(offsets), -1).sum(axis=1))
+
+
+def _track(tracker: Any, reference: Any, query: Query, priors: Array) -> list[TrackResult]:
+    """An answer from each prior."""
+    if reference is None:
+        return [TrackResult.failure("", status="error")] * len(priors)
+    if not isinstance(tracker, SupportsBatch):
+        return [_checked(*_track_one(tracker, reference, query, prior)) for prior in priors]
+    each = [prior.copy() for prior in priors]
+    answered, broke = guarded(lambda: list(tracker.track_batch(reference, [query] * len(each), each)))
+    if broke is None and len(answered) != len(each):
+        broke = f"track_batch returned {len(answered)} results for {len(each)} queries"
+    return [_checked(None, broke)] * len(each) if broke else [_checked(result, None) for result in answered]
+
+
+def _track_one(tracker: Any, reference: Any, query: Query, prior: Array) -> tuple[Any, str | None]:
+    return guarded(lambda: tracker.track(reference, query, prior.copy()))
+
+
+def _checked(result: Any, broke: str | None) -> TrackResult:
+    fault = broke or fault_of(result)
+    return TrackResult.failure(fault, status="error") if fault else result

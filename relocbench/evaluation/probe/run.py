@@ -1,0 +1,242 @@
+"""Probe several methods on a dataset and write what came of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from relocbench.datasets import fingerprint
+from relocbench.datasets.dataset import Dataset, PairSet
+from relocbench.datasets.pairfile import PairKey
+from relocbench.datasets.schema import Strict
+from relocbench.errors import ConfigError
+from relocbench.evaluation.probe.feature_maps import places_of, shows_features, write_feature_maps
+from relocbench.evaluation.probe.table import Line, lines_of
+from relocbench.evaluation.probe.work import Answered, Task, ask_pairs, task_for
+from relocbench.evaluation.probe.write import write_probe
+from relocbench.evaluation.run import new_record
+from relocbench.execution import default_workers
+from relocbench.methods import MethodSpec, parse_methods
+from relocbench.progress import Reporter
+
+
+class ProbeOptions(Strict):
+    """Fields are options of ``relocbench probe`` and keys of its YAML file."""
+
+    dataset: Path
+    methods: tuple[str, ...] = Field((), min_length=1)
+    set: tuple[str, ...] = ()
+    """key=value or LABEL.key=value"""
+    out: Path
+    split: str | None = None
+    pair_sets: tuple[str, ...] = ()
+    pixels: bool = True
+    """where single pixels end"""
+    poses: bool = True
+    """where whole poses end, from priors off the truth"""
+    pairs: int = Field(50, ge=1)
+    """of each pair set at most, spread along the drive"""
+    per_pair: int = Field(100, ge=1)
+    """correspondences of a pair, each started from every offset"""
+    directions: int = Field(2, ge=1)
+    """priors of a pair at each offset"""
+    feature_maps: int = Field(0, ge=0)
+    """places whose features are drawn"""
+    seed: int = Field(0, ge=0)
+    workers: int | None = Field(None, ge=1)
+    scheduler: str | None = None
+
+    @model_validator(mode="after")
+    def _something_to_do(self) -> Self:
+        if not (self.pixels or self.poses or self.feature_maps):
+            raise ValueError("nothing to probe: --no-pixels and --no-poses leave nothing")
+        return self
+
+
+@dataclass(frozen=True)
+class ProbeReport:
+    """What a probe found."""
+
+    lines: list[Line]
+    files: list[Path]
+    broken: list[tuple[str, str]]
+    """label and message of each method that broke on pairs"""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for scripts: the radii."""
+        return {
+            "radii": [
+                {
+                    "method": line.method,
+                    "what": line.what,
+                    "level": line.level,
+                    "conditions": line.conditions,
+                    "criterion": line.criterion,
+                    "pairs": line.pairs,
+                    "radius": line.radius.value,
+                    "beyond": line.radius.beyond,
+                    "interval": _bounds(line.radius.interval),
+                    "ratio": None if line.ratio is None else line.ratio.value,
+                    "ratio_interval": None if line.ratio is None else _bounds(line.ratio.interval),
+                }
+                for line in self.lines
+                if line.radius is not None
+            ],
+            "files": [str(path) for path in self.files],
+            "broken": [{"method": label, "message": message} for label, message in self.broken],
+        }
+
+
+def probe_methods(options: ProbeOptions, reporter: Reporter) -> ProbeReport:
+    """Ask, count, write ``probe.csv``, ``radii.csv``, ``probe.md``, ``probe.yaml`` and pictures of the curves.
+
+    Raises:
+        RelocbenchError: a bad dataset, method or option; nothing that could be asked.
+    """
+    dataset = Dataset(options.dataset)
+    if options.out.resolve().is_relative_to(dataset.root.resolve()):
+        raise ConfigError(
+            "--out lies inside the dataset, which results would change; choose another folder", options.out
+        )
+    for fault in fingerprint.faults(dataset.layout, content="text"):
+        raise fault
+    specs = parse_methods(options.methods, options.set, options.seed)
+    asked = chosen_pairs(dataset, options)
+    tasks = _tasks(dataset, [pair_set for pair_set, _ in asked], specs, options, reporter)
+    pictures = _draw(dataset, [pair_set for pair_set, _ in asked], specs, options, reporter)
+    answers = {}
+    for spec, task in tasks:
+        answers[spec.label] = ask_pairs(
+            dataset,
+            asked,
+            spec,
+            task,
+            options.out / "answers",
+            workers=options.workers,
+            scheduler=options.scheduler,
+            reporter=reporter,
+        )
+    if not answers:
+        return ProbeReport([], pictures, [])
+    conditions = {
+        s.name: (str(dataset.traversal(s.reference).condition), str(dataset.traversal(s.query).condition))
+        for s, _ in asked
+    }
+    lines = lines_of(answers, conditions)
+    if not lines:
+        raise ConfigError("no pair has a visible correspondence: there is no pixel to probe", dataset.root)
+    files = write_probe(options.out, dataset, lines, _about(dataset, options, tasks))
+    broken = [b for label, found in answers.items() for b in _broken(label, found)]
+    return ProbeReport(lines, [*files, *pictures], broken)
+
+
+def chosen_pairs(dataset: Dataset, options: ProbeOptions) -> list[tuple[PairSet, list[PairKey]]]:
+    """Of each pair set up to ``options.pairs`` pairs with ground truth, evenly spread.
+
+    Raises:
+        ConfigError: none is left.
+    """
+    chosen = dataset.pair_sets(options.split)
+    if options.pair_sets:
+        wanted = [dataset.pair_set(name).name for name in options.pair_sets]
+        chosen = [s for s in chosen if s.name in wanted]
+    out = []
+    for pair_set in chosen:
+        known = sorted(p.key for p in pair_set.pairs if p.T_query_ref is not None)
+        rows = np.unique(np.rint(np.linspace(0, len(known) - 1, min(options.pairs, len(known)))).astype(int))
+        if len(rows):
+            out.append((pair_set, [known[row] for row in rows]))
+    if not out:
+        raise ConfigError("no pair with ground truth is left to probe", dataset.root)
+    return out
+
+
+def _tasks(
+    dataset: Dataset,
+    pair_sets: Sequence[PairSet],
+    specs: Sequence[MethodSpec],
+    options: ProbeOptions,
+    reporter: Reporter,
+) -> list[tuple[MethodSpec, Task]]:
+    """Methods with what they can be asked; what is left out is told."""
+    without = [s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()]
+    if options.pixels:
+        for name in without:
+            reporter.note(f"{name} has no correspondences: no single pixels (build-dataset --correspondences N)")
+    pixels = options.pixels and len(without) < len(pair_sets)
+    out = []
+    for spec in specs:
+        task = task_for(
+            spec,
+            pixels=pixels,
+            poses=options.poses,
+            per_pair=options.per_pair,
+            directions=options.directions,
+            seed=options.seed,
+        )
+        if pixels and not task.pixels:
+            reporter.note(f"{spec.label} does not match single pixels (it has no match())")
+        if options.poses and not task.poses:
+            reporter.note(f"{spec.label} does not start from a prior (no uses_prior): it has no basin")
+        if task.pixels or task.poses:
+            out.append((spec, task))
+    if not out and not options.feature_maps:
+        raise ConfigError("no method can be probed: one needs match() and correspondences, or a prior to start from")
+    return out
+
+
+def _draw(
+    dataset: Dataset,
+    pair_sets: Sequence[PairSet],
+    specs: Sequence[MethodSpec],
+    options: ProbeOptions,
+    reporter: Reporter,
+) -> list[Path]:
+    """Pictures of the features of the methods that show them; who does not is told."""
+    if not options.feature_maps:
+        return []
+    places = places_of(dataset, pair_sets, options.feature_maps)
+    drawn = []
+    with reporter.stage("drawing features", len(specs) * len(places)) as advance:
+        for spec in specs:
+            tracker = spec.create()
+            if not shows_features(tracker):
+                reporter.note(f"{spec.label} shows no features (it has no features())")
+            for place in places if shows_features(tracker) else []:
+                drawn.append(write_feature_maps(place, tracker, spec.label, options.out))
+                advance(1)
+    return drawn
+
+
+def _about(dataset: Dataset, options: ProbeOptions, tasks: Sequence[tuple[MethodSpec, Task]]) -> dict[str, Any]:
+    workers = options.workers or default_workers()
+    return {
+        "dataset": dataset.name,
+        "fingerprint": dataset.fingerprint,
+        "options": json.loads(options.model_dump_json(exclude={"dataset", "out", "workers", "scheduler"})),
+        "methods": [
+            new_record(dataset, spec, workers, options.seed).model_dump(
+                include={"method", "target", "parameters", "versions"}
+            )
+            for spec, _ in tasks
+        ],
+    }
+
+
+def _broken(label: str, found: dict[tuple[str, PairKey], Answered]) -> list[tuple[str, str]]:
+    broken = [(key, answered.message) for key, answered in sorted(found.items()) if answered.message]
+    if not broken:
+        return []
+    (name, key), message = broken[0]
+    told = f"broke on {len(broken)} of {len(found)} pairs, counted as not found; first on {name} {key[0]} {key[1]}"
+    return [(label, f"{told}: {message}")]
+
+
+def _bounds(interval: Any) -> list[float] | None:
+    return None if interval is None else [interval.low, interval.high]

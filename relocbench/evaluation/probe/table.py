@@ -1,0 +1,172 @@
+"""Shares and radii of all methods, by conditions of reference and query."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.pairfile import PairKey
+from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, level_names
+from relocbench.evaluation.probe.poses import CONVERGED
+from relocbench.evaluation.probe.tally import Tally, What
+from relocbench.evaluation.probe.work import Answered
+from relocbench.metrics import Radius, Ratio, radius_of, radius_ratio
+
+Array = NDArray[np.float64]
+Answers = Mapping[tuple[str, PairKey], Answered]
+
+ACROSS, SAME = "across conditions", "same condition"
+_SEED = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """One method on the pairs of one combination of conditions."""
+
+    method: str
+    what: What
+    level: int | None
+    conditions: str
+    """``A → B`` of reference and query, :data:`ACROSS` or :data:`SAME`"""
+    criterion: str
+    pairs: int
+    offsets: tuple[float, ...]
+    counts: tuple[int, ...]
+    """starts at each offset"""
+    shares: Array
+    """(K,) successes, mean over pair sets of the mean over their pairs"""
+    start_shares: Array
+    """(K,) the same of the starts"""
+    radius: Radius | None
+    """where the share falls below a half; None for a criterion that is not the first one"""
+    ratio: Ratio | None
+    """of this radius to that of the first method"""
+    half_left: Radius | None
+    """where half of what is found from the truth is left: the width of the basin, whatever its height"""
+    half_ratio: Ratio | None
+
+
+def main_criterion(what: What, level: int | None) -> str:
+    """What counts as a success where one number is wanted."""
+    if what != "pixels":
+        return CONVERGED
+    return NEAR if level is None else NEAR_ON_LEVEL
+
+
+def lines_of(answers: Mapping[str, Answers], conditions: Mapping[str, tuple[str, str]]) -> list[Line]:
+    """All lines: first what all conditions together give, then each combination by itself.
+
+    Args:
+        answers: by method, the first one is what the others are compared with.
+        conditions: of each pair set its reference's and its query's.
+    """
+    out: list[Line] = []
+    first = next(iter(answers))
+    whole = {method: _completed(found) for method, found in answers.items()}
+    for what, level in _kinds(whole):
+        for group, names in _groups(conditions):
+            base = _values(whole[first], names, what, level, main_criterion(what, level))
+            for method in answers:
+                out += _lines(method, whole[method], names, what, level, group, base if method != first else None)
+    return out
+
+
+def _lines(
+    method: str,
+    found: Mapping[str, list[dict[tuple[What, int | None], Tally]]],
+    names: Sequence[str],
+    what: What,
+    level: int | None,
+    group: str,
+    base: list[Array] | None,
+) -> Iterator[Line]:
+    tallies = [t[what, level] for name in names for t in found[name] if (what, level) in t]
+    if not tallies:
+        return
+    main = main_criterion(what, level)
+    offsets = tallies[0].offsets
+    for criterion in tallies[0].hits:
+        values = _values(found, names, what, level, criterion)
+        starts = _values(found, names, what, level, criterion, of_starts=True)
+        radius = ratio = half_left = half_ratio = None
+        if criterion == main:
+            radius, half_left = (
+                radius_of(values, offsets, np.random.default_rng(_SEED), relative=relative)
+                for relative in (False, True)
+            )
+            if base:
+                ratio, half_ratio = (
+                    radius_ratio(values, base, offsets, np.random.default_rng(_SEED), relative=relative)
+                    for relative in (False, True)
+                )
+        yield Line(
+            method,
+            what,
+            level,
+            group,
+            criterion,
+            len(tallies),
+            offsets,
+            tuple(int(n) for n in np.sum([t.count for t in tallies], axis=0)),
+            np.mean([v.mean(axis=1) for v in values], axis=0),
+            np.mean([v.mean(axis=1) for v in starts], axis=0),
+            radius,
+            ratio,
+            half_left,
+            half_ratio,
+        )
+
+
+def _completed(answers: Answers) -> dict[str, list[dict[tuple[What, int | None], Tally]]]:
+    """Tallies of each pair set's pairs by reference time; where the levels alone broke, nothing was found there."""
+    levels = {t.level for a in answers.values() for t in a.tallies if t.level is not None}
+    out: dict[str, list[dict[tuple[What, int | None], Tally]]] = {}
+    for (name, _), answered in sorted(answers.items()):
+        found = {(t.what, t.level): t for t in answered.tallies}
+        whole = found.get(("pixels", None))
+        if whole is not None:
+            for level in levels:
+                found.setdefault(("pixels", level), whole.missed(level, level_names()))
+        out.setdefault(name, []).append(found)
+    return out
+
+
+def _kinds(
+    whole: Mapping[str, Mapping[str, list[dict[tuple[What, int | None], Tally]]]],
+) -> list[tuple[What, int | None]]:
+    found = {kind for sets in whole.values() for pairs in sets.values() for pair in pairs for kind in pair}
+    return sorted(
+        found, key=lambda k: (("pixels", "translation", "rotation").index(k[0]), -1 if k[1] is None else k[1])
+    )
+
+
+def _groups(conditions: Mapping[str, tuple[str, str]]) -> Iterator[tuple[str, list[str]]]:
+    """Names of conditions with their pair sets."""
+    for title, alike in ((ACROSS, False), (SAME, True)):
+        names = [name for name, (a, b) in conditions.items() if (a == b) == alike]
+        if names:
+            yield title, names
+    for a, b in sorted(set(conditions.values())):
+        yield f"{a} → {b}", [name for name, pair in conditions.items() if pair == (a, b)]
+
+
+def _values(
+    found: Mapping[str, list[dict[tuple[What, int | None], Tally]]],
+    names: Sequence[str],
+    what: What,
+    level: int | None,
+    criterion: str,
+    *,
+    of_starts: bool = False,
+) -> list[Array]:
+    """Of each pair set (K, N): the share of successes of each pair at each offset."""
+    out = []
+    for name in names:
+        tallies = [t[what, level] for t in found[name] if (what, level) in t]
+        if tallies:
+            hits = [(t.start_hits if of_starts else t.hits)[criterion] for t in tallies]
+            out.append(np.array(hits, dtype=np.float64).T / np.array([t.count for t in tallies], dtype=np.float64).T)
+    return out
