@@ -29,6 +29,8 @@ Image = NDArray[np.uint8]
 COMPONENTS = 3
 _SPREAD = (1.0, 99.0)
 """percentiles of a component that become its darkest and brightest"""
+_NOISE = 1e-5
+"""of the largest value; what varies less is rounding of float32, not a component"""
 _BAR = 22
 
 
@@ -62,7 +64,7 @@ def principal_components(maps: Sequence[NDArray[np.float32]]) -> list[Image]:
     parts = pixels @ axes
     low, high = np.percentile(parts, _SPREAD, axis=0)
     scaled = np.full((len(parts), COMPONENTS), 0.5)
-    seen = high - low > 1e-9 * max(float(np.abs(pixels).max()), 1e-300)
+    seen = high - low > _NOISE * np.abs(pixels).max()
     scaled[:, : len(order)][:, seen] = np.clip((parts - low)[:, seen] / (high - low)[seen], 0, 1)
     out, start = [], 0
     for m in maps:
@@ -108,7 +110,8 @@ def places_of(dataset: Dataset, pair_sets: Sequence[PairSet], count: int) -> lis
         return []
     most = max(map(len, looked_at.values()))
     best = sorted(key for key, nearest in looked_at.items() if len(nearest) == most)
-    rows = np.unique(np.rint(np.linspace(0, len(best) - 1, min(count, len(best)) + 2)[1:-1]).astype(int))
+    count = min(count, len(best))
+    rows = [(2 * i + 1) * len(best) // (2 * count) for i in range(count)]  # the middle of each part of the drive
     return [_place(dataset, best[row], looked_at[best[row]]) for row in rows]
 
 

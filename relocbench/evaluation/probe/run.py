@@ -30,7 +30,7 @@ class ProbeOptions(Strict):
     """Fields are options of ``relocbench probe`` and keys of its YAML file."""
 
     dataset: Path
-    methods: tuple[str, ...] = Field((), min_length=1)
+    methods: tuple[str, ...] = ()
     set: tuple[str, ...] = ()
     """key=value or LABEL.key=value"""
     out: Path
@@ -54,6 +54,8 @@ class ProbeOptions(Strict):
 
     @model_validator(mode="after")
     def _something_to_do(self) -> Self:
+        if not self.methods:
+            raise ValueError("nothing to probe: give --method NAME")
         if not (self.pixels or self.poses or self.feature_maps):
             raise ValueError("nothing to probe: --no-pixels and --no-poses leave nothing")
         return self

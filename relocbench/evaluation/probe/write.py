@@ -59,9 +59,9 @@ def probe_page(dataset: Dataset, lines: Sequence[Line], pictures: Sequence[str],
         f"{options['seed']}. Shares are means over pair sets of means over their pairs; what a method does not answer "
         "is not found. The **radius** is the offset at which the share falls below 50 %, on straight lines between the "
         "offsets that were tried; in brackets its 95 % interval over resampled stretches of the drives. It is 0 where "
-        "fewer than half are found even from the truth. **Half left** is the offset at which half of what is found from "
-        "the truth is left: how wide the basin is, to be read with how high it is (*from the truth*). A ratio counts a "
-        "radius beyond the last offset as that offset; it is blank where both are 0.",
+        "fewer than half are found even from the truth. **Half left** is the offset at which half of what is found "
+        "from the truth is left: how wide the basin is, to be read with how high it is (*from the truth*). A ratio "
+        "counts a radius beyond the last offset as that offset; it is blank where both are 0.",
     ]
     for what in _TITLES:
         parts += _section(what, [line for line in lines if line.what == what])
