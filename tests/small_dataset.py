@@ -86,6 +86,7 @@ def make_small_dataset(
     correspondences: int = 0,
     pose_fault: Array | None = None,
     sigma_translation_m: float | None = 0.01,
+    splits: dict[str, list[str]] | None = None,
 ) -> Dataset:
     """Two traversals of ``frames`` frames and two pair sets, :data:`ACROSS` and :data:`WITHIN`.
 
@@ -100,6 +101,7 @@ def make_small_dataset(
         rejected: so many pairs of the set across are kept as rejected.
         correspondences: ground-truth correspondences a pair; 0 writes no file.
         pose_fault: (4, 4) put in front of every true ``T_query_ref`` across: a deliberately wrong truth.
+        splits: name -> pair sets; default: ``test`` has the one across, ``all`` both.
     """
     configuration = {"kind": "small", "frames": frames, "seed": seed, "pairs": pairs, "sparse": sparse}
     writer = DatasetWriter(root, name, configuration, licence="CC0-1.0")
@@ -136,7 +138,7 @@ def make_small_dataset(
             reporter=Silent(),
             run=Run(),
         )
-    return writer.finish({"test": [ACROSS], "all": [ACROSS, WITHIN]})
+    return writer.finish(splits or {"test": [ACROSS], "all": [ACROSS, WITHIN]})
 
 
 def _write_traversal(

@@ -13,8 +13,11 @@ from baselines.gn_net.training.log import Row
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_PARTS = ("positive", "negative", "e1", "e2", "descent")
-_SHARES = ("near_singular", "nearer")
+_PANELS = {
+    "contrastive loss, by level": ("positive", "negative"),
+    "Gauss-Newton and descent loss, by level": ("e1", "e2", "descent"),
+    "share of points, by level": ("near_singular", "nearer"),
+}
 
 
 def draw_curves(path: Path, log: Sequence[Row], validation: Sequence[Row]) -> None:
@@ -29,27 +32,27 @@ def draw_curves(path: Path, log: Sequence[Row], validation: Sequence[Row]) -> No
 
     if not log:
         return
-    figure = Figure(figsize=(12, 8), layout="constrained")
+    figure = Figure(figsize=(17, 9), layout="constrained")
     FigureCanvasAgg(figure)
-    above, below = figure.subplots(2, 2)
-    _lines(above[0], log, [c for c in log[-1] if c == "loss"], "loss")
+    above, below = figure.subplots(2, 3)
+    _lines(above[0], log, ["loss"], "weighted sum of the losses")
     rate = above[0].twinx()
     rate.plot(*_column(log, "learning_rate"), color="0.7", linewidth=1)
     rate.set_ylabel("learning rate (grey)")
-    _lines(above[1], log, _named(log, _PARTS), "parts of the loss before weights, by level")
-    _lines(below[0], log, _named(log, _SHARES), "share of points, by level")
-    below[0].set_ylim(-0.02, 1.02)
+    for axes, (title, parts) in zip((above[1], above[2], below[0]), _PANELS.items(), strict=True):
+        _lines(axes, log, [column for column in log[-1] if column.partition("/")[2] in parts], title)
     together = [row for row in validation if row["conditions"] == "all"]
-    metrics = [c for c in (together[-1] if together else {}) if "@" in c]
+    metrics = [column for column in (together[-1] if together else {}) if "@" in column]
     _lines(below[1], together, metrics, "validation by tracking, all conditions")
-    below[1].set_ylim(-0.02, 1.02)
+    for conditions in sorted({row["conditions"] for row in validation} - {"all"} if metrics else ()):
+        rows = [row for row in validation if row["conditions"] == conditions]
+        below[2].plot(*_column(rows, metrics[0]), marker=".", label=conditions)
+    _finish(below[2], f"{metrics[0] if metrics else 'validation'} by reference -> query", legend_columns=1)
+    for axes in below:
+        axes.set_ylim(-0.02, 1.02)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=100)
     write_whole(path, buffer.getvalue())
-
-
-def _named(rows: Sequence[Row], parts: Sequence[str]) -> list[str]:
-    return [column for column in rows[-1] if column.partition("/")[2] in parts]
 
 
 def _lines(axes: Axes, rows: Sequence[Row], columns: Sequence[str], title: str) -> None:
@@ -60,11 +63,18 @@ def _lines(axes: Axes, rows: Sequence[Row], columns: Sequence[str], title: str) 
         style = ("-", "--", "-.", ":")[int(level or 0) % 4]
         marker = "." if len(rows) < 30 else ""
         axes.plot(*_column(rows, column), linestyle=style, marker=marker, color=f"C{parts.index(part)}", label=column)
+    _finish(axes, title)
+
+
+def _finish(axes: Axes, title: str, legend_columns: int = 2) -> None:
     axes.set_title(title)
     axes.set_xlabel("step")
+    from matplotlib.ticker import MaxNLocator
+
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.grid(alpha=0.3)
-    if columns:
-        axes.legend(fontsize="x-small", ncols=2)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize="x-small", ncols=legend_columns)
 
 
 def _column(rows: Sequence[Row], name: str) -> tuple[list[int], list[float]]:

@@ -60,7 +60,7 @@ class Training:
         self.options, self.run, self.device = options, run, device
         self._validate, self._tracker = validate, tracker
         self._data = dict(data.describe())
-        self._batches = Batches(data, options)
+        self.batches = Batches(data, options)
         self._identity: dict[str, Any] = {
             "name": tracker.name,
             "options": options_to_dict(options),
@@ -89,16 +89,17 @@ class Training:
         left = options.steps - self.step
         if left and self.step:
             self.run.reporter.note(f"goes on after step {self.step} of {options.steps}")
-        batches = batches_from(self._batches, self.step, self.run.workers, self.device.type == "cuda")
+        batches = batches_from(self.batches, self.step, self.run.workers, self.device.type == "cuda")
         with self.run.reporter.stage(f"training {self._tracker.name}", left) as advance:
             for batch in batches if left else ():
-                self._one_step(batch)
+                self.one_step(batch)
                 self.seconds = time.monotonic() - since
                 if self.step % options.log_every == 0 or self.step == options.steps:
                     self.log.add({"step": self.step, TIMED: self.seconds, **self.window.take()})
                 validates = self.step % options.validate_every == 0 or self.step == options.steps
                 if validates:
                     self._keep_if_better()
+                    draw_curves(self.run.out / "curves.png", self.log.rows, self.validation.rows)
                     self.seconds = time.monotonic() - since
                 if validates or self.step % options.checkpoint_every == 0:
                     self._save()
@@ -119,7 +120,8 @@ class Training:
         """What is validated and kept: the running mean, or the network itself."""
         return self.mean.net if self.mean else self.net
 
-    def _one_step(self, batch: Batch) -> None:
+    def one_step(self, batch: Batch) -> None:
+        """Learn from a batch. Raises MethodError where the loss or its gradient is not finite."""
         rate = self.learning_rate(self.step)
         for group in self.optimiser.param_groups:
             group["lr"] = rate
@@ -198,7 +200,6 @@ class Training:
             best=self.best,
         )
         save_checkpoint(self._checkpoint, checkpoint)
-        draw_curves(self.run.out / "curves.png", self.log.rows, self.validation.rows)
 
     def _resume(self) -> None:
         found = load_checkpoint(self._checkpoint, self._identity)
@@ -228,7 +229,6 @@ class Training:
             scores,
         )
         write_whole(self.run.out / "MODEL_CARD.md", text)
-        draw_curves(self.run.out / "curves.png", self.log.rows, self.validation.rows)
         return TrainingReport(self._weights, self.step, scores, self.best.step)
 
     def _write_weights(self) -> None:

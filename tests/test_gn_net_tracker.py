@@ -1,0 +1,147 @@
+"""GN-Net as a tracker: the answer depends on what stands before the camera, failures are said in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from small_dataset import WITHIN, make_small_dataset, render, small_camera, small_pose
+
+from baselines.gn_net.network import FeatureNet
+from baselines.gn_net.options import NetworkOptions
+from baselines.gn_net.tracker import GnNet, GnNetContrastive, LmNet
+from baselines.gn_net.weights import save_weights
+from relocbench.datasets.dataset import Dataset
+from relocbench.errors import MethodError
+from relocbench.geometry import make_transform, rotation_angle, so3_exp
+from relocbench.methods import parse_method
+from relocbench.tracking import KeyframePoints, Query, Reference, SupportsMatching, SupportsPrepare, fault_of
+
+SMALL = NetworkOptions(widths=(8, 12, 16), dim=8, levels=3)
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a network that learnt nothing: random filters see texture all the same."""
+    net = FeatureNet(SMALL)
+    with torch.no_grad():
+        for seed in range(3):
+            net(torch.rand((2, 3, 48, 64), generator=torch.Generator().manual_seed(seed)))
+    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
+    save_weights(path, net, {})
+    return path
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return make_small_dataset(tmp_path_factory.mktemp("data") / "d", size=(192, 144))
+
+
+def a_reference(size: tuple[int, int] = (192, 144)) -> Reference:
+    camera = small_camera(*size)
+    image, depth = render(camera, small_pose(0))
+    return Reference(key="r", timestamp_ns=1, image=image, camera=camera, depth=depth)
+
+
+def a_query(T_world_cam: np.ndarray, size: tuple[int, int] = (192, 144)) -> Query:
+    camera = small_camera(*size)
+    return Query(key="q", timestamp_ns=2, image=render(camera, T_world_cam)[0], camera=camera)
+
+
+def test_the_tracker_finds_small_motions(weights: Path, dataset: Dataset) -> None:
+    tracker = GnNet(weights=weights)
+    assert isinstance(tracker, SupportsPrepare)
+    pair_set = dataset.pair_set(WITHIN)
+    for pair in pair_set.pairs[:3]:
+        found = tracker.track(tracker.prepare(dataset.reference(pair_set, pair)), dataset.query(pair_set, pair))
+        assert fault_of(found) is None
+        off = np.linalg.inv(found.T_query_ref) @ pair.T_query_ref
+        assert np.linalg.norm(off[:3, 3]) < 0.03 < np.linalg.norm(pair.T_query_ref[:3, 3])
+        assert np.degrees(rotation_angle(off[:3, :3])) < 0.3
+        assert found.confidence is not None
+        assert 0 < found.confidence <= 1
+
+
+def test_one_prepared_reference_serves_all_queries_and_the_network_sees_it_once(
+    weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracker = GnNet(weights=weights)
+    seen = []
+    features = tracker.features
+    monkeypatch.setattr(tracker, "features", lambda image, camera: seen.append(image.shape) or features(image, camera))
+    reference = tracker.prepare(a_reference())
+    for frame in (0, 1, 1):
+        tracker.track(reference, a_query(small_pose(frame)))
+    assert len(seen) == 4
+
+
+def test_the_prior_is_where_the_alignment_starts(weights: Path) -> None:
+    tracker = GnNet(weights=weights)
+    assert tracker.uses_prior
+    reference = tracker.prepare(a_reference())
+    prior = make_transform(so3_exp([0.0, 0.01, 0.0]), [0.02, 0.0, 0.0])
+    found = tracker.track(reference, a_query(small_pose(0)), prior)
+    assert np.abs(found.T_query_ref - np.eye(4)).max() < 1e-3
+
+
+def test_single_pixels_are_found_again(weights: Path) -> None:
+    tracker = GnNet(weights=weights)
+    assert isinstance(tracker, SupportsMatching)
+    reference = tracker.prepare(a_reference())
+    uv = np.random.default_rng(0).uniform(40, (150, 100), (100, 2))
+    ends = tracker.match(reference, a_query(small_pose(0)), uv, uv + 0.7)
+    assert np.median(np.linalg.norm(ends - uv, axis=1)) < 0.01
+
+
+def test_too_few_points_are_a_stated_failure(weights: Path) -> None:
+    whole = a_reference()
+    few = KeyframePoints(np.full((5, 2), 50.0), np.full(5, 0.2), np.full(5, 0.01))
+    reference = Reference(key="r", timestamp_ns=1, image=whole.image, camera=whole.camera, sparse_points=few)
+    tracker = GnNet(weights=weights)
+    found = tracker.track(tracker.prepare(reference), a_query(small_pose(0)))
+    assert not found.answered
+    assert found.message == "5 reference points with depth, at least 30 are needed"
+
+
+def test_an_image_that_the_network_cannot_take_is_one_line(weights: Path) -> None:
+    with pytest.raises(MethodError, match="3 levels need 4x4"):
+        GnNet(weights=weights).features(np.zeros((2, 2), np.uint8), small_camera(2, 2))
+
+
+def test_variants_share_everything_but_weights_and_damping(weights: Path) -> None:
+    usual, ablation, descent = (kind(weights=weights).settings for kind in (GnNet, GnNetContrastive, LmNet))
+    assert usual == ablation
+    assert usual.damping.first == 0.01
+    assert descent.damping.first == 2.0
+    assert LmNet(weights=weights, damping="dso").settings == usual
+
+
+@pytest.mark.parametrize("name", ["gn-net", "gn-net-contrastive", "lm-net"])
+def test_a_method_without_weights_says_how_to_get_them(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("baselines.gn_net.tracker.SHIPPED", tmp_path)
+    with pytest.raises(MethodError, match=f"no weights of {name} come with this version; train some") as told:
+        parse_method(name).create()
+    assert "\n" not in str(told.value)
+
+
+def test_weights_are_given_by_path(weights: Path, tmp_path: Path) -> None:
+    tracker = parse_method("mine=gn-net", [f"mine.weights={weights}", "mine.points=500"]).create()
+    assert tracker.points == 500
+    with pytest.raises(MethodError, match=r"none\.safetensors: no such file of weights"):
+        parse_method("gn-net", [f"weights={tmp_path / 'none.safetensors'}"]).create()
+    with pytest.raises(MethodError, match="device 'abacus' cannot be used"):
+        parse_method("gn-net", [f"weights={weights}", "device=abacus"]).create()
+
+
+def test_answers_do_not_depend_on_what_was_asked_before(weights: Path) -> None:
+    queries = [a_query(small_pose(frame)) for frame in (1, 2)]
+    fresh = [GnNet(weights=weights) for _ in queries]
+    alone = [t.track(t.prepare(a_reference()), q).T_query_ref for t, q in zip(fresh, queries, strict=True)]
+    tracker = GnNet(weights=weights)
+    reference = tracker.prepare(a_reference())
+    together = [tracker.track(reference, q).T_query_ref for q in reversed(queries)][::-1]
+    assert all(np.array_equal(a, b) for a, b in zip(alone, together, strict=True))

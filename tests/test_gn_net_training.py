@@ -1,0 +1,169 @@
+"""GN-Net's training: it learns, goes on after a kill to the same bytes, keeps what validates best."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from made_pairs import TINY, MadePairs
+
+from baselines.gn_net.network import FeatureNet
+from baselines.gn_net.tracker import GnNet
+from baselines.gn_net.training.ema import MeanNet
+from baselines.gn_net.training.presets import gn_net, gn_net_contrastive, lm_net
+from baselines.gn_net.weights import load_weights, read_card
+from relocbench.errors import ConfigError, MethodError
+from relocbench.training import Trainer, TrainingReport, TrainingRun, ValidationScores
+
+CUT_SHORT = "the power went"
+
+
+def train(out: Path, validate: Any = None, data: Any = None, **changed: Any) -> TrainingReport:
+    run = TrainingRun(out, "gn-net", "relocbench train gn-net", workers=0)
+    return gn_net().train(data or MadePairs(), validate, {**TINY, **changed}, run)
+
+
+class Killed(MadePairs):
+    """Breaks off at the reading of pair number ``after``."""
+
+    def __init__(self, after: int) -> None:
+        super().__init__()
+        self._left = after
+
+    def load(self, index: int) -> Any:
+        self._left -= 1
+        if self._left < 0:
+            raise KeyboardInterrupt(CUT_SHORT)
+        return super().load(index)
+
+
+class Scores:
+    """A validation whose score is told beforehand, call by call."""
+
+    def __init__(self, *scores: float) -> None:
+        self.left = list(scores)
+        self.seen: list[GnNet] = []
+
+    def __call__(self, tracker: Any) -> ValidationScores:
+        self.seen.append(tracker)
+        values = {"t_auc@0.5m": self.left.pop(0)}
+        return ValidationScores(values, {"dry -> wet": values}, {"dry -> wet": 3})
+
+
+def rows(path: Path) -> list[Mapping[str, str]]:
+    with path.open(newline="") as stream:
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(stream)]
+
+
+def test_presets_are_trainers_and_differ_by_losses_alone() -> None:
+    usual = gn_net().default_options()
+    assert isinstance(gn_net(), Trainer)
+    without, descent = gn_net_contrastive().default_options(), lm_net().default_options()
+    assert without["loss"]["gauss_newton"]["weight"] == 0 < usual["loss"]["gauss_newton"]["weight"]
+    assert usual["loss"]["descent"]["weight"] == 0 < descent["loss"]["descent"]["weight"]
+    for other in (without, descent):
+        assert {key for key in usual if other[key] != usual[key]} == {"loss"}
+
+
+def test_the_loss_falls_on_a_toy_problem(tmp_path: Path) -> None:
+    train(tmp_path, steps=60, log_every=6, checkpoint_every=60, learning_rate=1e-2)
+    losses = [float(row["loss"]) for row in rows(tmp_path / "log.csv")]
+    assert np.mean(losses[-3:]) < 0.75 * losses[0]
+
+
+@pytest.mark.parametrize("ema", [0.0, 0.9])
+def test_going_on_after_a_kill_ends_with_the_same_bytes(tmp_path: Path, ema: float) -> None:
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    train(whole, Scores(0.5, 0.4), validate_every=4, ema=ema, checkpoint_every=3)
+    for pairs_read in (3, 9):  # in step 2, before any checkpoint; in step 5 or 8, after one
+        with pytest.raises(KeyboardInterrupt, match=CUT_SHORT):
+            train(cut, Scores(0.5, 0.4), Killed(pairs_read), validate_every=4, ema=ema, checkpoint_every=3)
+    assert (cut / "checkpoint.pt").exists()
+    report = train(cut, Scores(0.4), validate_every=4, ema=ema, checkpoint_every=3)
+    assert (report.steps, report.best_step) == (8, 4)
+    assert (cut / "weights.safetensors").read_bytes() == (whole / "weights.safetensors").read_bytes()
+    assert rows(cut / "log.csv") == rows(whole / "log.csv")
+    assert rows(cut / "validation.csv") == rows(whole / "validation.csv")
+    last, other = (torch.load(f / "checkpoint.pt", weights_only=True)["net"] for f in (cut, whole))
+    assert all(torch.equal(last[name], other[name]) for name in other)
+
+
+def test_a_finished_training_is_not_begun_again(tmp_path: Path) -> None:
+    first = train(tmp_path)
+    before = (tmp_path / "weights.safetensors").read_bytes()
+    assert train(tmp_path, data=Killed(0)) == first
+    assert (tmp_path / "weights.safetensors").read_bytes() == before
+
+
+def test_the_weights_that_validate_best_are_kept(tmp_path: Path) -> None:
+    scores = Scores(0.1, 0.7, 0.2, 0.3)
+    report = train(tmp_path, scores, validate_every=2)
+    assert (report.best_step, report.scores) == (4, ValidationScores({"t_auc@0.5m": 0.7}, *_by("dry -> wet", 0.7)))
+    kept, tried = load_weights(tmp_path / "weights.safetensors"), scores.seen[1].net
+    assert torch.equal(kept.for_tracking().heads[0].weight, tried.heads[0].weight)
+    assert read_card(tmp_path / "weights.safetensors")["step"] == "4"
+    assert [row["t_auc@0.5m"] for row in rows(tmp_path / "validation.csv") if row["conditions"] == "all"] == [
+        "0.1",
+        "0.7",
+        "0.2",
+        "0.3",
+    ]
+    card = (tmp_path / "MODEL_CARD.md").read_text()
+    assert "of step 4, the best in validation" in card
+    assert "| dry -> wet | 3 | 70.0 % |" in card
+    assert (tmp_path / "curves.png").read_bytes()[:4] == b"\x89PNG"
+    assert not list(tmp_path.glob("candidate*"))
+
+
+def _by(name: str, value: float) -> tuple[dict[str, dict[str, float]], dict[str, int]]:
+    return {name: {"t_auc@0.5m": value}}, {name: 3}
+
+
+def test_another_training_does_not_go_on_in_the_same_folder(tmp_path: Path) -> None:
+    train(tmp_path)
+    with pytest.raises(MethodError, match=r"options\.seed: 0 there, 1 now"):
+        train(tmp_path, seed=1)
+    (tmp_path / "checkpoint.pt").write_bytes((tmp_path / "checkpoint.pt").read_bytes()[:500])
+    with pytest.raises(MethodError, match=r"checkpoint\.pt: not a whole checkpoint"):
+        train(tmp_path)
+
+
+def test_a_loss_that_is_not_finite_stops_with_what_was_wrong(tmp_path: Path) -> None:
+    network = {**TINY["network"], "norm": "none"}
+    with pytest.raises(MethodError, match=r"broke down at step \d+: not finite: .*; try a lower learning_rate"):
+        train(tmp_path, learning_rate=1e30, clip=0.0, warm_up=0, network=network)
+
+
+def test_unknown_options_are_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="stepz"):
+        train(tmp_path, stepz=3)
+    with pytest.raises(MethodError, match="device 'abacus' cannot be used"):
+        gn_net().train(MadePairs(), None, TINY, TrainingRun(tmp_path, device="abacus"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_pairs_without_correspondences_in_view_do_not_break_a_step(tmp_path: Path) -> None:
+    class Blind(MadePairs):
+        def load(self, index: int) -> Any:
+            pair = super().load(index)
+            return type(pair)(pair.label, pair.image_ref, pair.image_query, pair.u_ref[:0], pair.u_query[:0])
+
+    assert train(tmp_path, data=Blind(), steps=2).steps == 2
+    assert np.isfinite(float(rows(tmp_path / "log.csv")[-1]["loss"]))
+
+
+def test_the_running_mean_follows_and_forgets_the_first_weights() -> None:
+    net = FeatureNet()
+    mean = MeanNet(net, 0.99)
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.fill_(1.0)
+    for step in range(1, 60):
+        mean.follow(net, step)
+    off = max(float((p - 1).abs().max()) for p in mean.net.parameters())
+    assert 0 < off < 1e-3  # a plain mean of factor 0.99 would keep more than half of them
