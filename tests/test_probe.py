@@ -19,10 +19,11 @@ from trackers_for_probe import Basin
 from baselines.alignment import MatchSettings, match_pixels, match_pixels_by_level
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.weights import save_weights
+from relocbench.datasets.correspondences import Correspondences
 from relocbench.datasets.dataset import Dataset
 from relocbench.evaluation.probe import ProbeOptions, probe_methods
 from relocbench.evaluation.probe.feature_maps import places_of, principal_components
-from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, OFFSETS_PX
+from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, OFFSETS_PX, with_structure
 from relocbench.evaluation.probe.poses import CONVERGED, OFFSETS, draw_priors, probe_poses
 from relocbench.evaluation.probe.table import ACROSS as ACROSS_CONDITIONS
 from relocbench.geometry import make_transform, se3_exp, so3_exp
@@ -122,6 +123,20 @@ def test_the_finest_level_alone_is_a_pyramid_of_one_level() -> None:
     np.testing.assert_array_equal(alone[0], match_pixels(here[:1], there[:1], uv, uv, INTENSITY))
     with pytest.raises(ValueError, match="take a larger pattern"):
         match_pixels_by_level(here, there, uv, uv, MatchSettings())
+
+
+def test_structured_pixels_are_the_corners_among_those_that_are_visible() -> None:
+    image = np.full((60, 80), 100, dtype=np.uint8)
+    image[20:40, 20:50] = 200  # corners at (20, 20), (49, 20), (20, 39), (49, 39)
+    uv = np.array([[20.0, 20.0], [49, 39], [35, 20], [20, 30], [60, 50], [5, 5], [49, 20], [20, 39]])
+    n = len(uv)
+    visible = np.arange(n) != 6
+    known = Correspondences(np.zeros(n, np.int64), np.ones(n, np.int64), uv, np.ones(n), uv, visible, ("both",) * n)
+    kept = with_structure(known, image, 3 / 7)
+    assert np.nonzero(kept.visible)[0].tolist() == [0, 1, 7]  # neither edges nor a corner that is hidden
+    np.testing.assert_array_equal(with_structure(known, np.stack([image] * 3, -1), 3 / 7).visible, kept.visible)
+    assert with_structure(known, image, 1.0) is known
+    assert with_structure(known, image, 1e-6).visible.sum() == 1
 
 
 def test_a_method_that_does_not_move_finds_what_it_started_at(dataset: Dataset, tmp_path: Path) -> None:
@@ -238,6 +253,7 @@ def test_levels_that_break_on_a_pair_are_not_found_there(dataset: Dataset, tmp_p
         (["-m", "identity"], "no method can be probed"),
         (["-m", "dso", "--no-pixels", "--no-poses"], "nothing to probe"),
         (["-m", "dso", "--pair-set", "nowhere"], "nowhere"),
+        (["-m", "dso", "--structured", "0"], "--structured: Input should be greater than 0"),
         (["-m", "no-such-method"], "no-such-method"),
         (["-m", "dso", "--set", "dso.speed=3"], "no parameter 'speed'"),
         (["-m", "gn-net", "--set", "gn-net.weights=/nowhere.safetensors", "--feature-maps", "1"], "no such file of"),

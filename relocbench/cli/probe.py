@@ -31,6 +31,10 @@ def probe(
     per_pair: Annotated[
         int | None, typer.Option(min=1, help="Pixels of a pair, each from every offset [default: 100].")
     ] = None,
+    structured: Annotated[
+        float | None,
+        typer.Option(help="Only so large a share of a pair's pixels, those with most structure [default: 1, all]."),
+    ] = None,
     directions: Annotated[int | None, typer.Option(min=1, help="Poses of a pair at each offset [default: 2].")] = None,
     feature_maps: Annotated[
         int | None,
@@ -64,6 +68,7 @@ def probe(
         "poses": poses,
         "pairs": pairs,
         "per_pair": per_pair,
+        "structured": structured,
         "directions": directions,
         "feature_maps": feature_maps,
         "seed": seed,

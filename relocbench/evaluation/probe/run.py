@@ -44,6 +44,8 @@ class ProbeOptions(Strict):
     """of each pair set at most, spread along the drive"""
     per_pair: int = Field(100, ge=1)
     """correspondences of a pair, each started from every offset"""
+    structured: float = Field(1.0, gt=0, le=1)
+    """only so large a share of a pair's correspondences, those whose pixel has most structure; 1: of all of them"""
     directions: int = Field(2, ge=1)
     """priors of a pair at each offset"""
     feature_maps: int = Field(0, ge=0)
@@ -172,16 +174,10 @@ def _tasks(
         for name in without:
             reporter.note(f"{name} has no correspondences: no single pixels (build-dataset --correspondences N)")
     pixels = options.pixels and len(without) < len(pair_sets)
+    wanted = Task(pixels, options.poses, options.per_pair, options.structured, options.directions, options.seed)
     out = []
     for spec in specs:
-        task = task_for(
-            spec,
-            pixels=pixels,
-            poses=options.poses,
-            per_pair=options.per_pair,
-            directions=options.directions,
-            seed=options.seed,
-        )
+        task = task_for(spec, wanted)
         if pixels and not task.pixels:
             reporter.note(f"{spec.label} does not match single pixels (it has no match())")
         if options.poses and not task.poses:

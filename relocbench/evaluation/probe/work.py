@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from relocbench.datasets.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.pairfile import PairKey
 from relocbench.datasets.writer import versions
 from relocbench.errors import PredictionError
-from relocbench.evaluation.probe.pixels import probe_pixels
+from relocbench.evaluation.probe.pixels import probe_pixels, with_structure
 from relocbench.evaluation.probe.poses import probe_poses
 from relocbench.evaluation.probe.tally import Tally
 from relocbench.evaluation.worker import (
@@ -43,6 +43,7 @@ class Task:
     pixels: bool
     poses: bool
     per_pair: int
+    structured: float
     directions: int
     seed: int
 
@@ -67,14 +68,14 @@ class Answered:
     """how the method broke; empty if it did not"""
 
 
-def task_for(spec: MethodSpec, *, pixels: bool, poses: bool, per_pair: int, directions: int, seed: int) -> Task:
+def task_for(spec: MethodSpec, wanted: Task) -> Task:
     """What of the wanted a method can be asked: pixels where it has ``match``, poses where it starts from a prior.
 
     Raises:
         MethodError: no such method.
     """
     can_match, can_start = _offers(spec)
-    return Task(pixels and can_match, poses and can_start, per_pair, directions, seed)
+    return replace(wanted, pixels=wanted.pixels and can_match, poses=wanted.poses and can_start)
 
 
 def ask_pairs(
@@ -174,7 +175,8 @@ def _ask(work: ProbeUnit, key: PairKey, tracker: Any, reference: Any) -> tuple[l
     messages: list[str] = []
     correspondences = DatasetLayout(unit.dataset).correspondence_file(name)
     if task.pixels and correspondences.exists():
-        known = read_correspondences(correspondences, key)
+        image = traversal_of(unit.dataset, unit.reference).image(unit.camera, key[0])
+        known = with_structure(read_correspondences(correspondences, key), image, task.structured)
         found, message = probe_pixels(tracker, reference, query, known, key, task.per_pair, task.seed)
         tallies, messages = tallies + found, [*messages, message]
     if task.poses:

@@ -25,6 +25,8 @@ RADIUS_COLUMNS = (
     *("from_truth", "half_left", "half_left_beyond", "half_left_low", "half_left_high"),
     *("half_ratio", "half_ratio_low", "half_ratio_high"),
 )
+_TOO_LOW = 0.1
+"""share found from the truth; below it the width of a basin says nothing of use"""
 _TITLES: dict[What, str] = {
     "pixels": "Single pixels",
     "translation": "Whole poses, started beside the truth",
@@ -55,18 +57,24 @@ def probe_page(dataset: Dataset, lines: Sequence[Line], pictures: Sequence[str],
     parts = [
         f"# How far off may a method start? {dataset.name}",
         f"Dataset fingerprint {dataset.fingerprint[:12]}; at most {options['pairs']} pairs of each pair set, "
-        f"{options['per_pair']} pixels of a pair, {options['directions']} priors at each offset, seed "
-        f"{options['seed']}. Shares are means over pair sets of means over their pairs; what a method does not answer "
-        "is not found. The **radius** is the offset at which the share falls below 50 %, on straight lines between the "
-        "offsets that were tried; in brackets its 95 % interval over resampled stretches of the drives. It is 0 where "
-        "fewer than half are found even from the truth. **Half left** is the offset at which half of what is found "
-        "from the truth is left: how wide the basin is, to be read with how high it is (*from the truth*). A ratio "
-        "counts a radius beyond the last offset as that offset; it is blank where both are 0.",
+        f"{options['per_pair']} pixels of a pair{_which(options['structured'])}, {options['directions']} priors "
+        f"at each offset, seed {options['seed']}. Shares are means over pair sets of means over their pairs; what a "
+        "method does not answer is not found.",
+        "The **radius** is the offset at which the share falls below 50 %, on straight lines between the offsets that "
+        "were tried; in brackets its 95 % interval over resampled stretches of the drives. It is 0 where fewer than "
+        "half are found even from the truth. **Half left** is the offset at which half of what is found from the truth "
+        "is left: how wide the basin is, to be read with how high it is (*from the truth*). A ratio counts a radius "
+        "beyond the last offset as that offset; it is blank where both are 0, and of widths where a method finds less "
+        f"than {100 * _TOO_LOW:g} % from the truth.",
     ]
     for what in _TITLES:
         parts += _section(what, [line for line in lines if line.what == what])
     parts += [f"![{name.removesuffix('.png')}]({name})" for name in pictures]
     return "\n\n".join(parts) + "\n"
+
+
+def _which(structured: float) -> str:
+    return "" if structured == 1 else f" (of the {100 * structured:g} % with most structure)"
 
 
 def _section(what: What, lines: Sequence[Line]) -> list[str]:
@@ -85,8 +93,9 @@ def _section(what: What, lines: Sequence[Line]) -> list[str]:
     if alone:
         parts += [
             "### Each level alone",
-            "Radius on one level of the pyramid, for ends within 1 px of that level (2^l px of the image), level 0 "
-            "the finest; " + UNITS[what] + " of the image.",
+            "On one level of the pyramid, level 0 the finest, for ends within 1 px of that level (2^l px of the image): "
+            "what is found from the truth, and at how many pixels of the image half of that is left. Radii are in "
+            "`radii.csv`.",
             _level_table(alone),
         ]
     return parts
@@ -117,13 +126,18 @@ def _radius_table(what: What, lines: Sequence[Line], methods: Sequence[str]) -> 
 
 def _half_table(what: What, lines: Sequence[Line], methods: Sequence[str]) -> str:
     by = {(line.conditions, line.method): line for line in lines}
+
+    def ratio(line: Line, first: Line | None) -> str:
+        low = first is None or min(line.shares[0], first.shares[0]) < _TOO_LOW
+        return "" if low else _ratio_text(line.half_ratio)
+
     header = ["conditions", *(h for m in methods for h in (f"{m} from the truth", f"half left ({UNITS[what]})"))]
     header += [f"{m} / {methods[0]}" for m in methods[1:]]
     rows = []
     for conditions in dict.fromkeys(line.conditions for line in lines):
         here = [by.get((conditions, m)) for m in methods]
         cells = [c for line in here for c in ((_percent(line), radius_text(line.half_left)) if line else ("", ""))]
-        rows.append([conditions, *cells, *(_ratio_text(line.half_ratio) if line else "" for line in here[1:])])
+        rows.append([conditions, *cells, *(ratio(line, here[0]) if line else "" for line in here[1:])])
     return _table(header, rows)
 
 
@@ -140,9 +154,11 @@ def _share_table(what: What, lines: Sequence[Line]) -> str:
 
 def _level_table(lines: Sequence[Line]) -> str:
     levels = sorted({line.level for line in lines if line.level is not None})
-    by = {(line.conditions, line.method, line.level): line.radius for line in lines}
+    by = {
+        (line.conditions, line.method, line.level): f"{_percent(line)}, {radius_text(line.half_left)}" for line in lines
+    }
     named = [(c, m) for c, m in dict.fromkeys((line.conditions, line.method) for line in lines) if c in (ACROSS, SAME)]
-    rows = [[c, m, *(radius_text(by.get((c, m, level))) for level in levels)] for c, m in named]
+    rows = [[c, m, *(by.get((c, m, level), "") for level in levels)] for c, m in named]
     return _table(["conditions", "method", *(f"level {level}" for level in levels)], rows, words=2)
 
 
