@@ -93,7 +93,7 @@ def _section(what: What, lines: Sequence[Line]) -> list[str]:
     if alone:
         parts += [
             "### Each level alone",
-            "On one level of the pyramid, level 0 the finest, for ends within 1 px of that level (2^l px of the image): "
+            "On one level of the pyramid (0 the finest), for ends within 1 px of that level (2^l px of the image): "
             "what is found from the truth, and at how many pixels of the image half of that is left. Radii are in "
             "`radii.csv`.",
             _level_table(alone),
