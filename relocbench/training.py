@@ -35,7 +35,10 @@ class PairLabel:
 
 @dataclass(frozen=True, eq=False)
 class TrainingPair:
-    """Two images and the pixels in them that see the same surface points; what is hidden in either is left out."""
+    """Two images and the pixels in them that see the same surface points.
+
+    What is hidden in either is left out, as far as the data's depth tells.
+    """
 
     label: PairLabel
     image_ref: NDArray[np.uint8]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from baselines.gn_net.training.crops import cut_pair, scaled
 from baselines.gn_net.training.drawing import EvenDraw
 from baselines.gn_net.training.options import AugmentationOptions, TrainOptions
 from relocbench.errors import ConfigError
+from relocbench.training import TrainingPair
 
 UNEVEN = [("dry", "dry")] * 7 + [("dry", "wet")] * 2 + [("night", "wet")]
 
@@ -152,6 +154,24 @@ def test_correspondences_of_a_batch_show_the_same_texture() -> None:
         assert (query - (ref / 2 + 20)).abs().max() < 1.01
 
 
+class WithSigma(MadePairs):
+    """Correspondences in the image's left half are known to 3 px, others to 0.1 px or not told."""
+
+    def load(self, index: int) -> TrainingPair:
+        pair = super().load(index)
+        sigma = np.where(pair.u_ref[:, 0] < 32, 3.0, np.where(np.arange(200) % 2, 0.1, np.nan))
+        return replace(pair, sigma_px=sigma.astype(np.float32))
+
+
+def test_correspondences_that_are_not_sure_are_left_out() -> None:
+    chosen = options(augmentation={"probability": 0.0}, scale=[1.0, 1.0], swap=0.0, crop=64, points=200)
+    batch = Batches(WithSigma(), chosen)[0]
+    for pair in range(2):
+        u_ref = batch.u_ref[pair][batch.mask[pair]]
+        assert len(u_ref) > 30
+        assert u_ref[:, 0].min() >= 32
+
+
 def look_up(image: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
     from baselines.gn_net.sampling import sample
 
@@ -181,7 +201,7 @@ def same(a: Batch, b: Batch) -> bool:
         ({"crop": 4}, "levels need 8"),
         ({"scale": [1.0, 0.5]}, "smaller one first"),
         ({"ema": 1.0}, "ema below 1"),
-        ({"learning_rate": 0.0}, "learning_rate is positive"),
+        ({"learning_rate": 0.0}, "learning_rate and max_sigma are positive"),
         ({"loss": {"level_weights": [1.0]}}, "the network has 2 levels"),
         ({"augmentation": {"grey": 2.0}}, "at most 1"),
         ({"augmentation": {"gray": 0.1}}, "gray"),

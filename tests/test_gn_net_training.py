@@ -71,9 +71,9 @@ def test_presets_are_trainers_and_differ_by_losses_alone() -> None:
 
 
 def test_the_loss_falls_on_a_toy_problem(tmp_path: Path) -> None:
-    train(tmp_path, steps=60, log_every=6, checkpoint_every=60, learning_rate=1e-2)
+    train(tmp_path, steps=36, log_every=6, checkpoint_every=36, learning_rate=1e-2)
     losses = [float(row["loss"]) for row in rows(tmp_path / "log.csv")]
-    assert np.mean(losses[-3:]) < 0.75 * losses[0]
+    assert np.mean(losses[-2:]) < 0.8 * losses[0]
 
 
 @pytest.mark.parametrize("ema", [0.0, 0.9])

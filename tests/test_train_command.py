@@ -173,7 +173,7 @@ def test_a_dataset_becomes_weights_that_evaluate_runs(tmp_path: Path, dataset: D
 
 @pytest.mark.slow
 def test_a_training_killed_outright_ends_with_the_bytes_of_one_that_was_not(tmp_path: Path, dataset: Dataset) -> None:
-    more = ("--validation-pairs", 4, "--set", "steps=40", "--set", "validate_every=20", "--set", "checkpoint_every=1")
+    more = ("--validation-pairs", 4, "--set", "steps=20", "--set", "validate_every=10", "--set", "checkpoint_every=1")
     command = [
         "train",
         "gn-net",

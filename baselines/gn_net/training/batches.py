@@ -7,6 +7,7 @@ what it would have seen.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -71,8 +72,9 @@ class Batches(Dataset[Batch]):
             return np.random.default_rng([options.seed, step, place, what])
 
         rng = random(_CUT)
-        pair = _swapped(self._data.load(self._draw[step * options.batch + place]), rng.random() < options.swap)
-        cut = cut_pair(*pair, options.crop, options.scale, rng)
+        pair = _sure(self._data.load(self._draw[step * options.batch + place]), options.max_sigma)
+        images_and_pixels = _swapped(pair, rng.random() < options.swap)
+        cut = cut_pair(*images_and_pixels, options.crop, options.scale, rng)
         images = [
             augment(image.astype(np.float32) / np.float32(255), options.augmentation, random(what))
             for image, what in ((cut.image_ref, _REF), (cut.image_query, _QUERY))
@@ -83,6 +85,14 @@ class Batches(Dataset[Batch]):
         mask = torch.arange(options.points) < len(chosen)
         first, second = (torch.from_numpy(np.ascontiguousarray(x.transpose(2, 0, 1))) for x in images)
         return first, second, torch.from_numpy(u[0]), torch.from_numpy(u[1]), mask
+
+
+def _sure(pair: TrainingPair, max_sigma: float) -> TrainingPair:
+    """The pair without correspondences that are known less surely; an unknown sigma passes."""
+    if pair.sigma_px is None:
+        return pair
+    kept = ~(pair.sigma_px > max_sigma)
+    return replace(pair, u_ref=pair.u_ref[kept], u_query=pair.u_query[kept], sigma_px=pair.sigma_px[kept])
 
 
 def _swapped(pair: TrainingPair, swap: bool) -> tuple[Image, Image, Pixels, Pixels]:

@@ -63,6 +63,8 @@ class TrainOptions:
     """images are scaled by a factor between these before they are cut, both of a pair alike; (1, 1) for never"""
     points: int = 1024
     """correspondences a pair, drawn among those that both cuts hold"""
+    max_sigma: float = 1.0
+    """pixels; correspondences whose true place is known less surely are left out, where the data tells"""
     swap: float = 0.5
     """probability that reference and query change their roles"""
     learning_rate: float = 1e-3
@@ -101,8 +103,8 @@ class TrainOptions:
             raise ConfigError(f"scale is {self.scale}, expected two positive factors, the smaller one first")
         if not (0 <= self.swap <= 1 and 0 <= self.ema < 1 and 0 <= self.final_rate <= 1):
             raise ConfigError("swap, ema and final_rate lie between 0 and 1, ema below 1")
-        if self.learning_rate <= 0 or min(self.weight_decay, self.clip) < 0:
-            raise ConfigError("learning_rate is positive, weight_decay and clip are 0 or more")
+        if min(self.learning_rate, self.max_sigma) <= 0 or min(self.weight_decay, self.clip) < 0:
+            raise ConfigError("learning_rate and max_sigma are positive, weight_decay and clip are 0 or more")
         smallest = 4 << (self.network.levels - 1)
         if self.crop < smallest:
             raise ConfigError(f"crop is {self.crop}, {self.network.levels} levels need {smallest} or more")
