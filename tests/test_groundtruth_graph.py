@@ -24,7 +24,7 @@ from relocbench.datasets.groundtruth.blocks import Nodes
 from relocbench.datasets.groundtruth.consensus import RunOptions
 from relocbench.datasets.groundtruth.evidence import Registration
 from relocbench.datasets.groundtruth.graph import Solution, optimise
-from relocbench.datasets.groundtruth.local_edges import LocalOptions, refine_locally
+from relocbench.datasets.groundtruth.local_edges import LocalOptions, meeting, refine_locally
 from relocbench.datasets.groundtruth.odometry_noise import OdometryNoise, estimate
 from relocbench.datasets.groundtruth.odometry_scale import scales_of
 from relocbench.datasets.groundtruth.outcome import Outcomes
@@ -223,7 +223,8 @@ def test_stretches_between_gaps_are_tied_by_registrations_alone() -> None:
         alone.relative(0, 40)
 
 
-def test_a_road_that_the_reference_drove_twice_is_closed_through_the_query() -> None:
+def road_driven_twice() -> tuple[Nodes, Drive, Drive, list[Registration], list[Registration]]:
+    """The reference's nodes and truth, the query, and its registrations against the first and the second time."""
     rng = np.random.default_rng(11)
     once, query = drive(200.0, rng, OdometryErrors()), drive(200.0, rng, OdometryErrors(), 0.7)
     again = drive(200.0, rng, OdometryErrors(), -0.5)
@@ -238,16 +239,36 @@ def test_a_road_that_the_reference_drove_twice_is_closed_through_the_query() -> 
         np.repeat([0, 1], count),
     )
     both = Drive(nodes, np.concatenate([once.T_world_node, again.T_world_node]))
-    second = [replace_ref(r, r.ref + count) for r in registrations(again, query, rng)]
-    solution = optimise(nodes, query.nodes, registrations(once, query, rng) + second)
+    second = [replace(r, ref=r.ref + count) for r in registrations(again, query, rng)]
+    return nodes, both, query, registrations(once, query, rng), second
+
+
+def test_a_road_that_the_reference_drove_twice_is_closed_through_the_query() -> None:
+    nodes, both, query, first, second = road_driven_twice()
+    count = len(nodes) // 2
+    solution = optimise(nodes, query.nodes, first + second)
     assert used(solution).mean() > 0.98
     for j in range(0, len(query.nodes), 7):
         for i in (j, j + count):
             assert np.linalg.norm(true_error(both, query, i, j, solution.pose(i, j))[:3]) < 0.05
 
 
-def replace_ref(registration: Registration, ref: int) -> Registration:
-    return replace(registration, ref=ref)
+def test_blocks_meet_where_registrations_say_so_and_not_where_drift_puts_them() -> None:
+    nodes, _, query, first, second = road_driven_twice()
+    count = len(nodes) // 2
+    tied = 40.0
+    """metres up to which the second time is registered; from there on only its drifted odometry tells where it was"""
+    known = [r for r in second if query.nodes.travelled_m[r.query] < tied]
+    solution = optimise(nodes, query.nodes, first + known)
+    options = LocalOptions()
+    pairs = meeting(solution, options)
+    furthest = {again: max(q for r, q in pairs if (r >= count) == again) for again in (False, True)}
+    assert furthest[False] == len(query.nodes) - 1
+    way = float(query.nodes.travelled_m[furthest[True]])
+    assert tied < way <= tied + options.trusted_within_m
+    apart = np.linalg.norm(solution.T_world_ref[count:, :3, 3] - solution.T_world_query[:, :3, 3], axis=1)
+    assert (apart[furthest[True] + 1 :] < options.reach_m).any()  # near in space they would be
+    assert len(meeting(optimise(nodes, query.nodes, first + second), options)) > len(pairs)
 
 
 def test_noise_of_odometry_is_found_again_whatever_was_assumed() -> None:

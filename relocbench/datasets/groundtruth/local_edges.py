@@ -143,15 +143,29 @@ def refine_locally(solution: Solution, linearise: Linearise, options: LocalOptio
 
 
 def meeting(solution: Solution, options: LocalOptions) -> list[tuple[int, int]]:
-    """(reference node, query node) of all blocks that meet, in the order of the query's drive."""
-    count = solution.drives.reference_count
+    """(reference node, query node) of all blocks that meet, in the order of the query's drive.
+
+    Near in space is not enough: where a street is driven twice, nothing but drifted odometry may tell how one time lies
+    to the other. A registration must say of both nodes, along their drives, that they belong together.
+    """
+    drives, count = solution.drives, solution.drives.reference_count
     near = solution.way_to_trusted.min(axis=1) <= options.trusted_within_m
+    registered = solution.edges[solution.edges.kind == Kind.REGISTRATION]
     out = []
     for query in np.flatnonzero(near[count:]).tolist():
         apart = np.linalg.norm(solution.T_world_ref[:, :3, 3] - solution.T_world_query[query, :3, 3], axis=1)
-        same = solution.part[:count] == solution.part[count + query]
-        out += [(int(ref), query) for ref in np.flatnonzero((apart <= options.reach_m) & same & near[:count])]
+        close = np.flatnonzero((apart <= options.reach_m) & near[:count])
+        around = registered.first[_along(drives, count + query, registered.second) <= options.trusted_within_m]
+        out += [
+            (ref, query) for ref in close.tolist() if (_along(drives, ref, around) <= options.trusted_within_m).any()
+        ]
     return out
+
+
+def _along(drives: Drives, node: int, others: NDArray[np.int64]) -> Array:
+    """(M,) metres along its drive from a node to others; ``inf`` where a gap of the odometry lies between."""
+    way = np.abs(drives.travelled_m[others] - drives.travelled_m[node])
+    return np.where(drives.stretch[others] == drives.stretch[node], way, np.inf)
 
 
 def local_edges(
