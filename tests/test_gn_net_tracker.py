@@ -95,6 +95,16 @@ def test_single_pixels_are_found_again(weights: Path) -> None:
     assert np.median(np.linalg.norm(ends - uv, axis=1)) < 0.01
 
 
+def test_single_pixels_are_found_again_on_each_level(weights: Path) -> None:
+    tracker = GnNet(weights=weights)
+    reference = tracker.prepare(a_reference())
+    uv = np.random.default_rng(1).uniform(40, (150, 100), (100, 2))
+    by_level = tracker.match_levels(reference, a_query(small_pose(0)), uv, uv + 0.3)
+    assert len(by_level) == tracker.net.options.levels
+    assert all(ends.shape == uv.shape for ends in by_level)
+    assert np.median(np.linalg.norm(by_level[0] - uv, axis=1)) < 0.01
+
+
 def test_too_few_points_are_a_stated_failure(weights: Path) -> None:
     whole = a_reference()
     few = KeyframePoints(np.full((5, 2), 50.0), np.full(5, 0.2), np.full(5, 0.01))

@@ -28,6 +28,7 @@ from baselines.alignment import (
     choose_points,
     image_pyramid,
     match_pixels,
+    match_pixels_by_level,
     require_pinhole,
     small_rotations,
 )
@@ -152,6 +153,13 @@ class GnNet:
         """
         maps: list[Level] = self.features(query.image, query.camera).with_gradients()
         return match_pixels(reference.pyramid.with_gradients(), maps, uv_ref, uv_start, MatchSettings(SINGLE_PIXEL))
+
+    def match_levels(self, reference: GnNetReference, query: Query, uv_ref: Array, uv_start: Array) -> list[Array]:
+        """As :meth:`match` on each level alone, finest first."""
+        maps: list[Level] = self.features(query.image, query.camera).with_gradients()
+        return match_pixels_by_level(
+            reference.pyramid.with_gradients(), maps, uv_ref, uv_start, MatchSettings(SINGLE_PIXEL)
+        )
 
     @torch.inference_mode()
     def features(self, image: NDArray[np.uint8], camera: Camera) -> FeaturePyramid:
