@@ -28,9 +28,8 @@ Method = Callable[[Scans, Pair, Array], Array]
 """from a prediction of a pair's ``T_ref_query`` to its pose"""
 
 OWN = "own"
-_RUNS = tuple(range(10))
-SEARCHES = (GlobalOptions(), GlobalOptions(voxel_m=1.0, seeds=_RUNS), GlobalOptions(voxel_m=1.4, seeds=_RUNS))
-"""the builder's, and others by coarser features: single scans far apart are too thin for the fine ones"""
+SEARCHES = GlobalOptions().attempts()
+"""the builder's: coarser features follow where nothing holds, single scans far apart are too thin for the fine ones"""
 PRIOR_SIGMA_M = 12.0
 """of the identity as a prediction: scans lie up to 28 m apart"""
 _SIGMA_M, _SIGMA_RAD = 0.01, 5e-4

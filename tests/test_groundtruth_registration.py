@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 import street_clouds as clouds
 
+from relocbench.datasets.groundtruth import tracking
 from relocbench.datasets.groundtruth.alternatives import SlideOptions, alternatives, period, slides
 from relocbench.datasets.groundtruth.backends import refine_with
 from relocbench.datasets.groundtruth.blocks import Surface
 from relocbench.datasets.groundtruth.evidence import Evidence
 from relocbench.datasets.groundtruth.free_space import FreeSpace
 from relocbench.datasets.groundtruth.global_registration import GlobalOptions, Prior, describe, distinct, guesses
+from relocbench.datasets.groundtruth.hypotheses import Outcome
 from relocbench.datasets.groundtruth.planes import balanced, direction_bins, grid_planes, thinned
 from relocbench.datasets.groundtruth.prepared import Prepared
 from relocbench.datasets.groundtruth.refinement import RefinementOptions, linearise, linearise_both, refine
@@ -370,6 +372,36 @@ def test_a_drive_is_tracked_from_one_pair_and_a_drive_that_goes_on_ends_with_the
     beyond = [r for r in found if query.T_street_node[r.query][0, 3] > 140]
     assert beyond
     assert all("did not come by" in r.reason for r in beyond)
+
+
+@pytest.mark.slow
+def test_coarser_searches_follow_where_the_first_leads_to_nothing(monkeypatch):
+    street = clouds.irregular(3)
+    ref, query = clouds.Drive(street, 1, 60.0, 100.0), clouds.Drive(street, 2, 62.0, 86.0)
+    right = invert(ref.T_street_node[4]) @ query.T_street_node[0] @ se3_exp([0.4, 0.1, 0, 0, 0, 0.02])
+    asked = []
+
+    def by_features(_ref, _query, node, search):
+        asked.append((search.voxel_m, len(search.seeds)))
+        return [(4, node, right)] if search.voxel_m > 1.2 else []
+
+    monkeypatch.setattr(tracking, "guesses_by_features", by_features)
+    found, errors, _ = tracked(ref, query)
+    assert asked == [(0.7, 3), (1.0, 10), (1.4, 10)]
+    assert all(r.trusted for r in found)
+    assert max(errors) < 0.05
+
+
+def test_what_is_ambiguous_is_not_searched_on(monkeypatch):
+    street = clouds.irregular(3)
+    ref, query = clouds.Drive(street, 1, 60.0, 80.0), clouds.Drive(street, 2, 62.0, 66.0)
+    asked = []
+    monkeypatch.setattr(tracking, "guesses_by_features", lambda *a: asked.append(a[-1].voxel_m) or [])
+    monkeypatch.setattr(tracking, "settle", lambda *a: Outcome(None, "ambiguous: two poses", ambiguous=True))
+    found, errors, _ = tracked(ref, query)
+    assert asked == [0.7]
+    assert not errors
+    assert all("ambiguous" in r.reason for r in found)
 
 
 @pytest.mark.slow

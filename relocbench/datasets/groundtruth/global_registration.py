@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -39,6 +39,17 @@ class GlobalOptions:
     """guesses that lie nearer to each other, and"""
     same_deg: float = 4.0
     """turn by less, are one"""
+    coarser_m: tuple[float, ...] = (1.0, 1.4)
+    """voxels that are tried in turn where nothing holds of what was found before: sparse scans show too little in the
+    fine ones"""
+    coarser_runs: int = 10
+    """of each of these"""
+
+    def attempts(self) -> tuple[GlobalOptions, ...]:
+        """This search, and those that follow where it fails."""
+        first = self.seeds[0] if self.seeds else 0
+        seeds = tuple(range(first, first + self.coarser_runs))
+        return (self, *(replace(self, voxel_m=voxel_m, seeds=seeds) for voxel_m in self.coarser_m))
 
 
 @dataclass(frozen=True, eq=False)

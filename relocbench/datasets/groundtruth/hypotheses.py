@@ -51,6 +51,8 @@ class Outcome:
 
     best: Registration | None
     reason: str = ""
+    ambiguous: bool = False
+    """several held: a further search can only hide that"""
 
 
 def plausibility(evidence: Evidence) -> float:
@@ -94,7 +96,8 @@ def settle(
     if len(alive) > 1 and alive[0][0] - alive[1][0] < options.margin:
         other = followed[alive[1][1]][1]
         apart = _difference(ref, best, other)
-        return Outcome(None, f"ambiguous: two poses {apart:.1f} m apart hold over {options.stretch_m:.0f} m of road")
+        reason = f"ambiguous: two poses {apart:.1f} m apart hold over {options.stretch_m:.0f} m of road"
+        return Outcome(None, reason, ambiguous=True)
     return Outcome(best)
 
 

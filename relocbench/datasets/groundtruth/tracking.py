@@ -226,14 +226,24 @@ class _Tracker:
         return Registration(found.ref, found.query, found.T_ref_query, found.information, found.evidence, reason)
 
     def _search(self, node: int) -> Outcome:
-        o = self.options
-        if self.prior is not None:
-            found = guesses_by_prior(self.ref, self.query, self.prior, node, o.search)
-            if not found:
-                return Outcome(None, "the reference did not come by, as far as the prior tells")
-        else:
-            found = guesses_by_features(self.ref, self.query, node, o.search)
-        limit = self.prior
+        """What holds of the guesses of one search after the other; the first one's reason if nothing does."""
+        failed: Outcome | None = None
+        for search in self.options.search.attempts():
+            if self.prior is not None:
+                found = guesses_by_prior(self.ref, self.query, self.prior, node, search)
+                if not found:
+                    return Outcome(None, "the reference did not come by, as far as the prior tells")
+            else:
+                found = guesses_by_features(self.ref, self.query, node, search)
+            outcome = self._settled(found)
+            if outcome.best is not None or outcome.ambiguous:
+                return outcome
+            failed = failed or outcome
+        assert failed is not None
+        return failed
+
+    def _settled(self, found: list[Guess]) -> Outcome:
+        o, limit = self.options, self.prior
         starts = with_alternatives(self.ref, self.query, found, o.slide, 4 * o.hypotheses.tried)
         if limit is not None:
             starts = [s for s in starts if limit.allows(*s)]
