@@ -2,7 +2,8 @@
 
 Numba's cache looks at the file of a compiled function alone. A function of another file that is compiled into it may
 change, in an update or while one works on it, and the old code goes on running: pictures and poses would depend on what
-was compiled when. So the folder is named by a digest of all files with kernels and of the modules they take from.
+was compiled when. So the folder is named by a digest of all files with kernels and of the modules they take from. Who
+sets ``NUMBA_CACHE_DIR`` takes this upon himself.
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ _PACKAGES = ("relocbench", "baselines")
 
 
 def use_kernel_cache() -> None:
-    """Point Numba at the folder of these sources, unless the user has chosen one or Numba is loaded already."""
+    """Point Numba at the folder of these sources, unless the user has chosen one.
+
+    Numba may be loaded already, but no kernel.
+    """
     if _VARIABLE in os.environ:
         return
     root = Path(__file__).resolve().parents[1]

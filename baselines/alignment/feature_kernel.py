@@ -14,17 +14,12 @@ a 4x4 square without its corners.
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from baselines.alignment import kernel
 from baselines.alignment.kernel import (
     AXX,
     AXY,
@@ -49,18 +44,6 @@ Array = NDArray[np.float64]
 ENERGY, SQUARES, WEIGHT, COUNT, SATURATED, NOT_FINITE = 0, 1, 2, 3, 4, 5
 """places in the statistics of one linearization"""
 STATISTICS = 6
-
-
-def source_digest(*modules: ModuleType) -> str:
-    """Digest of modules' sources.
-
-    Numba's cache looks at the file of the compiled function alone. A function into which others are compiled holds the
-    digest of their files among its free variables; else old ones would go on being used after an update.
-    """
-    digest = hashlib.sha256()
-    for module in modules:
-        digest.update(Path(str(module.__file__)).read_bytes())
-    return digest.hexdigest()
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -165,81 +148,74 @@ def _weigh(
     statistics[NOT_FINITE] += not_finite
 
 
-def _compiled_with(digest: str) -> Callable[..., None]:
-    @njit(cache=True, error_model="numpy")
-    def linearize_features(
-        level_map: FloatArray,
-        points: FloatArray,
-        values: FloatArray,
-        weights: FloatArray,
-        intrinsics: Array,
-        T_query_ref: Array,
-        huber: float,
-        cutoff: float,
-        per_channel: bool,
-        room: tuple[FloatArray, FloatArray, FloatArray],
-        H: Array,
-        g: Array,
-        statistics: Array,
-    ) -> None:
-        """Energy and normal equations at one pose; allocates nothing.
+@njit(cache=True, error_model="numpy")
+def linearize_features(
+    level_map: FloatArray,
+    points: FloatArray,
+    values: FloatArray,
+    weights: FloatArray,
+    intrinsics: Array,
+    T_query_ref: Array,
+    huber: float,
+    cutoff: float,
+    per_channel: bool,
+    room: tuple[FloatArray, FloatArray, FloatArray],
+    H: Array,
+    g: Array,
+    statistics: Array,
+) -> None:
+    """Energy and normal equations at one pose; allocates nothing.
 
-        Computes in the precision of ``points`` (float32 in use, float64 where a test wants the digits); sums over
-        blocks are float64.
+    Computes in the precision of ``points`` (float32 in use, float64 where a test wants the digits); sums over
+    blocks are float64.
 
-        Args:
-            level_map: (H, W, D) query features.
-            points: (3, N) normalised x, y and inverse depth (1/m) in the reference camera.
-            values: (N, D) reference features.
-            weights: (N,) positive.
-            intrinsics: (4,) fx, fy, cx, cy of the query level.
-            T_query_ref: (4, 4).
-            huber, cutoff: in units of the features, on the norm over the channels or, ``per_channel``, on |r| of each;
-                then each channel of a point counts as one residual.
-            room: what :func:`working_room` gives.
-            H: (6, 6) out: mean omega w J^T J, symmetric; translation 3, rotation 3. Means are weighted, over the valid
-                residuals.
-            g: (6,) out: mean omega w J^T r.
-            statistics: (6,) out: mean energy (infinite without a valid residual), mean omega w r^2 of the residuals
-                that are not saturated, sum of omega, number of valid residuals, of saturated ones among them, of points
-                whose residual or gradient is not finite. A residual is valid when the point falls more than 2 px inside
-                the query's border, in front of the camera; it is saturated beyond the cutoff, adds
-                2 huber cutoff - huber^2 to the energy and nothing to H, g.
-        """
-        _ = digest
-        number = points.dtype.type
-        scratch, K, T = room
-        for i in range(4):
-            K[i] = intrinsics[i]
-            for j in range(4):
-                T[i, j] = T_query_ref[i, j]
-        h, c = number(huber), number(cutoff)
-        H[:] = 0.0
-        g[:] = 0.0
-        statistics[:] = 0.0
-        height, width = level_map.shape[0], level_map.shape[1]
-        if min(height, width) >= 2 * BORDER + 2:
-            for start in range(0, points.shape[1], BLOCK):
-                n = min(BLOCK, points.shape[1] - start)
-                warp(points, start, n, K, T, width, height, scratch)
-                _weigh(level_map, values, weights, start, n, K, h, c, per_channel, scratch, statistics)
-                accumulate_pose(scratch, n, H, g)
-        total = statistics[WEIGHT]
-        if total == 0.0:
-            statistics[ENERGY] = np.inf
-            return
-        statistics[ENERGY] /= total
-        statistics[SQUARES] /= total
-        for row in range(6):
-            g[row] /= total
-            for column in range(row, 6):
-                H[row, column] /= total
-                H[column, row] = H[row, column]
-
-    return linearize_features
-
-
-linearize_features = _compiled_with(source_digest(kernel))
+    Args:
+        level_map: (H, W, D) query features.
+        points: (3, N) normalised x, y and inverse depth (1/m) in the reference camera.
+        values: (N, D) reference features.
+        weights: (N,) positive.
+        intrinsics: (4,) fx, fy, cx, cy of the query level.
+        T_query_ref: (4, 4).
+        huber, cutoff: in units of the features, on the norm over the channels or, ``per_channel``, on |r| of each;
+            then each channel of a point counts as one residual.
+        room: what :func:`working_room` gives.
+        H: (6, 6) out: mean omega w J^T J, symmetric; translation 3, rotation 3. Means are weighted, over the valid
+            residuals.
+        g: (6,) out: mean omega w J^T r.
+        statistics: (6,) out: mean energy (infinite without a valid residual), mean omega w r^2 of the residuals
+            that are not saturated, sum of omega, number of valid residuals, of saturated ones among them, of points
+            whose residual or gradient is not finite. A residual is valid when the point falls more than 2 px inside
+            the query's border, in front of the camera; it is saturated beyond the cutoff, adds
+            2 huber cutoff - huber^2 to the energy and nothing to H, g.
+    """
+    number = points.dtype.type
+    scratch, K, T = room
+    for i in range(4):
+        K[i] = intrinsics[i]
+        for j in range(4):
+            T[i, j] = T_query_ref[i, j]
+    h, c = number(huber), number(cutoff)
+    H[:] = 0.0
+    g[:] = 0.0
+    statistics[:] = 0.0
+    height, width = level_map.shape[0], level_map.shape[1]
+    if min(height, width) >= 2 * BORDER + 2:
+        for start in range(0, points.shape[1], BLOCK):
+            n = min(BLOCK, points.shape[1] - start)
+            warp(points, start, n, K, T, width, height, scratch)
+            _weigh(level_map, values, weights, start, n, K, h, c, per_channel, scratch, statistics)
+            accumulate_pose(scratch, n, H, g)
+    total = statistics[WEIGHT]
+    if total == 0.0:
+        statistics[ENERGY] = np.inf
+        return
+    statistics[ENERGY] /= total
+    statistics[SQUARES] /= total
+    for row in range(6):
+        g[row] /= total
+        for column in range(row, 6):
+            H[row, column] /= total
+            H[column, row] = H[row, column]
 
 
 def working_room(dtype: Any = np.float32) -> tuple[FloatArray, FloatArray, FloatArray]:

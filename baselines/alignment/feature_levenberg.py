@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from baselines.alignment import feature_kernel, kernel, levenberg
 from baselines.alignment.feature_kernel import (
     COUNT,
     ENERGY,
@@ -17,7 +13,6 @@ from baselines.alignment.feature_kernel import (
     SATURATED,
     STATISTICS,
     linearize_features,
-    source_digest,
 )
 from baselines.alignment.kernel import BLOCK, SCRATCH_ROWS, FloatArray
 from baselines.alignment.levenberg import (
@@ -39,102 +34,95 @@ FEATURES_NOT_FINITE = 4
 """how a level ended, beside those of ``levenberg``"""
 
 
-def _compiled_with(digest: str) -> Callable[..., Any]:
-    @njit(cache=True)
-    def minimise_feature_level(
-        level_map: FloatArray,
-        points: FloatArray,
-        values: FloatArray,
-        weights: FloatArray,
-        intrinsics: Array,
-        T_start: Array,
-        huber: float,
-        base_cutoff: float,
-        per_channel: bool,
-        max_iterations: int,
-        damping_schedule: tuple[float, float, float, float, float, float],
-    ) -> tuple[Array, Array, Array, int, float, int]:
-        """Minimise the mean energy of one level from a start.
+@njit(cache=True)
+def minimise_feature_level(
+    level_map: FloatArray,
+    points: FloatArray,
+    values: FloatArray,
+    weights: FloatArray,
+    intrinsics: Array,
+    T_start: Array,
+    huber: float,
+    base_cutoff: float,
+    per_channel: bool,
+    max_iterations: int,
+    damping_schedule: tuple[float, float, float, float, float, float],
+) -> tuple[Array, Array, Array, int, float, int]:
+    """Minimise the mean energy of one level from a start.
 
-        Arguments as for :func:`baselines.alignment.feature_kernel.linearize_features`; ``damping_schedule`` holds the
-        fields of :class:`baselines.alignment.feature_settings.Damping` in their order. While more than 60 % of the
-        residuals are saturated the cutoff is doubled. Features that are not finite where a point looks end the level.
+    Arguments as for :func:`baselines.alignment.feature_kernel.linearize_features`; ``damping_schedule`` holds the
+    fields of :class:`baselines.alignment.feature_settings.Damping` in their order. While more than 60 % of the
+    residuals are saturated the cutoff is doubled. Features that are not finite where a point looks end the level.
 
-        Returns:
-            T_query_ref (4, 4), H (6, 6) and statistics (6,) there, iterations, the factor by which the cutoff was
-            raised, how it ended (CONVERGED, ITERATIONS_SPENT, SINGULAR, NO_RESIDUALS, FEATURES_NOT_FINITE).
-        """
-        _ = digest
-        damping, accepted, rejected, floor, extrapolate_below, smallest_step = damping_schedule
-        dtype = points.dtype
-        room = (np.empty((SCRATCH_ROWS, BLOCK), dtype), np.empty(4, dtype), np.empty((4, 4), dtype))
-        H, g, now = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS)
-        trial_H, trial_g, trial = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS)
-        A, L, negative, step, xi = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6), np.empty(6)
-        T, trial_T, increment = T_start.copy(), np.empty((4, 4)), np.empty((4, 4))
+    Returns:
+        T_query_ref (4, 4), H (6, 6) and statistics (6,) there, iterations, the factor by which the cutoff was
+        raised, how it ended (CONVERGED, ITERATIONS_SPENT, SINGULAR, NO_RESIDUALS, FEATURES_NOT_FINITE).
+    """
+    damping, accepted, rejected, floor, extrapolate_below, smallest_step = damping_schedule
+    dtype = points.dtype
+    room = (np.empty((SCRATCH_ROWS, BLOCK), dtype), np.empty(4, dtype), np.empty((4, 4), dtype))
+    H, g, now = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS)
+    trial_H, trial_g, trial = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS)
+    A, L, negative, step, xi = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6), np.empty(6)
+    T, trial_T, increment = T_start.copy(), np.empty((4, 4)), np.empty((4, 4))
 
-        factor = 1.0
-        linearize_features(
-            level_map, points, values, weights, intrinsics, T, huber, base_cutoff, per_channel, room, H, g, now
-        )
-        while now[SATURATED] > SATURATED_SHARE * now[COUNT] and factor < CUTOFF_FACTOR_LIMIT:
-            factor *= 2.0
-            cutoff = base_cutoff * factor
-            linearize_features(
-                level_map, points, values, weights, intrinsics, T, huber, cutoff, per_channel, room, H, g, now
-            )
+    factor = 1.0
+    linearize_features(
+        level_map, points, values, weights, intrinsics, T, huber, base_cutoff, per_channel, room, H, g, now
+    )
+    while now[SATURATED] > SATURATED_SHARE * now[COUNT] and factor < CUTOFF_FACTOR_LIMIT:
+        factor *= 2.0
         cutoff = base_cutoff * factor
-        if now[COUNT] == 0:
-            return T, H, now, 0, factor, NO_RESIDUALS
-        if now[NOT_FINITE] > 0:
-            return T, H, now, 0, factor, FEATURES_NOT_FINITE
+        linearize_features(
+            level_map, points, values, weights, intrinsics, T, huber, cutoff, per_channel, room, H, g, now
+        )
+    cutoff = base_cutoff * factor
+    if now[COUNT] == 0:
+        return T, H, now, 0, factor, NO_RESIDUALS
+    if now[NOT_FINITE] > 0:
+        return T, H, now, 0, factor, FEATURES_NOT_FINITE
 
-        for iteration in range(max_iterations):
-            for i in range(6):
-                for j in range(6):
-                    A[i, j] = SCALE[i] * H[i, j] * SCALE[j]
-                A[i, i] *= 1.0 + damping
-                negative[i] = -SCALE[i] * g[i]
-            if not solve_cholesky_with(A, negative, 6, L, step):
-                return T, H, now, iteration, factor, SINGULAR
-            longer = (extrapolate_below / damping) ** 0.25 if damping < extrapolate_below else 1.0
-            size2 = 0.0
-            for i in range(6):
-                step[i] *= longer
-                size2 += step[i] * step[i]
-                xi[i] = SCALE[i] * step[i]
-            se3_exp_into(xi, increment)
-            product_into(increment, T, trial_T)
-            linearize_features(
-                level_map,
-                points,
-                values,
-                weights,
-                intrinsics,
-                trial_T,
-                huber,
-                cutoff,
-                per_channel,
-                room,
-                trial_H,
-                trial_g,
-                trial,
-            )
-            if trial[NOT_FINITE] > 0:
-                return trial_T, trial_H, trial, iteration + 1, factor, FEATURES_NOT_FINITE
-            if trial[ENERGY] < now[ENERGY]:
-                T, trial_T = trial_T, T
-                H, trial_H = trial_H, H
-                g, trial_g = trial_g, g
-                now, trial = trial, now
-                damping *= accepted
-            else:
-                damping = max(rejected * damping, floor)
-            if not np.sqrt(size2) > smallest_step:
-                return T, H, now, iteration + 1, factor, CONVERGED
-        return T, H, now, max_iterations, factor, ITERATIONS_SPENT
-
-    return minimise_feature_level
-
-
-minimise_feature_level = _compiled_with(source_digest(kernel, levenberg, feature_kernel))
+    for iteration in range(max_iterations):
+        for i in range(6):
+            for j in range(6):
+                A[i, j] = SCALE[i] * H[i, j] * SCALE[j]
+            A[i, i] *= 1.0 + damping
+            negative[i] = -SCALE[i] * g[i]
+        if not solve_cholesky_with(A, negative, 6, L, step):
+            return T, H, now, iteration, factor, SINGULAR
+        longer = (extrapolate_below / damping) ** 0.25 if damping < extrapolate_below else 1.0
+        size2 = 0.0
+        for i in range(6):
+            step[i] *= longer
+            size2 += step[i] * step[i]
+            xi[i] = SCALE[i] * step[i]
+        se3_exp_into(xi, increment)
+        product_into(increment, T, trial_T)
+        linearize_features(
+            level_map,
+            points,
+            values,
+            weights,
+            intrinsics,
+            trial_T,
+            huber,
+            cutoff,
+            per_channel,
+            room,
+            trial_H,
+            trial_g,
+            trial,
+        )
+        if trial[NOT_FINITE] > 0:
+            return trial_T, trial_H, trial, iteration + 1, factor, FEATURES_NOT_FINITE
+        if trial[ENERGY] < now[ENERGY]:
+            T, trial_T = trial_T, T
+            H, trial_H = trial_H, H
+            g, trial_g = trial_g, g
+            now, trial = trial, now
+            damping *= accepted
+        else:
+            damping = max(rejected * damping, floor)
+        if not np.sqrt(size2) > smallest_step:
+            return T, H, now, iteration + 1, factor, CONVERGED
+    return T, H, now, max_iterations, factor, ITERATIONS_SPENT

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from baselines.alignment.feature_pyramid import FeatureLevel, FeaturePyramid
 from baselines.alignment.feature_reference import FeaturePoints, ReferenceFeatures
 from baselines.alignment.feature_settings import Damping, FeatureSettings
-from baselines.alignment.plain import bilinear
+from baselines.alignment.plain import bilinear, projected
 from relocbench.geometry import se3_exp
 
 Array = NDArray[np.float64]
@@ -44,15 +44,7 @@ def linearize(
 ) -> NormalEquations:
     """Residuals (N, D), Jacobians (N, D, 6) and their products, all points at once."""
     camera = level.camera
-    x, y, inverse_depth = points.points.astype(np.float64)
-    rays = np.stack([x, y, np.ones_like(x)])
-    moved = T_query_ref[:3, :3] @ rays + T_query_ref[:3, 3:] * inverse_depth
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u, v, i = moved[0] / moved[2], moved[1] / moved[2], inverse_depth / moved[2]
-        px, py = camera.fx * u + camera.cx, camera.fy * v + camera.cy
-        inside = (px > BORDER) & (py > BORDER) & (px < camera.width - 1 - BORDER) & (py < camera.height - 1 - BORDER)
-        kept = inside & (i > 0)
-    u, v, i, px, py = u[kept], v[kept], i[kept], px[kept], py[kept]
+    kept, u, v, i, px, py = projected(camera, points.points, T_query_ref)
     if not u.size:
         return NormalEquations(np.inf, 0.0, 0.0, 0, 0, np.zeros((6, 6)), np.zeros(6))
 

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from baselines.alignment import kernel
 from baselines.alignment.kernel import FloatArray, linearize
 
 Array = NDArray[np.float64]
@@ -130,95 +124,82 @@ def _damped_step(H: Array, g: Array, damping: float, n: int, step: Array) -> boo
     return True
 
 
-def _compiled_with(kernel_digest: str) -> Callable[..., Any]:
-    """The function below, compiled against the kernel of this digest.
+@njit(cache=True)
+def minimise_level(
+    level_map: FloatArray,
+    points: FloatArray,
+    values: FloatArray,
+    intrinsics: Array,
+    T_start: Array,
+    light_start: Array,
+    huber: float,
+    base_cutoff: float,
+    per_channel: bool,
+    affine: bool,
+    max_iterations: int,
+) -> tuple[Array, Array, float, int, int, int, float, int]:
+    """Minimise the mean energy of one level from a start.
 
-    Numba's cache looks at the file of the compiled function alone, and the kernel that is compiled into it lives in
-    another one: without the digest among its free variables an old kernel would go on being used after an update.
+    Arguments as for :func:`baselines.alignment.kernel.linearize`; ``light_start`` is (a, b), the gain being exp(a);
+    without ``affine`` both stay. While more than 60 % of the residuals are saturated the cutoff is doubled.
+
+    Returns:
+        T_query_ref (4, 4), (a, b), mean energy, valid residuals, saturated ones, iterations, the factor by which
+        the cutoff was raised, how it ended (CONVERGED, ITERATIONS_SPENT, SINGULAR, NO_RESIDUALS).
     """
+    n = 8 if affine else 6
+    H, g, step, xi = np.zeros((8, 8)), np.zeros(8), np.zeros(8), np.zeros(6)
+    trial_H, trial_g = np.zeros((8, 8)), np.zeros(8)
+    T, light = T_start.copy(), light_start.copy()
+    gain_offset = np.array([np.exp(light[0]), light[1]])
 
-    @njit(cache=True)
-    def minimise_level(
-        level_map: FloatArray,
-        points: FloatArray,
-        values: FloatArray,
-        intrinsics: Array,
-        T_start: Array,
-        light_start: Array,
-        huber: float,
-        base_cutoff: float,
-        per_channel: bool,
-        affine: bool,
-        max_iterations: int,
-    ) -> tuple[Array, Array, float, int, int, int, float, int]:
-        """Minimise the mean energy of one level from a start.
-
-        Arguments as for :func:`baselines.alignment.kernel.linearize`; ``light_start`` is (a, b), the gain being exp(a);
-        without ``affine`` both stay. While more than 60 % of the residuals are saturated the cutoff is doubled.
-
-        Returns:
-            T_query_ref (4, 4), (a, b), mean energy, valid residuals, saturated ones, iterations, the factor by which
-            the cutoff was raised, how it ended (CONVERGED, ITERATIONS_SPENT, SINGULAR, NO_RESIDUALS).
-        """
-        _ = kernel_digest
-        n = 8 if affine else 6
-        H, g, step, xi = np.zeros((8, 8)), np.zeros(8), np.zeros(8), np.zeros(6)
-        trial_H, trial_g = np.zeros((8, 8)), np.zeros(8)
-        T, light = T_start.copy(), light_start.copy()
-        gain_offset = np.array([np.exp(light[0]), light[1]])
-
-        factor = 1.0
-        energy, valid, saturated = linearize(
-            level_map, points, values, intrinsics, T, gain_offset, huber, base_cutoff, per_channel, H, g
-        )
-        while saturated > SATURATED_SHARE * valid and factor < CUTOFF_FACTOR_LIMIT:
-            factor *= 2.0
-            cutoff = base_cutoff * factor
-            energy, valid, saturated = linearize(
-                level_map, points, values, intrinsics, T, gain_offset, huber, cutoff, per_channel, H, g
-            )
+    factor = 1.0
+    energy, valid, saturated = linearize(
+        level_map, points, values, intrinsics, T, gain_offset, huber, base_cutoff, per_channel, H, g
+    )
+    while saturated > SATURATED_SHARE * valid and factor < CUTOFF_FACTOR_LIMIT:
+        factor *= 2.0
         cutoff = base_cutoff * factor
-        if valid == 0:
-            return T, light, energy, valid, saturated, 0, factor, NO_RESIDUALS
+        energy, valid, saturated = linearize(
+            level_map, points, values, intrinsics, T, gain_offset, huber, cutoff, per_channel, H, g
+        )
+    cutoff = base_cutoff * factor
+    if valid == 0:
+        return T, light, energy, valid, saturated, 0, factor, NO_RESIDUALS
 
-        damping = FIRST_DAMPING
-        for iteration in range(max_iterations):
-            if not _damped_step(H, g, damping, n, step):
-                return T, light, energy, valid, saturated, iteration, factor, SINGULAR
-            for i in range(6):
-                xi[i] = SCALE[i] * step[i]
-            trial_T = _product(se3_exp(xi), T)
-            trial_light = light.copy()
-            if affine:
-                trial_light[0] += SCALE[6] * step[6]
-                trial_light[1] += SCALE[7] * step[7]
-            gain_offset[0], gain_offset[1] = np.exp(trial_light[0]), trial_light[1]
-            trial_energy, trial_valid, trial_saturated = linearize(
-                level_map,
-                points,
-                values,
-                intrinsics,
-                trial_T,
-                gain_offset,
-                huber,
-                cutoff,
-                per_channel,
-                trial_H,
-                trial_g,
-            )
-            if trial_energy < energy:
-                T, light = trial_T, trial_light
-                energy, valid, saturated = trial_energy, trial_valid, trial_saturated
-                H, trial_H = trial_H, H
-                g, trial_g = trial_g, g
-                damping *= 0.5
-            else:
-                damping = max(4.0 * damping, DAMPING_LIMIT)
-            if not np.linalg.norm(step[:n]) > SMALLEST_STEP:
-                return T, light, energy, valid, saturated, iteration + 1, factor, CONVERGED
-        return T, light, energy, valid, saturated, max_iterations, factor, ITERATIONS_SPENT
-
-    return minimise_level
-
-
-minimise_level = _compiled_with(hashlib.sha256(Path(kernel.__file__).read_bytes()).hexdigest())
+    damping = FIRST_DAMPING
+    for iteration in range(max_iterations):
+        if not _damped_step(H, g, damping, n, step):
+            return T, light, energy, valid, saturated, iteration, factor, SINGULAR
+        for i in range(6):
+            xi[i] = SCALE[i] * step[i]
+        trial_T = _product(se3_exp(xi), T)
+        trial_light = light.copy()
+        if affine:
+            trial_light[0] += SCALE[6] * step[6]
+            trial_light[1] += SCALE[7] * step[7]
+        gain_offset[0], gain_offset[1] = np.exp(trial_light[0]), trial_light[1]
+        trial_energy, trial_valid, trial_saturated = linearize(
+            level_map,
+            points,
+            values,
+            intrinsics,
+            trial_T,
+            gain_offset,
+            huber,
+            cutoff,
+            per_channel,
+            trial_H,
+            trial_g,
+        )
+        if trial_energy < energy:
+            T, light = trial_T, trial_light
+            energy, valid, saturated = trial_energy, trial_valid, trial_saturated
+            H, trial_H = trial_H, H
+            g, trial_g = trial_g, g
+            damping *= 0.5
+        else:
+            damping = max(4.0 * damping, DAMPING_LIMIT)
+        if not np.linalg.norm(step[:n]) > SMALLEST_STEP:
+            return T, light, energy, valid, saturated, iteration + 1, factor, CONVERGED
+    return T, light, energy, valid, saturated, max_iterations, factor, ITERATIONS_SPENT

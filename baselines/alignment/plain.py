@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,29 @@ def image_pyramid(image: NDArray[np.uint8], camera: Camera, max_levels: int = 6)
         grey = grey[:height, :width].reshape(height // 2, 2, width // 2, 2).mean(axis=(1, 3))
 
 
+def projected(
+    camera: Camera, points: NDArray[Any], T_query_ref: Array
+) -> tuple[NDArray[np.bool_], Array, Array, Array, Array, Array]:
+    """Points in the query.
+
+    Args:
+        points: (3, N) normalised x, y and inverse depth in the reference camera.
+
+    Returns:
+        Which of them are in front of the camera and more than 2 px inside its image (N,), and of these the normalised
+        x and y, the inverse depth and the pixel's u and v.
+    """
+    x, y, inverse_depth = points.astype(np.float64)
+    rays = np.stack([x, y, np.ones_like(x)])
+    moved = T_query_ref[:3, :3] @ rays + T_query_ref[:3, 3:] * inverse_depth
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v, i = moved[0] / moved[2], moved[1] / moved[2], inverse_depth / moved[2]
+        px, py = camera.fx * u + camera.cx, camera.fy * v + camera.cy
+        inside = (px > BORDER) & (py > BORDER) & (px < camera.width - 1 - BORDER) & (py < camera.height - 1 - BORDER)
+        kept = inside & (i > 0)
+    return kept, u[kept], v[kept], i[kept], px[kept], py[kept]
+
+
 def linearize(
     level: Level,
     points: LevelPoints,
@@ -63,15 +87,7 @@ def linearize(
 ) -> NormalEquations:
     """Residuals, robust weights, Jacobians (N, D, 8) and their products, all points at once."""
     camera = level.camera
-    x, y, inverse_depth = points.points.astype(np.float64)
-    rays = np.stack([x, y, np.ones_like(x)])
-    moved = T_query_ref[:3, :3] @ rays + T_query_ref[:3, 3:] * inverse_depth
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u, v, i = moved[0] / moved[2], moved[1] / moved[2], inverse_depth / moved[2]
-        px, py = camera.fx * u + camera.cx, camera.fy * v + camera.cy
-        inside = (px > BORDER) & (py > BORDER) & (px < camera.width - 1 - BORDER) & (py < camera.height - 1 - BORDER)
-        kept = inside & (i > 0)
-    u, v, i, px, py = u[kept], v[kept], i[kept], px[kept], py[kept]
+    kept, u, v, i, px, py = projected(camera, points.points, T_query_ref)
     if not u.size:
         return NormalEquations(np.inf, 0, 0, np.zeros((8, 8)), np.zeros(8))
 

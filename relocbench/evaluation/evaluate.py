@@ -8,13 +8,13 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
-from relocbench.datasets import fingerprint
 from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.schema import Strict
 from relocbench.errors import ConfigError
 from relocbench.evaluation.external import take_predictions
 from relocbench.evaluation.matching import match_method, supports_matching
 from relocbench.evaluation.matching_table import read_matching
+from relocbench.evaluation.opening import opened
 from relocbench.evaluation.results import MethodResults, dataset_results, read_answers, write_dataset_record
 from relocbench.evaluation.run import Overwrite, run_method
 from relocbench.evaluation.score import score_method
@@ -81,13 +81,7 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     Raises:
         RelocbenchError: a bad dataset, method, option or prediction.
     """
-    dataset = Dataset(options.dataset)
-    if options.out.resolve().is_relative_to(dataset.root.resolve()):
-        raise ConfigError(
-            "--out lies inside the dataset, which results would change; choose another folder", options.out
-        )
-    for fault in fingerprint.faults(dataset.layout, content="text"):
-        raise fault
+    dataset = opened(options.dataset, options.out)
     pair_sets = _chosen(dataset, options)
     # Methods are found and configured before anything is written: a typing error must not leave a folder.
     specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed)

@@ -11,13 +11,10 @@ each with an optional label in front that results are kept under (``dso-fast=dso
 
 from __future__ import annotations
 
-import difflib
 import inspect
-import sys
-import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module, metadata
+from importlib import metadata
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -25,9 +22,9 @@ import yaml
 from pydantic import TypeAdapter, ValidationError
 
 from relocbench.datasets.schema import check_name
-from relocbench.errors import MethodError, RelocbenchError
-from relocbench.execution import messages_to_stderr
+from relocbench.errors import MethodError
 from relocbench.files import first_fault
+from relocbench.methods.lookup import hint, load_dotted, of_theirs, offered
 
 ENTRY_POINT_GROUP = "relocbench.methods"
 SUBPROCESS = "subprocess:"
@@ -46,7 +43,7 @@ class MethodSpec:
     def create(self) -> Any:
         """The tracker, constructed. Raises MethodError."""
         factory = method_class(self.target)
-        return _of_theirs(f"method '{self.label}' cannot be made", lambda: factory(**self.parameters))
+        return of_theirs(f"method '{self.label}' cannot be made", lambda: factory(**self.parameters))
 
 
 @dataclass(frozen=True)
@@ -69,15 +66,7 @@ class Parameter:
 
 def installed_methods() -> dict[str, metadata.EntryPoint]:
     """Name -> entry point of every installed method, sorted by name; nothing is imported."""
-    found: dict[str, metadata.EntryPoint] = {}
-    for point in metadata.entry_points(group=ENTRY_POINT_GROUP):
-        if point.name in found and found[point.name].value != point.value:
-            raise MethodError(
-                f"method '{point.name}' is offered twice ({found[point.name].value} and {point.value}); "
-                "uninstall one, or name the class by its dotted path"
-            )
-        found[point.name] = point
-    return dict(sorted(found.items()))
+    return offered(ENTRY_POINT_GROUP, "method")
 
 
 def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0) -> MethodSpec:
@@ -101,7 +90,7 @@ def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0) -> Meth
         name = rest if dot else key
         if name not in known:
             have = ", ".join(known) or "none"
-            raise MethodError(f"method '{label}' has no parameter '{name}'{_hint(name, known)}; it has: {have}")
+            raise MethodError(f"method '{label}' has no parameter '{name}'{hint(name, known)}; it has: {have}")
         chosen[name] = _validated(label, known[name], yaml.safe_load(value) if value else "", value)
     if "seed" in known:
         chosen.setdefault("seed", seed)
@@ -138,14 +127,14 @@ def method_class(target: str) -> Any:
 
         return subprocess_tracker(target.removeprefix(SUBPROCESS))
     if ":" in target:
-        return _load_dotted(target)
+        return _load_class(target)
     points = installed_methods()
     if target not in points:
         raise MethodError(
-            f"no method '{target}'{_hint(target, points)}; installed: {', '.join(points) or 'none'} "
+            f"no method '{target}'{hint(target, points)}; installed: {', '.join(points) or 'none'} "
             "(or name a class as package.module:Class, or a program as subprocess:COMMAND)"
         )
-    return _load_dotted(points[target].value)
+    return _load_class(points[target].value)
 
 
 def parameters_of(target: str) -> list[Parameter]:
@@ -195,42 +184,14 @@ def _split_label(text: str) -> tuple[str, str]:
     return label, target
 
 
-def _load_dotted(target: str) -> Any:
-    module_name, _, attribute = target.partition(":")
-    # A class beside the user's data, without installing anything, as `python -m` would find it.
-    if "" not in sys.path and str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))
-    found = _of_theirs(f"method '{target}' cannot be imported", lambda: _import(module_name, target))
-    for part in attribute.split("."):
-        found = getattr(found, part, None)
-    if found is None:
-        raise MethodError(f"method '{target}': module '{module_name}' has no '{attribute}'")
+def _load_class(target: str) -> Any:
+    found = load_dotted(target, "method")
+    attribute = target.partition(":")[2]
     if not callable(getattr(found, "track", None)) and inspect.isclass(found):
         raise MethodError(f"method '{target}': class '{attribute}' has no track() method")
     if not callable(found):
         raise MethodError(f"method '{target}': '{attribute}' is not a class or function that makes a tracker")
     return found
-
-
-def _import(module_name: str, target: str) -> Any:
-    try:
-        return import_module(module_name)
-    except ModuleNotFoundError as bad:
-        raise MethodError(f"method '{target}': no module '{bad.name}' (looked on the Python path and here)") from bad
-
-
-def _of_theirs(failed: str, call: Callable[[], Any]) -> Any:
-    """What code that is not ours returns. Raises MethodError with what it raised, and where."""
-    try:
-        with messages_to_stderr():
-            return call()
-    except RelocbenchError:
-        raise
-    except (Exception, SystemExit) as bad:
-        last = traceback.extract_tb(bad.__traceback__)[-1]
-        told = " ".join(str(bad).split())
-        place = "" if isinstance(bad, SyntaxError) else f" ({last.filename}, line {last.lineno})"
-        raise MethodError(f"{failed}: {type(bad).__name__}: {told}{place}") from bad
 
 
 def _validated(label: str, parameter: Parameter, value: Any, text: str) -> Any:
@@ -243,8 +204,3 @@ def _validated(label: str, parameter: Parameter, value: Any, text: str) -> Any:
         except ValidationError:
             message, _ = first_fault(bad)
             raise MethodError(f"method '{label}': parameter '{parameter.name}={text}': {message}") from None
-
-
-def _hint(name: str, known: Mapping[str, Any]) -> str:
-    close = difflib.get_close_matches(name, known, n=1)
-    return f" (did you mean '{close[0]}'?)" if close else ""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
-from importlib import import_module, metadata
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import yaml
 
 from relocbench.errors import ConfigError, MethodError
 from relocbench.files import load_yaml_values
+from relocbench.methods.lookup import hint, load_dotted, of_theirs, offered
 from relocbench.training import Trainer
 
 TRAINER_GROUP = "relocbench.trainers"
@@ -19,7 +19,7 @@ TRAINER_GROUP = "relocbench.trainers"
 
 def installed_trainers() -> dict[str, metadata.EntryPoint]:
     """Name -> entry point of every installed trainer, sorted by name; nothing is imported."""
-    return {point.name: point for point in sorted(metadata.entry_points(group=TRAINER_GROUP), key=lambda p: p.name)}
+    return offered(TRAINER_GROUP, "trainer")
 
 
 def trainer_named(name: str) -> Trainer:
@@ -31,16 +31,11 @@ def trainer_named(name: str) -> Trainer:
     installed = installed_trainers()
     target = name if ":" in name else installed[name].value if name in installed else ""
     if not target:
-        close = difflib.get_close_matches(name, installed, n=1)
-        hint = f" (did you mean '{close[0]}'?)" if close else ""
         raise MethodError(
-            f"no trainer '{name}'{hint}; installed: {', '.join(installed) or 'none'} (or package.module:Class)"
+            f"no trainer '{name}'{hint(name, installed)}; installed: {', '.join(installed) or 'none'} "
+            "(or package.module:Class)"
         )
-    module_name, _, attribute = target.partition(":")
-    try:
-        made = getattr(import_module(module_name), attribute)()
-    except (ImportError, AttributeError, TypeError) as bad:
-        raise MethodError(f"trainer '{name}' cannot be made from {target}: {bad}") from bad
+    made = of_theirs(f"trainer '{name}' cannot be made from {target}", load_dotted(target, "trainer"))
     if not isinstance(made, Trainer):
         raise MethodError(f"trainer '{name}': {target} has no train() or no default_options()")
     return made
@@ -71,9 +66,8 @@ def _merge(into: dict[str, Any], values: Mapping[str, Any], path: Path | None, p
     for key, value in values.items():
         name = f"{prefix}{key}"
         if key not in into:
-            close = difflib.get_close_matches(str(key), into, n=1)
-            hint = f" (did you mean '{prefix}{close[0]}'?)" if close else ""
-            raise ConfigError(f"unknown option '{name}'{hint}; there is {', '.join(into)}", path)
+            meant = hint(str(key), into, prefix)
+            raise ConfigError(f"unknown option '{name}'{meant}; there is {', '.join(into)}", path)
         if isinstance(into[key], dict):
             if not isinstance(value, Mapping):
                 raise ConfigError(f"option '{name}' is a group of options: {', '.join(into[key])}", path)

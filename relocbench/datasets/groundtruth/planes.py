@@ -67,7 +67,7 @@ class Planes:
     def __len__(self) -> int:
         return len(self.points)
 
-    @property
+    @cached_property
     def away_m(self) -> Array:
         """(N,)"""
         return np.asarray(np.linalg.norm(self.carried, axis=1))
@@ -109,7 +109,7 @@ class Sample:
     def __len__(self) -> int:
         return len(self.points)
 
-    @property
+    @cached_property
     def away_m(self) -> Array:
         """(M,)"""
         return np.asarray(np.linalg.norm(self.carried, axis=1))

@@ -245,9 +245,9 @@ def refine(
     for k in range(len(options.levels)) if levels is None else levels:
         level = options.levels[k]
         reach = min(ref.options.reach_m[level], query.options.reach_m[level])
-        converged, laid, there, here = False, np.nan, _sides(ref, level, 0.0), _sides(query, level, stretch)
+        converged, laid, there, here = False, stretch, _sides(ref, level, 0.0), _sides(query, level, stretch)
         for iteration in range(options.iterations[k]):
-            if not abs(stretch - laid) < _STRETCHED:
+            if abs(stretch - laid) >= _STRETCHED:
                 here, laid = _sides(query, level, stretch), stretch
             # The kernel narrows over a level's first iterations, so that far residuals can still pull at its start.
             scale = options.scales_m[k] * max(1.0, 2.0 * 0.6**iteration)

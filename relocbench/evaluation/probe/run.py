@@ -11,11 +11,11 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from relocbench.datasets import fingerprint
 from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.pairfile import PairKey
 from relocbench.datasets.schema import Strict
 from relocbench.errors import ConfigError
+from relocbench.evaluation.opening import opened
 from relocbench.evaluation.probe.feature_maps import places_of, shows_features, write_feature_maps
 from relocbench.evaluation.probe.table import Line, lines_of
 from relocbench.evaluation.probe.work import Answered, Task, ask_pairs, task_for
@@ -103,13 +103,7 @@ def probe_methods(options: ProbeOptions, reporter: Reporter) -> ProbeReport:
     Raises:
         RelocbenchError: a bad dataset, method or option; nothing that could be asked.
     """
-    dataset = Dataset(options.dataset)
-    if options.out.resolve().is_relative_to(dataset.root.resolve()):
-        raise ConfigError(
-            "--out lies inside the dataset, which results would change; choose another folder", options.out
-        )
-    for fault in fingerprint.faults(dataset.layout, content="text"):
-        raise fault
+    dataset = opened(options.dataset, options.out)
     specs = parse_methods(options.methods, options.set, options.seed)
     asked = chosen_pairs(dataset, options)
     tasks = _tasks(dataset, [pair_set for pair_set, _ in asked], specs, options, reporter)

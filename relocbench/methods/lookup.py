@@ -1,0 +1,79 @@
+"""Code that is not ours: found by entry point or dotted path, imported and called, its faults told in one line."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+import traceback
+from collections.abc import Callable, Iterable
+from importlib import import_module, metadata
+from pathlib import Path
+from typing import Any
+
+from relocbench.errors import MethodError, RelocbenchError
+from relocbench.execution import messages_to_stderr
+
+
+def offered(group: str, kind: str) -> dict[str, metadata.EntryPoint]:
+    """Name -> entry point of everything installed in a group, sorted by name; nothing is imported.
+
+    Args:
+        kind: what the group offers, for the message.
+
+    Raises:
+        MethodError: two packages offer different things by one name.
+    """
+    found: dict[str, metadata.EntryPoint] = {}
+    for point in metadata.entry_points(group=group):
+        if point.name in found and found[point.name].value != point.value:
+            raise MethodError(
+                f"{kind} '{point.name}' is offered twice ({found[point.name].value} and {point.value}); "
+                "uninstall one, or name the class by its dotted path"
+            )
+        found[point.name] = point
+    return dict(sorted(found.items()))
+
+
+def load_dotted(target: str, kind: str) -> Any:
+    """What ``package.module:Name`` names, also from a module in the current folder.
+
+    Raises:
+        MethodError: it cannot be imported, or there is no such name.
+    """
+    module_name, _, attribute = target.partition(":")
+    # A class beside the user's data, without installing anything, as `python -m` would find it.
+    if "" not in sys.path and str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))
+    found = of_theirs(f"{kind} '{target}' cannot be imported", lambda: _import(module_name, target, kind))
+    for part in attribute.split("."):
+        found = getattr(found, part, None)
+    if found is None:
+        raise MethodError(f"{kind} '{target}': module '{module_name}' has no '{attribute}'")
+    return found
+
+
+def _import(module_name: str, target: str, kind: str) -> Any:
+    try:
+        return import_module(module_name)
+    except ModuleNotFoundError as bad:
+        raise MethodError(f"{kind} '{target}': no module '{bad.name}' (looked on the Python path and here)") from bad
+
+
+def of_theirs(failed: str, call: Callable[[], Any]) -> Any:
+    """What code that is not ours returns. Raises MethodError with what it raised, and where."""
+    try:
+        with messages_to_stderr():
+            return call()
+    except RelocbenchError:
+        raise
+    except (Exception, SystemExit) as bad:
+        last = traceback.extract_tb(bad.__traceback__)[-1]
+        told = " ".join(str(bad).split())
+        place = "" if isinstance(bad, SyntaxError) else f" ({last.filename}, line {last.lineno})"
+        raise MethodError(f"{failed}: {type(bad).__name__}: {told}{place}") from bad
+
+
+def hint(name: str, known: Iterable[str], prefix: str = "") -> str:
+    """What a mistyped name was probably meant to be, in parentheses; empty if nothing is near."""
+    close = difflib.get_close_matches(name, known, n=1)
+    return f" (did you mean '{prefix}{close[0]}'?)" if close else ""
