@@ -62,7 +62,7 @@ def test_a_cut_shifts_pixels_and_correspondences_alike(seed: int) -> None:
     u_query = (u_ref + rng.integers(-9, 10, u_ref.shape)).astype(np.float32)
     images = coordinates_image(200, 120), coordinates_image(210, 130)
     tags = np.arange(len(u_ref))
-    cut = cut_pair(*images, u_ref, u_query, 48, (1.0, 1.0), np.random.default_rng(seed))
+    cut = cut_pair(*images, u_ref, u_query, 48, (1.0, 1.0), 0.4, np.random.default_rng(seed))
     assert cut.image_ref.shape == cut.image_query.shape == (48, 48, 3)
     assert len(cut.u_ref) > 0
     seen = []
@@ -96,7 +96,7 @@ def test_scaling_keeps_pixels_on_what_they_show(factor: float) -> None:
 def test_an_image_smaller_than_the_cut_is_continued() -> None:
     image = coordinates_image(20, 16)
     u = np.array([[3, 4], [19, 15]], dtype=np.float32)
-    cut = cut_pair(image, image, u, u, 32, (1.0, 1.0), np.random.default_rng(0))
+    cut = cut_pair(image, image, u, u, 32, (1.0, 1.0), 0.4, np.random.default_rng(0))
     assert np.array_equal(cut.image_ref[:16, :20], image)
     assert np.array_equal(cut.image_ref[20, 25], image[15, 19])
     assert np.array_equal(cut.u_ref, u)
@@ -105,7 +105,24 @@ def test_an_image_smaller_than_the_cut_is_continued() -> None:
 def test_a_pair_without_correspondences_gives_an_empty_cut() -> None:
     nothing = np.zeros((0, 2), dtype=np.float32)
     image = coordinates_image(60, 50)
-    assert cut_pair(image, image, nothing, nothing, 32, (0.7, 1.0), np.random.default_rng(0)).u_ref.shape == (0, 2)
+    cut = cut_pair(image, image, nothing, nothing, 32, (0.7, 1.0), 0.4, np.random.default_rng(0))
+    assert cut.u_ref.shape == (0, 2)
+
+
+def test_the_place_in_the_square_does_not_tell_which_point_it_is() -> None:
+    """Without a move of its own the query's square shows each point where the reference's does."""
+    image = coordinates_image(250, 250)
+    u = np.random.default_rng(0).uniform(5, 240, (400, 2)).astype(np.float32)
+
+    def moved(apart: float) -> np.ndarray:
+        cuts = [cut_pair(image, image, u, u, 64, (1.0, 1.0), apart, np.random.default_rng(seed)) for seed in range(60)]
+        return np.array([np.median(cut.u_query - cut.u_ref, axis=0) for cut in cuts])
+
+    assert np.abs(moved(0.0)).max() == 0
+    off = moved(0.4)
+    assert 20 < np.abs(off).max() <= 0.4 * 64 + 0.5
+    assert np.all(np.abs(off.mean(axis=0)) < 6)
+    assert np.all(off.std(axis=0) > 10)
 
 
 def test_augmentation_changes_light_and_moves_nothing() -> None:
@@ -198,7 +215,7 @@ def same(a: Batch, b: Batch) -> bool:
     ("changed", "words"),
     [
         ({"batch": 0}, "1 or more"),
-        ({"crop": 4}, "levels need 8"),
+        ({"crop": 4}, "needs 16"),
         ({"scale": [1.0, 0.5]}, "smaller one first"),
         ({"ema": 1.0}, "ema below 1"),
         ({"learning_rate": 0.0}, "learning_rate and max_sigma are positive"),

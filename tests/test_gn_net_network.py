@@ -19,12 +19,18 @@ from baselines.gn_net.sampling import level_coordinates
 from baselines.gn_net.weights import load_weights, read_card, save_weights
 from relocbench.errors import ConfigError, MethodError
 
-SMALL = NetworkOptions(widths=(4, 6, 8), dim=3, levels=3)
-PLAIN = NetworkOptions(widths=(4, 6, 8), dim=3, levels=3, norm="none")
+SMALL = NetworkOptions(widths=(4, 6, 8), finest=0, dim=3, levels=3)
+HALF = replace(SMALL, finest=1)
+"""its finest map has half the image's resolution"""
+EACH = pytest.mark.parametrize("options", [SMALL, HALF], ids=["full", "half"])
 
 
 def image(height: int, width: int, batch: int = 1, seed: int = 0) -> Tensor:
     return torch.rand((batch, 3, height, width), generator=torch.Generator().manual_seed(seed))
+
+
+def first_convolution(net: FeatureNet) -> nn.Conv2d:
+    return next(module for module in net.modules() if isinstance(module, nn.Conv2d))
 
 
 def lived_in(options: NetworkOptions) -> FeatureNet:
@@ -36,38 +42,46 @@ def lived_in(options: NetworkOptions) -> FeatureNet:
     return net.eval()
 
 
-def test_each_level_holds_the_whole_pixels_of_its_size() -> None:
-    net = FeatureNet(SMALL).eval()
-    for height, width in ((32, 48), (37, 50), (33, 31), (4, 5)):
+@EACH
+def test_each_level_holds_the_whole_pixels_of_its_size(options: NetworkOptions) -> None:
+    net = FeatureNet(options).eval()
+    for height, width in ((32, 48), (37, 50), (33, 31), (8, 9)):
         maps = net(image(height, width, batch=2))
-        assert [tuple(m.shape) for m in maps] == [(2, 3, height >> level, width >> level) for level in range(3)]
+        levels = range(options.finest, options.finest + 3)
+        assert [tuple(m.shape) for m in maps] == [(2, 3, height >> level, width >> level) for level in levels]
 
 
-def test_padding_repeats_the_border_and_leaves_the_rest_where_it_was() -> None:
-    net, odd = lived_in(SMALL), image(37, 50)
-    by_hand = nn.functional.pad(odd, (0, 2, 0, 3), mode="replicate")
+@EACH
+def test_padding_repeats_the_border_and_leaves_the_rest_where_it_was(options: NetworkOptions) -> None:
+    net, odd = lived_in(options), image(37, 50)
+    by_hand = nn.functional.pad(odd, (0, -50 % options.stride, 0, -37 % options.stride), mode="replicate")
     for padded, cropped in zip(net(by_hand), net(odd), strict=True):
         assert torch.equal(padded[..., : cropped.shape[-2], : cropped.shape[-1]], cropped)
 
 
+@EACH
 @torch.no_grad()
-def test_a_feature_sits_at_its_pixel_on_every_level() -> None:
+def test_a_feature_sits_at_its_pixel_on_every_level(options: NetworkOptions) -> None:
     """With symmetric filters of positive weights the network is linear and keeps a ramp: F_l(x) = a u(x) + c.
 
     u(x) is the ramp at the place of pixel x of level l in the image. Half a pixel of shift anywhere would be seen.
     """
-    net = FeatureNet(PLAIN)
+    net = FeatureNet(replace(options, norm="none"))
     for module in net.modules():
         if isinstance(module, nn.Conv2d):
             weight = module.weight.abs()
             module.weight.copy_(weight + weight.flip(-1) + weight.flip(-2) + weight.flip(-1, -2))
+    first = first_convolution(net).weight
+    of_square = first.unflatten(1, (3, -1))  # (outputs, RGB, pixels of the square, 3, 3)
+    first.copy_(of_square.mean(2, keepdim=True).expand_as(of_square).flatten(1, 2))
     net.double()
     u = torch.arange(128, dtype=torch.float64)
     ramp = (2.0 + u / 128).expand(1, 3, 128, 128)  # well above the mean that is taken off: no ReLU cuts
     for image_ramp, along in ((ramp, -1), (ramp.transpose(-1, -2), -2)):
         at_zero, at_one = (net(torch.full_like(ramp, value)) for value in (2.0, 3.0))
-        for level, features in enumerate(net(image_ramp)):
-            zero, one = (maps[level][0, :, 64 >> level, 64 >> level] for maps in (at_zero, at_one))
+        for number, features in enumerate(net(image_ramp)):
+            level = options.finest + number
+            zero, one = (maps[number][0, :, 64 >> level, 64 >> level] for maps in (at_zero, at_one))
             middle = features[0, :, 64 >> level].T if along == -1 else features[0, :, :, 64 >> level].T
             found = 128 * (middle - zero) / (one - zero)  # (pixels of the level, D), pixels of the image
             inside = slice(56 >> level, 72 >> level)  # far from the border, where zeros come in
@@ -75,27 +89,31 @@ def test_a_feature_sits_at_its_pixel_on_every_level() -> None:
             assert torch.allclose(level_coordinates(found[inside], level), pixels.expand(-1, 3), atol=1e-9)
 
 
+@EACH
 @torch.no_grad()
-def test_a_mirrored_image_gives_mirrored_features_when_filters_are_mirrored() -> None:
-    net = lived_in(SMALL)
-    mirrored = FeatureNet(SMALL)
+def test_a_mirrored_image_gives_mirrored_features_when_filters_are_mirrored(options: NetworkOptions) -> None:
+    net = lived_in(options)
+    mirrored = FeatureNet(options)
     mirrored.load_state_dict(net.state_dict())
     mirrored.eval()
     for module in mirrored.modules():
         if isinstance(module, nn.Conv2d):
             module.weight.copy_(module.weight.flip(-1))
+    first, square = first_convolution(mirrored).weight, 1 << options.finest
+    first.copy_(first.unflatten(1, (3, square, square)).flip(3).flatten(1, 3))
     pixels = image(32, 48)
     for there, back in zip(net(pixels), mirrored(pixels.flip(-1)), strict=True):
         assert torch.allclose(there, back.flip(-1), atol=1e-5)
 
 
+@EACH
 @torch.no_grad()
-def test_an_image_moved_by_the_stride_moves_its_features() -> None:
-    net, wide = lived_in(SMALL), image(64, 160)
-    stride = SMALL.stride
+def test_an_image_moved_by_the_stride_moves_its_features(options: NetworkOptions) -> None:
+    scale = 1 << options.finest
+    net, wide, stride = lived_in(options), image(64 * scale, 160 * scale), options.stride
     left, right = net(wide[..., :-stride]), net(wide[..., stride:])
-    for level, (here, there) in enumerate(zip(left, right, strict=True)):
-        step, inside = stride >> level, 40 >> level
+    for level, (here, there) in enumerate(zip(left, right, strict=True), start=options.finest):
+        step, inside = stride >> level, (40 * scale) >> level
         assert torch.allclose(here[..., inside + step : -inside], there[..., inside : -inside - step], atol=1e-5)
         assert not torch.allclose(here[..., inside:-inside], there[..., inside:-inside], atol=1e-3)
 
@@ -112,7 +130,7 @@ def test_the_copy_for_tracking_gives_the_same_features() -> None:
 
 @torch.no_grad()
 def test_unit_features_are_the_plain_ones_with_norm_one() -> None:
-    plain = NetworkOptions(widths=(4, 6), dim=4, levels=2)
+    plain = NetworkOptions(widths=(4, 6), finest=0, dim=4, levels=2)
     raw, unit = (FeatureNet(options).eval()(image(16, 16)) for options in (plain, replace(plain, normalise="unit")))
     for there, here in zip(raw, unit, strict=True):
         norms = there.norm(dim=1, keepdim=True)
@@ -199,7 +217,7 @@ def test_the_same_weights_are_the_same_bytes_in_another_process_without_open3d(t
     script = (
         "import sys, pathlib; from baselines.gn_net.network import FeatureNet;"
         "from baselines.gn_net.options import NetworkOptions; from baselines.gn_net.weights import save_weights;"
-        "save_weights(pathlib.Path(sys.argv[1]), FeatureNet(NetworkOptions((4, 6, 8), 3, 3)), {'b': '1', 'a': '2'});"
+        "save_weights(pathlib.Path(sys.argv[1]), FeatureNet(NetworkOptions((4, 6, 8), 0, 3, 3)), {'b': '1', 'a': '2'});"
         "sys.exit('open3d' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", script, str(tmp_path / "there.safetensors")], check=True)

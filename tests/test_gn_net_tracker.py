@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,10 +23,13 @@ from relocbench.tracking import KeyframePoints, Query, Reference, SupportsMatchi
 SMALL = NetworkOptions(widths=(8, 12, 16), dim=8, levels=3)
 
 
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a network that learnt nothing: random filters see texture all the same."""
-    net = FeatureNet(SMALL)
+@pytest.fixture(scope="module", params=[0, 1], ids=["full", "half"])
+def weights(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a network that learnt nothing, whose finest map has all or half the image's resolution.
+
+    Random filters see texture all the same.
+    """
+    net = FeatureNet(replace(SMALL, finest=request.param))
     with torch.no_grad():
         for seed in range(3):
             net(torch.rand((2, 3, 48, 64), generator=torch.Generator().manual_seed(seed)))
@@ -75,6 +79,10 @@ def test_one_prepared_reference_serves_all_queries_and_the_network_sees_it_once(
     for frame in (0, 1, 1):
         tracker.track(reference, a_query(small_pose(frame)))
     assert len(seen) == 4
+    query = a_query(small_pose(1))
+    for prior in (None, np.eye(4)):
+        tracker.track(reference, query, prior)
+    assert len(seen) == 5
 
 
 def test_the_prior_is_where_the_alignment_starts(weights: Path) -> None:
@@ -100,9 +108,11 @@ def test_single_pixels_are_found_again_on_each_level(weights: Path) -> None:
     reference = tracker.prepare(a_reference())
     uv = np.random.default_rng(1).uniform(40, (150, 100), (100, 2))
     by_level = tracker.match_levels(reference, a_query(small_pose(0)), uv, uv + 0.3)
-    assert len(by_level) == tracker.net.options.levels
+    finest = tracker.net.options.finest
+    assert len(by_level) == finest + tracker.net.options.levels
     assert all(ends.shape == uv.shape for ends in by_level)
-    assert np.median(np.linalg.norm(by_level[0] - uv, axis=1)) < 0.01
+    assert all(np.isnan(ends).all() for ends in by_level[:finest])
+    assert np.median(np.linalg.norm(by_level[finest] - uv, axis=1)) < 0.01 * 2**finest
 
 
 def test_too_few_points_are_a_stated_failure(weights: Path) -> None:
@@ -116,7 +126,7 @@ def test_too_few_points_are_a_stated_failure(weights: Path) -> None:
 
 
 def test_an_image_that_the_network_cannot_take_is_one_line(weights: Path) -> None:
-    with pytest.raises(MethodError, match="3 levels need 4x4"):
+    with pytest.raises(MethodError, match="coarsest level needs"):
         GnNet(weights=weights).features(np.zeros((2, 2), np.uint8), small_camera(2, 2))
 
 

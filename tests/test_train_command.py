@@ -18,7 +18,7 @@ from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset
 
 from relocbench.datasets.correspondences import read_correspondences
 from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.training_pairs import DatasetPairs
+from relocbench.datasets.training_pairs import DatasetPairs, without_only_validation
 from relocbench.errors import ConfigError, DatasetError, MethodError
 from relocbench.evaluation.trial import Trial
 from relocbench.methods.trainers import installed_trainers, trainer_named, trainer_options
@@ -114,6 +114,15 @@ def test_missing_parts_of_a_dataset_are_one_line_each(tmp_path: Path, dataset: D
     path.write_text(path.read_text() + "\n")
     with pytest.raises(DatasetError, match=r"has \d+ bytes, manifest\.csv says"):
         DatasetPairs([bare.root])
+
+
+def test_a_dataset_with_a_validation_split_alone_serves_for_validation(tmp_path: Path) -> None:
+    learnt = make_small_dataset(tmp_path / "learnt", correspondences=50, splits={"train": [ACROSS]})
+    checked = make_small_dataset(tmp_path / "checked", splits={"validation": [ACROSS]})
+    both = [learnt.root, checked.root]
+    assert without_only_validation(both, "train") == [learnt.root]
+    assert without_only_validation([checked.root], "train") == [checked.root]  # refused later, in words
+    assert len(Trial(both, 4, 0, Silent())) == 4
 
 
 class Truth:

@@ -1,14 +1,16 @@
 """The feature network: a U-Net that gives each pixel D numbers at each of several resolutions.
 
-Layout, with widths w_0 .. w_n (GN-Net, von Stumberg et al., RA-L 2020, uses a Siamese U-Net; reference and query go
-through the same weights):
+Layout, with widths w_0 .. w_n and the finest level f (GN-Net, von Stumberg et al., RA-L 2020, uses a Siamese U-Net;
+reference and query go through the same weights):
 
-    encoder   level 0: 3x3, 3x3    level k: 2x2 mean, 3x3, 3x3
-    decoder   level n: as encoded   level k: 1x1 of the coarser one, doubled, plus the encoder's level k, 3x3
-    head      1x1 to D at each level
+    stem      the 2^f x 2^f pixels that one of level f covers become its channels
+    encoder   stage 0: 3x3, 3x3    stage k: 2x2 mean, 3x3, 3x3
+    decoder   stage n: as encoded   stage k: 1x1 of the coarser one, doubled, plus the encoder's stage k, 3x3
+    head      1x1 to D at each stage
 
 Nothing moves a feature against its pixel: convolutions are odd and centred, halving is the mean of 2x2 pixels, doubling
-is bilinear about the same centres. So pixel i of level l sits at pixel 2^l (i + 0.5) - 0.5 of the image.
+is bilinear about the same centres. Stage k is level l = f + k, and its pixel i sits at pixel 2^l (i + 0.5) - 0.5 of the
+image.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ class FeatureNet(nn.Module):
         self.options = options or NetworkOptions()
         widths, levels, norm = self.options.widths, self.options.levels, self.options.norm == "batch"
         self.encoder = nn.ModuleList()
-        for inside, outside in zip((3, *widths), widths, strict=False):
+        for inside, outside in zip((3 << (2 * self.options.finest), *widths), widths, strict=False):
             self.encoder.append(nn.Sequential(_Filter(inside, outside, norm), _Filter(outside, outside, norm)))
         self.reduce = nn.ModuleList(_convolution(widths[k + 1], widths[k], 1) for k in range(len(widths) - 1))
         self.decoder = nn.ModuleList(_Filter(widths[k], widths[k], norm) for k in range(len(widths) - 1))
@@ -58,13 +60,13 @@ class FeatureNet(nn.Module):
                 at the right and below by repeating the last column and row.
 
         Returns:
-            (B, D, H // 2^l, W // 2^l) for each level l: whole pixels only, what the padding gave is cut off. These are
-            the sizes that the aligner's pyramid has.
+            (B, D, H // 2^l, W // 2^l) for each level l from ``finest``: whole pixels only, what the padding gave is
+            cut off. These are the sizes that the aligner's pyramid has.
 
         Raises:
             ValueError: the shape is another, or the image has no pixel at the coarsest level.
         """
-        x = self._padded(images)
+        x = functional.pixel_unshuffle(self._padded(images), 1 << self.options.finest)
         height, width = images.shape[-2:]
         skips = []
         for k, stage in enumerate(self.encoder):
@@ -76,8 +78,8 @@ class FeatureNet(nn.Module):
             up = functional.interpolate(self.reduce[k](maps[0]), scale_factor=2, mode="bilinear", align_corners=False)
             maps.insert(0, self.decoder[k](up.add_(skips[k])))
         out = []
-        for level, head in enumerate(self.heads):
-            features = head(maps[level])[..., : height >> level, : width >> level]
+        for level, (head, of_level) in enumerate(zip(self.heads, maps, strict=False), start=self.options.finest):
+            features = head(of_level)[..., : height >> level, : width >> level]
             out.append(functional.normalize(features, dim=1) if self.options.normalise == "unit" else features)
         return tuple(out)
 
@@ -98,9 +100,9 @@ class FeatureNet(nn.Module):
         if images.ndim != 4 or images.shape[1] not in (1, 3):
             raise ValueError(f"images are {tuple(images.shape)}, expected (B, 3, H, W) or (B, 1, H, W)")
         height, width = images.shape[-2:]
-        smallest = 1 << (self.options.levels - 1)
+        smallest = self.options.smallest_side
         if min(height, width) < smallest:
-            raise ValueError(f"images are {height}x{width}: {self.options.levels} levels need {smallest}x{smallest}")
+            raise ValueError(f"images are {height}x{width}: the coarsest level needs {smallest}x{smallest}")
         x = (images.expand(-1, 3, -1, -1) - _MEAN) / _SPREAD
         stride = self.options.stride
         missing = (0, -width % stride, 0, -height % stride)

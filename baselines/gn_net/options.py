@@ -24,12 +24,15 @@ class NetworkOptions:
         ConfigError: a combination that no network can have.
     """
 
-    widths: tuple[int, ...] = (16, 32, 64, 96, 128)
-    """channels of the encoder at resolutions 1, 1/2, 1/4, ...; one pooling between neighbours"""
+    widths: tuple[int, ...] = (32, 48, 64, 96, 128)
+    """channels of the encoder, finest resolution first; one pooling between neighbours"""
+    finest: int = 1
+    """level of the finest feature map, and of the encoder's first resolution: 0 is the image's own, 1 half of it; the
+    pixels of a 2^finest square go into the network as channels of one"""
     dim: int = 16
     """D: channels of each feature map"""
     levels: int = 4
-    """feature maps that come out, level 0 (full resolution) to level ``levels - 1``"""
+    """feature maps that come out, levels ``finest`` to ``finest + levels - 1``"""
     norm: Literal["batch", "none"] = "batch"
     """after each 3x3 convolution; batch normalisation is a fixed scaling at run time, so that a feature depends on its
     surroundings and not on the rest of the image"""
@@ -42,6 +45,8 @@ class NetworkOptions:
     def __post_init__(self) -> None:
         if not self.widths or min(self.widths) < 1:
             raise ConfigError(f"widths is {self.widths}, expected at least one, all positive")
+        if self.finest < 0:
+            raise ConfigError(f"finest is {self.finest}, expected 0 or more")
         if self.dim < 2:
             raise ConfigError(f"dim is {self.dim}, expected 2 or more: one channel cannot place a pixel both ways")
         if not 1 <= self.levels <= len(self.widths):
@@ -54,7 +59,12 @@ class NetworkOptions:
     @property
     def stride(self) -> int:
         """2^depth: images are padded to a multiple of it inside the network."""
-        return 1 << (len(self.widths) - 1)
+        return 1 << (self.finest + len(self.widths) - 1)
+
+    @property
+    def smallest_side(self) -> int:
+        """Pixels of an image whose coarsest feature map has one pixel."""
+        return 1 << (self.finest + self.levels - 1)
 
 
 def options_to_dict(options: Any) -> dict[str, Any]:

@@ -5,7 +5,7 @@ von Stumberg et al., GN-Net: The Gauss-Newton Loss for Multi-Weather Relocalizat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -32,7 +32,10 @@ from baselines.alignment import (
     require_pinhole,
     small_rotations,
 )
+from baselines.alignment.feature_pyramid import level_coordinates
+from baselines.alignment.pyramid import level_camera
 from baselines.gn_net.network import FeatureNet, image_tensor
+from baselines.gn_net.start import StartSettings, matched_pose
 from baselines.gn_net.weights import load_weights
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
@@ -73,6 +76,8 @@ class GnNet:
         per_channel: robust loss on each channel, else on the norm over all.
         damping: schedule of Levenberg-Marquardt, of DSO's tracker or for features trained by LM-Reloc's loss; default:
             what the method of this name is trained for.
+        matched_start: start also from the pose that agrees with the nearest features of a coarse level; the lowest
+            final energy wins.
         multistart: start also from 26 small rotations; the lowest final energy wins.
         min_points: fewer points with depth are a stated failure.
         device: where the network runs; the alignment is on the CPU.
@@ -95,6 +100,7 @@ class GnNet:
         cutoff_levels: Annotated[int, Field(ge=1)] = 1,
         per_channel: bool = False,
         damping: Literal["dso", "lm-reloc"] | None = None,
+        matched_start: bool = True,
         multistart: bool = False,
         min_points: Annotated[int, Field(ge=8)] = 30,
         device: str = "cpu",
@@ -108,10 +114,12 @@ class GnNet:
             damping=LM_RELOC_DAMPING if (damping or self.usual_damping) == "lm-reloc" else DSO_DAMPING,
         )
         self.points = points
+        self.start = StartSettings() if matched_start else None
         self.multistart = multistart
         self.min_points = min_points
         self.device = device
         self.seed = seed
+        self._last: tuple[Query, FeaturePyramid] | None = None
         self.net = self._to_device(
             weights if isinstance(weights, FeatureNet) else load_weights(weights or self._shipped())
         )
@@ -125,7 +133,8 @@ class GnNet:
         intensities = image_pyramid(reference.image, reference.camera, SELECTION_LEVELS)
         chosen = choose_points(reference, intensities, self.points, np.random.default_rng(self.seed))
         pyramid = self.features(reference.image, reference.camera)
-        return GnNetReference(ReferenceFeatures.at_points(chosen, pyramid), pyramid, len(chosen))
+        on_finest = replace(chosen, uv=self._on_finest(chosen.uv))
+        return GnNetReference(ReferenceFeatures.at_points(on_finest, pyramid), pyramid, len(chosen))
 
     def track(self, reference: GnNetReference, query: Query, prior: Array | None = None) -> TrackResult:
         """Align a query to a prepared reference.
@@ -139,7 +148,10 @@ class GnNet:
             )
         first = np.eye(4) if prior is None else np.asarray(prior, dtype=np.float64)
         starts = [first, *(turn @ first for turn in small_rotations())] if self.multistart else [first]
-        features = self.features(query.image, query.camera)
+        features = self._query_features(query)
+        if self.start is not None:
+            matched = matched_pose(reference.features, features, self.start, self.seed)
+            starts += [] if matched is None else [matched]
         return self._answer(align_features_best(reference.features, features, starts, self.settings))
 
     def match(self, reference: GnNetReference, query: Query, uv_ref: Array, uv_start: Array) -> Array:
@@ -151,19 +163,22 @@ class GnNet:
         Returns:
             (N, 2) pixels of the query; NaN where the derivative leaves the map or says nothing.
         """
-        maps: list[Level] = self.features(query.image, query.camera).with_gradients()
-        return match_pixels(reference.pyramid.with_gradients(), maps, uv_ref, uv_start, MatchSettings(SINGLE_PIXEL))
+        maps: list[Level] = self._query_features(query).with_gradients()
+        uv = self._on_finest(uv_ref), self._on_finest(uv_start)
+        found = match_pixels(reference.pyramid.with_gradients(), maps, *uv, MatchSettings(SINGLE_PIXEL))
+        return self._of_image(found)
 
     def match_levels(self, reference: GnNetReference, query: Query, uv_ref: Array, uv_start: Array) -> list[Array]:
-        """As :meth:`match` on each level alone, finest first."""
-        maps: list[Level] = self.features(query.image, query.camera).with_gradients()
-        return match_pixels_by_level(
-            reference.pyramid.with_gradients(), maps, uv_ref, uv_start, MatchSettings(SINGLE_PIXEL)
-        )
+        """As :meth:`match` on each level alone, the image's own first; NaN on levels that the network has no map of."""
+        maps: list[Level] = self._query_features(query).with_gradients()
+        uv = self._on_finest(uv_ref), self._on_finest(uv_start)
+        found = match_pixels_by_level(reference.pyramid.with_gradients(), maps, *uv, MatchSettings(SINGLE_PIXEL))
+        without = [np.full(np.shape(uv_ref), np.nan) for _ in range(self.net.options.finest)]
+        return [*without, *map(self._of_image, found)]
 
     @torch.inference_mode()
     def features(self, image: NDArray[np.uint8], camera: Camera) -> FeaturePyramid:
-        """Feature maps of an (H, W) or (H, W, 3) image.
+        """Feature maps of an (H, W) or (H, W, 3) image; the first is that of level ``finest``, with its camera.
 
         Raises:
             MethodError: the camera is not pinhole, or the image is too small for the network.
@@ -173,7 +188,22 @@ class GnNet:
             maps = self.net(image_tensor(image).to(self.device, memory_format=torch.channels_last))
         except ValueError as bad:
             raise MethodError(str(bad)) from bad
-        return FeaturePyramid.from_maps([m[0].permute(1, 2, 0).float().cpu().numpy() for m in maps], camera)
+        of_finest = level_camera(camera, self.net.options.finest)
+        return FeaturePyramid.from_maps([m[0].permute(1, 2, 0).float().cpu().numpy() for m in maps], of_finest)
+
+    def _query_features(self, query: Query) -> FeaturePyramid:
+        """Of the last query they are kept: a query is often asked about from several priors, or keyframes."""
+        if self._last is None or self._last[0] is not query:
+            self._last = query, self.features(query.image, query.camera)
+        return self._last[1]
+
+    def _on_finest(self, uv: Array) -> Array:
+        """Pixels (N, 2) of the image as pixels of the finest map."""
+        return level_coordinates(uv, self.net.options.finest)
+
+    def _of_image(self, uv: Array) -> Array:
+        """The inverse of :meth:`_on_finest`."""
+        return (uv + 0.5) * float(1 << self.net.options.finest) - 0.5
 
     def _answer(self, found: FeatureAlignment) -> TrackResult:
         info = self._info(found)

@@ -18,7 +18,7 @@ def train(
     name: Annotated[str, typer.Argument(help="Installed trainer, or package.module:Class.")],
     dataset: Annotated[
         list[Path],
-        typer.Option("--dataset", "-d", help="Dataset with splits 'train' and 'validation'. Repeat for several."),
+        typer.Option("--dataset", "-d", help="Dataset with a split 'train', 'validation' or both. Repeat for several."),
     ] = [],  # noqa: B006  typer copies it
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for weights, checkpoint, log and model card.")
@@ -63,7 +63,7 @@ def train(
         raise ConfigError(f"train needs {'--dataset DIR' if not dataset else '--out DIR'}")
 
     from relocbench.cli.console import print_json, reporter
-    from relocbench.datasets.training_pairs import DatasetPairs
+    from relocbench.datasets.training_pairs import DatasetPairs, without_only_validation
     from relocbench.evaluation.trial import Trial
     from relocbench.progress import Silent
     from relocbench.training import TrainingRun
@@ -72,7 +72,7 @@ def train(
         if out.resolve().is_relative_to(root.resolve()):
             raise ConfigError("--out lies inside a dataset, which it would change; choose another folder", out)
     reports = reporter(quiet)
-    data = DatasetPairs(dataset, split)
+    data = DatasetPairs(dataset if no_validation else without_only_validation(dataset, split), split)
     # Two bars do not show at once: validation goes without.
     validate: Validate | None = None if no_validation else Trial(dataset, validation_pairs, seed=0, reporter=Silent())
     place = device or _device()

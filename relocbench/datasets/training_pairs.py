@@ -18,6 +18,7 @@ from relocbench.errors import ConfigError
 from relocbench.training import PairLabel, TrainingPair
 
 TEST_SPLIT = "test"
+VALIDATION_SPLIT = "validation"
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +105,17 @@ class DatasetPairs:
             self._open[at] = Traversal(DatasetLayout(source.root).traversal(traversal))
         image = self._open[at].image(source.camera, timestamp_ns)
         return np.repeat(image[..., None], 3, axis=-1) if image.ndim == 2 else image
+
+
+def without_only_validation(datasets: Sequence[Path], split: str) -> list[Path]:
+    """The datasets to learn from: those that serve for validation alone are left out, unless none would be left.
+
+    Raises:
+        DatasetError: a bad dataset.
+    """
+    splits = {root: Dataset(root.resolve()).splits for root in datasets}
+    learnt = [root for root in datasets if split in splits[root] or VALIDATION_SPLIT not in splits[root]]
+    return learnt or list(datasets)
 
 
 def refuse_test_split(dataset: Dataset, split: str) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from relocbench.datasets import fingerprint
 from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.pairfile import Pair
+from relocbench.datasets.training_pairs import VALIDATION_SPLIT
 from relocbench.errors import ConfigError
 from relocbench.evaluation.run import ask
 from relocbench.evaluation.worker import guarded
@@ -24,7 +25,6 @@ from relocbench.progress import Reporter
 from relocbench.tracking import SupportsPrepare, Tracker, TrackResult
 from relocbench.training import ValidationScores
 
-SPLIT = "validation"
 METRICS = ("t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)")
 
 
@@ -53,10 +53,10 @@ class Trial:
     def __init__(self, datasets: Sequence[Path], pairs: int, seed: int, reporter: Reporter) -> None:
         self._reporter = reporter
         opened = [Dataset(root) for root in datasets]
-        with_split = [dataset for dataset in opened if SPLIT in dataset.splits]
+        with_split = [dataset for dataset in opened if VALIDATION_SPLIT in dataset.splits]
         if not with_split:
             raise ConfigError(
-                f"no dataset has a split '{SPLIT}' to choose weights by; give one that has with --dataset, "
+                f"no dataset has a split '{VALIDATION_SPLIT}' to choose weights by; give one that has with --dataset, "
                 "or --no-validation to keep the last weights"
             )
         for dataset in with_split:
@@ -64,7 +64,7 @@ class Trial:
                 raise fault
         self._asked = _evenly([each for dataset in with_split for each in _pairs_of(dataset)], pairs, seed)
         if not self._asked:
-            raise ConfigError(f"split '{SPLIT}' has no pair with ground truth", with_split[0].root)
+            raise ConfigError(f"split '{VALIDATION_SPLIT}' has no pair with ground truth", with_split[0].root)
 
     def __len__(self) -> int:
         return len(self._asked)
@@ -110,7 +110,7 @@ def _track(tracker: Tracker, asked: Sequence[_Asked]) -> list[TrackResult]:
 
 def _pairs_of(dataset: Dataset) -> list[_Asked]:
     out = []
-    for pair_set in dataset.pair_sets(SPLIT):
+    for pair_set in dataset.pair_sets(VALIDATION_SPLIT):
         ref, query = (dataset.traversal(name).condition for name in (pair_set.reference, pair_set.query))
         known = (pair for pair in pair_set.pairs if pair.T_query_ref is not None)
         out += [_Asked(dataset, pair_set, pair, f"{ref} -> {query}") for pair in known]

@@ -40,7 +40,7 @@ class ContrastiveOptions:
     """M: negatives farther apart than this cost nothing"""
     positive_margin: float = 0.0
     """m: positives nearer than this cost nothing"""
-    negatives: Literal["random", "hard", "both"] = "random"
+    negatives: Literal["random", "hard", "both"] = "both"
     """which wrong pixels of the query a feature is compared to"""
     away: float = 4.0
     """pixels of the level; no pixel so near the true one is a negative"""

@@ -33,7 +33,7 @@ class GaussNewtonOptions:
         ConfigError: a value that makes no sense.
     """
 
-    weight: float = 0.1
+    weight: float = 0.5
     """against the contrastive loss; 0 leaves the loss out"""
     e1: float = 1.0
     """weight of e1"""

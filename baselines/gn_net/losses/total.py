@@ -19,6 +19,7 @@ from baselines.gn_net.losses.gauss_newton import (
 )
 from baselines.gn_net.losses.gauss_newton_affine import affine_gauss_newton_terms
 from baselines.gn_net.losses.gauss_newton_integrated import integrated_gauss_newton_terms
+from baselines.gn_net.losses.infonce import InfoNceOptions, infonce_terms
 from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
 from baselines.gn_net.losses.reduce import masked_mean
 from baselines.gn_net.options import NO_OTHER_KEYS
@@ -35,6 +36,7 @@ class LossOptions:
     """
 
     contrastive: ContrastiveOptions = field(default_factory=ContrastiveOptions)
+    infonce: InfoNceOptions = field(default_factory=InfoNceOptions)
     gauss_newton: GaussNewtonOptions = field(default_factory=GaussNewtonOptions)
     descent: DescentOptions = field(default_factory=DescentOptions)
     level_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
@@ -45,7 +47,8 @@ class LossOptions:
     def __post_init__(self) -> None:
         if not self.level_weights or min(self.level_weights) < 0 or max(self.level_weights) == 0:
             raise ConfigError(f"level_weights is {self.level_weights}, expected 0 or more, at least one above 0")
-        if max(self.contrastive.weight, self.gauss_newton.weight, self.descent.weight) == 0:
+        weights = (self.contrastive.weight, self.infonce.weight, self.gauss_newton.weight, self.descent.weight)
+        if max(weights) == 0:
             raise ConfigError("all losses have weight 0: nothing is left to train by")
 
 
@@ -56,6 +59,7 @@ class LossValue(NamedTuple):
     """scalar"""
     parts: dict[str, Tensor]
     """by ``level/part``, scalars without derivatives, before weights: ``positive``, ``negative``, ``e1``, ``e2``,
+    ``infonce``, ``found`` (share of points),
     ``near_singular`` (share of points), ``descent``, ``nearer`` (share of points), ``points`` (that counted)"""
 
 
@@ -126,6 +130,11 @@ def _level_loss(one: _Level, options: LossOptions, generator: torch.Generator) -
         positive, negative = _contrastive(one, f_ref, counted, options.contrastive, generator)
         total = total + options.contrastive.weight * (positive + options.contrastive.negative_weight * negative)
         parts.update(positive=positive, negative=negative)
+    if options.infonce.weight > 0:
+        cost, found, asked = _infonce(one, f_ref, counted, options.infonce)
+        infonce = masked_mean(cost, asked)
+        total = total + options.infonce.weight * infonce
+        parts.update(infonce=infonce, found=masked_mean(found.double(), asked))
     if options.gauss_newton.weight > 0:
         terms = _gauss_newton(one, f_ref, options.gauss_newton, generator)
         valid = counted & terms.valid
@@ -160,6 +169,23 @@ def _contrastive(
         f_wrong, _ = sample(one.features_query, u_wrong)
         means.append(masked_mean(negative_terms(f_ref, f_wrong, options.form, options.margin), counted & found))
     return positive, torch.stack(means).mean()
+
+
+def _infonce(one: _Level, f_ref: Tensor, counted: Tensor, options: InfoNceOptions) -> tuple[Tensor, Tensor, Tensor]:
+    """Cost of the points that take part, which of them are found, and which take part."""
+    n = options.points
+    f_query, on_query = sample(one.features_query, one.u_query[..., :n, :])
+    asked = counted[..., :n] & on_query
+    cost, found = infonce_terms(
+        f_ref[..., :n, :],
+        f_query,
+        one.u_ref[..., :n, :],
+        one.u_query[..., :n, :],
+        asked,
+        options.temperature,
+        options.away,
+    )
+    return cost, found, asked
 
 
 def _gauss_newton(

@@ -74,12 +74,12 @@ class Batches(Dataset[Batch]):
         rng = random(_CUT)
         pair = _sure(self._data.load(self._draw[step * options.batch + place]), options.max_sigma)
         images_and_pixels = _swapped(pair, rng.random() < options.swap)
-        cut = cut_pair(*images_and_pixels, options.crop, options.scale, rng)
+        cut = cut_pair(*images_and_pixels, options.crop, options.scale, options.apart, rng)
         images = [
             augment(image.astype(np.float32) / np.float32(255), options.augmentation, random(what))
             for image, what in ((cut.image_ref, _REF), (cut.image_query, _QUERY))
         ]
-        chosen = np.sort(rng.permutation(len(cut.u_ref))[: options.points])
+        chosen = rng.permutation(len(cut.u_ref))[: options.points]
         u = np.zeros((2, options.points, 2), dtype=np.float32)
         u[0, : len(chosen)], u[1, : len(chosen)] = cut.u_ref[chosen], cut.u_query[chosen]
         mask = torch.arange(options.points) < len(chosen)

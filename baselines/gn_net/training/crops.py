@@ -35,19 +35,23 @@ def cut_pair(
     u_query: Pixels,
     side: int,
     scale: tuple[float, float],
+    apart: float,
     rng: np.random.Generator,
 ) -> Cut:
     """Scale both images by one factor, cut a square out of each, and keep the correspondences that both hold.
 
     The reference's square holds a correspondence drawn at random, the query's follows the median shift of the
-    correspondences in the reference's. An image smaller than the square is continued at the right and below by its last
-    column and row.
+    correspondences in the reference's and is then moved on its own. Were it not, a point would be at about the same
+    place of both squares, and a network sees from the border where in its image a pixel is: features of the place alone
+    would tell all points from each other. An image smaller than the square is continued at the right and below by its
+    last column and row.
 
     Args:
         image_ref, image_query: (H, W, 3).
         u_ref, u_query: (N, 2) pixels that see the same points.
         side: S, pixels.
         scale: smallest and largest factor.
+        apart: share of the side that the query's square is moved at most, along u and v each.
         rng: of the factor and the place.
     """
     factor = float(rng.uniform(*scale))
@@ -56,7 +60,7 @@ def cut_pair(
     centre = u_ref[rng.integers(len(u_ref))] if len(u_ref) else np.array(image_ref.shape[1::-1]) / 2
     corner_ref = _inside(np.floor(centre - rng.uniform(0, side, 2)), image_ref, side)
     shift = np.median((u_query - u_ref)[_within(u_ref - corner_ref, side)], axis=0) if len(u_ref) else np.zeros(2)
-    corner_query = _inside(np.rint(corner_ref + shift), image_query, side)
+    corner_query = _inside(np.rint(corner_ref + shift + apart * side * rng.uniform(-1, 1, 2)), image_query, side)
     in_ref, in_query = u_ref - corner_ref.astype(np.float32), u_query - corner_query.astype(np.float32)
     kept = _within(in_ref, side) & _within(in_query, side)
     return Cut(

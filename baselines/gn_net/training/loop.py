@@ -14,6 +14,7 @@ from torch import Tensor
 from baselines.gn_net.losses import total_loss
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import options_to_dict
+from baselines.gn_net.sampling import level_coordinates
 from baselines.gn_net.tracker import GnNet
 from baselines.gn_net.training.batches import Batch, Batches, batches_from
 from baselines.gn_net.training.card import model_card, weights_card
@@ -157,8 +158,8 @@ class Training:
         value = total_loss(
             [m[:pairs] for m in features],
             [m[pairs:] for m in features],
-            batch.u_ref,
-            batch.u_query,
+            level_coordinates(batch.u_ref, self.options.network.finest),
+            level_coordinates(batch.u_query, self.options.network.finest),
             batch.mask,
             self.options.loss,
             _generator(self.options.seed, _LOSS, self.step),

@@ -54,12 +54,15 @@ class TrainOptions:
         ConfigError: a value that makes no sense.
     """
 
-    steps: int = 5000
+    steps: int = 2500
     batch: int = 4
     """pairs a step; as many combinations of conditions, if there are so many"""
-    crop: int = 256
+    crop: int = 224
     """pixels; side of the squares that are cut out of both images"""
-    scale: tuple[float, float] = (0.5, 1.0)
+    apart: float = 0.4
+    """share of the side; the query's square is moved off the reference's by at most so much, so that the place in the
+    square says nothing about which point it is"""
+    scale: tuple[float, float] = (0.6, 1.0)
     """images are scaled by a factor between these before they are cut, both of a pair alike; (1, 1) for never"""
     points: int = 1024
     """correspondences a pair, drawn among those that both cuts hold"""
@@ -67,9 +70,9 @@ class TrainOptions:
     """pixels; correspondences whose true place is known less surely are left out, where the data tells"""
     swap: float = 0.5
     """probability that reference and query change their roles"""
-    learning_rate: float = 1e-3
+    learning_rate: float = 3e-3
     """of Adam, at its highest"""
-    warm_up: int = 200
+    warm_up: int = 100
     """steps in which the rate rises from 0"""
     final_rate: float = 0.01
     """of the highest rate, reached at the last step along a half cosine"""
@@ -101,13 +104,13 @@ class TrainOptions:
             raise ConfigError("steps, batch, points and intervals are 1 or more, warm_up and seed 0 or more")
         if not 0 < self.scale[0] <= self.scale[1]:
             raise ConfigError(f"scale is {self.scale}, expected two positive factors, the smaller one first")
-        if not (0 <= self.swap <= 1 and 0 <= self.ema < 1 and 0 <= self.final_rate <= 1):
-            raise ConfigError("swap, ema and final_rate lie between 0 and 1, ema below 1")
+        if not (0 <= self.apart < 1 and 0 <= self.swap <= 1 and 0 <= self.ema < 1 and 0 <= self.final_rate <= 1):
+            raise ConfigError("apart, swap, ema and final_rate lie between 0 and 1, apart and ema below 1")
         if min(self.learning_rate, self.max_sigma) <= 0 or min(self.weight_decay, self.clip) < 0:
             raise ConfigError("learning_rate and max_sigma are positive, weight_decay and clip are 0 or more")
-        smallest = 4 << (self.network.levels - 1)
+        smallest = 4 * self.network.smallest_side
         if self.crop < smallest:
-            raise ConfigError(f"crop is {self.crop}, {self.network.levels} levels need {smallest} or more")
+            raise ConfigError(f"crop is {self.crop}, the network's coarsest level needs {smallest} or more")
         if len(self.loss.level_weights) != self.network.levels:
             raise ConfigError(
                 f"loss.level_weights has {len(self.loss.level_weights)} entries, "

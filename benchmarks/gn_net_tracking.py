@@ -1,0 +1,94 @@
+"""How long ``gn-net`` tracks a pair on one core once the features of both images are there, beside ``dso``.
+
+Pairs of a small drive through the procedural town, 512x512 pixels, ``WetNoon`` asked by itself and by ``SoftRainNoon``.
+The keyframe is prepared and the query's features are made beforehand; what is timed is the rest: the search for a start
+among matched features (``matched_start``), and the alignment from both starts. ``dso`` makes its query's pyramid within
+its time.
+
+    python benchmarks/gn_net_tracking.py [--repeats N] [--weights FILE]
+
+JSON on the last line.
+"""
+
+# ruff: noqa: E402  (the number of threads must be set before numpy is imported)
+from __future__ import annotations
+
+import os
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[variable] = "1"  # one core; read when numpy is imported
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from baselines.dso import Dso
+from baselines.gn_net.tracker import GnNet
+from relocbench.datasets.dataset import Dataset
+from relocbench.tracking import Query, Reference
+
+
+def views(root: Path) -> list[tuple[Reference, Query]]:
+    """Keyframe and query of every pair of a dataset."""
+    dataset = Dataset(root)
+    return [
+        (dataset.reference(pair_set, pair), dataset.query(pair_set, pair))
+        for pair_set in dataset.pair_sets("validation")
+        for pair in pair_set.pairs
+    ]
+
+
+def milliseconds(tracker: Any, pairs: list[tuple[Reference, Query]], repeats: int) -> list[float]:
+    """Processor time of each pair, the median of its repeats; the first call of each is not timed."""
+    times = []
+    for reference, query in pairs:
+        prepared = tracker.prepare(reference)
+        tracker.track(prepared, query)
+        taken = []
+        for _ in range(repeats):
+            since = time.process_time()
+            tracker.track(prepared, query)
+            taken.append(1e3 * (time.process_time() - since))
+        times.append(float(np.median(taken)))
+    return times
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--weights", type=Path, help="default: those that come with the package")
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder) / "d"
+        subprocess.run(
+            [sys.executable, "-m", "relocbench", "build-dataset", "synthetic", "--conditions", "WetNoon,SoftRainNoon",
+             "--size", "512x512", "--steps", "10", "--split", "validation", "--out", str(root), "-q"],
+            check=True,
+        )  # fmt: skip
+        pairs = views(root)
+    trackers: dict[str, Any] = {
+        "gn-net": GnNet(options.weights),
+        "gn-net, matched_start=false": GnNet(options.weights, matched_start=False),
+        "dso": Dso(),
+    }
+    told: dict[str, Any] = {"benchmark": "gn_net_tracking", "pairs": len(pairs)}
+    for name, tracker in trackers.items():
+        times = milliseconds(tracker, pairs, options.repeats)
+        told[f"{name}, ms"] = float(np.median(times))
+        told[f"{name}, ms, 95 %"] = float(np.percentile(times, 95))
+        print(f"{name:30} {np.median(times):6.1f} ms a pair, 95 % below {np.percentile(times, 95):6.1f} ms")
+    told["ratio_to_dso"] = told["gn-net, ms"] / told["dso, ms"]
+    print(json.dumps(told))
+
+
+if __name__ == "__main__":
+    main()
