@@ -1,0 +1,1 @@
+"""LPN (Local Pattern Network) and its variants: places retrieved by parts of an image, across views."""

@@ -1,0 +1,64 @@
+"""Weights of a backbone from a user's file, such as those that torchvision publishes for ImageNet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor
+
+from baselines.lpn.backbone import Backbone
+from relocbench.errors import MethodError
+
+_CLASSIFIER = ("fc.weight", "fc.bias")
+_COUNTER = ".num_batches_tracked"
+"""older files lack it, and nothing depends on it"""
+
+
+def load_backbone(path: Path, backbone: Backbone) -> None:
+    """Replace the backbone's weights by those of a file; the file's own classifier is left out.
+
+    Args:
+        path: a state dict of torchvision's ResNet of the same depth, as ``.safetensors`` or by ``torch.save``. Nothing
+            but tensors is read: a file of pickled code is refused.
+        backbone: changed in place, and not at all if the file is refused.
+
+    Raises:
+        MethodError: the file is missing, damaged, of something else, or of another network.
+    """
+    tensors = _read(path)
+    expected = backbone.state_dict()
+    found = {name: tensor for name, tensor in tensors.items() if name not in _CLASSIFIER}
+    for name in sorted(expected.keys() | found.keys()):
+        if name.endswith(_COUNTER):
+            continue
+        if name not in found or name not in expected:
+            what = "is missing" if name in expected else "is not part of it"
+            raise MethodError(f"weights of another network than this ResNet: '{name}' {what}", path)
+        if found[name].shape != expected[name].shape:
+            shapes = f"{tuple(found[name].shape)}, expected {tuple(expected[name].shape)}"
+            raise MethodError(f"weights of another network than this ResNet: '{name}' is {shapes}", path)
+        if not found[name].is_floating_point() or not bool(found[name].isfinite().all()):
+            raise MethodError(f"'{name}' holds something else than finite numbers", path)
+    backbone.load_state_dict({name: found.get(name, tensor).to(tensor.dtype) for name, tensor in expected.items()})
+
+
+def _read(path: Path) -> Mapping[str, Tensor]:
+    if not path.is_file():
+        raise MethodError("no such file of weights", path)
+    if path.suffix == ".safetensors":
+        try:
+            return load_file(path)
+        except (SafetensorError, OSError) as bad:
+            raise MethodError(f"not a readable safetensors file, damaged or cut short ({bad})", path) from bad
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as bad:  # what unpickling raises on foreign bytes is not listed anywhere
+        expected = "expected a state dict, saved by torch.save or as .safetensors"
+        raise MethodError(f"not a readable file of weights: {expected}", path) from bad
+    if not isinstance(content, Mapping) or not all(isinstance(value, Tensor) for value in content.values()):
+        raise MethodError("not a state dict: expected names and tensors, and nothing else", path)
+    return content

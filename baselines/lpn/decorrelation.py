@@ -1,0 +1,76 @@
+"""DWDR: channels of both views' features agree with their counterpart and with no other channel.
+
+Wang et al., "Learning Cross-view Geo-localization Embeddings via Dynamic Weighted Decorrelation Regularization", TGRS
+2024, after Barlow Twins (Zbontar et al., ICML 2021). For B pairs of images of the same places, features a and b (B, C)
+standardised channel by channel over the batch:
+
+    c_ij = mean over the batch of a_i b_j
+    E = scale (sum_i ((1 - c_ii) / 2)^e1 (1 - c_ii)^2 + lambda sum_i sum_j!=i |c_ij|^e2 c_ij^2)
+
+The weights (1 - c_ii) / 2 and |c_ij|, the shares of their largest values, turn to channels that are still wrong; they
+are not detached. e1 = e2 = 0 is Barlow Twins. Formula and numbers are those of the authors' published code (its
+University-1652 run for LPN): scale 1/32, lambda 0.0013, e1 = e2 = 1, and a total of 0.9 times the instance loss plus
+0.1 times E. There the features are the maximum over the last map, not its mean, standardised by a batch normalisation
+without weights; the batches hold equally many pairs led by a satellite image and by a drone image ("symmetric
+sampling").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from baselines.gn_net.options import NO_OTHER_KEYS
+from relocbench.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class DecorrelationOptions:
+    """How much of the loss, and its numbers.
+
+    Raises:
+        ConfigError: a value that makes no sense.
+    """
+
+    weight: float = 0.0
+    """share of the total; the instance loss has the rest; 0 leaves the loss out, the authors have 0.1"""
+    off_weight: float = 0.0013
+    """lambda, of what is off the diagonal"""
+    scale: float = 1.0 / 32.0
+    on_power: float = 1.0
+    """e1"""
+    off_power: float = 1.0
+    """e2"""
+
+    __pydantic_config__ = NO_OTHER_KEYS
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.weight < 1:
+            raise ConfigError(f"weight of the decorrelation is {self.weight}, expected 0 or more and below 1")
+        if min(self.off_weight, self.on_power, self.off_power) < 0 or self.scale <= 0:
+            raise ConfigError("the decorrelation needs off_weight, on_power and off_power of 0 or more, scale above 0")
+
+
+def correlations(a: Tensor, b: Tensor) -> Tensor:
+    """c: (C, C) of features (B, C), row b of both showing the same place.
+
+    Raises:
+        ValueError: the shapes differ, or there is a single pair.
+    """
+    if a.shape != b.shape or a.ndim != 2 or len(a) < 2:
+        raise ValueError(f"features are {tuple(a.shape)} and {tuple(b.shape)}, expected (B, C) twice, B at least 2")
+    one, other = (functional.batch_norm(x, None, None, training=True) for x in (a, b))
+    return one.T @ other / len(a)
+
+
+def decorrelation_loss(a: Tensor, b: Tensor, options: DecorrelationOptions) -> Tensor:
+    """E of features (B, C), without ``options.weight``."""
+    c = correlations(a, b)
+    missing = (1.0 - c.diagonal()).clamp(min=0)
+    on = (missing ** (2.0 + options.on_power)).sum() / 2.0**options.on_power
+    outside = ~torch.eye(len(c), dtype=torch.bool, device=c.device)
+    off = (c[outside].abs() ** (2.0 + options.off_power)).sum()
+    return options.scale * (on + options.off_weight * off)

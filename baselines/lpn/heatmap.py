@@ -1,0 +1,83 @@
+"""Masks from a heatmap: where a picture is lively decides which part a pixel belongs to.
+
+    h(u) = sum over c of X_c(u)      M = softmax over P of conv(relu(conv(h)))      part p = mean over u of M_p(u) X(u)
+
+h has one channel, so that a mask knows how lively the surroundings are and, by the zeros outside the map, how near the
+border is. Width and sizes of both convolutions are not published; 16 channels and 3 x 3 pixels are our own choice. The
+sum over 2048 channels is in the hundreds and the first softmax is then close to one-hot; ``heat = "mean"`` divides by
+the number of channels, which is our own alternative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from baselines.gn_net.options import NO_OTHER_KEYS
+from baselines.lpn.drawing import convolution, draw_weights
+from baselines.lpn.pooling import PartMean, Parts, masked_means
+from relocbench.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class HeatmapOptions:
+    """Shape of the masks' network.
+
+    Raises:
+        ConfigError: a value that makes no sense.
+    """
+
+    heat: Literal["sum", "mean"] = "sum"
+    """h: sum over the channels, or their mean"""
+    hidden: int = 16
+    """channels between both convolutions"""
+    kernel: int = 3
+    """pixels of either convolution; odd"""
+    mean: PartMean = "all"
+    """``all``: mean over all pixels; ``mask``: divided by the sum of the mask"""
+
+    __pydantic_config__ = NO_OTHER_KEYS
+
+    def __post_init__(self) -> None:
+        if self.heat not in ("sum", "mean"):
+            raise ConfigError(f"heat is '{self.heat}', expected sum or mean")
+        if self.hidden < 1 or self.kernel < 1 or self.kernel % 2 == 0:
+            raise ConfigError("the heatmap needs at least one hidden channel and a kernel of an odd number of pixels")
+        if self.mean not in ("all", "mask"):
+            raise ConfigError(f"mean of the heatmap's parts is '{self.mean}', expected all or mask")
+
+
+class HeatmapPartition(nn.Module):
+    """The masks' network and its pooling.
+
+    Args:
+        parts: P.
+        options: see there.
+        generator: where the first weights are drawn from (He et al. 2015).
+    """
+
+    def __init__(self, parts: int, options: HeatmapOptions, generator: torch.Generator) -> None:
+        super().__init__()
+        self.options = options
+        self.first = convolution(1, options.hidden, options.kernel)
+        self.second = convolution(options.hidden, parts, options.kernel)
+        draw_weights(self, generator, "fan_in")
+
+    def masks(self, x: Tensor) -> Tensor:
+        """(B, P, H, W), sum over P is 1, of (B, C, H, W)."""
+        heat = heatmap(x) if self.options.heat == "sum" else heatmap(x) / x.shape[1]
+        return cast(Tensor, self.second(functional.relu(self.first(heat)))).softmax(1)
+
+    def forward(self, x: Tensor) -> Parts:
+        """(B, P, C) and the masks, of (B, C, H, W)."""
+        masks = self.masks(x)
+        return Parts(masked_means(x, masks, self.options.mean), masks)
+
+
+def heatmap(x: Tensor) -> Tensor:
+    """h: (B, 1, H, W), the sum over the channels of (B, C, H, W)."""
+    return x.sum(1, keepdim=True)

@@ -1,0 +1,178 @@
+"""LPN and its variants as one network: backbone, attention, partition, part heads.
+
+    image -> stage 3 (-> attention) -> stage 4 (-> attention) -> P parts -> P heads -> embeddings (-> logits)
+
+Drone and satellite images go through the same branch, street images through one of their own or the same; the heads are
+shared by all views (Wang et al., TCSVT 2021).
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple, cast, get_args
+
+import torch
+from torch import Tensor, nn
+
+from baselines.lpn.attention import LocalAttention
+from baselines.lpn.backbone import Backbone
+from baselines.lpn.descriptor import descriptors, with_mirror_image
+from baselines.lpn.head import HeadOutput, PartHeads
+from baselines.lpn.heatmap import HeatmapPartition
+from baselines.lpn.options import NetworkOptions
+from baselines.lpn.pooling import Parts
+from baselines.lpn.rings import Rings
+from baselines.lpn.soft_partition import SoftPartition
+
+View = Literal["satellite", "drone", "street"]
+VIEWS: tuple[View, ...] = get_args(View)
+
+_MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""of ImageNet's pictures, red, green and blue in [0, 1]; what published weights of backbones were trained with"""
+
+
+class ViewOutput(NamedTuple):
+    """What the network makes of images of one view."""
+
+    embeddings: Tensor
+    """(B, P, D)"""
+    logits: Tensor
+    """(B, P, classes)"""
+    pooled: Tensor
+    """(B, C) largest value of each channel of the last map"""
+    masks: Tensor | None
+    """(B, P, H, W) of a partition that depends on the image"""
+
+
+class Branch(nn.Module):
+    """What views may have of their own: backbone, attention, partition."""
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self, options: NetworkOptions, generator: torch.Generator) -> None:
+        super().__init__()
+        self.backbone = Backbone(options.backbone, options.last_stride, generator)
+        self.attention = nn.ModuleDict(
+            {
+                stage: LocalAttention(
+                    self.backbone.channels[stage], options.attention.kernel, options.attention.residual, generator
+                )
+                for stage in ("layer3", "layer4")
+                if stage in options.attention.after
+            }
+        )
+        self.partition = _partition(options, self.backbone.channels["layer4"], generator)
+        for name, values in (("mean", _MEAN), ("deviation", _DEVIATION)):
+            self.register_buffer(name, torch.tensor(values)[:, None, None], persistent=False)
+
+    def last_map(self, images: Tensor) -> Tensor:
+        """(B, C, h, w) of images (B, 3, H, W) RGB in [0, 1].
+
+        Raises:
+            ValueError: the images have another shape.
+        """
+        if images.ndim != 4 or images.shape[1] != 3:
+            raise ValueError(f"images are {tuple(images.shape)}, expected (B, 3, H, W)")
+        x = self.backbone.to_layer3((images - self.mean) / self.deviation)
+        x = self.backbone.to_layer4(self._attend("layer3", x))
+        return self._attend("layer4", x)
+
+    def parts(self, last_map: Tensor) -> Parts:
+        """(B, P, C) and masks of the last map."""
+        return cast(Parts, self.partition(last_map))
+
+    def _attend(self, stage: str, x: Tensor) -> Tensor:
+        return cast(Tensor, self.attention[stage](x)) if stage in self.attention else x
+
+
+class LpnNetwork(nn.Module):
+    """Embeddings and logits of images by view.
+
+    Args:
+        classes: buildings of the training set.
+        options: the network's shape.
+        generator: where all first weights are drawn from; default seed 0. Torch's global state is not touched.
+            Weights of a backbone file replace the backbone's (``backbone_weights.load_backbone``).
+    """
+
+    def __init__(
+        self, classes: int, options: NetworkOptions | None = None, generator: torch.Generator | None = None
+    ) -> None:
+        super().__init__()
+        if classes < 1:
+            raise ValueError(f"{classes} classes, expected at least one")
+        self.classes = classes
+        self.options = options or NetworkOptions()
+        generator = generator or torch.Generator().manual_seed(0)
+        names = ("air", "street") if self.options.street == "separate" else ("air",)
+        self.branches = nn.ModuleDict({name: Branch(self.options, generator) for name in names})
+        channels = self.branch("drone").backbone.channels["layer4"]
+        self.heads = PartHeads(
+            self.options.parts, channels, self.options.width, classes, self.options.dropout, generator
+        )
+
+    def forward(self, view: View, images: Tensor) -> ViewOutput:
+        """What training needs, of images (B, 3, H, W) RGB in [0, 1].
+
+        Raises:
+            ValueError: a view that this network does not have, or no images.
+        """
+        branch = self.branch(view)
+        last_map = branch.last_map(images)
+        parts = branch.parts(last_map)
+        embeddings, logits = cast(HeadOutput, self.heads(parts.features))
+        return ViewOutput(embeddings, logits, last_map.amax((-2, -1)), parts.masks)
+
+    def embed(self, view: View, images: Tensor) -> Tensor:
+        """(B, P, D) of images as in ``forward``, without the last layer."""
+        branch = self.branch(view)
+        return self.heads.embed(branch.parts(branch.last_map(images)).features)
+
+    @torch.no_grad()
+    def describe(self, view: View, images: Tensor) -> Tensor:
+        """(B, P * D) of unit norm: descriptors of images and their mirror images (``descriptor``).
+
+        Raises:
+            RuntimeError: the network is in training mode, where an image's descriptor depends on its batch.
+        """
+        if self.training:
+            raise RuntimeError("descriptors are taken in evaluation mode: call eval() first")
+        return descriptors(with_mirror_image(lambda each: self.embed(view, each), images))
+
+    def branch(self, view: View) -> Branch:
+        """The branch that images of a view go through.
+
+        Raises:
+            ValueError: this network does not have the view.
+        """
+        if view not in VIEWS or (view == "street" and self.options.street == "none"):
+            raise ValueError(f"this network has no view '{view}'")
+        separate = view == "street" and self.options.street == "separate"
+        return cast(Branch, self.branches["street" if separate else "air"])
+
+
+def copy_weights(source: LpnNetwork, target: LpnNetwork) -> None:
+    """Start ``target`` from a trained network that may differ in its partition alone.
+
+    What the target's partition has and the source's has not keeps its values.
+
+    Raises:
+        ValueError: something else differs.
+    """
+    given, wanted = source.state_dict(), target.state_dict()
+    for name in sorted(given.keys() | wanted.keys()):
+        here, there = given.get(name), wanted.get(name)
+        same = here is not None and there is not None and here.shape == there.shape
+        if not same and ".partition." not in name:
+            raise ValueError(f"the networks differ in more than their partition: '{name}'")
+        if same:
+            wanted[name] = cast(Tensor, here)
+    target.load_state_dict(wanted)
+
+
+def _partition(options: NetworkOptions, channels: int, generator: torch.Generator) -> nn.Module:
+    if options.partition == "soft":
+        return SoftPartition(channels, options.parts, options.soft, generator)
+    if options.partition == "heatmap":
+        return HeatmapPartition(options.parts, options.heatmap, generator)
+    return Rings(options.parts, options.ring_mean)

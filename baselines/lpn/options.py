@@ -1,0 +1,62 @@
+"""What a network can be told, checked once and stored with its weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from baselines.gn_net.options import NO_OTHER_KEYS
+from baselines.lpn.attention import AttentionOptions
+from baselines.lpn.heatmap import HeatmapOptions
+from baselines.lpn.rings import RingMean
+from baselines.lpn.soft_partition import SoftPartitionOptions
+from relocbench.errors import ConfigError
+
+BackboneName = Literal["resnet18", "resnet50"]
+Partition = Literal["rings", "soft", "heatmap"]
+
+
+@dataclass(frozen=True)
+class NetworkOptions:
+    """Shape of the network; the defaults are LPN's.
+
+    Raises:
+        ConfigError: a combination that no network can have.
+    """
+
+    backbone: BackboneName = "resnet50"
+    """``resnet18`` for small sets"""
+    last_stride: Literal[1, 2] = 1
+    """of the last stage; with 1 the last map has a sixteenth of the image's side, 16 x 16 at 256 pixels"""
+    parts: int = 4
+    """P; 1 with rings is the mean over the whole map"""
+    partition: Partition = "rings"
+    ring_mean: RingMean = "square"
+    """``square``: as in the authors' LPN code; ``ring``: the true mean, as in their DWDR code"""
+    soft: SoftPartitionOptions = field(default_factory=SoftPartitionOptions)
+    heatmap: HeatmapOptions = field(default_factory=HeatmapOptions)
+    attention: AttentionOptions = field(default_factory=AttentionOptions)
+    street: Literal["none", "separate", "shared"] = "none"
+    """the street view has weights of its own before the heads, or those of drone and satellite, or there is none"""
+    width: int = 512
+    """D: numbers of a part's embedding"""
+    dropout: float = 0.75
+    """share of the embedding that is dropped before the classifier in training"""
+
+    __pydantic_config__ = NO_OTHER_KEYS
+
+    def __post_init__(self) -> None:
+        if self.backbone not in ("resnet18", "resnet50"):
+            raise ConfigError(f"backbone is '{self.backbone}', expected resnet18 or resnet50")
+        if self.last_stride not in (1, 2):
+            raise ConfigError(f"last_stride is {self.last_stride}, expected 1 or 2")
+        if self.partition not in ("rings", "soft", "heatmap"):
+            raise ConfigError(f"partition is '{self.partition}', expected rings, soft or heatmap")
+        if self.parts < 1 or (self.parts < 2 and self.partition != "rings"):
+            raise ConfigError(f"parts is {self.parts}, expected 1 or more with rings, 2 or more with masks")
+        if self.ring_mean not in ("square", "ring"):
+            raise ConfigError(f"ring_mean is '{self.ring_mean}', expected square or ring")
+        if self.street not in ("none", "separate", "shared"):
+            raise ConfigError(f"street is '{self.street}', expected none, separate or shared")
+        if self.width < 1 or not 0 <= self.dropout < 1:
+            raise ConfigError("width is at least 1, dropout is 0 or more and below 1")
