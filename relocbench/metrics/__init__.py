@@ -1,4 +1,4 @@
-"""Pose errors, curves, summaries and significance. Knows geometry alone and does no I/O."""
+"""Pose errors, retrieval, curves, summaries and significance. Knows geometry alone and does no I/O."""
 
 from relocbench.metrics.block_length import automatic_block_length
 from relocbench.metrics.confidence import PrecisionRecall, precision_recall
@@ -14,6 +14,30 @@ from relocbench.metrics.matching import MatchingQuality, OffsetShare, matching_q
 from relocbench.metrics.pose_errors import PoseErrors, pose_errors
 from relocbench.metrics.radius import Radius, Ratio, radius_of, radius_ratio, success_radius
 from relocbench.metrics.registry import METRICS, Metric, PairScores, metric_named, within
+from relocbench.metrics.retrieval import (
+    PLACE_METRICS,
+    RETRIEVAL_METRICS,
+    Denominator,
+    RetrievalScores,
+    RetrievalSummary,
+    per_group,
+    score_retrieval,
+    summarize_retrieval,
+)
+from relocbench.metrics.retrieval_descriptors import rank_descriptors
+from relocbench.metrics.retrieval_plausibility import (
+    TableCheck,
+    TableFault,
+    check_single_positive_tables,
+    single_positive_fault,
+)
+from relocbench.metrics.retrieval_ranking import NEVER, Ranking, rank_lists, rank_scores
+from relocbench.metrics.retrieval_relevance import (
+    Relevance,
+    relevance_from_labels,
+    relevance_from_lists,
+    relevance_within,
+)
 from relocbench.metrics.significance import (
     Difference,
     Interval,
@@ -26,7 +50,11 @@ from relocbench.metrics.summary import PairSetSummary, Spread, spread_over_seeds
 
 __all__ = [
     "METRICS",
+    "NEVER",
+    "PLACE_METRICS",
+    "RETRIEVAL_METRICS",
     "CumulativeCurve",
+    "Denominator",
     "Difference",
     "Interval",
     "MatchingQuality",
@@ -37,13 +65,20 @@ __all__ = [
     "PoseErrors",
     "PrecisionRecall",
     "Radius",
+    "Ranking",
     "Ratio",
+    "Relevance",
+    "RetrievalScores",
+    "RetrievalSummary",
     "Spread",
+    "TableCheck",
+    "TableFault",
     "align_predictions",
     "answered_pairs",
     "area_shares",
     "automatic_block_length",
     "bootstrap_interval",
+    "check_single_positive_tables",
     "common_block_length",
     "cumulative_curve",
     "infinite_where_failed",
@@ -51,15 +86,25 @@ __all__ = [
     "mean_over_pair_sets",
     "metric_named",
     "paired_difference",
+    "per_group",
     "place_predictions",
     "pose_errors",
     "precision_recall",
     "radius_of",
     "radius_ratio",
+    "rank_descriptors",
+    "rank_lists",
+    "rank_scores",
     "rank_with_ties",
+    "relevance_from_labels",
+    "relevance_from_lists",
+    "relevance_within",
+    "score_retrieval",
+    "single_positive_fault",
     "spread_over_seeds",
     "success_radius",
     "summarize",
+    "summarize_retrieval",
     "totals",
     "within",
 ]

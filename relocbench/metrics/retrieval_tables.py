@@ -1,0 +1,90 @@
+"""Tables as people publish them: the rows of Markdown pages and of CSV files, each with its line."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+_RULE = re.compile(r"\s*\|?\s*:?-+:?\s*(\|\s*:?-+:?\s*)*\|?\s*")
+_CELL_BORDER = re.compile(r"(?<!\\)\|")
+_MARKUP = re.compile(r"[*_`]|</?\w+>")
+_DELIMITERS = ",;\t"
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """One row below the header."""
+
+    line: int
+    """1-based, in the file"""
+    cells: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A header and its rows, without markup and surrounding blanks."""
+
+    line: int
+    """1-based line of the header"""
+    header: tuple[str, ...]
+    rows: tuple[TableRow, ...]
+
+
+def read_tables(text: str) -> tuple[Table, ...]:
+    """All tables of a Markdown page, or the one of a CSV file.
+
+    A text is Markdown if it holds a header with a rule of dashes below it. Tables in fenced blocks are examples and
+    are passed over. CSV may be separated by comma, semicolon or tab; lines that begin with # are comments.
+
+    Returns:
+        empty where there is no table.
+    """
+    lines = text.removeprefix("\ufeff").splitlines()
+    tables = tuple(_markdown_tables(lines))
+    return tables or _csv_table(lines)
+
+
+def _markdown_tables(lines: Sequence[str]) -> Iterator[Table]:
+    number, fenced = 0, False
+    while number < len(lines):
+        fenced ^= lines[number].lstrip().startswith(("```", "~~~"))
+        if fenced or not _is_header(lines, number):
+            number += 1
+            continue
+        first = number
+        number += 2
+        rows = []
+        while number < len(lines) and "|" in lines[number]:
+            rows.append(TableRow(number + 1, _markdown_cells(lines[number])))
+            number += 1
+        yield Table(first + 1, _markdown_cells(lines[first]), tuple(rows))
+
+
+def _is_header(lines: Sequence[str], number: int) -> bool:
+    """Whether a rule of as many cells stands below."""
+    if number + 1 >= len(lines) or "|" not in lines[number] or "|" not in lines[number + 1]:
+        return False
+    rule = lines[number + 1]
+    return bool(_RULE.fullmatch(rule)) and len(_markdown_cells(rule)) == len(_markdown_cells(lines[number]))
+
+
+def _markdown_cells(line: str) -> tuple[str, ...]:
+    inner = line.strip().removeprefix("|")
+    if inner.endswith("|") and not inner.endswith("\\|"):
+        inner = inner[:-1]
+    return tuple(_MARKUP.sub("", cell.replace("\\|", "|")).strip() for cell in _CELL_BORDER.split(inner))
+
+
+def _csv_table(lines: Sequence[str]) -> tuple[Table, ...]:
+    filled = [(n, line) for n, line in enumerate(lines, start=1) if line.strip() and not line.startswith("#")]
+    if not filled:
+        return ()
+    header = filled[0][1]
+    delimiter = max(_DELIMITERS, key=header.count)
+    reader = csv.reader((line for _, line in filled), delimiter=delimiter, skipinitialspace=True)
+    rows = []
+    for cells in reader:  # a quoted cell may go over several lines: a row stands where it ends
+        rows.append(TableRow(filled[reader.line_num - 1][0], tuple(cell.strip() for cell in cells)))
+    return (Table(rows[0].line, rows[0].cells, tuple(rows[1:])),)
