@@ -79,7 +79,7 @@ class RetrievalScores:
         """
         recall = _RECALL.fullmatch(metric)
         if recall is not None:
-            return (self.first < int(recall[1])).astype(np.float64)
+            return ((self.first != NEVER) & (self.first < int(recall[1]))).astype(np.float64)
         match metric:
             case "R@top1%":
                 return (self.first <= self.top1_index).astype(np.float64)

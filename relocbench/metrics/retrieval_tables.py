@@ -83,8 +83,8 @@ def _csv_table(lines: Sequence[str]) -> tuple[Table, ...]:
         return ()
     header = filled[0][1]
     delimiter = max(_DELIMITERS, key=header.count)
-    reader = csv.reader((line for _, line in filled), delimiter=delimiter, skipinitialspace=True)
+    reader = csv.reader((line + "\n" for _, line in filled), delimiter=delimiter, skipinitialspace=True)
     rows = []
     for cells in reader:  # a quoted cell may go over several lines: a row stands where it ends
-        rows.append(TableRow(filled[reader.line_num - 1][0], tuple(cell.strip() for cell in cells)))
+        rows.append(TableRow(filled[reader.line_num - 1][0], tuple(" ".join(cell.split()) for cell in cells)))
     return (Table(rows[0].line, rows[0].cells, tuple(rows[1:])),)
