@@ -10,7 +10,6 @@ sum is at most ``|a_q| |b_g| <= 16/9 2^52 < 2^53`` (Cauchy-Schwarz). For vectors
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -26,6 +25,8 @@ QUERY_BLOCK = 1024
 GALLERY_BLOCK = 2048
 _BITS = 26
 _LARGEST_EXPONENT = 1000
+_CACHED = 128
+"""rows that stay in a processor's cache while their norms are taken"""
 
 
 def rank_descriptors(
@@ -63,7 +64,7 @@ def rank_descriptors(
     if query_block < 1 or gallery_block < 1:
         raise ValueError(f"blocks must hold at least one row, got {query_block} and {gallery_block}")
 
-    query_norms, gallery_norms = _norms(of_queries, query_block), _norms(of_gallery, gallery_block)
+    query_norms, gallery_norms = _norms(of_queries), _norms(of_gallery)
     live = np.flatnonzero(~relevance.junk & np.isfinite(gallery_norms))
     scale = float(_scales(np.array([gallery_norms[live].max(initial=0.0)]))[0])
     known = np.zeros(relevance.gallery, dtype=bool)
@@ -105,13 +106,13 @@ def _scales(norms: Array) -> Array:
     return np.ldexp(1.0, np.clip(exponents, -_LARGEST_EXPONENT, _LARGEST_EXPONENT))
 
 
-def _norms(rows: NDArray[Any], block: int) -> Array:
+def _norms(rows: NDArray[Any]) -> Array:
     """(n,) float64; NaN or inf where a row is not finite."""
     norms = np.empty(len(rows))
-    for start in range(0, len(rows), block):
-        chunk = np.array(rows[start : start + block], dtype=np.float64, order="C")
+    for start in range(0, len(rows), _CACHED):
+        chunk = np.array(rows[start : start + _CACHED], dtype=np.float64, order="C")
         with np.errstate(over="ignore", invalid="ignore"):
-            norms[start : start + block] = [math.sqrt(s) for s in np.einsum("ij,ij->i", chunk, chunk)]
+            norms[start : start + _CACHED] = np.sqrt(np.einsum("ij,ij->i", chunk, chunk))
     return norms
 
 
