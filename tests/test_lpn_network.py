@@ -182,12 +182,13 @@ def test_attention_acts_after_the_stages_that_are_named() -> None:
         plain.eval()
         x3 = plain.branch("drone").backbone.to_layer3((images - branch.mean) / branch.deviation)
         found = branch.last_map(images)
+        given_to = dict(zip(after, list(seen), strict=True))
         if "layer3" in after:
-            assert torch.equal(seen[0], x3)
+            assert torch.equal(given_to["layer3"], x3)
             x3 = cast(Tensor, branch.attention["layer3"](x3))
         x4 = plain.branch("drone").backbone.to_layer4(x3)
         if "layer4" in after:
-            assert torch.equal(seen[-1], x4)
+            assert torch.equal(given_to["layer4"], x4)
             x4 = cast(Tensor, branch.attention["layer4"](x4))
         assert torch.equal(found, x4)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -55,7 +56,8 @@ def _read(path: Path) -> Mapping[str, Tensor]:
         except (SafetensorError, OSError) as bad:
             raise MethodError(f"not a readable safetensors file, damaged or cut short ({bad})", path) from bad
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings(action="ignore"):  # of a file that is refused anyway
+            content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as bad:  # what unpickling raises on foreign bytes is not listed anywhere
         expected = "expected a state dict, saved by torch.save or as .safetensors"
         raise MethodError(f"not a readable file of weights: {expected}", path) from bad

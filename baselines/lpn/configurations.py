@@ -1,7 +1,8 @@
 """The systems by name: those of the log that compares improvements of LPN, and what they are read against.
 
-``logged`` is what the log reports for drone -> satellite on University-1652 with ResNet-50 (R@1 and AP, percent). It is
-there to be compared with, and nothing here depends on it. Re-runs of LPN scatter by about 0.3 R@1.
+``logged`` is what the log reports (for ``lpn-dwdr``: what is published) for drone -> satellite on University-1652 with
+ResNet-50, R@1 and AP in percent. It is there to be compared with, and nothing here depends on it. Re-runs of LPN
+scatter by about 0.3 R@1.
 """
 
 from __future__ import annotations

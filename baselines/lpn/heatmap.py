@@ -4,8 +4,8 @@
 
 h has one channel, so that a mask knows how lively the surroundings are and, by the zeros outside the map, how near the
 border is. Width and sizes of both convolutions are not published; 16 channels and 3 x 3 pixels are our own choice. The
-sum over 2048 channels is in the hundreds and the first softmax is then close to one-hot; ``heat = "mean"`` divides by
-the number of channels, which is our own alternative.
+sum over 2048 channels is 2048 times their mean, and makes the first softmax close to one-hot; ``heat = "mean"`` divides
+by the number of channels, which is our own alternative.
 """
 
 from __future__ import annotations
