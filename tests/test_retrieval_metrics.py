@@ -122,12 +122,14 @@ def test_top_one_percent_is_the_rounded_hundredth_counted_from_zero(gallery: int
 
 
 @given(st.sets(st.integers(0, 59), min_size=1), st.integers(60, 80))
+@settings(deadline=None)
 def test_average_precision_is_the_area_that_the_oxford_loop_adds_up(places: set[int], gallery: int) -> None:
     ranked = [place in places for place in range(gallery)]
     assert at(sorted(places)).average_precision[0] == pytest.approx(oxford_ap(ranked, len(places)), abs=1e-12)
 
 
 @given(st.lists(st.integers(0, 5000), min_size=1, max_size=50))
+@settings(deadline=None)
 def test_with_one_positive_ap_is_the_mean_of_recall_at_1_and_mrr(places: list[int]) -> None:
     scores = at(*([place] for place in places))
     half = (scores.per_query("R@1") + scores.per_query("MRR")) / 2
@@ -139,6 +141,7 @@ def test_with_one_positive_ap_is_the_mean_of_recall_at_1_and_mrr(places: list[in
 
 
 @given(st.lists(st.sets(st.integers(0, 30), max_size=6), min_size=1, max_size=8))
+@settings(deadline=None)
 def test_every_metric_is_a_share_and_trapezoids_are_not_above_rectangles(places: list[set[int]]) -> None:
     scores = at(*(sorted(p) for p in places))
     for metric in ("R@1", "R@5", "R@top1%", "AP", "AP_rectangle", "MRR"):
@@ -192,6 +195,7 @@ def test_labels_make_positives_and_junk_is_nobodys() -> None:
 
 
 @given(seeds)
+@settings(deadline=None)
 def test_positions_from_scores_are_those_of_sorting_everything(seed: int) -> None:
     scores, relevance = drawn_case(seed)
     assert positions(rank_scores(scores, relevance)) == by_sorting(scores, relevance)
@@ -199,6 +203,7 @@ def test_positions_from_scores_are_those_of_sorting_everything(seed: int) -> Non
 
 
 @given(seeds)
+@settings(deadline=None)
 def test_positions_from_lists_are_those_of_the_scores_that_sort_them(seed: int) -> None:
     scores, relevance = drawn_case(seed)
     apart = np.random.default_rng(seed).permuted(np.tile(np.arange(relevance.gallery), (len(scores), 1)), axis=1)
@@ -207,6 +212,7 @@ def test_positions_from_lists_are_those_of_the_scores_that_sort_them(seed: int) 
 
 
 @given(seeds)
+@settings(deadline=None)
 def test_the_order_of_the_gallery_does_not_matter_not_even_among_equals(seed: int) -> None:
     scores, relevance = drawn_case(seed, values=3)
     order = np.random.default_rng(seed).permutation(relevance.gallery)
@@ -218,6 +224,7 @@ def test_the_order_of_the_gallery_does_not_matter_not_even_among_equals(seed: in
 
 
 @given(seeds)
+@settings(deadline=None)
 def test_only_the_order_of_the_scores_matters(seed: int) -> None:
     scores, relevance = drawn_case(seed)
     expected = positions(rank_scores(scores, relevance))
@@ -226,6 +233,7 @@ def test_only_the_order_of_the_scores_matters(seed: int) -> None:
 
 
 @given(seeds)
+@settings(deadline=None)
 def test_junk_is_as_if_it_were_not_there(seed: int) -> None:
     scores, relevance = drawn_case(seed)
     kept = np.flatnonzero(~relevance.junk)
@@ -282,7 +290,7 @@ def test_a_list_of_something_else_is_refused(ranked: list[float], message: str) 
 
 
 @given(seeds, st.integers(1, 7), st.integers(1, 50))
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 def test_descriptors_rank_as_their_exact_products_do(seed: int, query_block: int, gallery_block: int) -> None:
     rng = np.random.default_rng(seed)
     _, relevance = drawn_case(seed)
@@ -306,7 +314,7 @@ def near_ties(seed: int, size: int = 96) -> tuple[NDArray[np.float32], NDArray[n
 
 
 @given(seeds, st.integers(1, 12), st.integers(1, 160))
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 def test_blocks_change_nothing_where_float32_cannot_tell_images_apart(seed: int, rows: int, columns: int) -> None:
     query, gallery, relevance = near_ties(seed)
     expected = positions(rank_descriptors(query, gallery, relevance))
@@ -317,7 +325,7 @@ def test_blocks_change_nothing_where_float32_cannot_tell_images_apart(seed: int,
 
 
 @given(seeds)
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 def test_the_order_of_the_gallery_and_of_the_numbers_changes_nothing(seed: int) -> None:
     query, gallery, relevance = near_ties(seed)
     rng = np.random.default_rng(seed)
@@ -444,6 +452,7 @@ def test_a_heading_limit_is_taken_around_the_circle_and_the_limit_is_within() ->
 
 
 @given(seeds, st.sampled_from([0.0, 3.0, 25.0]), st.sampled_from([None, 30.0]))
+@settings(deadline=None)
 def test_places_are_those_that_comparing_all_with_all_finds(seed: int, radius: float, limit: float | None) -> None:
     rng = np.random.default_rng(seed)
     # Whole metres, far from the origin: many stand exactly at the radius.
@@ -488,6 +497,7 @@ def test_positions_and_headings_that_make_no_place_are_refused() -> None:
 
 
 @given(seeds)
+@settings(deadline=None)
 def test_values_of_groups_have_the_mean_of_their_queries(seed: int) -> None:
     rng = np.random.default_rng(seed)
     values, groups = rng.random(50), rng.integers(0, 9, 50)

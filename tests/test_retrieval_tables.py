@@ -8,7 +8,7 @@ from decimal import Decimal
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from relocbench.errors import RelocbenchError
@@ -123,6 +123,7 @@ def test_bounds_allow_for_what_rounding_took(recall: str, ap: str, fault: str | 
     st.integers(0, 4),
     st.integers(0, 4),
 )
+@settings(deadline=None)
 def test_true_rows_pass_however_they_are_rounded(places: list[int], of_recall: int, of_ap: int) -> None:
     n = len(places)
     recall = Decimal(100 * sum(place == 0 for place in places)) / n
@@ -132,6 +133,7 @@ def test_true_rows_pass_however_they_are_rounded(places: list[int], of_recall: i
 
 
 @given(st.decimals(0, 100, places=2), st.decimals(0, 100, places=2))
+@settings(deadline=None)
 def test_a_row_fails_exactly_where_no_true_row_rounds_to_it(recall: Decimal, ap: Decimal) -> None:
     half = Decimal("0.005")
     possible = ap + half >= recall - half and ap - half <= min(Decimal(100), 25 + (recall + half) * 3 / 4)
