@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 CARLA = ("WetNoon", "SoftRainNoon", "WetCloudySunset")
 OTHERS = ("Sunny", "Overcast", "Rain", "Snow", "Night", "Fog")
 METRICS = ("t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)")
-METHODS = ("identity", "dso", "orb-pnp", "gn-net-contrastive", "lm-net", "gn-net")
+METHODS = ("identity", "dso", "orb-pnp", "gn-net-contrastive", "gn-net")
 SUBJECT = "gn-net"
 _HEAD = """# Across weathers
 

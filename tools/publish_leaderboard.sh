@@ -17,12 +17,13 @@ by="CC BY 4.0 (TUM RGB-D)"
 relocbench build-dataset kitti "$kitti" --sequence 06 --pair-step 1,2,4,8 --licence "$by_nc" --out "$scratch/kitti_06" -q
 relocbench build-dataset tum-rgbd "$xyz" --pair-step 1,2,4 --name fr1_xyz --licence "$by" --out "$scratch/fr1_xyz" -q
 relocbench build-dataset tum-rgbd "$xyz" "$desk" --name fr1_xyz_to_desk --licence "$by" --out "$scratch/fr1_xyz_to_desk" -q
-relocbench build-dataset scene --out "$scratch/scene" -q
+relocbench build-dataset synthetic --preset demo --name town_demo --out "$scratch/town_demo" -q
 
-for dataset in kitti_06 fr1_xyz fr1_xyz_to_desk scene; do
+for dataset in kitti_06 fr1_xyz fr1_xyz_to_desk town_demo; do
   relocbench evaluate -d "$scratch/$dataset" --out "$scratch/results" --workers 1 --overwrite always --matching -q \
     -m identity -m orb-pnp -m sift-pnp -m dso -m dso-full-cutoff=dso --set dso-full-cutoff.cutoff_levels=16 \
-    -m dso-multistart
+    -m dso-multistart -m gn-net -m gn-net-from-prior=gn-net --set gn-net-from-prior.matched_start=false \
+    -m gn-net-contrastive
 done
 rm -rf leaderboard/curves leaderboard/*.csv leaderboard/leaderboard.md
 relocbench leaderboard "$scratch/results" --out leaderboard

@@ -31,7 +31,7 @@ class StartSettings:
     """of the feature maps, counted from the finest"""
     points: int = 600
     """at most so many of the reference's are matched"""
-    threshold: float = 1.5
+    threshold: float = 2.5
     """pixels of the level; what RANSAC holds for agreement"""
     iterations: int = 1000
     """of RANSAC, at most"""
@@ -71,26 +71,24 @@ def _mutually_nearest(values: NDArray[np.float32], level_map: NDArray[np.float32
     """Rows of ``values`` (N, D) that are the nearest to the pixel of the map (H, W, D) nearest to them, and where.
 
     Returns:
-        (M,) rows and (M, 2) pixels, to fractions by a parabola through the distances to the neighbouring pixels.
+        (M,) rows and (M, 2) pixels, to fractions by a parabola through the squared distances to the neighbours.
     """
     height, width, channels = level_map.shape
     flat = level_map.reshape(-1, channels)
-    squared = np.sum(flat**2, axis=1) - 2.0 * values @ flat.T + np.sum(values**2, axis=1)[:, None]
-    nearest = np.argmin(squared, axis=1)
-    rows = np.arange(len(values))
-    mutual = np.flatnonzero(np.argmin(squared[:, nearest], axis=0) == rows)
+    # -||f - g||^2 less -||f||^2, which is the same for all pixels g, as one product: 2 f g - ||g||^2.
+    likeness = np.c_[2.0 * values, np.full(len(values), -1.0, np.float32)] @ np.c_[flat, np.sum(flat**2, axis=1)].T
+    nearest = np.argmax(likeness, axis=1)
+    own = np.sum(values**2, axis=1)[:, None]
+    mutual = np.flatnonzero(np.argmax(likeness[:, nearest] - own, axis=0) == np.arange(len(values)))
     v, u = np.divmod(nearest[mutual], width)
-    table = squared[mutual].reshape(-1, height, width)
-    at = np.arange(len(mutual))
 
-    def off(low: NDArray[np.float32], high: NDArray[np.float32]) -> Array:
-        middle = table[at, v, u]
-        bend = np.asarray(low - 2.0 * middle + high, dtype=np.float64)
-        slope = np.asarray(low - high, dtype=np.float64)
-        return np.clip(np.divide(0.5 * slope, bend, out=np.zeros_like(bend), where=bend > 0), -0.5, 0.5)
+    def peak(place: NDArray[np.intp], step: int, side: int) -> Array:
+        """Offset along one side, from the likeness one pixel before, at and after the nearest one."""
+        inside = (place > 0) & (place < side - 1)
+        at = nearest[mutual]
+        before, middle, after = (likeness[mutual, at + k * step * inside].astype(np.float64) for k in (-1, 0, 1))
+        bend = 2.0 * middle - before - after
+        off = np.divide(0.5 * (after - before), bend, out=np.zeros_like(bend), where=bend > 0)
+        return np.asarray(np.clip(off, -0.5, 0.5), dtype=np.float64)
 
-    across = off(table[at, v, np.maximum(u - 1, 0)], table[at, v, np.minimum(u + 1, width - 1)])
-    along = off(table[at, np.maximum(v - 1, 0), u], table[at, np.minimum(v + 1, height - 1), u])
-    across[(u == 0) | (u == width - 1)] = 0.0
-    along[(v == 0) | (v == height - 1)] = 0.0
-    return mutual, np.stack([u + across, v + along], axis=1).astype(np.float64)
+    return mutual, np.stack([u + peak(u, 1, width), v + peak(v, width, height)], axis=1).astype(np.float64)
