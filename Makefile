@@ -13,7 +13,7 @@ $(VENV)/.ready: tools/setup.sh constraints.txt pyproject.toml
 	VENV=$(VENV) tools/setup.sh
 
 test: setup      ## the test suite, quick ones first
-	$(RUN)/python -m pytest -q -n 2 --dist loadfile
+	OMP_NUM_THREADS=1 $(RUN)/python -m pytest -q -n 2 --dist loadfile
 
 lint: setup      ## style, types, import rules
 	$(RUN)/ruff check .

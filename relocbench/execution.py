@@ -29,6 +29,8 @@ _THREAD_VARIABLES = (
     "NUMBA_NUM_THREADS",
     "OPENCV_FOR_THREADS_NUM",
 )
+SCHEDULER_TIMEOUT = "10s"
+"""how long a Dask scheduler may take to answer"""
 _IN_FLIGHT_PER_WORKER = 2
 _TRIES = 2
 
@@ -202,7 +204,7 @@ def _run_on_cluster(
     except ImportError:
         raise ConfigError("--scheduler needs the optional extra: pip install 'relocbench[cluster]'") from None
     try:
-        client = Client(scheduler, timeout="10s")
+        client = Client(scheduler, timeout=SCHEDULER_TIMEOUT)
     except (OSError, TimeoutError, ValueError) as bad:
         raise ConfigError(f"no Dask scheduler answers at {scheduler} ({bad})") from None
     with client:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from relocbench import execution
 from relocbench.errors import ConfigError, DatasetError, RelocbenchError
 from relocbench.execution import chunks, run_units
 
@@ -87,7 +88,8 @@ def test_only_a_bounded_number_of_units_is_in_flight(tmp_path: Path) -> None:
         assert started <= seen + 2 * 2 + 2
 
 
-def test_no_scheduler_is_one_clear_line() -> None:
+def test_no_scheduler_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(execution, "SCHEDULER_TIMEOUT", "1s")
     with pytest.raises(ConfigError, match="no Dask scheduler answers at"):
         list(run_units(square, [1, 2], scheduler="tcp://127.0.0.1:9"))
 
