@@ -2,10 +2,10 @@ VENV ?= .venv
 RUN := $(VENV)/bin
 RECORDINGS ?= ../shared/data
 
-.PHONY: help setup test lint format demo bench docs leaderboard constraints clean
+.PHONY: help setup test lint format demo bench docs leaderboard leaderboard-weather constraints clean
 
 help:            ## list the targets
-	@grep -hE '^[a-z]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 16
+	@grep -hE '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 24
 
 setup: $(VENV)/.ready ## virtual environment, pinned packages, the one system library
 
@@ -37,6 +37,9 @@ docs: setup      ## check links and commands of docs/ and README.md, build the p
 
 leaderboard: setup ## make the published results again (RECORDINGS=folder of kitti_odometry/ and tum_rgbd/)
 	tools/publish_leaderboard.sh $(RECORDINGS)
+
+leaderboard-weather: setup ## make the published results across weathers again (renders and evaluates for hours)
+	$(RUN)/python benchmarks/cross_weather.py --out leaderboard/weather
 
 constraints: setup ## pin the newest versions that fit
 	$(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --extra registration --upgrade --generate-hashes \

@@ -2,8 +2,8 @@
 
 In each of three districts that no training saw (test split, ``--seeds``) two datasets are rendered: the three weathers
 of CARLA's half of the GN-Net benchmark, each asking each (nine combinations), and six more conditions that all ask a
-``WetNoon`` map. Six cameras, 512x512 pixels, pairs about 1.6 m apart. ``relocbench evaluate`` runs every method,
-``relocbench leaderboard`` gives the errors of every pair, and the claims are printed here and written to ``--out``:
+``WetNoon`` map. Six cameras, 512x512 pixels, pairs about 1.6 m apart. ``relocbench evaluate`` runs every method; what
+is claimed of its errors is printed here and written to ``--out``:
 
 - across conditions together, for each combination, and within a condition: the difference to each other method with
   its 95 % interval.
@@ -35,6 +35,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from relocbench.evaluation.results import all_results, read_errors
 from relocbench.metrics import Difference, PoseErrors, metric_named, paired_difference
 
 Array = NDArray[np.float64]
@@ -88,10 +89,8 @@ def main() -> None:
             settings = [word for setting in options.settings for word in ("--set", setting)]
             results = "--out", scratch / "results", "--split", options.split, "-j", options.workers, "-q"
             _run("evaluate", "-d", dataset, *results, *methods, *settings)
-        board = scratch / "leaderboard"
-        _run("leaderboard", scratch / "results", "--out", board, "--no-plots", "-q")
-        rows = _scored(pd.read_csv(board / "errors.csv", float_precision="round_trip", dtype={"group": str}))
-    methods = list(dict.fromkeys(method.split("=")[0] for method in options.methods))
+        methods = list(dict.fromkeys(method.split("=")[0] for method in options.methods))
+        rows = _scored(_errors(scratch / "results", methods))
     together, single = _groups(rows)
     tables = "\n".join(_tables(together, single, methods))
     print(tables)
@@ -136,6 +135,30 @@ def _build(scratch: Path, options: argparse.Namespace) -> list[Path]:
 def _run(*words: object) -> None:
     """A command of relocbench; what it complains about goes through."""
     subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True)
+
+
+def _errors(results: Path, methods: Sequence[str]) -> pd.DataFrame:
+    """One row a dataset, pair set, method and pair."""
+    rows = []
+    for folder in all_results(results):
+        for method in folder.methods():
+            if method.label not in methods:
+                continue
+            for pair_set in folder.record.pair_sets:
+                about = {"dataset": folder.record.name, "pair_set": pair_set, "method": method.label}
+                for pair in read_errors(method.errors(pair_set)):
+                    ref_timestamp_ns, query_timestamp_ns = pair.key
+                    rows.append(
+                        {
+                            **about,
+                            "ref_timestamp_ns": ref_timestamp_ns,
+                            "query_timestamp_ns": query_timestamp_ns,
+                            "rotation_error_deg": pair.rotation_error_deg,
+                            "translation_error_m": pair.translation_error_m,
+                            "mlad_translation_error_m": pair.mlad_translation_error_m,
+                        }
+                    )
+    return pd.DataFrame(rows)
 
 
 def _scored(errors: pd.DataFrame) -> pd.DataFrame:
