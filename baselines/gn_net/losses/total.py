@@ -36,11 +36,11 @@ class LossOptions:
     """
 
     contrastive: ContrastiveOptions = field(default_factory=ContrastiveOptions)
-    infonce: InfoNceOptions = field(default_factory=InfoNceOptions)
     gauss_newton: GaussNewtonOptions = field(default_factory=GaussNewtonOptions)
     descent: DescentOptions = field(default_factory=DescentOptions)
     level_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     """finest first; as many as the network has levels"""
+    infonce: InfoNceOptions = field(default_factory=InfoNceOptions)
 
     __pydantic_config__ = NO_OTHER_KEYS
 
@@ -59,8 +59,8 @@ class LossValue(NamedTuple):
     """scalar"""
     parts: dict[str, Tensor]
     """by ``level/part``, scalars without derivatives, before weights: ``positive``, ``negative``, ``e1``, ``e2``,
-    ``infonce``, ``found`` (share of points),
-    ``near_singular`` (share of points), ``descent``, ``nearer`` (share of points), ``points`` (that counted)"""
+    ``near_singular`` (share of points), ``infonce``, ``found`` (share of points), ``descent``, ``nearer`` (share of
+    points), ``points`` (that counted)"""
 
 
 def total_loss(
