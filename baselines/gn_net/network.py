@@ -6,7 +6,7 @@ reference and query go through the same weights):
     stem      the 2^f x 2^f pixels that one of level f covers become its channels
     encoder   stage 0: 3x3, 3x3    stage k: 2x2 mean, 3x3, 3x3
     decoder   stage n: as encoded   stage k: 1x1 of the coarser one, doubled, plus the encoder's stage k, 3x3
-    head      1x1 to D at each stage
+    head      1x1 to D at each of the finest stages, as many as there are levels
 
 Nothing moves a feature against its pixel: convolutions are odd and centred, halving is the mean of 2x2 pixels, doubling
 is bilinear about the same centres. Stage k is level l = f + k, and its pixel i sits at pixel 2^l (i + 0.5) - 0.5 of the
