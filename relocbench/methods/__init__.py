@@ -2,11 +2,16 @@
 
 from relocbench.methods.discovery import (
     ENTRY_POINT_GROUP,
+    KINDS,
+    RETRIEVERS,
     SUBPROCESS,
+    TRACKERS,
+    MethodKind,
     MethodSpec,
     Parameter,
     distribution_version,
     installed_methods,
+    kind_of,
     method_class,
     parameters_of,
     parse_method,
@@ -15,11 +20,16 @@ from relocbench.methods.discovery import (
 
 __all__ = [
     "ENTRY_POINT_GROUP",
+    "KINDS",
+    "RETRIEVERS",
     "SUBPROCESS",
+    "TRACKERS",
+    "MethodKind",
     "MethodSpec",
     "Parameter",
     "distribution_version",
     "installed_methods",
+    "kind_of",
     "method_class",
     "parameters_of",
     "parse_method",

@@ -2,9 +2,10 @@
 
 A method is named by
 
-- an entry point of the group ``relocbench.methods`` (``orb-pnp``),
+- an entry point (``orb-pnp``): of the group ``relocbench.methods`` where trackers are asked for, of
+  ``relocbench.retrievers`` where retrievers are,
 - a dotted path to a class (``mypackage.trackers:MyTracker``),
-- a command line that speaks the line protocol (``subprocess:./my_tracker --fast``),
+- for trackers, a command line that speaks the line protocol (``subprocess:./my_tracker --fast``),
 
 each with an optional label in front that results are kept under (``dso-fast=dso``).
 """
@@ -31,19 +32,43 @@ SUBPROCESS = "subprocess:"
 
 
 @dataclass(frozen=True)
+class MethodKind:
+    """What is asked of a method: trackers and retrievers are found and configured alike."""
+
+    noun: str
+    """as messages call it"""
+    made: str
+    """what it makes, with its article"""
+    group: str
+    """entry-point group"""
+    call: str
+    """the function that it must have"""
+    task: str
+    """of ``relocbench evaluate --task``"""
+    programs: bool
+    """whether a program of its own can be one"""
+
+
+TRACKERS = MethodKind("method", "a tracker", ENTRY_POINT_GROUP, "track", "tracking", programs=True)
+RETRIEVERS = MethodKind("retriever", "a retriever", "relocbench.retrievers", "describe", "retrieval", programs=False)
+KINDS = (TRACKERS, RETRIEVERS)
+
+
+@dataclass(frozen=True)
 class MethodSpec:
-    """A method with its label and parameters: picklable, so that a worker can build the tracker itself."""
+    """A method with its label and parameters: picklable, so that a worker can build it itself."""
 
     label: str
     target: str
     """entry point, dotted path or ``subprocess:COMMAND``"""
     parameters: Mapping[str, Any] = field(default_factory=dict)
     """all of them, defaults included, as plain values"""
+    kind: MethodKind = TRACKERS
 
     def create(self) -> Any:
-        """The tracker, constructed. Raises MethodError."""
-        factory = method_class(self.target)
-        return of_theirs(f"method '{self.label}' cannot be made", lambda: factory(**self.parameters))
+        """The tracker or retriever, constructed. Raises MethodError."""
+        factory = method_class(self.target, self.kind)
+        return of_theirs(f"{self.kind.noun} '{self.label}' cannot be made", lambda: factory(**self.parameters))
 
 
 @dataclass(frozen=True)
@@ -64,21 +89,23 @@ class Parameter:
         return inspect.formatannotation(getattr(self.annotation, "__origin__", self.annotation)).replace("typing.", "")
 
 
-def installed_methods() -> dict[str, metadata.EntryPoint]:
-    """Name -> entry point of every installed method, sorted by name; nothing is imported."""
-    return offered(ENTRY_POINT_GROUP, "method")
+def installed_methods(kind: MethodKind = TRACKERS) -> dict[str, metadata.EntryPoint]:
+    """Name -> entry point of every installed method of a kind, sorted by name; nothing is imported."""
+    return offered(kind.group, kind.noun)
 
 
-def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0) -> MethodSpec:
+def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0, kind: MethodKind = TRACKERS) -> MethodSpec:
     """A method from ``[LABEL=]TARGET`` and ``key=value`` or ``LABEL.key=value`` settings.
 
     Settings meant for another label are passed over. A parameter called ``seed`` gets ``seed`` unless it is set.
 
     Raises:
-        MethodError: unknown method, unknown parameter, a value of the wrong type, a parameter that must be given.
+        MethodError: unknown method, one of another kind, unknown parameter, a value of the wrong type, a parameter
+            that must be given.
     """
-    label, target = _split_label(text)
-    known = {p.name: p for p in parameters_of(target)}
+    label, target = _split_label(text, kind)
+    known = {p.name: p for p in parameters_of(target, kind)}
+    noun = kind.noun
     chosen: dict[str, Any] = {}
     for setting in settings:
         key, separator, value = setting.partition("=")
@@ -90,56 +117,78 @@ def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0) -> Meth
         name = rest if dot else key
         if name not in known:
             have = ", ".join(known) or "none"
-            raise MethodError(f"method '{label}' has no parameter '{name}'{hint(name, known)}; it has: {have}")
-        chosen[name] = _validated(label, known[name], yaml.safe_load(value) if value else "", value)
+            raise MethodError(f"{noun} '{label}' has no parameter '{name}'{hint(name, known)}; it has: {have}")
+        chosen[name] = _validated(f"{noun} '{label}'", known[name], yaml.safe_load(value) if value else "", value)
     if "seed" in known:
         chosen.setdefault("seed", seed)
     for name, parameter in known.items():
         if name not in chosen and parameter.required:
-            raise MethodError(f"method '{label}' needs its parameter '{name}': --set {label}.{name}=VALUE")
+            raise MethodError(f"{noun} '{label}' needs its parameter '{name}': --set {label}.{name}=VALUE")
         chosen.setdefault(name, parameter.default)
-    return MethodSpec(label, target, {name: chosen[name] for name in known})
+    return MethodSpec(label, target, {name: chosen[name] for name in known}, kind)
 
 
-def parse_methods(texts: Sequence[str], settings: Sequence[str] = (), seed: int = 0) -> list[MethodSpec]:
+def parse_methods(
+    texts: Sequence[str], settings: Sequence[str] = (), seed: int = 0, kind: MethodKind = TRACKERS
+) -> list[MethodSpec]:
     """Several methods with one list of settings.
 
     Raises:
         MethodError: as :func:`parse_method`; also two methods of one label, or a setting for a label that is not
             among them.
     """
-    specs = [parse_method(text, settings, seed) for text in texts]
+    specs = [parse_method(text, settings, seed, kind) for text in texts]
     labels = [spec.label for spec in specs]
     for label in labels:
         if labels.count(label) > 1:
-            raise MethodError(f"two methods are called '{label}'; give one a label of its own: LABEL={label}")
+            raise MethodError(f"two {kind.noun}s are called '{label}'; give one a label of its own: LABEL={label}")
     for setting in settings:
         prefix, dot, _ = setting.partition("=")[0].rpartition(".")
         if dot and prefix not in labels:
-            raise MethodError(f"--set {setting}: no method '{prefix}' in this run; there is {', '.join(labels)}")
+            raise MethodError(f"--set {setting}: no {kind.noun} '{prefix}' in this run; there is {', '.join(labels)}")
     return specs
 
 
-def method_class(target: str) -> Any:
-    """What is called with the parameters to get a tracker. Raises MethodError."""
+def method_class(target: str, kind: MethodKind = TRACKERS) -> Any:
+    """What is called with the parameters to get a tracker or retriever. Raises MethodError."""
     if target.startswith(SUBPROCESS):
+        if not kind.programs:
+            raise MethodError(f"'{target}': a program cannot be {kind.made}; score what it wrote with --predictions")
         from relocbench.methods.subprocess_tracker import subprocess_tracker
 
         return subprocess_tracker(target.removeprefix(SUBPROCESS))
     if ":" in target:
-        return _load_class(target)
-    points = installed_methods()
+        return _load_class(target, kind)
+    points = installed_methods(kind)
     if target not in points:
+        for other in KINDS:
+            if other is not kind and target in installed_methods(other):
+                raise MethodError(f"'{target}' is {other.made}, not {kind.made}; ask it with --task {other.task}")
+        program = ", or a program as subprocess:COMMAND" if kind.programs else ""
         raise MethodError(
-            f"no method '{target}'{hint(target, points)}; installed: {', '.join(points) or 'none'} "
-            "(or name a class as package.module:Class, or a program as subprocess:COMMAND)"
+            f"no {kind.noun} '{target}'{hint(target, points)}; installed: {', '.join(points) or 'none'} "
+            f"(or name a class as package.module:Class{program})"
         )
-    return _load_class(points[target].value)
+    return _load_class(points[target].value, kind)
 
 
-def parameters_of(target: str) -> list[Parameter]:
+def kind_of(target: str) -> MethodKind:
+    """Whether a target is a tracker or a retriever; a tracker where both go by the name, or neither.
+
+    Raises:
+        MethodError: a class cannot be imported.
+    """
+    if ":" in target and not target.startswith(SUBPROCESS):
+        found = load_dotted(target, "method")
+        fitting = [kind for kind in KINDS if callable(getattr(found, kind.call, None))]
+    else:
+        fitting = [kind for kind in KINDS if target in installed_methods(kind)]
+    return fitting[0] if fitting else TRACKERS
+
+
+def parameters_of(target: str, kind: MethodKind = TRACKERS) -> list[Parameter]:
     """The parameters of a method, in the order of its constructor. Raises MethodError."""
-    factory = method_class(target)
+    factory = method_class(target, kind)
     signature = inspect.signature(factory)
     function = factory.__init__ if inspect.isclass(factory) else factory
     try:
@@ -154,9 +203,9 @@ def parameters_of(target: str) -> list[Parameter]:
     return out
 
 
-def distribution_version(target: str) -> str:
+def distribution_version(target: str, kind: MethodKind = TRACKERS) -> str:
     """``name version`` of the package that offers the method, as far as it can be known."""
-    point = installed_methods().get(target)
+    point = installed_methods(kind).get(target)
     if point is not None and point.dist is not None:
         return f"{point.dist.name} {point.dist.version}"
     top = target.removeprefix(SUBPROCESS).split(":")[0].split(".")[0]
@@ -164,7 +213,7 @@ def distribution_version(target: str) -> str:
     return f"{owners[0]} {metadata.version(owners[0])}" if owners else "unknown"
 
 
-def _split_label(text: str) -> tuple[str, str]:
+def _split_label(text: str, kind: MethodKind) -> tuple[str, str]:
     label, separator, target = text.partition("=")
     if separator and ":" not in label and " " not in label and "/" not in label:
         if not target:
@@ -178,23 +227,25 @@ def _split_label(text: str) -> tuple[str, str]:
         else:
             label = text.rpartition(":")[2] if ":" in text else text
     try:
-        check_name(label, "method label")
+        check_name(label, f"{kind.noun} label")
     except ValueError as bad:
         raise MethodError(f"{bad}; give one: LABEL={target}") from None
     return label, target
 
 
-def _load_class(target: str) -> Any:
-    found = load_dotted(target, "method")
+def _load_class(target: str, kind: MethodKind) -> Any:
+    found = load_dotted(target, kind.noun)
     attribute = target.partition(":")[2]
-    if not callable(getattr(found, "track", None)) and inspect.isclass(found):
-        raise MethodError(f"method '{target}': class '{attribute}' has no track() method")
+    if not callable(getattr(found, kind.call, None)) and inspect.isclass(found):
+        others = [k for k in KINDS if callable(getattr(found, k.call, None))]
+        other = f", but {others[0].call}(): it is {others[0].made}; --task {others[0].task}" if others else " method"
+        raise MethodError(f"{kind.noun} '{target}': class '{attribute}' has no {kind.call}(){other}")
     if not callable(found):
-        raise MethodError(f"method '{target}': '{attribute}' is not a class or function that makes a tracker")
+        raise MethodError(f"{kind.noun} '{target}': '{attribute}' is not a class or function that makes {kind.made}")
     return found
 
 
-def _validated(label: str, parameter: Parameter, value: Any, text: str) -> Any:
+def _validated(named: str, parameter: Parameter, value: Any, text: str) -> Any:
     adapter: TypeAdapter[Any] = TypeAdapter(parameter.annotation)
     try:
         return adapter.validate_python(value)
@@ -203,4 +254,4 @@ def _validated(label: str, parameter: Parameter, value: Any, text: str) -> Any:
             return adapter.validate_python(text)  # YAML reads 1e-3 and 007 as words, the type may know better
         except ValidationError:
             message, _ = first_fault(bad)
-            raise MethodError(f"method '{label}': parameter '{parameter.name}={text}': {message}") from None
+            raise MethodError(f"{named}: parameter '{parameter.name}={text}': {message}") from None
