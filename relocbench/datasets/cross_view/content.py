@@ -1,0 +1,107 @@
+"""The fingerprint of a cross-view set, and what its own files say of it."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from relocbench.datasets.schema import Strict
+from relocbench.errors import DatasetError
+from relocbench.files import atomic_write, read_text, sha256_file
+
+DATASET_FILE, BUILD_FILE, MANIFEST_FILE, POSES_FILE = "dataset.yaml", "build.yaml", "manifest.csv", "poses.csv"
+FORMAT_VERSION = 1
+_COLUMNS = ("path", "bytes", "sha256")
+
+
+class CrossViewFile(Strict):
+    """``dataset.yaml`` of a set that was rendered here."""
+
+    format_version: int
+    kind: Literal["cross-view"]
+    name: str
+    licence: str
+    made_by: dict[str, Any]
+    """command, options, seed and versions"""
+    made: dict[str, Any]
+    """what came of it: towns, places, images, cameras"""
+    fingerprint: str
+
+
+Row = tuple[str, int, str]
+"""path from the root on, bytes, SHA-256"""
+
+
+def rows_of(root: Path, keys: Iterable[str]) -> list[Row]:
+    """Hash files, in the order of their paths. Raises DatasetError naming a file that cannot be read."""
+    found = []
+    for key in sorted(keys):
+        path = root / key
+        try:
+            found.append((key, path.stat().st_size, sha256_file(path)))
+        except OSError as bad:
+            raise DatasetError(f"cannot be read ({bad.strerror}); expected an image", path) from None
+    return found
+
+
+def fingerprint_of(rows: Sequence[Row]) -> str:
+    """SHA-256 over the paths, which hold the labels, and the content of all images."""
+    text = "".join(f"{key},{size},{digest}\n" for key, size, digest in rows)
+    return hashlib.sha256(f"cross-view {FORMAT_VERSION}\n{text}".encode()).hexdigest()
+
+
+def write_manifest(root: Path, rows: Sequence[Row]) -> None:
+    """``manifest.csv``."""
+    with atomic_write(root / MANIFEST_FILE) as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(_COLUMNS)
+        table.writerows(rows)
+
+
+def read_manifest(root: Path) -> list[Row]:
+    """Raises DatasetError with file and line."""
+    path = root / MANIFEST_FILE
+    lines = csv.reader(read_text(path, "the set's manifest", DatasetError).splitlines())
+    if tuple(next(lines, [])) != _COLUMNS:
+        raise DatasetError(f"expected the header {','.join(_COLUMNS)}", path, 1)
+    rows = []
+    for number, row in enumerate(lines, start=2):
+        if len(row) != 3 or not row[1].isdigit() or len(row[2]) != 64:
+            raise DatasetError("expected path, size in bytes, SHA-256", path, number)
+        rows.append((row[0], int(row[1]), row[2]))
+    return rows
+
+
+def check_against(root: Path, rows: Sequence[Row], present: Iterable[str]) -> None:
+    """Every image is listed and there, of its size. Content is not read. Raises DatasetError."""
+    listed = {key: size for key, size, _ in rows}
+    for key in present:
+        if key not in listed:
+            raise DatasetError(f"stands in no {MANIFEST_FILE}; it was added after the set was made", root / key)
+    for key, size in listed.items():
+        path = root / key
+        if not path.is_file():
+            raise DatasetError(f"missing; it stands in {MANIFEST_FILE}", path)
+        if path.stat().st_size != size:
+            raise DatasetError(f"has {path.stat().st_size} bytes, {MANIFEST_FILE} says {size}", path)
+
+
+def read_conditions(root: Path) -> dict[str, str]:
+    """key -> condition of each image that ``poses.csv`` names; empty where there is no such file."""
+    path = root / POSES_FILE
+    if not path.exists():
+        return {}
+    table = csv.reader(read_text(path, "poses of the images", DatasetError).splitlines())
+    header = next(table, [])
+    if "image" not in header or "condition" not in header:
+        raise DatasetError("expected a header with image and condition", path, 1)
+    image, condition = header.index("image"), header.index("condition")
+    found = {}
+    for number, row in enumerate(table, start=2):
+        if len(row) != len(header):
+            raise DatasetError(f"expected {len(header)} columns, got {len(row)}", path, number)
+        found[row[image]] = row[condition]
+    return found

@@ -1,0 +1,121 @@
+"""Opening a cross-view set, whoever made it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from relocbench.datasets.cross_view import content, sample
+from relocbench.datasets.cross_view.cross_view_set import CrossViewSet, Shot, shots_of
+from relocbench.datasets.cross_view.layout import (
+    GALLERY_FOLDERS,
+    QUERY_FOLDERS,
+    TRAIN_FOLDERS,
+    ClassFolders,
+    Layout,
+    empty_folders,
+    has_layout,
+    listed,
+    read_layout,
+)
+from relocbench.errors import DatasetError
+from relocbench.files import load_yaml
+from relocbench.progress import Reporter, Silent
+
+_EXPECTED = (
+    "expected University-1652's layout: train/{drone,satellite,street,google}/CLASS/IMAGE or "
+    "test/{query,gallery}_{drone,satellite,street}/CLASS/IMAGE. University-1652 itself is given by its authors by "
+    "e-mail; 'relocbench build-dataset cross-view --out DIR' renders a set that needs nobody"
+)
+
+
+def is_cross_view(path: Path) -> bool:
+    """Whether :func:`open_cross_view` would take the folder for one of its own."""
+    return path.is_dir() and (has_layout(path) or sample.is_sample(path))
+
+
+def open_cross_view(path: Path, reporter: Reporter | None = None) -> CrossViewSet:
+    """The set in a folder: University-1652, one rendered here, or University-1652's two sheets of sample pairs.
+
+    Empty class folders and labels both of train and of test are told to the reporter, and kept as ``notes``.
+
+    Raises:
+        DatasetError: no such folder, no such layout, no image in it, or a rendered set that was changed or is
+            unfinished.
+    """
+    if not path.is_dir():
+        raise DatasetError(f"{'is a file' if path.exists() else 'no such folder'}; {_EXPECTED}", path)
+    if sample.is_sample(path):
+        return sample.open_sample(path)
+    if not has_layout(path):
+        _refuse(path)
+    layout = read_layout(path)
+    if not any(folder.images for folder in layout.all):
+        raise DatasetError(f"none of its {sum(len(f.empty) for f in layout.all)} class folders holds an image", path)
+    opened = _made_here(path, layout) if (path / content.BUILD_FILE).exists() else _foreign(path, layout)
+    for note in opened.notes:
+        (reporter or Silent()).note(f"{path}: {note}")
+    return opened
+
+
+def _refuse(path: Path) -> None:
+    above = path.resolve().parent
+    if has_layout(above) and path.resolve().name in ("train", "test"):
+        raise DatasetError(f"is the '{path.resolve().name}' folder of a cross-view set; name {above}", path)
+    if (path / content.BUILD_FILE).exists() and not (path / content.DATASET_FILE).exists():
+        raise DatasetError("is an unfinished build; run its command again, which goes on with it", path)
+    raise DatasetError(_EXPECTED, path)
+
+
+def _foreign(path: Path, layout: Layout) -> CrossViewSet:
+    return _set(
+        path,
+        path.resolve().name,
+        layout,
+        lambda: content.fingerprint_of(content.rows_of(path, layout.keys)),
+    )
+
+
+def _made_here(path: Path, layout: Layout) -> CrossViewSet:
+    if not (path / content.DATASET_FILE).exists():
+        raise DatasetError("is an unfinished build; run its command again, which goes on with it", path)
+    file = load_yaml(path / content.DATASET_FILE, content.CrossViewFile, "a cross-view set's description", DatasetError)
+    if file.format_version != content.FORMAT_VERSION:
+        raise DatasetError(
+            f"key 'format_version' is {file.format_version}, this relocbench reads {content.FORMAT_VERSION}",
+            path / content.DATASET_FILE,
+        )
+    rows = content.read_manifest(path)
+    if content.fingerprint_of(rows) != file.fingerprint:
+        raise DatasetError(
+            f"{content.MANIFEST_FILE} was changed after the set was made: the fingerprint does not fit",
+            path / content.DATASET_FILE,
+        )
+    content.check_against(path, rows, layout.keys)
+    return _set(path, file.name, layout, partial(str, file.fingerprint), content.read_conditions(path))
+
+
+def _set(
+    path: Path, name: str, layout: Layout, fingerprinted: Callable[[], str], conditions: dict[str, str] | None = None
+) -> CrossViewSet:
+    def shots(folders: dict[str, ClassFolders], views: dict[str, str], prefix: str) -> dict[str, tuple[Shot, ...]]:
+        return {
+            folder.removeprefix(prefix): shots_of(path, found.images, views[folder], conditions)
+            for folder, found in folders.items()
+            if found.images
+        }
+
+    opened = CrossViewSet(
+        path,
+        name,
+        shots(layout.train, TRAIN_FOLDERS, ""),
+        shots(layout.queries, QUERY_FOLDERS, "query_"),
+        shots(layout.galleries, GALLERY_FOLDERS, "gallery_"),
+        fingerprinted,
+    )
+    notes = [empty_folders(layout)]
+    if opened.overlap:
+        notes.append(f"{len(opened.overlap)} classes are in train and in test: {listed(opened.overlap)}")
+    return replace(opened, notes=tuple(note for note in notes if note))
