@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,16 +16,31 @@ if TYPE_CHECKING:
 
 
 def evaluate(
-    dataset: Annotated[Path | None, typer.Option("--dataset", "-d", help="Folder of the dataset.")] = None,
+    task: Annotated[
+        Literal["tracking", "retrieval"] | None,
+        typer.Option(
+            help="What is asked: the pose of a query against its keyframe, or which images of a gallery are near "
+            "[default: tracking]."
+        ),
+    ] = None,
+    dataset: Annotated[
+        Path | None,
+        typer.Option("--dataset", "-d", help="Folder of the dataset; for retrieval also places by several views."),
+    ] = None,
     method: Methods = [],  # noqa: B006  typer copies it
     settings: Settings = [],  # noqa: B006
     predictions: Annotated[
         Path | None,
-        typer.Option(help="Score a folder of PAIRSET.txt files that were made elsewhere; --method gives the label."),
+        typer.Option(
+            help="Score what was made elsewhere: a folder of PAIRSET.txt files, for retrieval a folder of TASK.txt "
+            "files of 'query db' lines, or one such file; --method gives the label."
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Results folder [default: results].")] = None,
     split: Annotated[str | None, typer.Option(help="Only the pair sets of this split.")] = None,
-    pair_set: Annotated[list[str], typer.Option(help="Only this pair set. Repeat for several.")] = [],  # noqa: B006
+    pair_set: Annotated[
+        list[str], typer.Option(help="Only this pair set, or retrieval task. Repeat for several.")
+    ] = [],  # noqa: B006
     overwrite: Annotated[
         Literal["never", "failed", "always"] | None,
         typer.Option(help="Which answers to ask for again: none, failed ones, or all [default: never]."),
@@ -33,8 +49,30 @@ def evaluate(
         bool | None,
         typer.Option(
             "--matching/--no-matching",
-            help="Measure too how often single pixels are found again, of methods that offer it [default: no].",
+            help="Tracking: measure too how often single pixels are found again, of methods that offer it "
+            "[default: no].",
         ),
+    ] = None,
+    keep: Annotated[
+        int | None, typer.Option(help="Retrieval: so many retrieved images of each query are kept [default: 100].")
+    ] = None,
+    radius: Annotated[
+        float | None, typer.Option(help="Retrieval along drives: metres within which an image is right [default: 25].")
+    ] = None,
+    heading: Annotated[
+        float | None,
+        typer.Option(help="Retrieval along drives: and that look the same way within so many degrees [default: any]."),
+    ] = None,
+    positives: Annotated[
+        Literal["radius", "pairs"] | None,
+        typer.Option(
+            help="Retrieval along drives: what is right, images within the radius or those that the pair set pairs "
+            "with the query [default: radius]."
+        ),
+    ] = None,
+    by_condition: Annotated[
+        bool | None,
+        typer.Option("--by-condition", help="Retrieval across views: ask queries of each condition by themselves too."),
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed for methods that have one [default: 0].")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with any of these options.")] = None,
@@ -45,13 +83,12 @@ def evaluate(
 ) -> None:
     """Run methods on a dataset, keep their predictions and score them.
 
-    A pair that was answered before is not asked again, so a killed run goes on where it stopped.
+    What was answered before is not asked again, so a killed run goes on where it stopped.
 
     Example: relocbench evaluate -d D -m identity -m orb-pnp -m dso --set dso.points=1000
-    """
-    from relocbench.cli.console import print_json, reporter
-    from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
 
+    Example: relocbench evaluate --task retrieval -d D -m lpn --set lpn.weights=trained/weights.safetensors
+    """
     given: dict[str, Any] = {
         "dataset": dataset,
         "methods": method or None,
@@ -62,13 +99,42 @@ def evaluate(
         "pair_sets": pair_set or None,
         "overwrite": overwrite,
         "matching": matching,
+        "keep": keep,
+        "radius": radius,
+        "heading": heading,
+        "positives": positives,
+        "by_condition": by_condition,
         "seed": seed,
         "workers": workers,
         "scheduler": scheduler,
     }
-    from relocbench.cli.configuration import merged
+    chosen = {name: value for name, value in given.items() if value is not None}
+    asked = task or _task_of(config)
+    _EVALUATIONS[asked](config, chosen, quiet, json)
 
-    options = merged(EvaluateOptions, config, {k: v for k, v in given.items() if v is not None})
+
+def _task_of(config: Path | None) -> str:
+    """What a configuration file asks for, where the command line does not say."""
+    from relocbench.errors import ConfigError
+    from relocbench.files import load_yaml_values, yaml_line
+
+    if config is None:
+        return TRACKING
+    values, node = load_yaml_values(config, "options with their values", ConfigError)
+    asked = values.get("task", TRACKING)
+    if asked not in _EVALUATIONS:
+        line = yaml_line(node, ("task",))
+        raise ConfigError(f"key 'task' is '{asked}', expected {' or '.join(_EVALUATIONS)}", config, line)
+    return str(asked)
+
+
+def _evaluate_tracking(config: Path | None, given: dict[str, Any], quiet: bool, json: bool) -> None:
+    from relocbench.cli.configuration import merged, refuse_foreign
+    from relocbench.cli.console import print_json, reporter
+    from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
+
+    refuse_foreign(EvaluateOptions, given, TRACKING)
+    options = merged(EvaluateOptions, config, given)
     report = evaluate_methods(options, reporter(quiet))
     if json:
         print_json(report.to_dict())
@@ -78,6 +144,19 @@ def evaluate(
             typer.echo(f"{label}: {message}", err=True)
         typer.echo(f"results: {report.results}", err=True)
 
+
+def _evaluate_retrieval(config: Path | None, given: dict[str, Any], quiet: bool, json: bool) -> None:
+    from relocbench.cli.evaluate_retrieval import evaluate_retrieval
+
+    evaluate_retrieval(config, given, quiet, json)
+
+
+TRACKING = "tracking"
+_EVALUATIONS: dict[str, Callable[[Path | None, dict[str, Any], bool, bool], None]] = {
+    TRACKING: _evaluate_tracking,
+    "retrieval": _evaluate_retrieval,
+}
+"""by ``--task``: each takes the configuration file, the options that were given, ``--quiet`` and ``--json``"""
 
 COLUMNS = {
     "recall@(0.25m,2deg)": "recall 0.25 m, 2°",

@@ -13,26 +13,28 @@ def methods(
     name: Annotated[str | None, typer.Argument(help="Show one method with its parameters.")] = None,
     json: Json = False,
 ) -> None:
-    """List the installed methods, or one with its parameters.
+    """List the installed trackers and retrievers, or one with its parameters.
 
     Example: relocbench methods dso
     """
     from relocbench.cli.console import print_json, print_table
-    from relocbench.methods import installed_methods, parameters_of
+    from relocbench.methods import KINDS, installed_methods, kind_of, parameters_of
 
     if name is None:
-        found = installed_methods()
+        found = {kind: installed_methods(kind) for kind in KINDS}
         if json:
-            print_json({n: p.value for n, p in found.items()})
+            print_json({kind.task: {n: p.value for n, p in points.items()} for kind, points in found.items()})
         else:
-            print_table("", ["method", "class", "package"], [[n, p.value, _package(p)] for n, p in found.items()])
+            rows = [[n, kind.task, p.value, _package(p)] for kind, points in found.items() for n, p in points.items()]
+            print_table("", ["method", "task", "class", "package"], rows)
         return
-    parameters = parameters_of(name)
+    kind = kind_of(name)
+    parameters = parameters_of(name, kind)
     if json:
         print_json({p.name: {"type": p.type_name, "default": None if p.required else p.default} for p in parameters})
         return
     rows = [[p.name, p.type_name, "(must be given)" if p.required else str(p.default)] for p in parameters]
-    print_table(f"{name}: set with --set key=value", ["parameter", "type", "default"], rows)
+    print_table(f"{name} ({kind.task}): set with --set key=value", ["parameter", "type", "default"], rows)
 
 
 def _package(point: object) -> str:

@@ -24,14 +24,23 @@ from relocbench.metrics.retrieval import (
     score_retrieval,
     summarize_retrieval,
 )
-from relocbench.metrics.retrieval_descriptors import rank_descriptors
+from relocbench.metrics.retrieval_chance import chance_level
+from relocbench.metrics.retrieval_descriptors import exact_scores, rank_descriptors
 from relocbench.metrics.retrieval_plausibility import (
     TableCheck,
     TableFault,
     check_single_positive_tables,
     single_positive_fault,
 )
-from relocbench.metrics.retrieval_ranking import NEVER, Ranking, rank_lists, rank_scores
+from relocbench.metrics.retrieval_ranking import (
+    NEVER,
+    Ranking,
+    count_at_least,
+    rank_lists,
+    rank_scores,
+    ranks_of_positives,
+    sorted_finite,
+)
 from relocbench.metrics.retrieval_relevance import (
     Relevance,
     relevance_from_labels,
@@ -78,9 +87,12 @@ __all__ = [
     "area_shares",
     "automatic_block_length",
     "bootstrap_interval",
+    "chance_level",
     "check_single_positive_tables",
     "common_block_length",
+    "count_at_least",
     "cumulative_curve",
+    "exact_scores",
     "infinite_where_failed",
     "matching_quality",
     "mean_over_pair_sets",
@@ -96,11 +108,13 @@ __all__ = [
     "rank_lists",
     "rank_scores",
     "rank_with_ties",
+    "ranks_of_positives",
     "relevance_from_labels",
     "relevance_from_lists",
     "relevance_within",
     "score_retrieval",
     "single_positive_fault",
+    "sorted_finite",
     "spread_over_seeds",
     "success_radius",
     "summarize",

@@ -85,6 +85,43 @@ def rank_descriptors(
     return Ranking(relevance.starts, position, answered, relevance.gallery)
 
 
+def exact_scores(
+    query: ArrayLike, gallery: ArrayLike, *, block: int = QUERY_BLOCK, gallery_block: int = GALLERY_BLOCK
+) -> Iterator[tuple[slice, Array]]:
+    """The whole similarity matrix, block by block of queries, by the dot products that :func:`rank_descriptors` uses.
+
+    Within a row scores compare exactly; rows have scales of their own. Take out junk beforehand.
+
+    Args:
+        query: (Q, D), as in :func:`rank_descriptors`.
+        gallery: (G, D).
+        block: queries in a block; memory is ``8 block (G + D)`` bytes.
+        gallery_block: rows of the gallery that are multiplied at a time.
+
+    Yields:
+        which queries, and their scores (n, G); NaN where either descriptor is not finite.
+
+    Raises:
+        ValueError: the shapes do not fit.
+    """
+    of_queries, of_gallery = _checked(query, "query"), _checked(gallery, "gallery")
+    if of_queries.shape[1] != of_gallery.shape[1]:
+        raise ValueError(f"descriptors must have one length, got {of_queries.shape[1]} and {of_gallery.shape[1]}")
+    if block < 1 or gallery_block < 1:
+        raise ValueError(f"blocks must hold at least one row, got {block} and {gallery_block}")
+    query_norms, gallery_norms = _norms(of_queries), _norms(of_gallery)
+    live = np.flatnonzero(np.isfinite(gallery_norms))
+    scale = float(_scales(np.array([gallery_norms[live].max(initial=0.0)]))[0])
+    for start in range(0, len(of_queries), block):
+        rows = slice(start, min(start + block, len(of_queries)))
+        scores = np.full((rows.stop - start, len(of_gallery)), np.nan)
+        known = np.flatnonzero(np.isfinite(query_norms[rows]))
+        a = _on_grid(of_queries[rows][known], _scales(query_norms[rows][known])[:, None])
+        for columns in _blocks(live, gallery_block):
+            scores[np.ix_(known, columns)] = a @ _on_grid(of_gallery[columns], scale).T
+        yield rows, scores
+
+
 def _scores_of(a: Array, gallery: NDArray[Any], positives: Indices, known: NDArray[np.bool_], scale: float) -> Array:
     """Exact scores (n,) of a query's positives, NaN where the descriptor is not finite."""
     scores = np.full(len(positives), np.nan)

@@ -1,0 +1,138 @@
+"""``TASK.txt`` and ``TASK.csv``: what was retrieved, and where each query's positives stand in the whole ranking."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from relocbench.errors import PredictionError
+from relocbench.evaluation.results import STATUSES
+from relocbench.files import atomic_write, parse_floats, read_text
+from relocbench.metrics import NEVER, Ranking
+
+COLUMNS = ("query", "group", "status", "positives", "ranks", "seconds", "message")
+
+
+@dataclass(frozen=True)
+class QueryAnswer:
+    """One row of ``TASK.csv``."""
+
+    query: str
+    group: str
+    """what is resampled together; empty along a drive"""
+    status: str
+    """``ok``; ``failed``: the method could not describe it, or nothing was retrieved; ``error``: it broke"""
+    positives: int
+    """how many there are to be found"""
+    ranks: tuple[int, ...] = ()
+    """1-based, ascending, in the whole ranking without junk; positives that were not retrieved have none"""
+    seconds: float | None = None
+    """describing it and ordering its first anew; the image read before, the search not counted"""
+    message: str = ""
+
+
+def write_answers(path: Path, answers: Sequence[QueryAnswer]) -> None:
+    """``TASK.csv``, in the order given."""
+    with atomic_write(path) as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(COLUMNS)
+        for a in answers:
+            seconds = "" if a.seconds is None else repr(round(a.seconds, 6))
+            ranks = " ".join(map(str, a.ranks))
+            table.writerow([a.query, a.group, a.status, a.positives, ranks, seconds, a.message])
+
+
+def read_answers(path: Path) -> list[QueryAnswer]:
+    """``TASK.csv``.
+
+    Raises:
+        PredictionError: with file and line: wrong columns, an impossible status or rank, a query that occurs twice.
+    """
+    rows = csv.reader(read_text(path, f"a table ({','.join(COLUMNS)})", PredictionError).splitlines())
+    if tuple(next(rows, [])) != COLUMNS:
+        raise PredictionError(f"expected the header {','.join(COLUMNS)}", path, 1)
+    out: dict[str, QueryAnswer] = {}
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(COLUMNS):
+            raise PredictionError(f"expected {len(COLUMNS)} columns, found {len(row)}", path, number)
+        query, group, status, positives, ranks, seconds, message = row
+        if query in out:
+            raise PredictionError(f"query '{query}' occurs again", path, number)
+        if status not in STATUSES:
+            raise PredictionError(f"status is '{status}', expected {', '.join(STATUSES)}", path, number)
+        places = _ranks(ranks, path, number)
+        if not positives.isdigit() or int(positives) < len(places):
+            raise PredictionError(f"{len(places)} ranks of '{positives}' positives", path, number)
+        took = parse_floats([seconds], path, number, "seconds", PredictionError)[0] if seconds else None
+        out[query] = QueryAnswer(query, group, status, int(positives), places, took, message)
+    return list(out.values())
+
+
+def ranking_of(answers: Sequence[QueryAnswer], gallery: int) -> Ranking:
+    """The ranks as the metrics take them; ``gallery`` counts junk too."""
+    counts = [a.positives for a in answers]
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    position = np.full(int(starts[-1]), NEVER)
+    for start, answer in zip(starts, answers, strict=False):
+        position[start : start + len(answer.ranks)] = np.array(answer.ranks, dtype=np.int64) - 1
+    return Ranking(starts, position, np.array([a.status == "ok" for a in answers], dtype=bool), gallery)
+
+
+def write_lists(path: Path, lists: Mapping[str, Sequence[str]]) -> None:
+    """``TASK.txt``: a line ``query db`` for each retrieved image, best first."""
+    with atomic_write(path) as stream:
+        for query, retrieved in lists.items():
+            stream.writelines(f"{query} {image}\n" for image in retrieved)
+
+
+def read_lists(path: Path, queries: Mapping[str, int], gallery: Mapping[str, int]) -> dict[str, list[int]]:
+    """Gallery indices retrieved for each query, best first, of a file of ``query db`` lines.
+
+    Args:
+        path: lines of one query need not stand together; ``#`` at the beginning of a line starts a comment.
+        queries, gallery: key -> index.
+
+    Raises:
+        PredictionError: with file and line: not two words, an unknown query or image, an image twice for one query.
+    """
+    lists: dict[str, list[int]] = {key: [] for key in queries}
+    seen: set[tuple[str, int]] = set()
+    text = read_text(path, "retrieved images, a line 'query db' each", PredictionError)
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.split()
+        if not words or line.startswith("#"):
+            continue
+        if len(words) != 2:
+            raise PredictionError(f"expected 'query db', found {len(words)} words", path, number)
+        query, image = words
+        if query not in queries:
+            raise PredictionError(f"unknown query '{query}'; they are named as '{next(iter(queries))}'", path, number)
+        if image not in gallery:
+            known = next(iter(gallery))
+            raise PredictionError(f"image '{image}' is not in the gallery; its are named as '{known}'", path, number)
+        if (query, gallery[image]) in seen:
+            raise PredictionError(f"image '{image}' occurs again for the query '{query}'", path, number)
+        seen.add((query, gallery[image]))
+        lists[query].append(gallery[image])
+    return lists
+
+
+def answers_hash(path: Path) -> str:
+    """SHA-256 of a table: scores of another one are stale."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _ranks(text: str, path: Path, line: int) -> tuple[int, ...]:
+    words = text.split()
+    if not all(w.isdigit() and int(w) > 0 for w in words):
+        raise PredictionError(f"ranks are '{text[:60]}', expected positive integers", path, line)
+    ranks = tuple(map(int, words))
+    if any(b <= a for a, b in pairwise(ranks)):
+        raise PredictionError("ranks do not increase", path, line)
+    return ranks

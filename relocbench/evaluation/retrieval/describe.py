@@ -1,0 +1,221 @@
+"""Descriptors of many images by somebody's method: in batches, what breaks told for each image."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import RelocbenchError
+from relocbench.evaluation.worker import guarded
+from relocbench.execution import chunks, messages_to_stderr
+from relocbench.retrieval import Descriptors, ImageView, RetrievalTask, Retriever
+
+BATCH = 32
+_HOPELESS = 64
+"""so many images that break one by one, and none that does not: the rest is not tried singly"""
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """Descriptors of N images."""
+
+    values: NDArray[np.floating]
+    """(N, D); a row of NaN where there is none; (N, 1) where there is none at all"""
+    messages: tuple[str, ...]
+    """(N,) how the method broke on an image; empty where it did not"""
+    seconds: NDArray[np.float64]
+    """(N,) share of the batch's time, images read before"""
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def finite(self) -> NDArray[np.bool_]:
+        """(N,) whether an image has a descriptor."""
+        return np.asarray(np.isfinite(self.values).all(axis=1), dtype=np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class _One:
+    value: NDArray[np.floating] | None
+    seconds: float
+    message: str = ""
+
+
+class Describer:
+    """Asks one retriever, and remembers what it will be asked again.
+
+    Args:
+        retriever: as constructed, and fitted where it fits.
+        shared: keys of images whose descriptors are kept for a later call.
+    """
+
+    def __init__(self, retriever: Retriever, shared: frozenset[str] = frozenset()) -> None:
+        self.retriever = retriever
+        self._shared = shared
+        self._known: dict[str, _One] = {}
+        self._dimensions: int | None = None
+        self._warm = False
+        self._broken = 0
+
+    def __call__(self, images: Sequence[ImageView], advance: Callable[[int], None]) -> Described:
+        """Descriptors of all images; ``advance`` hears how many are done.
+
+        Raises:
+            DatasetError: an image cannot be read.
+            MethodError: the method says that it cannot go on.
+        """
+        out: list[_One] = []
+        for batch in chunks(images, BATCH):
+            new = [image for image in batch if image.key not in self._known]
+            fresh = dict(zip((image.key for image in new), self._batch(new), strict=True))
+            self._known |= {key: one for key, one in fresh.items() if key in self._shared}
+            out += [fresh.get(image.key) or self._known[image.key] for image in batch]
+            advance(len(batch))
+        return _stacked(out)
+
+    def knows(self, images: Iterable[ImageView]) -> bool:
+        """Whether all of them were described before."""
+        return all(image.key in self._known for image in images)
+
+    def _batch(self, images: Sequence[ImageView]) -> list[_One]:
+        if not images:
+            return []
+        views = list(anonymous(images))
+        for view in views:
+            view.image  # noqa: B018  read before the clock starts
+        if not self._warm:  # compilation and first allocations are not the method's speed
+            self._warm = True
+            self._ask(views[:1])
+        values, seconds, broke = self._ask(views)
+        if broke and len(views) > 1 and (self._broken < _HOPELESS or self._dimensions is not None):
+            return [one for view in views for one in self._single(view)]
+        return self._taken(values, seconds, broke, len(views))
+
+    def _single(self, view: ImageView) -> list[_One]:
+        return self._taken(*self._ask([view]), 1)
+
+    def _taken(self, values: Any, seconds: float, broke: str, count: int) -> list[_One]:
+        if broke:
+            self._broken += count
+            return [_One(None, seconds / count, broke)] * count
+        self._dimensions = values.shape[1]
+        return [_One(row.copy(), seconds / count) for row in values]
+
+    def _ask(self, views: list[ImageView]) -> tuple[Any, float, str]:
+        """Descriptors, the seconds they took, and how the method broke."""
+        start = time.perf_counter()
+        with messages_to_stderr():
+            values, broke = of_method(lambda: self.retriever.describe(views))
+        seconds = time.perf_counter() - start
+        return values, seconds, one_line(broke or fault_of(values, len(views), self._dimensions) or "")
+
+
+def of_method(call: Callable[[], Any]) -> tuple[Any, str | None]:
+    """As :func:`guarded`, but a bad image or a method that cannot go on ends the run."""
+    raised: list[RelocbenchError] = []
+
+    def kept() -> Any:
+        try:
+            return call()
+        except RelocbenchError as bad:
+            raised.append(bad)
+            raise
+
+    value, broke = guarded(kept)
+    if raised:
+        raise raised[0]
+    return value, broke
+
+
+def fault_of(values: object, count: int, dimensions: int | None = None) -> str | None:
+    """What keeps ``values`` from being descriptors of ``count`` images, or None if nothing does.
+
+    Args:
+        dimensions: of the descriptors so far.
+    """
+    if not isinstance(values, np.ndarray) or not np.issubdtype(values.dtype, np.floating):
+        kind = f"an array of {values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
+        return f"describe returned {kind}, expected an array of floats"
+    if values.ndim != 2 or len(values) != count or values.shape[1] == 0:
+        return f"describe returned shape {values.shape} for {count} images, expected ({count}, D)"
+    if dimensions is not None and values.shape[1] != dimensions:
+        return f"describe returned {values.shape[1]} numbers an image, {dimensions} before"
+    return None
+
+
+def anonymous(images: Iterable[ImageView]) -> Iterator[ImageView]:
+    """The views that a method gets: a path may name the place, a digest of it does not.
+
+    They are new, so that an image is let go of with its view.
+    """
+    for image in images:
+        yield ImageView(hashlib.blake2s(image.key.encode(), digest_size=8).hexdigest(), image.view, image.read)
+
+
+class AnonymousViews(Sequence[ImageView]):
+    """A gallery to be looked at in any order, without holding more than the image in hand."""
+
+    def __init__(self, images: Sequence[ImageView]) -> None:
+        self._images = images
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    @overload
+    def __getitem__(self, index: int) -> ImageView: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[ImageView]: ...
+    def __getitem__(self, index: int | slice) -> ImageView | Sequence[ImageView]:
+        if isinstance(index, slice):
+            return AnonymousViews(self._images[index])
+        return next(anonymous([self._images[index]]))
+
+
+def shared_keys(tasks: Sequence[RetrievalTask]) -> frozenset[str]:
+    """Images that more than one of the tasks shows, or that are query and gallery at once."""
+    counts = Counter(image.key for task in tasks for side in (task.queries, task.gallery) for image in side)
+    return frozenset(key for key, count in counts.items() if count > 1)
+
+
+def descriptor_variance(*described: Described) -> float | None:
+    """Of descriptors divided by their norms about their mean: ``1 - |mean|^2``; None where there is none."""
+    total, count = np.zeros(1), 0
+    for each in described:
+        values = each.values[each.finite].astype(np.float64)
+        norms = np.linalg.norm(values, axis=1, keepdims=True)
+        kept = (norms > 0).ravel()
+        if kept.any():
+            total = total + (values[kept] / norms[kept]).sum(axis=0)
+            count += int(kept.sum())
+    return max(0.0, 1.0 - float(np.sum((total / count) ** 2))) if count else None
+
+
+def one_line(message: object) -> str:
+    """A message as a table can hold it."""
+    words = " ".join(str(message).split())[:500]
+    return "".join(c if c.isprintable() else "?" for c in words)
+
+
+def nothing(count: int, message: str) -> Described:
+    """Of images that were never described."""
+    return Described(np.full((count, 1), np.nan), (one_line(message),) * count, np.zeros(count))
+
+
+def _stacked(ones: Sequence[_One]) -> Described:
+    known = [one.value for one in ones if one.value is not None]
+    width = len(known[0]) if known else 1
+    dtype: Any = np.result_type(*{value.dtype for value in known}) if known else np.float64
+    values: Descriptors = np.full((len(ones), width), np.nan, dtype=dtype)
+    for row, one in zip(values, ones, strict=True):
+        if one.value is not None:
+            row[:] = one.value
+    seconds = np.array([one.seconds for one in ones], dtype=np.float64)
+    return Described(values, tuple(one.message for one in ones), seconds)

@@ -1,0 +1,160 @@
+"""Both phases for several retrievers: run what is missing, then score what is there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from relocbench.datasets.schema import Strict, check_name
+from relocbench.datasets.street_places import Positives
+from relocbench.errors import ConfigError
+from relocbench.evaluation.retrieval.answers import read_answers
+from relocbench.evaluation.retrieval.external import take_lists
+from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
+from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord, set_results, write_set_record
+from relocbench.evaluation.retrieval.run import BROKEN, run_retriever
+from relocbench.evaluation.retrieval.score import Values, score_retriever, suspicion
+from relocbench.evaluation.run import Overwrite
+from relocbench.methods import RETRIEVERS, parse_methods
+from relocbench.progress import Reporter
+
+KEEP = 100
+
+
+class RetrievalOptions(Strict):
+    """Fields are options of ``relocbench evaluate --task retrieval`` and keys of its YAML file."""
+
+    task: Literal["retrieval"] = "retrieval"
+    dataset: Path
+    methods: tuple[str, ...] = ()
+    set: tuple[str, ...] = ()
+    """key=value or LABEL.key=value"""
+    predictions: Path | None = None
+    out: Path = Path("results")
+    split: str | None = None
+    pair_sets: tuple[str, ...] = ()
+    """names of tasks"""
+    overwrite: Overwrite = "never"
+    keep: int = Field(KEEP, ge=1)
+    radius: float | None = Field(None, gt=0, allow_inf_nan=False)
+    """metres"""
+    heading: float | None = Field(None, gt=0, le=180)
+    """degrees"""
+    positives: Positives | None = None
+    by_condition: bool = False
+    seed: int = Field(0, ge=0)
+
+    @model_validator(mode="after")
+    def _something_to_do(self) -> Self:
+        if not self.methods and self.predictions is None:
+            raise ValueError("nothing to evaluate: give --method NAME or --predictions FILE_OR_DIR")
+        if self.predictions is not None and len(self.methods) > 1:
+            raise ValueError("--predictions takes one --method, the label to keep them under")
+        return self
+
+
+@dataclass(frozen=True)
+class RetrievalReport:
+    """What an evaluation did."""
+
+    asked: OpenedSet
+    record: SetRecord
+    folders: list[RetrieverResults]
+    results: Path
+    broken: list[tuple[str, str]]
+    """label and message of each retriever that broke on queries"""
+    suspicions: list[tuple[str, str]]
+    """label and what to look at, where R@1 is no better than chance"""
+
+    def scores(self, folder: RetrieverResults) -> dict[str, Values]:
+        """Of the tasks that were asked."""
+        names = [task.name for task in self.asked.chosen]
+        return {name: values for name, values in folder.retrieval_scores().tasks.items() if name in names}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for scripts."""
+        return {
+            "task": "retrieval",
+            "dataset": self.asked.name,
+            "fingerprint": self.asked.fingerprint,
+            "results": str(self.results),
+            "chance": {task.name: self.record.tasks[task.name].chance for task in self.asked.chosen},
+            "methods": {folder.label: self.scores(folder) for folder in self.folders},
+            "broken": [{"method": label, "message": message} for label, message in self.broken],
+            "suspicious": [{"method": label, "message": message} for label, message in self.suspicions],
+        }
+
+
+def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> RetrievalReport:
+    """Run and score.
+
+    Raises:
+        RelocbenchError: a bad dataset, method, option or prediction.
+    """
+    # Methods are found and configured before anything is written: a typing error must not leave a folder.
+    specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed, RETRIEVERS)
+    asked = open_set(options.dataset, options.out, _set_options(options), reporter)
+    results = set_results(options.out, asked)
+    if options.predictions is not None:
+        label = _label(options)
+        folders = [take_lists(asked, asked.chosen, options.predictions, label, results)]
+        write_set_record(results, asked, asked.chosen)
+    else:
+        folders = []
+        for spec in specs:
+            folders.append(
+                run_retriever(
+                    asked,
+                    asked.chosen,
+                    spec,
+                    results,
+                    keep=options.keep,
+                    overwrite=options.overwrite,
+                    seed=options.seed,
+                    reporter=reporter,
+                )
+            )
+            write_set_record(results, asked, asked.chosen)
+    record = results.record
+    for folder in folders:
+        score_retriever(record, folder)
+    names = [task.name for task in asked.chosen]
+    broken = [b for folder in folders for b in _broken(folder, names)]
+    return RetrievalReport(asked, record, folders, results.root, broken, _suspicions(record, folders, names))
+
+
+def _set_options(options: RetrievalOptions) -> SetOptions:
+    return SetOptions(
+        options.split, options.pair_sets, options.radius, options.heading, options.positives, options.by_condition
+    )
+
+
+def _label(options: RetrievalOptions) -> str:
+    assert options.predictions is not None
+    label = options.methods[0] if options.methods else options.predictions.resolve().stem
+    try:
+        return check_name(label, "method label")
+    except ValueError as bad:
+        raise ConfigError(f"{bad}; give one: --method LABEL") from None
+
+
+def _broken(folder: RetrieverResults, names: list[str]) -> list[tuple[str, str]]:
+    answers = [a for name in names if folder.complete(name) for a in read_answers(folder.answers(name))]
+    broken = [a for a in answers if a.status == BROKEN]
+    if not broken:
+        return []
+    told = f"broke on {len(broken)} of {len(answers)} queries, counted as not found; first on {broken[0].query}"
+    return [(folder.label, f"{told}: {broken[0].message}")]
+
+
+def _suspicions(record: SetRecord, folders: list[RetrieverResults], names: list[str]) -> list[tuple[str, str]]:
+    out = []
+    for folder in folders:
+        runs, scores = folder.run_record().tasks, folder.retrieval_scores().tasks
+        for name in names:
+            if name in scores and (told := suspicion(name, record.tasks[name], scores[name], runs.get(name))):
+                out.append((folder.label, told))
+    return out

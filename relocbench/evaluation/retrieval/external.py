@@ -1,0 +1,99 @@
+"""Rankings made elsewhere: hloc's pairs, ``query db`` a line, taken into a results folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from relocbench.errors import PredictionError
+from relocbench.evaluation.retrieval.answers import QueryAnswer, read_lists, write_answers, write_lists
+from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults
+from relocbench.files import load_yaml
+from relocbench.metrics import NEVER, rank_lists
+from relocbench.retrieval import RetrievalSet, RetrievalTask
+
+PREDICTIONS = "predictions:"
+
+
+def take_lists(
+    asked: RetrievalSet, tasks: Sequence[RetrievalTask], source: Path, label: str, results: SetResults
+) -> RetrieverResults:
+    """Check a file for the one task that is asked, or a folder of ``TASK.txt``, and keep it under ``label``.
+
+    What a list leaves out is not retrieved; a query without a line has failed. A ``run.yaml`` in the folder must name
+    this set's fingerprint.
+
+    Raises:
+        PredictionError: with file and line: no such file, one for a task that is not there, an unknown query or image,
+            an image twice for one query, another set's fingerprint, or the label is taken by other predictions.
+    """
+    files = _files(asked, tasks, source)
+    record = _record(asked, source, label)
+    folder = results.method(label)
+    if source.resolve() == folder.root.resolve():
+        raise PredictionError("is where the predictions of this label are kept; choose another label", source)
+    if folder.run_yaml.exists() and folder.run_record().target != record.target:
+        before = folder.run_record().target
+        raise PredictionError(f"holds predictions of '{before}'; choose another label", folder.run_yaml)
+    checked = [(task, *_checked(task, path)) for task, path in files]
+    for task, lists, answers in checked:
+        write_lists(folder.predictions(task.name), lists)
+        write_answers(folder.answers(task.name), answers)
+    folder.write_run(record)
+    return folder
+
+
+def _files(asked: RetrievalSet, tasks: Sequence[RetrievalTask], source: Path) -> list[tuple[RetrievalTask, Path]]:
+    """The tasks that are answered, each with its file."""
+    if source.is_file():
+        if len(tasks) != 1:
+            names = ", ".join(task.name for task in tasks)
+            raise PredictionError(f"one file answers one task, and there are {names}; choose one: --pair-set", source)
+        return [(tasks[0], source)]
+    if not source.is_dir():
+        raise PredictionError("no such file or folder; expected lines 'query db', or a folder of TASK.txt", source)
+    files = {path.stem: path for path in sorted(source.glob("*.txt"))}
+    if not files:
+        raise PredictionError("holds no list of retrieved images (TASK.txt)", source)
+    known = [task.name for task in asked.tasks()]
+    for name, path in files.items():
+        if name not in known:
+            raise PredictionError(f"no task '{name}' in {asked.name}; there is {', '.join(known)}", path)
+    chosen = [(task, files[task.name]) for task in tasks if task.name in files]
+    if not chosen:
+        raise PredictionError(f"answers none of {', '.join(task.name for task in tasks)}", source)
+    return chosen
+
+
+def _checked(task: RetrievalTask, path: Path) -> tuple[dict[str, list[str]], list[QueryAnswer]]:
+    queries = {image.key: index for index, image in enumerate(task.queries)}
+    gallery = {image.key: index for index, image in enumerate(task.gallery)}
+    lists = read_lists(path, queries, gallery)
+    ranking = rank_lists(list(lists.values()), task.relevance)
+    answers = [
+        QueryAnswer(
+            query=key,
+            group=task.groups[q] if task.groups else "",
+            status="ok" if ranking.answered[q] else "failed",
+            positives=len(ranking.of(q)),
+            ranks=tuple(int(r) + 1 for r in ranking.of(q) if r != NEVER),
+            message="" if ranking.answered[q] else "not in the list",
+        )
+        for key, q in queries.items()
+    ]
+    return {key: [task.gallery[i].key for i in kept] for key, kept in lists.items()}, answers
+
+
+def _record(asked: RetrievalSet, source: Path, label: str) -> RetrievalRun:
+    target = f"{PREDICTIONS}{source.resolve().name}"
+    theirs = source / "run.yaml"
+    if not theirs.is_file():
+        return RetrievalRun(method=label, target=target, dataset=asked.name, fingerprint=asked.fingerprint)
+    record = load_yaml(theirs, RetrievalRun, "the record of a retrieval run", PredictionError)
+    if record.fingerprint != asked.fingerprint:
+        raise PredictionError(
+            f"predictions are for {record.dataset}@{record.fingerprint[:12]}, "
+            f"the dataset asks {asked.name}@{asked.fingerprint[:12]}",
+            theirs,
+        )
+    return record.model_copy(update={"method": label})

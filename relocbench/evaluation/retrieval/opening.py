@@ -1,0 +1,130 @@
+"""The retrieval set that a folder holds: drives of a relocbench dataset, or places in University-1652's layout."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from relocbench.datasets.cross_view import CrossViewSet, is_cross_view, open_cross_view
+from relocbench.datasets.street_places import Positives, StreetPlaces
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.evaluation.opening import opened
+from relocbench.evaluation.retrieval.run import check_task
+from relocbench.metrics.retrieval_relevance import PLACE_RADIUS_M
+from relocbench.progress import Reporter
+from relocbench.retrieval import RetrievalTask
+
+
+@dataclass(frozen=True)
+class SetOptions:
+    """Which set and which of its tasks; None where nothing was said."""
+
+    split: str | None = None
+    tasks: tuple[str, ...] = ()
+    radius_m: float | None = None
+    heading_deg: float | None = None
+    positives: Positives | None = None
+    by_condition: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class OpenedSet:
+    """A :class:`~relocbench.retrieval.RetrievalSet` whose tasks were made once, and those that are asked."""
+
+    name: str
+    fingerprint: str
+    all_tasks: tuple[RetrievalTask, ...]
+    chosen: tuple[RetrievalTask, ...]
+    positives: str = ""
+    splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def tasks(self) -> tuple[RetrievalTask, ...]:
+        return self.all_tasks
+
+
+def open_set(folder: Path, out: Path, options: SetOptions, reporter: Reporter) -> OpenedSet:
+    """The set in a folder, for results that go to another one.
+
+    Raises:
+        DatasetError: the folder holds neither kind of set, or a bad one.
+        ConfigError: an option that the kind of set has no use for, or no task is left; ``out`` lies in the folder.
+    """
+    if is_cross_view(folder):
+        return _cross_view(folder, out, options, reporter)
+    if not folder.is_dir():
+        raise DatasetError("no such folder; expected a dataset", folder)
+    if not (folder / "dataset.yaml").exists() and not (folder / "build.yaml").exists():
+        raise DatasetError(
+            "expected a dataset with dataset.yaml, or places in University-1652's layout "
+            "(test/query_drone/PLACE/*.jpg, test/gallery_satellite/PLACE/*.jpg, ...)",
+            folder,
+        )
+    return _street(folder, out, options, reporter)
+
+
+def _street(folder: Path, out: Path, options: SetOptions, reporter: Reporter) -> OpenedSet:
+    if options.by_condition:
+        raise ConfigError("--by-condition parts the queries of a cross-view set; each drive has one condition")
+    dataset = opened(folder, out)
+    if options.positives == "pairs" and options.radius_m is not None:
+        raise ConfigError("--radius has no meaning with --positives pairs")
+    places = StreetPlaces(
+        dataset,
+        PLACE_RADIUS_M if options.radius_m is None else options.radius_m,
+        options.heading_deg,
+        options.positives or "radius",
+    )
+    wanted = [dataset.pair_set(name).name for name in options.tasks]
+    across = [s.name for s in places.pair_sets]
+    within = [s.name for s in dataset.pair_sets(options.split) if s.name not in across]
+    if any(name not in across for name in wanted):
+        raise ConfigError(f"pair set '{next(n for n in wanted if n not in across)}' is of one traversal", dataset.root)
+    if within and not wanted:
+        reporter.note(f"left out, since a query would find itself in its own traversal: {', '.join(within)}")
+    of_split = [s.name for s in dataset.pair_sets(options.split) if s.name in across]
+    names = [name for name in of_split if not wanted or name in wanted]
+    if not names:
+        raise ConfigError("no pair set of two traversals is left to evaluate", dataset.root)
+    tasks = tuple(places.task(s) for s in places.pair_sets if s.name in names)
+    for task in tasks:
+        _tell_left_out(places, task, reporter)
+    return _checked(OpenedSet(places.name, places.fingerprint, tasks, tasks, places.positives, places.splits))
+
+
+def _tell_left_out(places: StreetPlaces, task: RetrievalTask, reporter: Reporter) -> None:
+    pair_set = places.dataset.pair_set(task.name)
+    times = places.dataset.traversal(pair_set.query).timestamps(pair_set.camera)
+    if len(times) > len(task.queries):
+        why = "are in no pair" if places.rule == "pairs" else "have no pose"
+        reporter.note(
+            f"{task.name}: {len(times) - len(task.queries)} of {len(times)} query images {why}, and are not asked"
+        )
+
+
+def _cross_view(folder: Path, out: Path, options: SetOptions, reporter: Reporter) -> OpenedSet:
+    given = {
+        "--split": options.split,
+        "--radius": options.radius_m,
+        "--heading": options.heading_deg,
+        "--positives": options.positives,
+    }
+    for option, value in given.items():
+        if value is not None:
+            raise ConfigError(f"{option} is for the drives of a dataset; {folder} holds places with labels")
+    if out.resolve().is_relative_to(folder.resolve()):
+        raise ConfigError("--out lies inside the dataset, which results would change; choose another folder", out)
+    found: CrossViewSet = open_cross_view(folder, reporter)
+    tasks = tuple(found.tasks(by_condition=options.by_condition))
+    known = [task.name for task in tasks]
+    for name in options.tasks:
+        if name not in known:
+            raise ConfigError(f"no task '{name}'; there is {', '.join(known)}", folder)
+    chosen = tuple(task for task in tasks if not options.tasks or task.name in options.tasks)
+    return _checked(OpenedSet(found.name, found.fingerprint, tasks, chosen, "images of the query's place"))
+
+
+def _checked(asked: OpenedSet) -> OpenedSet:
+    for task in asked.chosen:
+        check_task(task)
+    return asked

@@ -1,0 +1,145 @@
+"""From descriptors to what is kept of a task: the first images of each query, the exact ranks of its positives."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.evaluation.retrieval.answers import QueryAnswer
+from relocbench.evaluation.retrieval.describe import Described, of_method, one_line
+from relocbench.execution import messages_to_stderr
+from relocbench.metrics import NEVER, count_at_least, exact_scores, ranks_of_positives, sorted_finite
+from relocbench.retrieval import Descriptors, RerankingRetriever, RetrievalTask, Retriever
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+_BLOCK_BYTES = 64 * 2**20
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """One query's ranking."""
+
+    first: Indices
+    """gallery indices, best first; of equal scores the earlier image of the gallery"""
+    ranks: tuple[int, ...]
+    """1-based; of equal scores, images that are not positives stand first"""
+    seconds: float = 0.0
+    """to order the first anew"""
+    broke: str = ""
+
+
+def rank_task(
+    task: RetrievalTask,
+    queries: Described,
+    gallery: Described,
+    retriever: Retriever | None,
+    keep: int | None,
+    advance: Callable[[int], None] = lambda count: None,
+) -> Iterator[tuple[QueryAnswer, list[str]]]:
+    """The row and the kept list of each query, in their order.
+
+    Args:
+        retriever: orders the first of a ranking anew if it can.
+        keep: so many images of each query; None for all.
+        advance: hears how many queries are done.
+    """
+    live = np.flatnonzero(~task.relevance.junk)
+    whole = len(live) == len(gallery)
+    of_gallery = gallery.values if whole else gallery.values[live]
+    if of_gallery.size == 0 or queries.values.shape[1] != of_gallery.shape[1]:
+        # Nothing at all was described on one side: there are no scores.
+        of_gallery, of_queries = np.full((max(len(live), 1), 1), np.nan), np.full((len(queries), 1), np.nan)
+    else:
+        of_queries = queries.values
+    place = np.full(len(gallery), -1)
+    place[live] = np.arange(len(live))
+    again = retriever if isinstance(retriever, RerankingRetriever) and retriever.rerank_top > 0 else None
+    count = len(live) if keep is None else min(keep, len(live))
+    block = int(np.clip(_BLOCK_BYTES // (8 * len(of_gallery)), 1, 1024))
+    for rows, scores in exact_scores(of_queries, of_gallery, block=block):
+        for offset, row in enumerate(scores):
+            q = rows.start + offset
+            ranked = _ranked(row, place[task.relevance.of(q)], count, again, of_queries[q], of_gallery)
+            yield _answer(task, q, queries, ranked), [task.gallery[i].key for i in live[ranked.first]]
+        advance(len(scores))
+
+
+def _ranked(
+    scores: Array,
+    positives: Indices,
+    count: int,
+    again: RerankingRetriever | None,
+    query: Descriptors,
+    gallery: Descriptors,
+) -> Ranked:
+    """The ranking of one query from its scores (G,), NaN where not retrieved."""
+    top = 0 if again is None else again.rerank_top
+    first = nearest(scores, max(count, top))
+    if again is None or first.size == 0:
+        return Ranked(first[:count], _ranks(scores, positives))
+    head = first[:top]
+    start = time.perf_counter()
+    with messages_to_stderr():
+        values, broke = of_method(lambda: again.rerank(query, gallery[head]))
+    seconds = time.perf_counter() - start
+    broke = broke or _fault_of(values, len(head))
+    if broke:
+        return Ranked(first[:0], (), seconds, one_line(broke))
+    ordered = np.concatenate([head[np.argsort(-values, kind="stable")], first[top:]])
+    # Two rankings behind one another: those handed over by their new scores, the rest by the old ones.
+    new = np.full(len(scores), np.nan)
+    new[head] = values
+    rest = scores.copy()
+    rest[head] = np.nan
+    behind = tuple(rank + len(head) for rank in _ranks(rest, positives))
+    return Ranked(ordered[:count], (*_ranks(new, positives), *behind), seconds)
+
+
+def nearest(scores: Array, count: int) -> Indices:
+    """Indices of the ``count`` largest finite scores, best first, ties in the order of the indices."""
+    known = np.flatnonzero(np.isfinite(scores))
+    if len(known) > count > 0:
+        threshold = np.partition(scores[known], len(known) - count)[len(known) - count]
+        known = known[scores[known] >= threshold]
+    return known[np.argsort(-scores[known], kind="stable")][:count].astype(np.int64)
+
+
+def _ranks(scores: Array, positives: Indices) -> tuple[int, ...]:
+    of_positives = scores[positives]
+    at_least = count_at_least(scores[np.isfinite(scores)], sorted_finite(of_positives))
+    return tuple(int(r) + 1 for r in ranks_of_positives(of_positives, at_least) if r != NEVER)
+
+
+def _fault_of(values: object, count: int) -> str | None:
+    if not isinstance(values, np.ndarray) or values.shape != (count,):
+        shape = f"shape {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
+        return f"rerank returned {shape} for {count} candidates, expected ({count},)"
+    if not np.issubdtype(values.dtype, np.floating) or not np.isfinite(values).all():
+        return "rerank returned scores that are not finite floats"
+    return None
+
+
+def _answer(task: RetrievalTask, q: int, queries: Described, ranked: Ranked) -> QueryAnswer:
+    message = queries.messages[q] or ranked.broke
+    if message:
+        status = "error"
+    elif not np.isfinite(queries.values[q]).all():
+        status, message = "failed", "no descriptor"
+    elif ranked.first.size == 0:
+        status, message = "failed", "nothing in the gallery has a descriptor"
+    else:
+        status = "ok"
+    return QueryAnswer(
+        query=task.queries[q].key,
+        group=task.groups[q] if task.groups else "",
+        status=status,
+        positives=int(task.relevance.starts[q + 1] - task.relevance.starts[q]),
+        ranks=ranked.ranks,
+        seconds=float(queries.seconds[q]) + ranked.seconds,
+        message=message,
+    )

@@ -1,0 +1,201 @@
+"""What a retriever left on one set: a folder of rankings, how each came about, the run and its scores.
+
+``RESULTS/SET@FINGERPRINT/METHOD/`` holds, for each task, the retrieved images (``TASK.txt``: ``query db`` a line, best
+first, hloc's pairs) and one row a query with the exact ranks of its positives (``TASK.csv``); ``run.yaml`` and
+``scores.yaml`` for the method. ``retrieval.yaml`` beside the methods says what the set asks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+
+from relocbench.datasets.fingerprint import SHORT
+from relocbench.datasets.schema import Strict
+from relocbench.errors import PredictionError
+from relocbench.evaluation.results import MethodResults, RunRecord
+from relocbench.files import dump_yaml, load_yaml, write_text
+from relocbench.metrics import chance_level
+from relocbench.retrieval import RetrievalSet, RetrievalTask
+
+SET_FILE = "retrieval.yaml"
+METRICS = ("R@1", "R@5", "R@10", "R@20", "R@top1%", "AP", "MRR")
+"""in the order in which tables show them"""
+
+
+class TaskRecord(Strict):
+    """What a leaderboard must know about a task when the images are not at hand."""
+
+    queries: int
+    gallery: int
+    """images, junk included"""
+    junk: int = 0
+    without_positives: int
+    """queries that no image of the gallery answers; they count as not found"""
+    most_positives: int
+    """of one query"""
+    view_query: str
+    view_gallery: str
+    condition_query: str = ""
+    condition_gallery: str = ""
+    grouped: bool = False
+    """whether queries are resampled by groups rather than in blocks along the drive"""
+    chance: dict[str, float] = Field(default_factory=dict)
+    """what a ranking in random order scores on average"""
+
+    @property
+    def single_positive(self) -> bool:
+        """Whether each query has exactly one right answer."""
+        return self.most_positives == 1 and not self.without_positives
+
+    @property
+    def direction(self) -> str:
+        """Views, as ``drone → satellite``."""
+        return f"{self.view_query} → {self.view_gallery}"
+
+    @property
+    def conditions(self) -> str:
+        """Conditions, as ``rain → clear``; empty where they are not known."""
+        known = self.condition_query or self.condition_gallery
+        return f"{self.condition_query or '?'} → {self.condition_gallery or '?'}" if known else ""
+
+
+class SetRecord(Strict):
+    """``RESULTS/SET@FINGERPRINT/retrieval.yaml``."""
+
+    name: str
+    fingerprint: str
+    positives: str = ""
+    """which images are right, in words"""
+    splits: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    """split -> tasks"""
+    tasks: dict[str, TaskRecord]
+
+
+class TaskRun(Strict):
+    """How a task went: what tells a wrong network from a hard task."""
+
+    dimensions: int | None = None
+    """numbers a descriptor"""
+    queries_described: int
+    gallery_described: int
+    descriptor_variance: float | None = None
+    """of descriptors of norm 1 about their mean, 0..1: near 0 all images look alike to the method"""
+    rerank_top: int = 0
+    gallery_seconds: float | None = None
+    """to describe the gallery, images read before; None where an earlier task's descriptors were taken"""
+    fit_seconds: float | None = None
+
+
+class RetrievalRun(RunRecord):
+    """``run.yaml`` of a retriever."""
+
+    task: Literal["retrieval"] = "retrieval"
+    keep: int | None = None
+    """retrieved images that are kept of each query; None for all"""
+    tasks: dict[str, TaskRun] = Field(default_factory=dict)
+
+
+class RetrievalScores(Strict):
+    """``scores.yaml`` of a retriever."""
+
+    relocbench: str
+    answers: dict[str, str]
+    """task -> SHA-256 of its table"""
+    denominator: str
+    tasks: dict[str, dict[str, float | int | None]]
+    """task -> counts, metrics 0..1, and ``METRIC_low`` and ``METRIC_high`` of their 95 % intervals"""
+
+
+@dataclass(frozen=True)
+class RetrieverResults(MethodResults):
+    """The folder of one retriever: ``TASK.txt`` and ``TASK.csv`` where a tracker has its pair sets."""
+
+    def run_record(self) -> RetrievalRun:
+        """Raises PredictionError with file and line."""
+        return load_yaml(self.run_yaml, RetrievalRun, "the record of a retrieval run", PredictionError)
+
+    def retrieval_scores(self) -> RetrievalScores:
+        """Raises PredictionError with file and line."""
+        return load_yaml(self.scores_yaml, RetrievalScores, "the scores of a retriever", PredictionError)
+
+    def write_run(self, record: RetrievalRun) -> None:
+        """Whole or not at all."""
+        write_text(self.run_yaml, dump_yaml(record.model_dump(mode="json")))
+
+
+@dataclass(frozen=True)
+class SetResults:
+    """The folder of one retrieval set: ``NAME@FINGERPRINT``."""
+
+    root: Path
+
+    @cached_property
+    def record(self) -> SetRecord:
+        """Raises PredictionError with file and line."""
+        return load_yaml(self.root / SET_FILE, SetRecord, "the record of a retrieval set", PredictionError)
+
+    def method(self, label: str) -> RetrieverResults:
+        return RetrieverResults(self.root / label)
+
+    def methods(self) -> list[RetrieverResults]:
+        """Every method with a run record, by name."""
+        return [RetrieverResults(p.parent) for p in sorted(self.root.glob("*/run.yaml"))]
+
+
+def set_results(results: Path, asked: RetrievalSet) -> SetResults:
+    """The folder for a set's results; nothing is written."""
+    return SetResults(results / f"{asked.name}@{asked.fingerprint[:SHORT]}")
+
+
+def write_set_record(folder: SetResults, asked: RetrievalSet, tasks: Sequence[RetrievalTask]) -> None:
+    """Keep beside the results what the set asks: ``tasks``, and what is recorded of others of it already."""
+    path = folder.root / SET_FILE
+    known: Mapping[str, TaskRecord] = folder.record.tasks if path.exists() else {}
+    new = {task.name: known.get(task.name) or task_record(task) for task in tasks}
+    names = {task.name for task in asked.tasks()}
+    splits: Mapping[str, Sequence[str]] = getattr(asked, "splits", {})
+    record = SetRecord(
+        name=asked.name,
+        fingerprint=asked.fingerprint,
+        positives=getattr(asked, "positives", ""),
+        splits={split: kept for split, of in splits.items() if (kept := tuple(n for n in of if n in names))},
+        tasks=dict(sorted({**known, **new}.items())),
+    )
+    text = dump_yaml(record.model_dump(mode="json"))
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        write_text(path, text)
+
+
+def task_record(task: RetrievalTask) -> TaskRecord:
+    """What is worth knowing about a task; the chance level costs a pass over the gallery's size."""
+    positives = task.relevance.positives
+    return TaskRecord(
+        queries=len(task.queries),
+        gallery=len(task.gallery),
+        junk=int(task.relevance.junk.sum()),
+        without_positives=int((positives == 0).sum()),
+        most_positives=int(positives.max(initial=0)),
+        view_query=_views(task.queries),
+        view_gallery=_views(task.gallery),
+        condition_query=task.condition_query,
+        condition_gallery=task.condition_gallery,
+        grouped=bool(task.groups),
+        chance={name: round(value, 9) for name, value in chance_level(task.relevance, METRICS).items()},
+    )
+
+
+def all_sets(results: Path) -> list[SetResults]:
+    """Every retrieval set's folder below a results folder; empty where there is none."""
+    if (results / SET_FILE).exists():
+        return [SetResults(results)]
+    return [SetResults(p.parent) for p in sorted(results.glob(f"*@*/{SET_FILE}"))]
+
+
+def _views(images: Sequence[Any]) -> str:
+    return "+".join(sorted({image.view for image in images}))

@@ -1,0 +1,245 @@
+"""Phase one: ask a retriever about every task and keep what it retrieved.
+
+A task is the unit: its two files appear whole when it is done, and a killed run loses the task in hand.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from relocbench.datasets.writer import versions
+from relocbench.errors import DatasetError, MethodError, PredictionError
+from relocbench.evaluation.results import STATUSES
+from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers, write_lists
+from relocbench.evaluation.retrieval.describe import (
+    AnonymousViews,
+    Describer,
+    descriptor_variance,
+    nothing,
+    of_method,
+    shared_keys,
+)
+from relocbench.evaluation.retrieval.ranking import rank_task
+from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults, TaskRun
+from relocbench.evaluation.run import Overwrite, machine, refuse_mixture
+from relocbench.execution import default_workers, messages_to_stderr
+from relocbench.files import alone_in, remove_parts
+from relocbench.methods import MethodSpec, distribution_version
+from relocbench.progress import Reporter
+from relocbench.retrieval import FittingRetriever, RerankingRetriever, RetrievalSet, RetrievalTask, Retriever
+
+BROKEN = STATUSES[2]
+
+
+@dataclass(frozen=True, eq=False)
+class TaskAnswers:
+    """What a retriever answered to one task."""
+
+    answers: list[QueryAnswer]
+    lists: dict[str, list[str]]
+    """query -> retrieved images, best first"""
+    run: TaskRun
+
+
+def run_retriever(
+    asked: RetrievalSet,
+    tasks: Sequence[RetrievalTask],
+    spec: MethodSpec,
+    results: SetResults,
+    *,
+    keep: int | None,
+    overwrite: Overwrite = "never",
+    seed: int = 0,
+    reporter: Reporter,
+) -> RetrieverResults:
+    """Run the tasks that a retriever has not answered yet.
+
+    Args:
+        keep: so many retrieved images of each query are kept; None for all.
+        overwrite: ``never`` keeps every task there is, ``failed`` asks tasks again in which a query failed or broke,
+            ``always`` starts anew.
+
+    Raises:
+        MethodError: the retriever cannot be made, or says that it cannot go on.
+        PredictionError: the folder holds answers of the same label made otherwise, or another process is at it.
+        DatasetError: an image cannot be read.
+    """
+    folder = results.method(spec.label)
+    record = _new_record(asked, spec, seed, keep)
+    todo = [task for task in tasks if overwrite == "always" or _open(folder, task, overwrite)]
+    if overwrite == "always":
+        _clear(folder, tasks)
+    refuse_mixture(folder, record, work_left=bool(todo))
+    _refuse_other_lists(folder, record)
+    if not todo:
+        return folder
+    asking = Asking(lambda: created(spec), todo, seed)  # what cannot be made should not leave a folder
+    folder.root.mkdir(parents=True, exist_ok=True)
+    with alone_in(folder.root, PredictionError):
+        if not folder.run_yaml.exists():
+            folder.write_run(record)
+        images = sum(len(task.queries) + len(task.gallery) for task in todo)
+        with reporter.stage(f"{spec.label} on {asked.name}", images) as advance:
+            for task in todo:
+                done = asking.ask(task, keep, advance)
+                write_lists(folder.predictions(task.name), done.lists)
+                write_answers(folder.answers(task.name), done.answers)
+                so_far = folder.run_record()
+                tasks_done = {**so_far.tasks, task.name: done.run}
+                folder.write_run(so_far.model_copy(update={"tasks": dict(sorted(tasks_done.items())), "end": _now()}))
+    return folder
+
+
+class Asking:
+    """Asks one retriever about several tasks; images that they share are described once, unless it fits.
+
+    Args:
+        make: the retriever, constructed; called again where it fits to another gallery.
+        tasks: all that will be asked.
+        seed: for ``fit``.
+    """
+
+    def __init__(self, make: Callable[[], Retriever], tasks: Sequence[RetrievalTask], seed: int) -> None:
+        self._make = make
+        self._seed = seed
+        self._shared = shared_keys(tasks)
+        self._describer = self._new()
+        self._fitted_on: list[str] | None = None
+        """keys of a gallery"""
+
+    def _new(self) -> Describer:
+        return Describer(self._make(), self._shared)
+
+    def ask(
+        self, task: RetrievalTask, keep: int | None, advance: Callable[[int], None] = lambda count: None
+    ) -> TaskAnswers:
+        """Fit if it fits, describe both sides, rank. Raises MethodError and DatasetError."""
+        fit_seconds, broke = None, ""
+        keys = [image.key for image in task.gallery]
+        if isinstance(self._describer.retriever, FittingRetriever) and self._fitted_on != keys:
+            if self._fitted_on is not None:
+                self._describer = self._new()
+            retriever: Any = self._describer.retriever
+            fit_seconds, broke = _fit(retriever, task, self._seed)
+            self._fitted_on = keys
+        describer = self._describer
+        retriever = describer.retriever
+        again = describer.knows(task.gallery)
+        if broke:
+            self._fitted_on = []  # another task is fitted to anew
+            queries, gallery = nothing(len(task.queries), broke), nothing(len(task.gallery), broke)
+            advance(len(task.queries) + len(task.gallery))
+        else:
+            gallery = describer(task.gallery, advance)
+            queries = describer(task.queries, advance)
+        rows = list(rank_task(task, queries, gallery, retriever, keep))
+        variance = descriptor_variance(queries, gallery)
+        run = TaskRun(
+            dimensions=None if variance is None else gallery.values.shape[1],
+            queries_described=int(queries.finite.sum()),
+            gallery_described=int(gallery.finite.sum()),
+            descriptor_variance=None if variance is None else round(variance, 6),
+            rerank_top=int(retriever.rerank_top) if isinstance(retriever, RerankingRetriever) else 0,
+            gallery_seconds=None if again else round(float(gallery.seconds.sum()), 3),
+            fit_seconds=fit_seconds,
+        )
+        answers = [_blamed(answer, gallery.messages) for answer, _ in rows]
+        return TaskAnswers(answers, {answer.query: kept for answer, kept in rows}, run)
+
+
+def created(spec: MethodSpec) -> Retriever:
+    """The retriever, constructed. Raises MethodError."""
+    made: Any = spec.create()
+    if not isinstance(made, Retriever):
+        raise MethodError(f"retriever '{spec.label}': {spec.target} made a {type(made).__name__} without describe()")
+    return made
+
+
+def check_task(task: RetrievalTask) -> None:
+    """Raises DatasetError where a task cannot be asked: no image, a key that occurs twice or holds a blank, ..."""
+    for side, images in (("query", task.queries), ("gallery image", task.gallery)):
+        keys = [image.key for image in images]
+        if not keys:
+            raise DatasetError(f"task '{task.name}' has no {side}")
+        if len(set(keys)) < len(keys):
+            twice = next(key for key in keys if keys.count(key) > 1)
+            raise DatasetError(f"task '{task.name}': {side} '{twice}' occurs twice")
+        blank = next((key for key in keys if key.split() != [key] or key.startswith("#")), None)
+        if blank is not None:
+            raise DatasetError(
+                f"task '{task.name}': {side} '{blank}' has a blank in its name; lists part names by blanks"
+            )
+    sizes = (task.relevance.queries, task.relevance.gallery)
+    if sizes != (len(task.queries), len(task.gallery)) or (task.groups and len(task.groups) != len(task.queries)):
+        raise DatasetError(f"task '{task.name}': relevance or groups do not fit its {len(task.queries)} queries")
+
+
+def _fit(retriever: FittingRetriever, task: RetrievalTask, seed: int) -> tuple[float, str]:
+    """Seconds, and how it broke."""
+    start = time.perf_counter()
+    with messages_to_stderr():
+        _, broke = of_method(lambda: retriever.fit(AnonymousViews(task.gallery), seed))
+    return round(time.perf_counter() - start, 3), f"fit: {broke}" if broke else ""
+
+
+def _blamed(answer: QueryAnswer, of_gallery: Sequence[str]) -> QueryAnswer:
+    """A query that found nothing because the method broke on the whole gallery says how."""
+    if answer.status == "failed" and of_gallery and all(of_gallery):
+        return QueryAnswer(
+            answer.query, answer.group, BROKEN, answer.positives, (), answer.seconds, f"on the gallery: {of_gallery[0]}"
+        )
+    return answer
+
+
+def _open(folder: RetrieverResults, task: RetrievalTask, overwrite: Overwrite) -> bool:
+    """Whether a task is still to be asked."""
+    if not folder.complete(task.name):
+        return True
+    answers = read_answers(folder.answers(task.name))
+    if [a.query for a in answers] != [q.key for q in task.queries]:
+        raise PredictionError(f"holds other queries than task '{task.name}'", folder.answers(task.name))
+    return overwrite == "failed" and any(a.status != "ok" for a in answers)
+
+
+def _refuse_other_lists(folder: RetrieverResults, record: RetrievalRun) -> None:
+    if folder.run_yaml.exists() and (before := folder.run_record().keep) != record.keep:
+        raise PredictionError(
+            f"keeps {before or 'all'} images of each query, --keep is {record.keep or 'all'}; "
+            f"give this run a label (LABEL={record.target}) or use --overwrite always",
+            folder.run_yaml,
+        )
+
+
+def _clear(folder: RetrieverResults, tasks: Sequence[RetrievalTask]) -> None:
+    for task in tasks:
+        folder.predictions(task.name).unlink(missing_ok=True)
+        folder.answers(task.name).unlink(missing_ok=True)
+    # Other tasks that stay keep their record: a mixture is then refused.
+    if folder.root.is_dir() and not any(folder.root.glob("*.txt")):
+        folder.run_yaml.unlink(missing_ok=True)
+        remove_parts(folder.root)
+
+
+def _new_record(asked: RetrievalSet, spec: MethodSpec, seed: int, keep: int | None) -> RetrievalRun:
+    return RetrievalRun(
+        method=spec.label,
+        target=spec.target,
+        parameters=json.loads(json.dumps(dict(spec.parameters), default=str)),
+        seed=seed,
+        dataset=asked.name,
+        fingerprint=asked.fingerprint,
+        versions={**versions(), "method": distribution_version(spec.target, spec.kind)},
+        machine=machine(),
+        workers=default_workers(),
+        start=_now(),
+        keep=keep,
+    )
+
+
+def _now() -> str:
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

@@ -1,0 +1,128 @@
+"""Phase two: what the metrics make of the ranks, and what to look at where they are no better than chance."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+
+import numpy as np
+
+import relocbench
+from relocbench.errors import PredictionError
+from relocbench.evaluation.retrieval.answers import QueryAnswer, answers_hash, ranking_of, read_answers
+from relocbench.evaluation.retrieval.records import (
+    METRICS,
+    RetrievalScores,
+    RetrieverResults,
+    SetRecord,
+    TaskRecord,
+    TaskRun,
+)
+from relocbench.files import dump_yaml, write_text
+from relocbench.metrics import Denominator, Interval, bootstrap_interval, per_group, score_retrieval
+from relocbench.metrics.retrieval import RetrievalScores as QueryScores
+
+Values = dict[str, float | int | None]
+
+
+def score_retriever(asked: SetRecord, folder: RetrieverResults, *, seed: int = 0) -> RetrievalScores:
+    """Score every task that a retriever answered; writes ``scores.yaml``.
+
+    Args:
+        seed: of the bootstrap of the intervals.
+
+    Raises:
+        PredictionError: the answers are for another set, or a file is bad.
+    """
+    run = folder.run_record()
+    if run.fingerprint != asked.fingerprint:
+        raise PredictionError(
+            f"answers are for {run.dataset}@{run.fingerprint[:12]}, the set is {asked.name}@{asked.fingerprint[:12]}",
+            folder.run_yaml,
+        )
+    hashes, tasks = {}, {}
+    for name, record in asked.tasks.items():
+        if folder.complete(name):
+            hashes[name] = answers_hash(folder.answers(name))
+            tasks[name] = summary(name, record, checked_answers(name, record, folder), seed)
+    scores = RetrievalScores(
+        relocbench=relocbench.__version__, answers=hashes, denominator=str(Denominator.ALL), tasks=tasks
+    )
+    write_text(folder.scores_yaml, dump_yaml(scores.model_dump(mode="json")))
+    return scores
+
+
+def checked_answers(name: str, record: TaskRecord, folder: RetrieverResults) -> list[QueryAnswer]:
+    """A task's table. Raises PredictionError unless it has a row for each query."""
+    path = folder.answers(name)
+    answers = read_answers(path)
+    if len(answers) != record.queries:
+        raise PredictionError(f"{len(answers)} rows, expected one for each of {record.queries} queries", path)
+    return answers
+
+
+def scores_of(answers: Sequence[QueryAnswer], record: TaskRecord) -> QueryScores:
+    """What each query scored."""
+    return score_retrieval(ranking_of(answers, record.gallery))
+
+
+def summary(name: str, record: TaskRecord, answers: Sequence[QueryAnswer], seed: int = 0) -> Values:
+    """Counts, means over all queries, and their intervals."""
+    scores = scores_of(answers, record)
+    statuses = [a.status for a in answers]
+    seconds = [a.seconds for a in answers if a.seconds is not None]
+    values: Values = {
+        "queries": len(answers),
+        "without_positives": int(np.sum(scores.positives == 0)),
+        "failed": statuses.count("failed"),
+        "broke": statuses.count("error"),
+        "gallery": record.gallery,
+        "median_seconds": float(np.median(seconds)) if seconds else None,
+    }
+    for metric in METRICS:
+        per_query = scores.per_query(metric)
+        interval = interval_of(resampled(per_query, answers), record.grouped, generator(seed, name, metric))
+        values[metric] = float(np.mean(per_query))
+        values[f"{metric}_low"] = None if interval is None else interval.low
+        values[f"{metric}_high"] = None if interval is None else interval.high
+    return values
+
+
+def resampled(per_query: np.ndarray, answers: Sequence[QueryAnswer]) -> np.ndarray:
+    """What a bootstrap draws from: a value a group, or each query's along the drive."""
+    groups = [a.group for a in answers]
+    return per_group(per_query, groups) if all(groups) else per_query
+
+
+def interval_of(values: np.ndarray, grouped: bool, rng: np.random.Generator) -> Interval | None:
+    """95 % interval of a mean; None where there is too little to say."""
+    return bootstrap_interval([values], rng, block_length=1 if grouped else None)
+
+
+def generator(seed: int, place: str, metric: str) -> np.random.Generator:
+    """One for each number, so that it does not depend on what else there is."""
+    return np.random.default_rng([seed, zlib.crc32(f"{place} {metric}".encode())])
+
+
+def suspicion(name: str, record: TaskRecord, values: Values, run: TaskRun | None) -> str | None:
+    """What to look at where R@1 is no better than chance; None where it is."""
+    found, chance = values["R@1"], record.chance.get("R@1", 0.0)
+    low = values["R@1_low"]
+    if found is None or (found > chance and (low is None or low > chance)):
+        return None
+    answerable = record.queries - record.without_positives
+    told = [f"R@1 on {name} is {100 * found:.2f} %, a random order gives {100 * chance:.2f} %"]
+    told.append(f"{answerable} of {record.queries} queries have an image in the gallery that answers them")
+    if run is not None:
+        if run.descriptor_variance is not None:
+            alike = (
+                " (all images look alike to it: wrong or untrained weights?)" if run.descriptor_variance < 1e-3 else ""
+            )
+            told.append(
+                f"descriptors of {run.dimensions} numbers have variance {run.descriptor_variance:.2g} of 1{alike}"
+            )
+        told.append(
+            f"{run.queries_described} of {record.queries} queries and {run.gallery_described} of {record.gallery} "
+            "gallery images were described"
+        )
+    return "; ".join(told)
