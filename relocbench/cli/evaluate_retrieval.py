@@ -45,7 +45,7 @@ def _print_report(report: RetrievalReport) -> None:
                 broke = f"{values['failed']} / {values['broke']}"
                 seconds = values["median_seconds"]
                 cells = [_percent(values, metric) for metric in METRICS]
-                rows.append([folder.label, *cells, broke, "" if seconds is None else f"{seconds:.4f}"])
+                rows.append([folder.label, *cells, broke, "" if seconds is None else f"{seconds:.3g}"])
         if rows:
             rows.append(["(chance)", *(f"{100 * record.chance[metric]:.1f}" for metric in METRICS), "", ""])
             print_table(title, ["method", *(f"{m} %" for m in METRICS), "failed / broke", "s a query"], rows)

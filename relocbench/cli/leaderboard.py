@@ -11,20 +11,22 @@ from relocbench.cli.options import Json, Quiet
 
 if TYPE_CHECKING:
     from relocbench.leaderboard.model import Board, DatasetBoard, Table
+    from relocbench.leaderboard.retrieval import RetrievalBoard
     from relocbench.metrics import Metric
 
 
 def leaderboard(
     results: Annotated[Path, typer.Argument(help="Results folder of `relocbench evaluate`.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
-    metric: Annotated[str, typer.Option(help="Ranks methods; any metric that is a mean over pairs.")] = "t_auc@0.5m",
+    metric: Annotated[str, typer.Option(help="Ranks trackers; any metric that is a mean over pairs.")] = "t_auc@0.5m",
+    retrieval_metric: Annotated[str, typer.Option(help="Ranks retrievers: R@1, R@5, AP, ...")] = "R@1",
     split: Annotated[str | None, typer.Option(help="Only the pair sets of this split.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
     plots: Annotated[bool, typer.Option("--plots/--no-plots", help="Draw the cumulative error curves.")] = True,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Compare methods: CSV, Markdown and cumulative error curves.
+    """Compare methods: CSV, Markdown and cumulative error curves; retrievers have a page of their own.
 
     Needs the results folder alone, not the dataset. The same results give the same bytes.
 
@@ -33,15 +35,42 @@ def leaderboard(
     from relocbench.cli.console import print_json, reporter
     from relocbench.leaderboard import write_leaderboard
     from relocbench.leaderboard.long_form import leaderboard_rows
+    from relocbench.leaderboard.retrieval import holds_tracking
+    from relocbench.leaderboard.retrieval_write import retrieval_rows, write_retrieval_leaderboard
 
-    board = write_leaderboard(
-        results, out, metric=metric, split=split, seed=seed, plots=plots, reporter=reporter(quiet)
-    )
+    reports = reporter(quiet)
+    found = write_retrieval_leaderboard(results, out, metric=retrieval_metric, split=split, seed=seed, reporter=reports)
+    board = None
+    if found is None or holds_tracking(results):
+        board = write_leaderboard(results, out, metric=metric, split=split, seed=seed, plots=plots, reporter=reports)
     if json:
-        print_json({"metric": metric, "seed": seed, "split": split, "rows": leaderboard_rows(board)})
+        retrieval = {} if found is None else {"retrieval_metric": found.metric, "retrieval": retrieval_rows(found)}
+        rows = [] if board is None else leaderboard_rows(board)
+        print_json({"metric": metric, "seed": seed, "split": split, "rows": rows, **retrieval})
     elif not quiet:
-        print_leaderboard(board)
-        typer.echo(f"written: {out / 'leaderboard.md'}", err=True)
+        if board is not None:
+            print_leaderboard(board)
+            typer.echo(f"written: {out / 'leaderboard.md'}", err=True)
+        if found is not None:
+            _print_retrieval(found)
+            typer.echo(f"written: {out / 'retrieval.md'}", err=True)
+
+
+def _print_retrieval(board: RetrievalBoard) -> None:
+    from relocbench.cli.console import print_table
+    from relocbench.leaderboard.text import number
+
+    for asked in board.sets:
+        for table in asked.tables:
+            title = f"{asked.title}: {table.name} ({table.queries} queries)"
+            rows = [
+                ["" if row.rank is None else str(row.rank), *(number(row.values[m], "share") for m in board.shown)]
+                for row in table.rows
+            ]
+            names = [row.method.label for row in table.rows]
+            chance = ["(chance)", "", *(number(table.chance[m], "share") for m in board.shown)]
+            columns = ["method", "rank", *(f"{m} %" for m in board.shown)]
+            print_table(title, columns, [*([name, *row] for name, row in zip(names, rows, strict=True)), chance])
 
 
 def print_leaderboard(board: Board) -> None:

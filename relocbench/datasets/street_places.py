@@ -72,6 +72,14 @@ class StreetPlaces:
         return f"keyframes within {self.radius_m:g} m{heading}"
 
     @property
+    def options(self) -> dict[str, float | str]:
+        """Of the command line, that make this set."""
+        if self.rule == "pairs":
+            return {"positives": "pairs"}
+        heading: dict[str, float | str] = {} if self.heading_deg is None else {"heading": self.heading_deg}
+        return {"radius": self.radius_m, **heading}
+
+    @property
     def fingerprint(self) -> str:
         """Of the dataset and of what is right."""
         radius = None if self.rule == "pairs" else self.radius_m

@@ -38,6 +38,8 @@ class OpenedSet:
     chosen: tuple[RetrievalTask, ...]
     positives: str = ""
     splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    options: Mapping[str, float | str] = field(default_factory=dict)
+    """of the command line, that make this set"""
 
     def tasks(self) -> tuple[RetrievalTask, ...]:
         return self.all_tasks
@@ -89,7 +91,9 @@ def _street(folder: Path, out: Path, options: SetOptions, reporter: Reporter) ->
     tasks = tuple(places.task(s) for s in places.pair_sets if s.name in names)
     for task in tasks:
         _tell_left_out(places, task, reporter)
-    return _checked(OpenedSet(places.name, places.fingerprint, tasks, tasks, places.positives, places.splits))
+    return _checked(
+        OpenedSet(places.name, places.fingerprint, tasks, tasks, places.positives, places.splits, places.options)
+    )
 
 
 def _tell_left_out(places: StreetPlaces, task: RetrievalTask, reporter: Reporter) -> None:

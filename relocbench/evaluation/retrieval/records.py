@@ -72,6 +72,8 @@ class SetRecord(Strict):
     fingerprint: str
     positives: str = ""
     """which images are right, in words"""
+    options: dict[str, float | str] = Field(default_factory=dict)
+    """of ``relocbench evaluate`` that make this set of its dataset"""
     splits: dict[str, tuple[str, ...]] = Field(default_factory=dict)
     """split -> tasks"""
     tasks: dict[str, TaskRecord]
@@ -164,6 +166,7 @@ def write_set_record(folder: SetResults, asked: RetrievalSet, tasks: Sequence[Re
         name=asked.name,
         fingerprint=asked.fingerprint,
         positives=getattr(asked, "positives", ""),
+        options=dict(getattr(asked, "options", {})),
         splits={split: kept for split, of in splits.items() if (kept := tuple(n for n in of if n in names))},
         tasks=dict(sorted({**known, **new}.items())),
     )

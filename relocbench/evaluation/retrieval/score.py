@@ -111,7 +111,10 @@ def suspicion(name: str, record: TaskRecord, values: Values, run: TaskRun | None
     if found is None or (found > chance and (low is None or low > chance)):
         return None
     answerable = record.queries - record.without_positives
-    told = [f"R@1 on {name} is {100 * found:.2f} %, a random order gives {100 * chance:.2f} %"]
+    told = [
+        f"not shown to be better than chance on {name}: R@1 is {100 * found:.2f} %, a random order gives "
+        f"{100 * chance:.2f} %"
+    ]
     told.append(f"{answerable} of {record.queries} queries have an image in the gallery that answers them")
     if run is not None:
         if run.descriptor_variance is not None:
