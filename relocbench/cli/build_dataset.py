@@ -15,10 +15,11 @@ from relocbench.cli.options import Json, Quiet, Scheduler, Workers
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
-    from relocbench.datasets.importers.options import ImportOptions
+    from relocbench.datasets.cross_view import CrossViewSet
     from relocbench.datasets.recording import RecordingFolder
+    from relocbench.datasets.schema import Strict
 
-_NO_SOURCE = ("synthetic",)
+_NO_SOURCE = ("synthetic", "cross-view")
 _EXAMPLES = {
     "kitti": "relocbench build-dataset kitti odometry/dataset --sequence 06 --pair-step 1,2,4,8 --out D",
     "tum-rgbd": "relocbench build-dataset tum-rgbd rgbd_dataset_freiburg1_xyz --pair-step 1,2,4 --out D",
@@ -28,6 +29,8 @@ _EXAMPLES = {
     "generic-lidar": "relocbench build-dataset generic-lidar summer winter --out D",
     "generic": "relocbench build-dataset generic summer winter --max-distance 3 --out D",
     "synthetic": "relocbench build-dataset synthetic --preset demo --conditions Sunny,Rain,Snow --out D",
+    "cross-view": "relocbench build-dataset cross-view --places 60 --drone-views 12 --conditions Sunny,Overcast,Rain "
+    "--out D",
 }
 
 
@@ -60,9 +63,9 @@ def _build_dataset() -> None:
 
 def _command(kind: str) -> TyperCommand:
     """The sub-command of one kind; its options are the fields of the importer's ``Options``."""
-    from relocbench.datasets.importers import KINDS, importer
+    from relocbench.datasets.importers import KINDS, options_of
 
-    options = importer(kind).Options
+    options = options_of(kind)
     fields = {name: field for name, field in options.model_fields.items() if _is_option(field)}
 
     def run(**given: Any) -> None:
@@ -133,17 +136,27 @@ def _metavar(annotation: Any) -> str:
     return {int: "INT", float: "FLOAT", Path: "PATH"}.get(annotation, "TEXT")
 
 
-def _build(kind: str, options: type[ImportOptions], given: dict[str, Any]) -> None:
+def _build(kind: str, options: type[Strict], given: dict[str, Any]) -> None:
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
     from relocbench.cli.inspect import print_summary
-    from relocbench.datasets.importers import Run, importer, recorder
+    from relocbench.datasets.importers import Run, importer, place_importer, recorder
+    from relocbench.datasets.importers.options import ImportOptions
     from relocbench.execution import default_workers
 
     sources, out = given.pop("sources", []), given.pop("out")
     config, quiet, as_json = given.pop("config"), given.pop("quiet"), given.pop("json")
     run = Run(given.pop("workers") or default_workers(), given.pop("scheduler"))
     chosen = merged(options, config, {name: value for name, value in given.items() if value is not None})
+    places = place_importer(kind)
+    if places is not None:
+        made = places.build_places(list(sources), chosen, out, reporter(quiet), run)
+        if as_json:
+            print_json({"dataset": str(out), "name": made.name, "fingerprint": made.fingerprint})
+        elif not quiet:
+            print_places(made)
+        return
+    assert isinstance(chosen, ImportOptions)
     records = recorder(kind)
     recorded = records.record(list(sources), chosen, out, reporter(quiet), run) if records else None
     if recorded is not None:
@@ -157,6 +170,18 @@ def _build(kind: str, options: type[ImportOptions], given: dict[str, Any]) -> No
         print_json({"dataset": str(out), "name": dataset.name, "fingerprint": dataset.fingerprint})
     elif not quiet:
         print_summary(dataset)
+
+
+def print_places(made: CrossViewSet) -> None:
+    """What is in a cross-view set."""
+    from relocbench.cli.console import print_table
+    from relocbench.datasets.fingerprint import SHORT
+
+    print(f"{made.name}: {made.root}, fingerprint {made.fingerprint[:SHORT]}")
+    rows = [[f.folder, str(f.classes), str(f.images), f.conditions] for f in made.inventory()]
+    print_table("Folders", ["folder", "classes", "images", "conditions"], rows)
+    for note in made.notes:
+        print(f"note: {note}")
 
 
 def _print_recording(recorded: RecordingFolder) -> None:

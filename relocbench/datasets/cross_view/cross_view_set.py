@@ -26,6 +26,17 @@ class Shot:
     condition: str = ""
 
 
+@dataclass(frozen=True)
+class FolderInventory:
+    """What one folder of a set holds."""
+
+    folder: str
+    classes: int
+    images: int
+    conditions: str
+    """joined by +, where they are known"""
+
+
 @dataclass(frozen=True, eq=False)
 class CrossViewSet:
     """Images of buildings from several views, as a :class:`~relocbench.retrieval.RetrievalSet` and as training data.
@@ -64,6 +75,18 @@ class CrossViewSet:
     def overlap(self) -> tuple[str, ...]:
         """Classes that are both learned from and tested on: none, in a set that says anything."""
         return tuple(sorted({*self.train_labels} & {*self.test_labels}))
+
+    def inventory(self) -> list[FolderInventory]:
+        """Folder by folder."""
+        folders = {
+            **{f"train/{name}": shots for name, shots in self.train.items()},
+            **{f"test/query_{name}": shots for name, shots in self.queries.items()},
+            **{f"test/gallery_{name}": shots for name, shots in self.galleries.items()},
+        }
+        return [
+            FolderInventory(name, len({s.label for s in shots}), len(shots), _conditions(shots))
+            for name, shots in folders.items()
+        ]
 
     def tasks(self, *, by_condition: bool = False) -> Sequence[RetrievalTask]:
         """Every direction for which there are queries and a gallery of another view, as ``drone-satellite``.

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
 if TYPE_CHECKING:
+    from relocbench.datasets.cross_view import CrossViewSet
     from relocbench.datasets.dataset import Dataset
     from relocbench.datasets.importers.options import ImportOptions
     from relocbench.datasets.recording import RecordingFolder
+    from relocbench.datasets.schema import Strict
     from relocbench.progress import Reporter
 
 KINDS: dict[str, str] = {
@@ -27,6 +29,7 @@ KINDS: dict[str, str] = {
     "generic-lidar": "the minimal folder with lidar: ground truth across drives from it",
     "generic": "a minimal documented folder: images, intrinsics, TUM poses, optional depth",
     "synthetic": "a procedural town in any weather, ray-cast: districts, drives and exact truth from a seed",
+    "cross-view": "buildings of procedural towns by drone, satellite and from the street, in University-1652's layout",
 }
 """what ``relocbench build-dataset`` can read"""
 
@@ -57,6 +60,27 @@ class Recorder(Protocol):
     ) -> RecordingFolder | None:
         """None where the options ask for a dataset."""
         ...
+
+
+class PlaceImporter(Protocol):
+    """What an importer module offers that makes places to retrieve instead of a dataset to track in."""
+
+    Options: type[Strict]
+
+    def build_places(
+        self, sources: list[Path], options: Strict, out: Path, reporter: Reporter, run: Run
+    ) -> CrossViewSet: ...
+
+
+def options_of(kind: str) -> type[Strict]:
+    """The options of one of :data:`KINDS`."""
+    return importer(kind).Options
+
+
+def place_importer(kind: str) -> PlaceImporter | None:
+    """The importer module of a kind, if it makes places."""
+    module = importer(kind)
+    return cast(PlaceImporter, module) if hasattr(module, "build_places") else None
 
 
 def recorder(kind: str) -> Recorder | None:

@@ -216,12 +216,12 @@ def _yard_trees(planting: Planting, block: Block) -> None:
     yard = offset_loop(block.building, [13.0] * len(block.building))
     low, high = yard.min(0), yard.max(0)
     for place in planting.rng.uniform(low, high, (max(2, int(np.prod(high - low) / 250)), 2)):
-        if _inside(yard, place):
+        if inside(yard, place):
             kind, scale = int(planting.rng.integers(TREE_TYPES)), float(planting.rng.uniform(0.9, 1.3))
             planting.tree(place, kind, scale, coarse=True)
 
 
-def _inside(polygon: Floats, point: Floats) -> bool:
+def inside(polygon: Floats, point: Floats) -> bool:
     """Whether a point is in a polygon (P, 2), by the crossings of a ray."""
     a, b = polygon, np.roll(polygon, -1, axis=0)
     spans = (a[:, 1] > point[1]) != (b[:, 1] > point[1])

@@ -31,7 +31,7 @@ class Place:
     extent_m: float
 
 
-class _Latest(Generic[Value]):
+class Latest(Generic[Value]):
     """Keeps one value: the one before is let go before the next is made, so that memory holds one at a time."""
 
     def __init__(self) -> None:
@@ -45,9 +45,9 @@ class _Latest(Generic[Value]):
         return self._value
 
 
-_district: _Latest[District] = _Latest()
-_renderer: _Latest[Renderer] = _Latest()
-_surroundings: _Latest[Surroundings] = _Latest()
+_district: Latest[District] = Latest()
+_renderer: Latest[Renderer] = Latest()
+_surroundings: Latest[Surroundings] = Latest()
 
 
 def district(place: Place) -> District:

@@ -1,0 +1,1 @@
+"""A cross-view set rendered from procedural towns."""

@@ -1,0 +1,88 @@
+"""Which buildings of a town become places."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.mesh import Semantic
+from relocbench.datasets.synthetic.planting import inside
+from relocbench.datasets.synthetic.rows import PeriodicFront
+from relocbench.datasets.synthetic.stage import Place as Town
+from relocbench.datasets.synthetic.town import District
+
+Array = NDArray[np.float64]
+_LEAST_FOOTPRINT_M = 4.5
+"""shorter side of the smallest building that is a place: links between houses are none"""
+_FROM_PERIODIC_M = 14.0
+"""houses with repeating facades are one model many times over: nobody could tell two of them apart"""
+
+
+@dataclass(frozen=True, eq=False)
+class Building:
+    """A house as the views see it: the box around it."""
+
+    instance: int
+    """its number in the town"""
+    centre: Array
+    """(2,) metres"""
+    sides_m: Array
+    """(2,) along x and y"""
+    height_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceOfTown:
+    """One class of the set."""
+
+    label: str
+    """the folder's name: four digits"""
+    town: Town
+    building: Building
+    distractor: bool = False
+    """in galleries alone"""
+
+
+def buildings(district: District, *, every: bool = False) -> list[Building]:
+    """The houses of a town that can be places, or ``every`` one, by their numbers.
+
+    Those beyond the outer streets are none: half of what is seen around them is open land.
+    """
+    mesh = district.static
+    chosen = mesh.semantic == Semantic.BUILDING
+    names, index = np.unique(mesh.instance[chosen], return_inverse=True)
+    low, high = np.full((len(names), 3), np.inf), np.full((len(names), 3), -np.inf)
+    corners = mesh.vertices[mesh.triangles[chosen]].astype(np.float64)
+    np.minimum.at(low, index, corners.min(axis=1))
+    np.maximum.at(high, index, corners.max(axis=1))
+    middle, size = (low + high) / 2, high - low
+    if every:
+        return [_building(names[k], middle[k], size[k], high[k]) for k in range(len(names))]
+    roomy = size[:, :2].min(axis=1) >= _LEAST_FOOTPRINT_M
+    for front in district.periodic.fronts:
+        roomy &= _distance(middle[:, :2], front) > _FROM_PERIODIC_M
+    streets = district.network.nodes[list(district.network.faces[-1])]
+    chosen_ones = [k for k in np.flatnonzero(roomy) if inside(streets, middle[k, :2])]
+    return [_building(names[k], middle[k], size[k], high[k]) for k in chosen_ones]
+
+
+def _building(name: int, middle: Array, size: Array, high: Array) -> Building:
+    return Building(int(name), middle[:2], size[:2], float(high[2]))
+
+
+def spread(found: list[Building], spacing_m: float, rng: np.random.Generator) -> list[Building]:
+    """Buildings in random order, none nearer to one before it than the spacing."""
+    chosen: list[Building] = []
+    for k in rng.permutation(len(found)):
+        if all(np.hypot(*(found[k].centre - other.centre)) >= spacing_m for other in chosen):
+            chosen.append(found[k])
+    return chosen
+
+
+def _distance(points: Array, front: PeriodicFront) -> Array:
+    """Of points (N, 2) from the row's line of facades."""
+    along = front.end - front.start
+    t = np.clip((points - front.start) @ along / float(along @ along), 0, 1)
+    return np.asarray(np.linalg.norm(points - front.start - t[:, None] * along, axis=1))

@@ -1,0 +1,135 @@
+"""Everything that is decided before anything is rendered: towns, places, and each image's camera and condition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.cross_view.rendered import flight
+from relocbench.datasets.cross_view.rendered.flight import Optics
+from relocbench.datasets.cross_view.rendered.places import Building, PlaceOfTown, buildings, spread
+from relocbench.datasets.synthetic import stage
+from relocbench.datasets.synthetic.network import StreetNetwork
+from relocbench.datasets.synthetic.stage import Place as Town
+from relocbench.errors import ConfigError
+from relocbench.progress import Reporter
+
+Array = NDArray[np.float64]
+MOST_PLACES = 5000
+"""of one split: labels have four digits, and those of test begin here"""
+PLACES_A_TOWN = 50
+"""unless told otherwise; fewer where a town has no more room"""
+_SEEDS_A_SET = 1000
+"""a set of another seed has other towns"""
+
+
+@dataclass(frozen=True)
+class Views:
+    """What is taken of each place."""
+
+    optics: Optics
+    drone: int
+    street: int
+    far_m: float
+    """distance at which the drone's flight begins"""
+    random_heading: bool
+    """whether satellite images are turned at random; else north is up"""
+    above: str
+    """condition of the satellite's images"""
+    below: tuple[str, ...]
+    """conditions of the drone's and the street's, one after the other"""
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """One image to render."""
+
+    keys: tuple[str, ...]
+    """where it lies in the set; from the second on the same file by other names"""
+    label: str
+    view: str
+    condition: str
+    town: Town
+    T_world_cam: Array
+    seed: int
+    """of noise and falling weather"""
+
+
+def choose_places(
+    split: str,
+    count: int,
+    distractors: int,
+    towns: int | None,
+    spacing_m: float,
+    extent_m: float,
+    seed: int,
+    reporter: Reporter,
+) -> list[tuple[PlaceOfTown, StreetNetwork]]:
+    """Places of a split with the streets of their towns: each town gives as many as the others, if it can.
+
+    Raises:
+        ConfigError: more places than labels, or than the towns asked for have room for.
+    """  # fmt: skip
+    wanted = count + distractors
+    if wanted > MOST_PLACES:
+        raise ConfigError(f"--places and --distractors: {wanted} places; there are labels for {MOST_PLACES} a split")
+    planned = towns if towns is not None else -(-wanted // PLACES_A_TOWN)
+    chosen: list[tuple[Town, Building, StreetNetwork]] = []
+    with reporter.stage(f"laying out towns of {split}", planned) as advance:
+        k = 0
+        while len(chosen) < wanted:
+            if k >= _SEEDS_A_SET or (towns is not None and k >= towns):
+                raise ConfigError(
+                    f"--places: {k} towns of {extent_m:g} m have room for {len(chosen)} places {spacing_m:g} m apart, "
+                    f"{wanted} are asked for; raise --towns or --extent, or lower --spacing"
+                )
+            town = Town(seed * _SEEDS_A_SET + k, split, extent_m)
+            district = stage.district(town)
+            rng = np.random.default_rng([seed, 31, k, _number(split)])
+            share = -(-(wanted - len(chosen)) // max(planned - k, 1))
+            found = spread(buildings(district), spacing_m, rng)[:share]
+            chosen += [(town, building, district.network) for building in found]
+            k += 1
+            advance(1 if k <= planned else 0)
+    first = MOST_PLACES * _number(split)
+    return [
+        (PlaceOfTown(f"{first + i:04d}", town, building, i >= count), network)
+        for i, (town, building, network) in enumerate(chosen)
+    ]
+
+
+def photos_of(place: PlaceOfTown, network: StreetNetwork, views: Views, split: str, seed: int) -> list[Photo]:
+    """All images of a place, in the order of their keys."""
+    rng = np.random.default_rng([seed, 32, int(place.label)])
+    start, turn = rng.uniform(0, 2 * np.pi, 2)
+    poses = {
+        "drone": flight.drone(place.building, views.drone, views.far_m, float(start)),
+        "satellite": [flight.satellite(place.building, float(turn) if views.random_heading else 0.0)],
+        "street": flight.street(place.building, views.street, network) if views.street else [],
+    }
+    found = []
+    for v, (view, taken) in enumerate(poses.items()):
+        for k, T_world_cam in enumerate(taken):
+            condition = views.above if view == "satellite" else views.below[k % len(views.below)]
+            number = int(np.random.SeedSequence([seed, 33, int(place.label), v, k]).generate_state(1)[0])
+            keys = tuple(f"{f}/{place.label}/{_file(view, k, place.label)}" for f in _folders(view, split, place))
+            found.append(Photo(keys, place.label, view, condition, place.town, T_world_cam, number))
+    return found
+
+
+def _folders(view: str, split: str, place: PlaceOfTown) -> Sequence[str]:
+    if split == "train":
+        return (f"train/{view}",)
+    return (f"test/gallery_{view}",) if place.distractor else (f"test/gallery_{view}", f"test/query_{view}")
+
+
+def _file(view: str, k: int, label: str) -> str:
+    """As University-1652 calls them."""
+    return {"drone": f"image-{k + 1:02d}.png", "satellite": f"{label}.png"}.get(view, f"{k + 1}.png")
+
+
+def _number(split: str) -> int:
+    return {"train": 0, "test": 1}[split]

@@ -1,0 +1,133 @@
+"""Rendering the images that are missing: a town in a condition is made ready once and photographed many times."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+from relocbench.datasets import images
+from relocbench.datasets.cross_view.rendered.details import seen_from_above
+from relocbench.datasets.cross_view.rendered.plan import Photo, Views
+from relocbench.datasets.importers import Run
+from relocbench.datasets.synthetic import stage
+from relocbench.datasets.synthetic.condition import Factors
+from relocbench.datasets.synthetic.render import Renderer, Surroundings
+from relocbench.datasets.synthetic.sky import make_sky
+from relocbench.datasets.synthetic.skylight import Skylight
+from relocbench.datasets.synthetic.stage import Place as Town
+from relocbench.datasets.synthetic.town import District, compose
+from relocbench.datasets.synthetic.work import duration
+from relocbench.execution import chunks, run_units
+from relocbench.progress import Reporter
+
+_MOST_A_UNIT = 96
+"""images: a worker that changes town or condition has to make it ready, which takes as long as dozens of images"""
+_WORTH_WORKERS = 12
+_WORTH_AN_ESTIMATE = 200
+_SEEN_THROUGH = 1.0
+"""optical depth of fog at the flight's farthest point: in denser fog nobody would fly"""
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoUnit:
+    """Images of one town in one condition."""
+
+    root: Path
+    views: Views
+    condition: Factors
+    photos: tuple[Photo, ...]
+
+    def __str__(self) -> str:
+        return f"{len(self.photos)} images from {self.photos[0].keys[0]} on"
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What a unit took."""
+
+    images: int
+    setup_s: float
+    seconds: float
+
+
+def seen_by(view: str, factors: Factors, views: Views) -> Factors:
+    """The condition as a view is taken in it.
+
+    No camera here has a car's headlights. Satellite images are those of a clear moment: without falling rain or snow,
+    drops and fog, over a ground as wet or white as the condition has it. Drones fly in fog in which they see.
+    """
+    changed: dict[str, object] = {"headlights": False}
+    if view == "satellite":
+        changed |= {"fog_density": 0.0, "rain_mm_h": 0.0, "snowfall_mm_h": 0.0, "lens_drops": 0.0, "vignetting": 0.0}
+    elif view == "drone":
+        changed |= {"fog_density": min(factors.fog_density, _SEEN_THROUGH / views.far_m)}
+    return factors.model_copy(update=changed)
+
+
+def render_missing(
+    root: Path, photos: Sequence[Photo], conditions: dict[str, Factors], views: Views, reporter: Reporter, run: Run
+) -> None:
+    """Render what is missing or torn; each image is written whole on its own."""
+    missing = [photo for photo in photos if not images.is_whole(root / photo.keys[0])]
+    units = []
+    order = sorted(missing, key=lambda p: (p.town.split, p.town.seed, p.condition, p.view, p.label))
+    for (_, condition), group in groupby(order, key=lambda p: (p.town, p.condition)):
+        for part in chunks(list(group), _MOST_A_UNIT):
+            units.append(PhotoUnit(root, views, conditions[condition], tuple(part)))
+    workers = run.workers if len(missing) >= _WORTH_WORKERS else 1
+    done_before: list[Spent] = []
+    with reporter.stage("rendering", len(missing)) as advance:
+        for _, spent in run_units(render_unit, units, workers=workers, scheduler=run.scheduler):
+            advance(spent.images)
+            done_before.append(spent)
+            if len(done_before) == min(workers, len(units)) and len(missing) >= _WORTH_AN_ESTIMATE:
+                reporter.note(_estimate(done_before, len(missing), len(units), workers))
+
+
+def render_unit(unit: PhotoUnit) -> Spent:
+    """Render and write the images of a unit."""
+    start = time.perf_counter()
+    ready = None
+    for photo in unit.photos:
+        renderer = renderer_of(photo.town, unit.condition, seen_by(photo.view, unit.condition, unit.views))
+        frame = renderer.render(unit.views.optics.camera(photo.view), photo.T_world_cam, photo.seed)
+        images.write_image(unit.root / photo.keys[0], frame.rgb)
+        ready = ready or time.perf_counter()
+    assert ready is not None
+    return Spent(len(unit.photos), ready - start, time.perf_counter() - ready)
+
+
+_district: stage.Latest[District] = stage.Latest()
+_renderer: stage.Latest[Renderer] = stage.Latest()
+_skylight: stage.Latest[Skylight] = stage.Latest()
+
+
+def renderer_of(town: Town, condition: Factors, seen: Factors) -> Renderer:
+    """The renderer of a town in a condition as a view sees it; what stands there, and so the skylight, is the same."""
+    return _renderer.get((town, seen), lambda: _make_renderer(town, condition, seen))
+
+
+def _make_renderer(town: Town, condition: Factors, seen: Factors) -> Renderer:
+    district = _district.get(town, lambda: seen_from_above(stage.district(town)))
+    mesh = compose(district, seen)
+    light = _skylight.get(
+        (town, condition), lambda: Renderer(mesh, condition, district.lamps, town.seed).surroundings.skylight
+    )
+    return Renderer(mesh, seen, district.lamps, town.seed, Surroundings(make_sky(seen, town.seed), light))
+
+
+def _estimate(spent: Sequence[Spent], total: int, units: int, workers: int) -> str:
+    measured = sum(max(s.images - 1, 0) for s in spent)
+    left = total - sum(s.images for s in spent)
+    if not measured or not left:
+        return f"{left} images are left to render"
+    per_image = sum(s.seconds for s in spent) / measured
+    setup = sum(s.setup_s for s in spent) / len(spent)
+    seconds = (left * per_image + (units - len(spent)) * setup) / workers
+    return (
+        f"{left} images are left to render: about {duration(seconds)} with {workers} worker{'s' * (workers != 1)}, "
+        f"{1 / per_image:.1f} images/s each once a town is ready, which takes {duration(setup)}"
+    )

@@ -1,0 +1,99 @@
+"""What a rendered set says of itself: poses, places, manifest and ``dataset.yaml``."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from relocbench.datasets import pairfile
+from relocbench.datasets.cross_view import content
+from relocbench.datasets.cross_view.rendered.places import PlaceOfTown
+from relocbench.datasets.cross_view.rendered.plan import Photo
+from relocbench.datasets.writer import versions
+from relocbench.errors import DatasetError
+from relocbench.files import atomic_write, dump_yaml, remove_parts, write_text
+
+_POSES = ("image", "class", "view", "condition", "town", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+_PLACES = ("class", "split", "role", "town", "instance", "x_m", "y_m", "height_m")
+
+
+def link_again(root: Path, photos: Sequence[Photo]) -> None:
+    """Give images that are query and gallery both their other names: hard links, or copies where there are none."""
+    for photo in photos:
+        source = root / photo.keys[0]
+        for key in photo.keys[1:]:
+            path = root / key
+            if path.exists() and os.path.samestat(path.stat(), source.stat()):
+                continue
+            path.unlink(missing_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                path.hardlink_to(source)
+            except OSError:
+                with atomic_write(path, "wb") as stream:
+                    stream.write(source.read_bytes())
+
+
+def refuse_strangers(root: Path, photos: Sequence[Photo]) -> None:
+    """Raises DatasetError on an image that is none of the build's."""
+    own = {root / key for photo in photos for key in photo.keys}
+    for part in ("train", "test"):
+        for path in sorted((root / part).rglob("*")):
+            if path.is_file() and not path.name.startswith(".") and path not in own:
+                raise DatasetError("is no image of this build; remove it, or choose another --out", path)
+
+
+def write_poses(root: Path, photos: Sequence[Photo]) -> None:
+    """``poses.csv``: T_world_cam of each image, in the frame of its town."""
+    with atomic_write(root / content.POSES_FILE) as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(_POSES)
+        for key, photo in sorted(((k, p) for p in photos for k in p.keys), key=lambda row: row[0]):
+            town = f"{photo.town.split}-{photo.town.seed}"
+            fields = pairfile.pose_fields(photo.T_world_cam)
+            table.writerow([key, photo.label, photo.view, photo.condition, town, *fields])
+
+
+def write_places(root: Path, places: Sequence[PlaceOfTown]) -> None:
+    """``places.csv``: which building of which town each class is."""
+    with atomic_write(root / "places.csv") as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(_PLACES)
+        for p in places:
+            role = "learned" if p.town.split == "train" else "distractor" if p.distractor else "asked"
+            x, y = p.building.centre.tolist()
+            town = f"{p.town.split}-{p.town.seed}"
+            table.writerow(
+                [
+                    p.label,
+                    p.town.split,
+                    role,
+                    town,
+                    p.building.instance,
+                    f"{x:.3f}",
+                    f"{y:.3f}",
+                    f"{p.building.height_m:.3f}",
+                ]
+            )
+
+
+def finish(
+    root: Path, name: str, licence: str, configuration: dict[str, Any], made: dict[str, Any], photos: Sequence[Photo]
+) -> None:
+    """Hash all images; ``dataset.yaml``, with the fingerprint, is written last."""
+    remove_parts(root)
+    rows = content.rows_of(root, [key for photo in photos for key in photo.keys])
+    content.write_manifest(root, rows)
+    file = content.CrossViewFile(
+        format_version=content.FORMAT_VERSION,
+        kind="cross-view",
+        name=name,
+        licence=licence,
+        made_by={**configuration, "versions": versions()},
+        made=made,
+        fingerprint=content.fingerprint_of(rows),
+    )
+    write_text(root / content.DATASET_FILE, dump_yaml(file.model_dump(mode="json")))
