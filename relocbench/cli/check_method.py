@@ -14,19 +14,23 @@ def check_method(
     method: Annotated[str, typer.Argument(help="As for evaluate --method.")],
     settings: Settings = [],  # noqa: B006
     dataset: Annotated[
-        Path | None, typer.Option("--dataset", "-d", help="Try it on pairs of this dataset [default: made-up views].")
+        Path | None,
+        typer.Option("--dataset", "-d", help="Try it on pairs or images of this dataset too [default: made-up views]."),
     ] = None,
     json: Json = False,
 ) -> None:
-    """Try a method on a few pairs, easy and hopeless ones, and say whether it keeps the contract.
+    """Try a tracker on a few pairs or a retriever on a few images, and say whether it keeps the contract.
 
     Example: relocbench check-method mypackage.trackers:MyTracker
     """
     from relocbench.cli.console import print_json, print_table
     from relocbench.evaluation.check import check
-    from relocbench.methods import parse_method
+    from relocbench.evaluation.retrieval.check import check_retriever
+    from relocbench.methods import RETRIEVERS, kind_of, parse_method, target_of
 
-    findings = check(parse_method(method, settings), dataset)
+    kind = kind_of(target_of(method))
+    spec = parse_method(method, settings, kind=kind)
+    findings = check_retriever(spec, dataset) if kind is RETRIEVERS else check(spec, dataset)
     if json:
         print_json([{"check": f.check, "passed": f.passed, "detail": f.detail} for f in findings])
     else:

@@ -52,9 +52,9 @@ def _how_to_read(board: RetrievalBoard) -> list[str]:
         "best of that place does not exclude zero: their order within a place says nothing. In a mean over tasks each "
         "task counts the same.",
         "**Failures.** The denominator is every query of a task. A query without a right image in the gallery, one "
-        "that the method did not describe, and one on which it broke count as not found; *failed* and *broke* say how many. "
-        "An image of the gallery without a descriptor is not retrieved. Of equal scores, wrong images stand first. A "
-        "method that misses a task has blank means and no rank.",
+        "that the method did not describe, and one on which it broke count as not found; *failed* and *broke* say how "
+        "many. An image of the gallery without a descriptor is not retrieved. Of equal scores, wrong images stand "
+        "first. A method that misses a task has blank means and no rank.",
         "**Chance** is what a random order of the gallery scores on average. The intervals say what other queries "
         "would have given, not what another training would.",
     ]

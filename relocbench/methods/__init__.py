@@ -16,6 +16,7 @@ from relocbench.methods.discovery import (
     parameters_of,
     parse_method,
     parse_methods,
+    target_of,
 )
 
 __all__ = [
@@ -34,4 +35,5 @@ __all__ = [
     "parameters_of",
     "parse_method",
     "parse_methods",
+    "target_of",
 ]

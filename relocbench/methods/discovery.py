@@ -172,6 +172,11 @@ def method_class(target: str, kind: MethodKind = TRACKERS) -> Any:
     return _load_class(points[target].value, kind)
 
 
+def target_of(text: str) -> str:
+    """``TARGET`` of ``[LABEL=]TARGET``. Raises MethodError."""
+    return _split_label(text, TRACKERS)[1]
+
+
 def kind_of(target: str) -> MethodKind:
     """Whether a target is a tracker or a retriever; a tracker where both go by the name, or neither.
 

@@ -1,0 +1,165 @@
+"""Does a retriever keep the contract? A few images, plain and hopeless ones, and what must hold of the answers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.evaluation.check import Finding
+from relocbench.evaluation.retrieval.describe import fault_of
+from relocbench.evaluation.retrieval.opening import SetOptions, open_set
+from relocbench.evaluation.worker import guarded
+from relocbench.execution import messages_to_stderr
+from relocbench.methods import MethodSpec
+from relocbench.progress import Silent
+from relocbench.retrieval import FittingRetriever, Image, ImageView, RerankingRetriever, Retriever
+
+_CLOSE = 1e-3
+"""of descriptors of norm 1: batches of other sizes add up floats in another order"""
+_EQUAL = 1e-6
+_FROM_DATASET = 3
+
+
+def check_retriever(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
+    """Try a retriever on made-up images of several sizes and views; with a dataset, on some of its images too.
+
+    Raises:
+        RelocbenchError: the retriever cannot be constructed, or the dataset is bad.
+    """
+    made, problem = guarded(spec.create)
+    if problem:
+        return [Finding("is constructed", False, problem)]
+    findings = [Finding("is constructed", True, ", ".join(f"{k}={v}" for k, v in spec.parameters.items()))]
+    if not isinstance(made, Retriever):
+        return [*findings, Finding("has describe()", False, f"{type(made).__name__} has none")]
+    images = [*_made_up(), *(_from_dataset(dataset) if dataset else [])]
+    if isinstance(made, FittingRetriever):
+        findings.append(_fits(made, images))
+        if not findings[-1].passed:
+            return findings
+    values, problem = _describe(made, images)
+    findings.append(Finding(f"describes {len(images)} images together", problem is None, problem or _words(values)))
+    for image in images:
+        one, fault = _describe(made, [image])
+        findings.append(Finding(f"describes {image.key}", fault is None, fault or _words(one)))
+    if problem is None:
+        findings.append(_alone_as_together(made, images, values))
+        findings.append(_repeatable(spec, images, values))
+        findings.append(_tells_apart(values))
+    findings.append(_leaves_input_alone(made, images[0]))
+    if isinstance(made, RerankingRetriever) and problem is None:
+        findings.append(_reranks(made, values))
+    return findings
+
+
+def _describe(made: Any, images: Sequence[ImageView]) -> tuple[Any, str | None]:
+    fresh = [ImageView(image.key, image.view, image.read) for image in images]
+    with messages_to_stderr():
+        values, problem = guarded(lambda: made.describe(fresh))
+    return values, (problem and f"raised {problem} (a row of NaN says: not described)") or fault_of(values, len(images))
+
+
+def _fits(made: FittingRetriever, images: Sequence[ImageView]) -> Finding:
+    with messages_to_stderr():
+        _, problem = guarded(lambda: made.fit(images, 0))
+    return Finding("fits to a gallery", problem is None, problem or "")
+
+
+def _alone_as_together(made: Any, images: Sequence[ImageView], values: NDArray[Any]) -> Finding:
+    """Each image by itself, in the opposite order."""
+    name = "describes an image the same whatever it is asked with"
+    for index in reversed(range(len(images))):
+        alone, problem = _describe(made, [images[index]])
+        if problem or not _same(alone[0], values[index], _CLOSE):
+            return Finding(name, False, f"{images[index].key}: {problem or 'another descriptor than together'}")
+    return Finding(name, True)
+
+
+def _repeatable(spec: MethodSpec, images: Sequence[ImageView], values: NDArray[Any]) -> Finding:
+    name = "describes the same again, constructed anew"
+    fresh = spec.create()
+    if isinstance(fresh, FittingRetriever):
+        fresh.fit(images, 0)
+    again, problem = _describe(fresh, images)
+    same = problem is None and all(_same(a, b, _EQUAL) for a, b in zip(again, values, strict=True))
+    return Finding(name, same, "" if same else problem or "another descriptor than the first time")
+
+
+def _tells_apart(values: NDArray[Any]) -> Finding:
+    """Street, drone and satellite of the made-up images are different pictures."""
+    known = values[:3][np.isfinite(values[:3]).all(axis=1)]
+    apart = len(known) < 2 or float(np.ptp(known, axis=0).max()) > 0
+    return Finding("tells different images apart", apart, "" if apart else "all descriptors are the same")
+
+
+def _leaves_input_alone(made: Any, image: ImageView) -> Finding:
+    view = ImageView(image.key, image.view, image.read)
+    before = view.image.copy()
+    with messages_to_stderr():
+        guarded(lambda: made.describe([view]))
+    return Finding("leaves the images it is given unchanged", bool(np.array_equal(before, view.image)))
+
+
+def _reranks(made: RerankingRetriever, values: NDArray[Any]) -> Finding:
+    name = f"orders the first {made.rerank_top} anew"
+    if made.rerank_top <= 0:
+        return Finding(name, True, "not asked to")
+    known = values[np.isfinite(values).all(axis=1)]
+    if not len(known):
+        return Finding(name, False, "no image has a descriptor")
+    for count in dict.fromkeys((min(len(known), made.rerank_top), 1)):
+        with messages_to_stderr():
+            scores, problem = guarded(lambda k=count: made.rerank(known[0], known[:k]))  # type: ignore[misc]
+        if problem is None and (not isinstance(scores, np.ndarray) or scores.shape != (count,)):
+            problem = f"returned {getattr(scores, 'shape', type(scores).__name__)} for {count} candidates"
+        if problem is None and not np.isfinite(scores).all():
+            problem = "returned scores that are not finite"
+        if problem:
+            return Finding(name, False, problem)
+    return Finding(name, True)
+
+
+def _same(a: NDArray[Any], b: NDArray[Any], tolerance: float) -> bool:
+    if not np.isfinite(a).all() or not np.isfinite(b).all():
+        return bool(np.isfinite(a).all() == np.isfinite(b).all())
+    return bool(np.abs(a - b).max() <= tolerance * max(float(np.linalg.norm(b)), 1e-12))
+
+
+def _words(values: NDArray[Any]) -> str:
+    blind = int(np.sum(~np.isfinite(values).all(axis=1)))
+    return f"{values.shape[1]} numbers each" + (f", {blind} not described" if blind else "")
+
+
+def _made_up() -> list[ImageView]:
+    """Texture in three views and sizes, one image without any, one of noise, one as small as a thumbnail."""
+    rng = np.random.default_rng(0)
+    plain: Image = np.full((96, 128, 3), 127, dtype=np.uint8)
+    noise: Image = rng.integers(0, 256, (128, 128, 3), dtype=np.uint8)
+    images: dict[tuple[str, str], Image] = {
+        ("a street", "street"): _texture(rng, 96, 160),
+        ("a drone image", "drone"): _texture(rng, 128, 128),
+        ("a satellite image", "satellite"): _texture(rng, 200, 200),
+        ("a black image", "street"): np.zeros_like(plain),
+        ("a plain grey image", "street"): plain,
+        ("noise", "drone"): noise,
+        ("an image of 16 x 16 pixels", "satellite"): _texture(rng, 16, 16),
+    }
+    return [ImageView(key, view, lambda image=image: image.copy()) for (key, view), image in images.items()]  # type: ignore[misc]
+
+
+def _texture(rng: np.random.Generator, height: int, width: int) -> Image:
+    """Coloured blocks of several sizes."""
+    total = np.zeros((height, width, 3))
+    for size in (4, 12, 32):
+        coarse = rng.random((height // size + 1, width // size + 1, 3))
+        total += np.repeat(np.repeat(coarse, size, axis=0), size, axis=1)[:height, :width]
+    return np.rint(total * 85).astype(np.uint8)
+
+
+def _from_dataset(path: Path) -> list[ImageView]:
+    task = open_set(path, path.parent / "nowhere", SetOptions(), Silent()).chosen[0]
+    return [*task.gallery[:_FROM_DATASET], *task.queries[:_FROM_DATASET]]
