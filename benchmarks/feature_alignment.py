@@ -26,7 +26,7 @@ import numpy as np
 from alignment import CAMERA, STEP, WALLS, error, median_ms
 from numpy.typing import NDArray
 
-from baselines.alignment import feature_plain
+from baselines.alignment import Start, feature_plain
 from baselines.alignment.feature_kernel import STATISTICS, linearize_features, working_room
 from baselines.alignment.feature_pyramid import FeaturePyramid
 from baselines.alignment.feature_reference import ReferenceFeatures
@@ -157,7 +157,7 @@ def main() -> None:
 
     compiled_ms = median_ms(lambda: align_features(reference, query, start, settings), repeats)
     dilated_ms = median_ms(lambda: align_features(dilated, query, start, settings), repeats)
-    starts = [start, *(rotation @ start for rotation in small_rotations())]
+    starts = [Start(start), *(Start(rotation @ start) for rotation in small_rotations())]
     starts_ms = median_ms(lambda: align_features_best(reference, query, starts, settings), max(3, repeats // 5))
     numpy_ms = median_ms(lambda: feature_plain.align(reference, query, start, settings), max(3, repeats // 5))
     sampled_ms, stored_ms = evaluations_ms(reference, query, 10 * repeats)

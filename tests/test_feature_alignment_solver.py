@@ -16,6 +16,7 @@ from baselines.alignment.feature_reference import FeaturePoints, ReferenceFeatur
 from baselines.alignment.feature_settings import DSO_DAMPING, LM_RELOC_DAMPING, Damping, FeatureSettings
 from baselines.alignment.feature_solver import FeatureAlignment, align_features, align_features_best
 from baselines.alignment.pyramid import level_camera
+from baselines.alignment.starts import Start
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera, apply, compose, invert, make_transform, rotation_angle, se3_exp, so3_exp
 
@@ -179,12 +180,22 @@ def test_the_lowest_final_energy_wins_among_starts(reference: ReferenceFeatures,
     settings = FeatureSettings()
     lost = align_features(reference, query, far, settings)
     assert error(lost.T_query_ref)[0] > 1
-    for starts in ([far, MOTION], [MOTION, far]):
+    for starts in ([Start(far), Start(MOTION)], [Start(MOTION), Start(far)], [Start(far), Start(MOTION, 1)]):
         assert error(align_features_best(reference, query, starts, settings).T_query_ref)[0] < 0.002
     rival = align_features(reference, query, MOTION, settings)
     assert align_features(reference, query, far, settings, rival).abandoned
     with pytest.raises(ValueError, match="start"):
         align_features_best(reference, query, [], settings)
+
+
+def test_a_start_on_a_finer_level_leaves_the_coarser_ones_out(
+    reference: ReferenceFeatures, query: FeaturePyramid
+) -> None:
+    found = align_features(reference, query, MOTION, FeatureSettings(), first_level=1)
+    assert [outcome.level for outcome in found.outcomes] == [1, 0]
+    assert error(found.T_query_ref)[0] < 0.002
+    deepest = align_features(reference, query, MOTION, FeatureSettings(), first_level=99)
+    assert deepest.outcomes[0].level == len(query) - 1
 
 
 def _starts(metres: float, degrees: float, count: int = 12) -> list[Array]:

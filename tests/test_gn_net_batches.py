@@ -14,7 +14,7 @@ from made_pairs import TINY, MadePairs
 from baselines.gn_net.options import options_from_dict
 from baselines.gn_net.training.augmentation import augment
 from baselines.gn_net.training.batches import Batch, Batches, batches_from
-from baselines.gn_net.training.crops import cut_pair, scaled
+from baselines.gn_net.training.crops import cut_pair, mirrored, scaled
 from baselines.gn_net.training.drawing import EvenDraw
 from baselines.gn_net.training.options import AugmentationOptions, TrainOptions
 from relocbench.errors import ConfigError
@@ -91,6 +91,30 @@ def test_scaling_keeps_pixels_on_what_they_show(factor: float) -> None:
     shown = (1 - b) * ((1 - a) * at(0, 0) + a * at(1, 0)) + b * ((1 - a) * at(0, 1) + a * at(1, 1))
     assert np.abs(shown - u).max() < 0.4  # stored values are whole numbers, of half a pixel each
     assert np.abs((shown - u).mean(0)).max() < 0.1
+
+
+def test_mirroring_keeps_pixels_on_what_they_show() -> None:
+    image = coordinates_image(31, 20)
+    u = np.array([[0, 3], [30, 19], [12, 7]], dtype=np.float32)
+    other, moved = mirrored(image, u)
+    assert np.array_equal(moved, [[30, 3], [0, 19], [18, 7]])
+    shown = other[moved[:, 1].astype(int), moved[:, 0].astype(int), :2]
+    assert np.array_equal(shown, u)
+    back, again = mirrored(other, moved)
+    assert np.array_equal(back, image)
+    assert np.array_equal(again, u)
+
+
+def test_both_images_of_a_pair_are_mirrored_or_neither() -> None:
+    data = MadePairs([("dry", "wet")])
+    never, always, sometimes = (Batches(data, options(mirror=share, swap=0.0, batch=1)) for share in (0.0, 1.0, 0.5))
+    same = [torch.equal(never[step].images_ref, sometimes[step].images_ref) for step in range(6)]
+    assert True in same
+    assert False in same
+    for step, plain in enumerate(same):
+        expected = never if plain else always
+        for one, other in zip(sometimes[step], expected[step], strict=True):
+            assert torch.equal(one, other)
 
 
 def test_an_image_smaller_than_the_cut_is_continued() -> None:
@@ -181,7 +205,7 @@ class WithSigma(MadePairs):
 
 
 def test_correspondences_that_are_not_sure_are_left_out() -> None:
-    chosen = options(augmentation={"probability": 0.0}, scale=[1.0, 1.0], swap=0.0, crop=64, points=200)
+    chosen = options(augmentation={"probability": 0.0}, scale=[1.0, 1.0], swap=0.0, mirror=0.0, crop=64, points=200)
     batch = Batches(WithSigma(), chosen)[0]
     for pair in range(2):
         u_ref = batch.u_ref[pair][batch.mask[pair]]

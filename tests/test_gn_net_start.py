@@ -1,12 +1,16 @@
-"""The first guess from nearest features: right where features are told apart, none where nothing agrees."""
+"""The first guess from matched features: right where features are told apart, none where nothing agrees."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from baselines.alignment import FeaturePyramid, ReferenceFeatures
+from baselines.alignment import FeaturePyramid
+from baselines.gn_net.correspondence import Landmarks, match_landmarks
 from baselines.gn_net.start import StartSettings, matched_pose
+from baselines.gn_net.window_kernel import add_window_distances
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera, apply, make_transform, rotation_angle, so3_exp
 from relocbench.tracking import KeyframePoints
@@ -16,7 +20,7 @@ T_QUERY_REF = make_transform(so3_exp([0.02, 0.15, -0.03]), [0.7, -0.1, 1.1])
 SETTINGS = StartSettings(level=0, points=500, threshold=1.5)
 
 
-def a_scene(seed: int, right: float) -> tuple[ReferenceFeatures, FeaturePyramid]:
+def a_scene(seed: int, right: float) -> tuple[Landmarks, FeaturePyramid]:
     """Points with a random feature each; the query shows the share ``right`` of them where they are.
 
     Elsewhere, and in place of the others, it shows random features.
@@ -32,11 +36,9 @@ def a_scene(seed: int, right: float) -> tuple[ReferenceFeatures, FeaturePyramid]
         u, v = np.rint(seen[i]).astype(int)
         if 1 <= u < 255 and 1 <= v < 255:
             maps[1][v, u] = values[i]
-    reference = ReferenceFeatures.at_points(
-        KeyframePoints(uv, inverse_depth, np.full(len(uv), 1e-3)), FeaturePyramid.from_maps(maps[:1], CAMERA)
-    )
-    reference.levels[0].values[:] = values
-    return reference, FeaturePyramid.from_maps(maps[1:], CAMERA)
+    points = KeyframePoints(uv, inverse_depth, np.full(len(uv), 1e-3))
+    landmarks = Landmarks.at(points, FeaturePyramid.from_maps(maps[:1], CAMERA), 400, rng)
+    return replace(landmarks, values=(values,)), FeaturePyramid.from_maps(maps[1:], CAMERA)
 
 
 @pytest.mark.parametrize("right", [1.0, 0.4])
@@ -52,19 +54,86 @@ def test_the_same_seed_gives_the_same_pose() -> None:
     scene = a_scene(1, 0.5)
     one, other = (matched_pose(*scene, SETTINGS, seed=3) for _ in range(2))
     assert one is not None
+    assert other is not None
     assert np.array_equal(one, other)
 
 
 def test_too_few_points_give_no_pose() -> None:
-    _, query = a_scene(2, 1.0)
-    few = ReferenceFeatures.at_points(
-        KeyframePoints(np.full((3, 2), 50.0), np.full(3, 0.1), np.full(3, 0.01)),
-        FeaturePyramid.from_maps([query.levels[0].map], CAMERA),
-    )
+    landmarks, query = a_scene(2, 1.0)
+    few = Landmarks(landmarks.points[:3], (landmarks.values[0][:3],))
+    none = Landmarks(landmarks.points[:0], (landmarks.values[0][:0],))
     assert matched_pose(few, query, SETTINGS, seed=0) is None
+    assert matched_pose(none, query, SETTINGS, seed=0) is None
 
 
-@pytest.mark.parametrize("changed", [{"points": 3}, {"threshold": 0.0}, {"level": -1}, {"confidence": 1.0}])
+def test_landmarks_are_points_with_depth_where_they_are() -> None:
+    u = np.mgrid[:256, :256][::-1].transpose(1, 2, 0).astype(np.float32)
+    pyramid = FeaturePyramid.from_maps([u, (u[::2, ::2] + u[1::2, 1::2]) / 2], CAMERA)
+    uv = np.array([[20.5, 30.0], [100.0, 7.0], [0.0, 255.0], [50.0, 60.0]])
+    inverse_depth = np.array([0.1, 0.5, 0.2, 0.0])
+    points = KeyframePoints(uv, inverse_depth, np.full(4, 0.01))
+    landmarks = Landmarks.at(points, pyramid, 10, np.random.default_rng(0))
+    assert len(landmarks) == 3
+    pixels, _ = CAMERA.project(landmarks.points)
+    assert np.allclose(pixels, uv[:3])
+    assert np.allclose(landmarks.points[:, 2], [10, 2, 5])
+    assert np.allclose(landmarks.values[0], uv[:3])
+    assert np.allclose(landmarks.values[1][:2], uv[:2])
+    assert len(Landmarks.at(points, pyramid, 2, np.random.default_rng(0))) == 2
+
+
+def smooth_maps(seed: int, shift: float) -> list[np.ndarray]:
+    """Three levels of a pattern of waves, moved by ``shift`` pixels of the finest along u."""
+    rng = np.random.default_rng(seed)
+    maps = []
+    for level, longest in ((0, 24.0), (1, 60.0), (2, 200.0)):
+        size = 256 >> level
+        v, u = ((np.mgrid[:size, :size] + 0.5) * (1 << level) - 0.5).astype(np.float64)
+        waves = rng.uniform(-1, 1, (12, 2)) * 2 * np.pi / longest
+        phases = rng.uniform(0, 2 * np.pi, 12)
+        angle = waves[:, 0] * (u - shift)[..., None] + waves[:, 1] * v[..., None] + phases
+        maps.append(np.cos(angle).astype(np.float32))
+    return maps
+
+
+def test_matches_are_exact_to_a_fraction_of_the_finest_pixel() -> None:
+    uv = np.random.default_rng(0).uniform(40, 180, (60, 2))
+    points = KeyframePoints(uv, np.full(60, 0.1), np.full(60, 0.01))
+    landmarks = Landmarks.at(
+        points, FeaturePyramid.from_maps(smooth_maps(1, 0.0), CAMERA), 60, np.random.default_rng(0)
+    )
+    query = FeaturePyramid.from_maps(smooth_maps(1, 21.3), CAMERA)
+    rows, found = match_landmarks(landmarks, query, 2, (3, 2))
+    assert len(rows) > 20  # of points that share a coarse pixel one alone is kept
+    off = np.linalg.norm(found - (uv[rows] + [21.3, 0.0]), axis=1)
+    assert np.median(off) < 0.1
+    assert np.mean(off < 0.5) > 0.9
+    _, coarse = match_landmarks(landmarks, query, 2, ())
+    assert np.median(np.linalg.norm(coarse - (uv[rows] + [21.3, 0.0]), axis=1)) > 0.5
+
+
+def test_distances_in_windows_are_those_of_maps_read_bilinearly() -> None:
+    rng = np.random.default_rng(0)
+    fine, coarse = (rng.normal(size=(size, size, 5)).astype(np.float32) for size in (16, 8))
+    values = rng.normal(size=(4, 5)).astype(np.float32)
+    corners = np.array([[3, 4], [-2, 0], [12, 13], [7, 2]])
+    for level_map, coarser in ((fine, 1), (coarse, 2)):
+        distances = np.full((4, 5, 5), 0.25, dtype=np.float32)
+        add_window_distances(values, level_map, coarser, corners, distances)
+        last = level_map.shape[0] - 1
+        for m, i, j in np.ndindex(4, 5, 5):
+            u, v = np.clip((corners[m] + [j, i] + 0.5) / coarser - 0.5, 0, last)
+            iu, iv = int(u), int(v)
+            ju, jv, au, av = min(iu + 1, last), min(iv + 1, last), u - iu, v - iv
+            read = (1 - av) * ((1 - au) * level_map[iv, iu] + au * level_map[iv, ju]) + av * (
+                (1 - au) * level_map[jv, iu] + au * level_map[jv, ju]
+            )
+            assert distances[m, i, j] == pytest.approx(0.25 + np.sum((read - values[m]) ** 2), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "changed", [{"points": 3}, {"threshold": 0.0}, {"level": -1}, {"confidence": 1.0}, {"windows": (3, 0)}]
+)
 def test_settings_that_make_no_sense_are_refused(changed: dict[str, float]) -> None:
     with pytest.raises(ConfigError):
         StartSettings(**changed)  # type: ignore[arg-type]

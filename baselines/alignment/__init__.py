@@ -11,7 +11,7 @@ from baselines.alignment.matching import DSO_PATTERN, SINGLE_PIXEL, MatchSetting
 from baselines.alignment.pyramid import Level, image_pyramid, level_camera, require_pinhole, with_gradients
 from baselines.alignment.selection import select_pixels
 from baselines.alignment.solver import Alignment, LevelOutcome, Settings, align, align_best
-from baselines.alignment.starts import small_rotations
+from baselines.alignment.starts import Start, small_rotations
 
 __all__ = [
     "DSO_DAMPING",
@@ -31,6 +31,7 @@ __all__ = [
     "MatchSettings",
     "ReferenceFeatures",
     "Settings",
+    "Start",
     "align",
     "align_best",
     "align_features",

@@ -15,6 +15,7 @@ from baselines.alignment.feature_reference import ReferenceFeatures
 from baselines.alignment.feature_settings import FeatureSettings
 from baselines.alignment.levenberg import NO_RESIDUALS, SINGULAR
 from baselines.alignment.solver import LevelOutcome, best_of, camera_intrinsics, coarse_to_fine
+from baselines.alignment.starts import Start
 from relocbench.errors import MethodError
 from relocbench.geometry import compose
 
@@ -81,6 +82,7 @@ def align_features(
     T_start: Array,
     settings: FeatureSettings,
     rival: FeatureAlignment | None = None,
+    first_level: int | None = None,
 ) -> FeatureAlignment:
     """Align from one start, coarsest level first that both sides have and that has points enough.
 
@@ -91,6 +93,7 @@ def align_features(
         settings: robust loss, iterations, damping.
         rival: the best alignment so far from another start; this one is abandoned on the first level whose root mean
             energy is 1.5 times the rival's or more.
+        first_level: coarser ones are left out.
 
     Raises:
         MethodError: the numbers of channels differ, or a side has no level.
@@ -135,20 +138,26 @@ def align_features(
         outcome = LevelOutcome(level, iterations, float(statistics[ENERGY]), valid, saturated, factor, end)
         return outcome, _trouble(outcome, T, int(statistics[NOT_FINITE]))
 
-    walk = coarse_to_fine(_coarsest(reference, query, settings), minimise, rival.outcomes if rival else ())
+    coarsest = _coarsest(reference, query, settings)
+    begin = coarsest if first_level is None else min(first_level, coarsest)
+    walk = coarse_to_fine(begin, minimise, rival.outcomes if rival else ())
     return FeatureAlignment(compose(T), walk.outcomes, points, residuals, H, variance, walk.trouble, walk.abandoned)
 
 
 def align_features_best(
-    reference: ReferenceFeatures, query: FeaturePyramid, starts: Sequence[Array], settings: FeatureSettings
+    reference: ReferenceFeatures, query: FeaturePyramid, starts: Sequence[Start], settings: FeatureSettings
 ) -> FeatureAlignment:
-    """Align from every start; the lowest final energy wins. An alignment with trouble only if all have it.
+    """Align from every start, each told the best so far; the lowest final energy wins.
+
+    An alignment with trouble is returned only if all have it.
 
     Raises:
         ValueError: no start.
         MethodError: the numbers of channels differ.
     """
-    return best_of(starts, lambda start, rival: align_features(reference, query, start, settings, rival))
+    return best_of(
+        starts, lambda start, rival: align_features(reference, query, start.T_query_ref, settings, rival, start.level)
+    )
 
 
 def _coarsest(reference: ReferenceFeatures, query: FeaturePyramid, settings: FeatureSettings) -> int:

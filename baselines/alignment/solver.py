@@ -183,9 +183,10 @@ class Attempt(Protocol):
 
 
 AnyAttempt = TypeVar("AnyAttempt", bound=Attempt)
+AnyStart = TypeVar("AnyStart")
 
 
-def best_of(starts: Sequence[Array], attempt: Callable[[Array, AnyAttempt | None], AnyAttempt]) -> AnyAttempt:
+def best_of(starts: Sequence[AnyStart], attempt: Callable[[AnyStart, AnyAttempt | None], AnyAttempt]) -> AnyAttempt:
     """Attempt every start, telling each the best so far; the lowest final energy wins, trouble loses to any answer.
 
     Raises:

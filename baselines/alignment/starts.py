@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,16 @@ Array = NDArray[np.float64]
 
 SMALL_ROTATION = 0.02
 """quaternion component before normalising: 2.3, 3.2 and 4.0 degrees about one, two and three axes"""
+
+
+class Start(NamedTuple):
+    """Where an alignment begins."""
+
+    T_query_ref: Array
+    """(4, 4) first guess"""
+    level: int | None = None
+    """first level that is worked on: a guess that is good to a pixel of it has nothing to gain on coarser ones; None:
+    the coarsest there is"""
 
 
 def small_rotations() -> list[Array]:

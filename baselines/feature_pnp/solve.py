@@ -38,11 +38,19 @@ class Matches2D3D:
 
 
 def ransac_pose(
-    matches: Matches2D3D, camera: Camera, threshold_px: float, max_iterations: int, confidence: float, seed: int
+    matches: Matches2D3D,
+    camera: Camera,
+    threshold_px: float,
+    max_iterations: int,
+    confidence: float,
+    seed: int,
+    best_first: bool = False,
 ) -> Array | None:
     """Pose by minimal samples scored with MAGSAC (Barath et al., CVPR 2020), as in OpenCV's USAC.
 
-    Pixels of a distorted camera are first moved to those of the pinhole camera with the same K.
+    Pixels of a distorted camera are first moved to those of the pinhole camera with the same K. Where the matches are
+    sorted, the likeliest to be right first (``best_first``), samples are drawn among the first ones at first (PROSAC:
+    Chum and Matas, CVPR 2005).
 
     Returns:
         ``T_query_ref`` (4, 4), or None where none was found.
@@ -58,6 +66,8 @@ def ransac_pose(
     parameters.confidence = confidence
     parameters.randomGeneratorState = seed % 2**31
     parameters.isParallel = False
+    if best_first:
+        parameters.sampler = cv2.SAMPLING_PROSAC
     parameters.score = cv2.SCORE_METHOD_MAGSAC
     parameters.loMethod = cv2.LOCAL_OPTIM_SIGMA
     parameters.final_polisher = cv2.MAGSAC

@@ -24,6 +24,7 @@ from baselines.alignment import (
     Level,
     MatchSettings,
     ReferenceFeatures,
+    Start,
     align_features_best,
     choose_points,
     image_pyramid,
@@ -34,6 +35,7 @@ from baselines.alignment import (
 )
 from baselines.alignment.feature_pyramid import level_coordinates
 from baselines.alignment.pyramid import level_camera
+from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.network import FeatureNet, image_tensor
 from baselines.gn_net.start import StartSettings, matched_pose
 from baselines.gn_net.weights import load_weights
@@ -60,6 +62,8 @@ class GnNetReference:
     """its maps, for matching single pixels"""
     selected: int
     """points with depth that were chosen"""
+    landmarks: Landmarks | None
+    """some of them, to start from; None where no start is searched for"""
 
 
 class GnNet:
@@ -76,8 +80,8 @@ class GnNet:
         per_channel: robust loss on each channel, else on the norm over all.
         damping: schedule of Levenberg-Marquardt, of DSO's tracker or for features trained by LM-Reloc's loss; default:
             what the method of this name is trained for.
-        matched_start: start also from the pose that agrees with the nearest features of a coarse level; the lowest
-            final energy wins.
+        matched_start: start also from the pose that agrees with the nearest features, matched coarse to fine; the
+            lowest final energy wins.
         multistart: start also from 26 small rotations; the lowest final energy wins.
         min_points: fewer points with depth are a stated failure.
         device: where the network runs; the alignment is on the CPU.
@@ -134,7 +138,10 @@ class GnNet:
         chosen = choose_points(reference, intensities, self.points, np.random.default_rng(self.seed))
         pyramid = self.features(reference.image, reference.camera)
         on_finest = replace(chosen, uv=self._on_finest(chosen.uv))
-        return GnNetReference(ReferenceFeatures.at_points(on_finest, pyramid), pyramid, len(chosen))
+        landmarks = None
+        if self.start is not None:
+            landmarks = Landmarks.at(on_finest, pyramid, self.start.points, np.random.default_rng(self.seed))
+        return GnNetReference(ReferenceFeatures.at_points(on_finest, pyramid), pyramid, len(chosen), landmarks)
 
     def track(self, reference: GnNetReference, query: Query, prior: Array | None = None) -> TrackResult:
         """Align a query to a prepared reference.
@@ -147,11 +154,14 @@ class GnNet:
                 f"{reference.selected} reference points with depth, at least {self.min_points} are needed"
             )
         first = np.eye(4) if prior is None else np.asarray(prior, dtype=np.float64)
-        starts = [first, *(turn @ first for turn in small_rotations())] if self.multistart else [first]
         features = self._query_features(query)
-        if self.start is not None:
-            matched = matched_pose(reference.features, features, self.start, self.seed)
-            starts += [] if matched is None else [matched]
+        starts = [Start(first)]
+        if self.multistart:
+            starts += [Start(turn @ first) for turn in small_rotations()]
+        if self.start is not None and reference.landmarks is not None:
+            matched = matched_pose(reference.landmarks, features, self.start, self.seed)
+            # First, as it mostly wins: what others cannot reach any more they give up early.
+            starts = starts if matched is None else [Start(matched, self.start.level), *starts]
         return self._answer(align_features_best(reference.features, features, starts, self.settings))
 
     def match(self, reference: GnNetReference, query: Query, uv_ref: Array, uv_start: Array) -> Array:

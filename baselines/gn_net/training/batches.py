@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from baselines.gn_net.training.augmentation import augment
-from baselines.gn_net.training.crops import Image, Pixels, cut_pair
+from baselines.gn_net.training.crops import Image, Pixels, cut_pair, mirrored
 from baselines.gn_net.training.drawing import EvenDraw
 from baselines.gn_net.training.options import TrainOptions
 from relocbench.training import TrainingData, TrainingPair
@@ -73,8 +73,10 @@ class Batches(Dataset[Batch]):
 
         rng = random(_CUT)
         pair = _sure(self._data.load(self._draw[step * options.batch + place]), options.max_sigma)
-        images_and_pixels = _swapped(pair, rng.random() < options.swap)
-        cut = cut_pair(*images_and_pixels, options.crop, options.scale, options.apart, rng)
+        image_ref, image_query, u_ref, u_query = _swapped(pair, rng.random() < options.swap)
+        if rng.random() < options.mirror:
+            (image_ref, u_ref), (image_query, u_query) = mirrored(image_ref, u_ref), mirrored(image_query, u_query)
+        cut = cut_pair(image_ref, image_query, u_ref, u_query, options.crop, options.scale, options.apart, rng)
         images = [
             augment(image.astype(np.float32) / np.float32(255), options.augmentation, random(what))
             for image, what in ((cut.image_ref, _REF), (cut.image_query, _QUERY))

@@ -82,6 +82,12 @@ def scaled(image: Image, u: Pixels, factor: float) -> tuple[Image, Pixels]:
     return np.asarray(small, dtype=np.uint8), ((u + 0.5) * exact - 0.5).astype(np.float32)
 
 
+def mirrored(image: Image, u: Pixels) -> tuple[Image, Pixels]:
+    """An image with left and right exchanged, and its pixels (N, 2) there."""
+    there = np.stack([image.shape[1] - 1 - u[:, 0], u[:, 1]], axis=1)
+    return np.ascontiguousarray(image[:, ::-1]), there.astype(np.float32)
+
+
 def _inside(corner: NDArray[np.floating], image: Image, side: int) -> NDArray[np.int64]:
     """The corner (u, v) moved so that the square lies in the image, or begins where a smaller image begins."""
     height, width = image.shape[:2]

@@ -70,6 +70,8 @@ class TrainOptions:
     """pixels; correspondences whose true place is known less surely are left out, where the data tells"""
     swap: float = 0.5
     """probability that reference and query change their roles"""
+    mirror: float = 0.5
+    """probability that both images are mirrored left to right: a second town for nothing"""
     learning_rate: float = 3e-3
     """of Adam, at its highest"""
     warm_up: int = 100
@@ -104,8 +106,10 @@ class TrainOptions:
             raise ConfigError("steps, batch, points and intervals are 1 or more, warm_up and seed 0 or more")
         if not 0 < self.scale[0] <= self.scale[1]:
             raise ConfigError(f"scale is {self.scale}, expected two positive factors, the smaller one first")
-        if not (0 <= self.apart < 1 and 0 <= self.swap <= 1 and 0 <= self.ema < 1 and 0 <= self.final_rate <= 1):
-            raise ConfigError("apart, swap, ema and final_rate lie between 0 and 1, apart and ema below 1")
+        if not (0 <= self.apart < 1 and 0 <= self.ema < 1) or not all(
+            0 <= share <= 1 for share in (self.swap, self.mirror, self.final_rate)
+        ):
+            raise ConfigError("apart, swap, mirror, ema and final_rate lie between 0 and 1, apart and ema below 1")
         if min(self.learning_rate, self.max_sigma) <= 0 or min(self.weight_decay, self.clip) < 0:
             raise ConfigError("learning_rate and max_sigma are positive, weight_decay and clip are 0 or more")
         smallest = 4 * self.network.smallest_side

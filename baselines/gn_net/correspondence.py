@@ -1,0 +1,145 @@
+"""Which pixel of the query shows each point of the reference: the nearest features, coarse to fine.
+
+At a level, a pixel is described by its own features and by those of all coarser levels read bilinearly at its place
+(hypercolumns: Hariharan et al., CVPR 2015). Points are sought over the whole query on one coarse level, and kept where
+point and pixel are nearest to each other; then they are moved, level by level, to the nearest pixel of a small window.
+Contrastive losses ask the same of each level: right pixels near, wrong ones a margin away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.alignment import FeaturePyramid
+from baselines.alignment.feature_pyramid import level_coordinates, sample
+from baselines.gn_net.window_kernel import add_window_distances
+from relocbench.tracking import KeyframePoints
+
+Array = NDArray[np.float64]
+Features = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Points of a reference as they are looked for."""
+
+    points: Array
+    """(N, 3) metres, reference camera"""
+    values: tuple[Features, ...]
+    """(N, D) features on each level, finest first"""
+
+    @classmethod
+    def at(cls, points: KeyframePoints, pyramid: FeaturePyramid, count: int, rng: np.random.Generator) -> Landmarks:
+        """At most ``count`` of the points that have a depth, drawn at random.
+
+        Args:
+            points: pixels of the pyramid's finest map.
+            pyramid: of the reference.
+        """
+        inverse_depth = np.asarray(points.inverse_depth, dtype=np.float64)
+        known = np.flatnonzero((inverse_depth > 0) & np.isfinite(inverse_depth))
+        chosen = np.sort(rng.permutation(known)[:count])
+        uv, camera = points.uv[chosen], pyramid.levels[0].camera
+        x, y = (uv[:, 0] - camera.cx) / camera.fx, (uv[:, 1] - camera.cy) / camera.fy
+        return cls(
+            np.stack([x, y, np.ones_like(x)], axis=1) / inverse_depth[chosen, None],
+            tuple(_read(level.map, level_coordinates(uv, number)) for number, level in enumerate(pyramid.levels)),
+        )
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def match_landmarks(
+    landmarks: Landmarks, query: FeaturePyramid, level: int, windows: Sequence[int]
+) -> tuple[NDArray[np.intp], Array]:
+    """Rows of the landmarks that were found, nearest features first, and the query's pixels that show them.
+
+    Args:
+        level: on which the whole query is searched, counted from the finest map.
+        windows: half-widths in pixels of the windows on the levels below, coarser first; levels without one are not
+            searched.
+
+    Returns:
+        (M,) rows and (M, 2) pixels of the finest map, to fractions.
+    """
+    rows, uv, distances = _search(landmarks, query, level)
+    for half_width in windows[:level]:
+        level -= 1
+        values = [of_level[rows] for of_level in landmarks.values]
+        uv, distances = _move((uv + 0.5) * 2.0 - 0.5, values, query, level, half_width)
+    order = np.argsort(distances, kind="stable")
+    return rows[order], ((uv + 0.5) * float(1 << level) - 0.5)[order]
+
+
+def _search(landmarks: Landmarks, query: FeaturePyramid, level: int) -> tuple[NDArray[np.intp], Array, Features]:
+    """Rows whose nearest pixel of the level has no landmark nearer than theirs, (M, 2) these pixels, (M,) distances."""
+    height, width = query.levels[level].map.shape[:2]
+    values = np.concatenate(landmarks.values[level:], axis=1)
+    columns = _hypercolumns(query, level).reshape(height * width, -1)
+    # -||f - g||^2 less -||f||^2, which is the same for all pixels g, as one product: 2 f g - ||g||^2.
+    likeness = 2.0 * values @ columns.T
+    likeness -= np.sum(columns**2, axis=1)
+    nearest = np.argmax(likeness, axis=1)
+    own = np.sum(values**2, axis=1)[:, None]
+    mutual = np.flatnonzero(np.argmax(likeness[:, nearest] - own, axis=0) == np.arange(len(values)))
+    v, u = np.divmod(nearest[mutual], width)
+    distances = own[mutual, 0] - likeness[mutual, nearest[mutual]]
+    return mutual, np.stack([u, v], axis=1).astype(np.float64), distances
+
+
+def _hypercolumns(pyramid: FeaturePyramid, level: int) -> Features:
+    """(H, W, D of all levels from this one) of one level's pixels."""
+    height, width = pyramid.levels[level].map.shape[:2]
+    v, u = np.divmod(np.arange(height * width), width)
+    uv = np.stack([u, v], axis=1).astype(np.float64)
+    coarser = [
+        _read(of_level.map, level_coordinates(uv, number)).reshape(height, width, -1)
+        for number, of_level in enumerate(pyramid.levels[level + 1 :], start=1)
+    ]
+    return np.concatenate([pyramid.levels[level].map, *coarser], axis=2)
+
+
+def _move(
+    uv: Array, values: Sequence[Features], query: FeaturePyramid, level: int, half_width: int
+) -> tuple[Array, Features]:
+    """(M, 2) the nearest pixel about each, and (M,) how far its features are, squared.
+
+    To fractions of a pixel by a parabola through the distances of its neighbours.
+    """
+    height, width = query.levels[level].map.shape[:2]
+    side = 2 * half_width + 1
+    corners = np.rint(np.clip(uv, 0, [width - 1, height - 1])).astype(np.int64) - half_width
+    distances = np.zeros((len(uv), side, side), dtype=np.float32)
+    for number in range(level, len(query)):
+        add_window_distances(
+            np.ascontiguousarray(values[number]), query.levels[number].map, 1 << (number - level), corners, distances
+        )
+    rows = np.arange(len(uv))
+    i, j = np.divmod(np.argmin(distances.reshape(len(uv), -1), axis=1), side)
+
+    def peak(before: NDArray[np.floating], after: NDArray[np.floating], inside: NDArray[np.bool_]) -> Array:
+        middle = distances[rows, i, j].astype(np.float64)
+        bend = before.astype(np.float64) + after - 2.0 * middle
+        off = np.divide(0.5 * (before - after), bend, out=np.zeros_like(bend), where=inside & (bend > 0))
+        return np.asarray(np.clip(off, -0.5, 0.5), dtype=np.float64)
+
+    last = side - 1
+    across = peak(
+        distances[rows, i, np.maximum(j - 1, 0)], distances[rows, i, np.minimum(j + 1, last)], (j > 0) & (j < last)
+    )
+    down = peak(
+        distances[rows, np.maximum(i - 1, 0), j], distances[rows, np.minimum(i + 1, last), j], (i > 0) & (i < last)
+    )
+    found = corners + np.stack([j + across, i + down], axis=1)
+    return np.clip(found, 0, [width - 1, height - 1]), distances[rows, i, j]
+
+
+def _read(level_map: Features, uv: Array) -> Features:
+    """A map (H, W, D) at (N, 2) places -> (N, D); beyond the border the border."""
+    height, width = level_map.shape[:2]
+    return sample(level_map, np.clip(uv, 0, [width - 1, height - 1]))
