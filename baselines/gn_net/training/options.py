@@ -54,7 +54,7 @@ class TrainOptions:
         ConfigError: a value that makes no sense.
     """
 
-    steps: int = 2500
+    steps: int = 2000
     batch: int = 4
     """pairs a step; as many combinations of conditions, if there are so many"""
     crop: int = 224
