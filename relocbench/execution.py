@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, redirect_stdout
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait as wait_for
 from typing import Any, TypeVar
 
 from relocbench.errors import ConfigError, RelocbenchError
@@ -193,7 +195,20 @@ def _drain(
 
 def _pool(workers: int) -> ProcessPoolExecutor:
     # A fresh interpreter: forking one that holds threads (OpenMP, Open3D, torch) can hang.
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=pin_threads)
+    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start_worker)
+
+
+def _start_worker() -> None:
+    pin_threads()
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _end_with(sentinel: int) -> None:
+    """A job that is killed takes its workers along: they would go on with what is queued, beside the job run again."""
+    wait_for([sentinel])
+    os._exit(1)
 
 
 def _run_on_cluster(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -63,6 +65,41 @@ def test_a_worker_that_dies_costs_its_unit_a_retry(tmp_path: Path) -> None:
     units = [str(tmp_path / name) for name in ("a", "die", "b", "c", "d")]
     results = dict(run_units(die_once, units, workers=2))
     assert [results[i] for i in range(5)] == ["a", "die", "b", "c", "d"]
+
+
+def test_workers_end_with_a_job_that_is_killed(tmp_path: Path) -> None:
+    program = (
+        "import sys; from test_execution import tell_and_sleep; from relocbench.execution import run_units\n"
+        "if __name__ == '__main__': list(run_units(tell_and_sleep, [sys.argv[1]] * 2, workers=2))"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    script = tmp_path / "job.py"
+    script.write_text(program)
+    job = subprocess.Popen([sys.executable, str(script), str(tmp_path)], env=environment)
+    until = time.monotonic() + 60
+    while len(told := [int(path.name) for path in tmp_path.glob("[0-9]*")]) < 2:
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    job.kill()
+    job.wait()
+    until = time.monotonic() + 30
+    while any(is_running(pid) for pid in told):
+        assert time.monotonic() < until, "workers outlive their job"
+        time.sleep(0.05)
+
+
+def tell_and_sleep(folder: str) -> None:
+    """A file named by the process, then nothing for long."""
+    (Path(folder) / str(os.getpid())).touch()
+    time.sleep(100)
+
+
+def is_running(pid: int) -> bool:
+    """A process that nobody waited for yet does not run any more."""
+    try:
+        return "Z" not in Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except FileNotFoundError:
+        return False
 
 
 def test_a_unit_that_kills_every_worker_is_named() -> None:
