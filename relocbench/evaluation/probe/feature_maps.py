@@ -81,12 +81,15 @@ def feature_sheet(place: Place, method: SupportsFeatures, label: str) -> Image:
         MethodError: the method cannot work on the images.
     """
     seen = [_levels(method, label, image, camera) for _, image, camera in place.images]
-    levels = [principal_components([maps[k] for maps in seen]) for k in range(min(map(len, seen)))]
     height, width = place.images[0][1].shape[:2]
+    levels = [
+        (round(np.log2(width / seen[0][k].shape[1])), principal_components([maps[k] for maps in seen]))
+        for k in range(min(map(len, seen)))
+    ]
     rows = []
     for index, (title, image, _) in enumerate(place.images):
         panels = [(title, rgb(image))]
-        panels += [(f"{label}, level {k}: 3 components", pictures[index]) for k, pictures in enumerate(levels)]
+        panels += [(f"{label}, level {level}: 3 components", pictures[index]) for level, pictures in levels]
         rows.append(np.hstack([_panel(text, picture, width, height) for text, picture in panels]))
     return np.vstack(rows)
 
