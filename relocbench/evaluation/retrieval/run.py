@@ -156,8 +156,12 @@ def created(spec: MethodSpec) -> Retriever:
     """The retriever, constructed. Raises MethodError."""
     made: Any = spec.create()
     if not isinstance(made, Retriever):
-        raise MethodError(f"retriever '{spec.label}': {spec.target} made a {type(made).__name__} without describe()")
+        raise MethodError(f"retriever '{spec.label}': {spec.target} {_made(made)}, which has no describe()")
     return made
+
+
+def _made(thing: object) -> str:
+    return f"made a thing of type {type(thing).__name__}"
 
 
 def check_task(task: RetrievalTask) -> None:

@@ -1,0 +1,182 @@
+"""Retrievers compared: ranks, means over tasks, missing results, and the page."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import relocbench
+from small_dataset import make_small_dataset
+from small_views import make_small_views
+
+from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
+from relocbench.evaluation.retrieval.records import METRICS, TaskRecord, all_sets
+from relocbench.leaderboard.retrieval import RetrievalBoard, RetrievalRow, load_retrieval, mean_tables, plausible
+from relocbench.leaderboard.retrieval_page import evaluate_command
+from relocbench.progress import Silent
+
+HERE = "retrievers_for_tests"
+D2S, S2D, MEAN = "drone-satellite", "satellite-drone", "mean over all tasks"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("board")
+    views = make_small_views(root / "town", places=12, noise=20.0)
+    run(views, root / "results", f"good={HERE}:Thumbnail", f"twin={HERE}:Thumbnail", f"same={HERE}:Constant")
+    run(views, root / "results", f"half={HERE}:Thumbnail", pair_sets=(D2S,))
+    return root / "results"
+
+
+def run(dataset: Path, out: Path, *methods: str, **options: Any) -> None:
+    evaluate_retrievers(RetrievalOptions(dataset=dataset, out=out, methods=methods, **options), Silent())
+
+
+def board_of(results: Path, **options: Any) -> RetrievalBoard:
+    board = load_retrieval(results, **options)
+    assert board is not None
+    return board
+
+
+def rows_of(results: Path, table: str) -> dict[str, RetrievalRow]:
+    found = next(t for s in board_of(results).sets for t in s.tables if t.name == table)
+    return {row.method.label: row for row in found.rows}
+
+
+def test_methods_share_a_place_unless_they_differ(results: Path) -> None:
+    rows = rows_of(results, MEAN)
+    assert {label: row.rank for label, row in rows.items()} == {"good": 1, "twin": 1, "same": 3, "half": None}
+    assert list(rows)[-1] == "half"
+    assert rows["half"].missing == (S2D,)
+    assert set(rows["half"].values.values()) == {None}
+    assert rows_of(results, D2S)["half"].rank == 1
+
+
+def test_values_are_those_of_the_evaluation_and_the_mean_counts_tasks_alike(results: Path) -> None:
+    scores = all_sets(results)[0].method("good").retrieval_scores().tasks
+    for metric in METRICS:
+        for task in (D2S, S2D):
+            assert rows_of(results, task)["good"].values[metric] == pytest.approx(scores[task][metric], abs=1e-12)
+        mean = (float(scores[D2S][metric] or 0) + float(scores[S2D][metric] or 0)) / 2
+        assert rows_of(results, MEAN)["good"].values[metric] == pytest.approx(mean, abs=1e-12)
+
+
+def test_means_are_by_direction_and_by_conditions_and_parts_count_once() -> None:
+    def record(query: str, gallery: str, asked: str, stored: str) -> TaskRecord:
+        views = {"view_query": query, "view_gallery": gallery, "condition_query": asked, "condition_gallery": stored}
+        return TaskRecord(queries=1, gallery=1, without_positives=0, most_positives=1, **views)
+
+    tasks = {
+        "drone-satellite": record("drone", "satellite", "rain+sun", "sun"),
+        "drone-satellite__rain": record("drone", "satellite", "rain", "sun"),
+        "drone-satellite__sun": record("drone", "satellite", "sun", "sun"),
+        "4K_drone-satellite": record("drone", "satellite", "", ""),
+        "street-satellite__rain": record("street", "satellite", "rain", "sun"),
+    }
+    assert mean_tables(tasks) == {
+        MEAN: ("drone-satellite", "4K_drone-satellite", "street-satellite__rain"),
+        "direction drone → satellite": ("drone-satellite", "4K_drone-satellite"),
+        "conditions rain → sun": ("drone-satellite__rain", "street-satellite__rain"),
+    }
+    assert mean_tables({"a__b__c": record("street", "street", "x", "y")}) == {}
+
+
+def test_the_same_results_give_the_same_bytes(results: Path, tmp_path: Path) -> None:
+    for out in (tmp_path / "a", tmp_path / "b"):
+        assert relocbench("leaderboard", results, "--out", out, "-q").status == 0
+    assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["retrieval.csv", "retrieval.md"]
+    for name in ("retrieval.csv", "retrieval.md"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_the_page_says_what_a_reader_must_know(results: Path, tmp_path: Path) -> None:
+    shown = relocbench("leaderboard", results, "--out", tmp_path)
+    assert shown.status == 0, shown.err
+    assert "half has no result on satellite-drone" in shown.err
+    assert "(chance)" in shown.out
+    page = (tmp_path / "retrieval.md").read_text(encoding="utf-8")
+    for words in (
+        "The denominator is every query",
+        "**Not shown to be better than chance:** `same`.",
+        "- `half` on `satellite-drone`",
+        "Each query has one right image",
+        "| `drone-satellite` | drone → satellite |",
+        "relocbench evaluate --task retrieval --dataset DATASET --out RESULTS --method good=retrievers_for_tests:Thu",
+    ):
+        assert words in page
+    assert str(results) not in page
+    s2d = page.split("### satellite-drone")[1].split("### Methods")[0]
+    assert "Each query has one right image" not in s2d  # two drone images show each place
+    width = 0
+    for line in page.replace("\\|", "").splitlines():
+        count = line.count("|") if line.startswith("|") else 0
+        assert count in (0, width) or width == 0, line
+        width = count
+    rows = list(csv.DictReader((tmp_path / "retrieval.csv").open(encoding="utf-8")))
+    assert {r["method"] for r in rows} == {"good", "twin", "same", "half", "(chance)"}
+    good = next(r for r in rows if r["method"] == "good" and r["table"] == D2S)
+    assert float(good["R@1_low"]) <= float(good["R@1"]) <= float(good["R@1_high"])
+    assert (good["view_query"], good["view_gallery"], good["queries"]) == ("drone", "satellite", "24")
+
+
+def test_json_holds_the_rows_of_both_halves(results: Path, tmp_path: Path) -> None:
+    shown = json.loads(relocbench("leaderboard", results, "--out", tmp_path, "-q", "--json").out)
+    assert shown["rows"] == []
+    assert {row["method"] for row in shown["retrieval"]} == {"good", "twin", "same", "half", "(chance)"}
+
+
+def test_both_halves_are_written_from_one_results_folder(tmp_path: Path) -> None:
+    street = make_small_dataset(tmp_path / "street", frames=8)
+    out = tmp_path / "results"
+    assert relocbench("evaluate", "-d", street.root, "-m", "identity", "--out", out, "-j", "1", "-q").status == 0
+    run(street.root, out, f"t={HERE}:Thumbnail", radius=0.2, heading=30.0)
+    board = relocbench("leaderboard", out, "--out", tmp_path / "board", "--no-plots", "-q", "--split", "test")
+    assert board.status == 0, board.err
+    assert {"leaderboard.md", "retrieval.md"} <= {p.name for p in (tmp_path / "board").iterdir()}
+    asked = all_sets(out)[0]
+    assert asked.record.splits == {"test": ("summer__winter__cam0",), "all": ("summer__winter__cam0",)}
+    words = shlex.split(evaluate_command(asked.record, asked.method("t").run_record()))
+    assert words[words.index("--radius") : words.index("--radius") + 4] == ["--radius", "0.2", "--heading", "30"]
+    refused = relocbench("leaderboard", out, "--out", tmp_path / "b", "--split", "absent")
+    assert (refused.status, "no split 'absent'" in refused.complaint) == (2, True)
+
+
+def test_an_unknown_metric_or_split_is_refused(results: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be ranked by 'R@3'"):
+        load_retrieval(results, metric="R@3")
+    with pytest.raises(ConfigError, match="no split 'test'; there is none"):
+        load_retrieval(results, split="test")
+    assert board_of(results, metric="AP").metric == "AP"
+
+
+def test_answers_that_changed_since_they_were_scored_are_refused(tmp_path: Path) -> None:
+    views = make_small_views(tmp_path / "town", places=3)
+    run(views, tmp_path / "results", f"t={HERE}:Thumbnail")
+    folder = all_sets(tmp_path / "results")[0].method("t")
+    kept = folder.answers(D2S).read_text()
+    folder.answers(D2S).write_text(kept.replace(",ok,1,1,", ",ok,1,2,", 1))
+    with pytest.raises(PredictionError, match=r"drone-satellite\.csv: changed since it was scored"):
+        load_retrieval(tmp_path / "results")
+    folder.answers(D2S).write_text(kept)
+    folder.scores_yaml.unlink()
+    with pytest.raises(PredictionError, match=r"scores\.yaml: missing: the answers are not scored"):
+        load_retrieval(tmp_path / "results")
+
+
+def test_an_average_precision_that_one_positive_does_not_allow_is_refused(results: Path) -> None:
+    table = next(t for t in board_of(results).sets[0].tables if t.name == D2S)
+    assert table.single_positive
+    plausible(table)
+    row = table.rows[0]
+    wrong = RetrievalRow(row.method, {**row.values, "R@1": 0.5, "AP": 0.7}, {}, 1)
+    with pytest.raises(PredictionError, match="good on drone-satellite: AP 70"):
+        plausible(type(table)(table.name, table.tasks, table.records, (wrong,), table.chance))
+
+
+def test_a_folder_without_retrieval_has_no_board(tmp_path: Path) -> None:
+    assert load_retrieval(tmp_path) is None
