@@ -142,6 +142,9 @@ class Tracker(Protocol):
     The parameters of a tracker are the keyword arguments of its constructor, with their annotations and defaults:
     ``--set key=value`` sets them and ``run.yaml`` keeps them. A parameter called ``seed`` gets the run's seed.
 
+    Files that the parameters name as a ``Path`` are known by their content in ``run.yaml``; a class that reads others
+    (weights that come with it) tells them by a class method ``files(**parameters) -> Mapping[str, Path]``.
+
     ``reference`` is what :meth:`SupportsPrepare.prepare` returned where the tracker has it, the
     :class:`Reference` itself otherwise. ``prior`` is a (4, 4) first guess of ``T_query_ref``, or None; a tracker that
     uses it says so by a class attribute ``uses_prior = True``. A tracker that wants frames around the keyframe

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -238,6 +239,40 @@ def test_two_configurations_never_share_a_folder(dataset: Dataset, tmp_path: Pat
     with pytest.raises(PredictionError, match="holds predictions of"):
         evaluate(dataset, tmp_path, "m=identity")
     assert predictions(DatasetResults(next(tmp_path.iterdir())).root, "m") == before
+
+
+def test_other_weights_are_another_configuration(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the path is the same, and where the method itself knows the path."""
+    weights, own = tmp_path / "weights", tmp_path / "own"
+    monkeypatch.setenv("WEIGHTS_OF_TESTS", str(own))
+    weights.write_text("0.25")
+    own.write_text("0.5")
+    out = tmp_path / "out"
+    given = f"weights={weights}"
+    folder = DatasetResults(evaluate(dataset, out, f"w={HERE}:Weighted", settings=(given,)).results).method("w")
+    assert folder.run_record().files == {"weights": hashlib.sha256(b"0.25").hexdigest()}
+    evaluate(dataset, out, f"own={HERE}:Weighted")
+    evaluate(dataset, out, f"w={HERE}:Weighted", settings=(given,))
+    weights.write_text("0.75")
+    own.write_text("0.75")
+    with pytest.raises(PredictionError, match=r"\(weights: another content of the file there, SHA-256 \w{12}, "):
+        evaluate(dataset, out, f"w={HERE}:Weighted", settings=(given,))
+    with pytest.raises(PredictionError, match="weights: another content"):
+        evaluate(dataset, out, f"own={HERE}:Weighted")
+
+
+def test_a_run_that_broke_off_before_its_first_answer_does_not_stand_in_the_way(
+    dataset: Dataset, tmp_path: Path
+) -> None:
+    weights = tmp_path / "weights"
+    weights.write_text("not a number")
+    with pytest.raises(MethodError):
+        evaluate(dataset, tmp_path / "out", f"w={HERE}:Weighted", settings=(f"weights={weights}",))
+    weights.write_text("0.25")
+    report = evaluate(dataset, tmp_path / "out", f"w={HERE}:Weighted", settings=(f"weights={weights}",))
+    assert all(line.T_query_ref is not None for line in read_pose_lines(report.folders[0].predictions(WITHIN)))
 
 
 def test_a_mistyped_method_leaves_no_folder(dataset: Dataset, tmp_path: Path) -> None:

@@ -128,6 +128,11 @@ class GnNet:
             weights if isinstance(weights, FeatureNet) else load_weights(weights or self._shipped())
         )
 
+    @classmethod
+    def files(cls, weights: Path | None = None, **_: Any) -> dict[str, Path]:
+        """What decides the answers besides parameters, so that results of other weights are not gone on with."""
+        return {"weights": Path(weights) if weights else cls._shipped_path()}
+
     def prepare(self, reference: Reference) -> GnNetReference:
         """Choose points and look up their features on all levels.
 
@@ -235,8 +240,12 @@ class GnNet:
             "energies": [float(outcome.energy) for outcome in found.outcomes],
         }
 
+    @classmethod
+    def _shipped_path(cls) -> Path:
+        return SHIPPED / f"{cls.name}.safetensors"
+
     def _shipped(self) -> Path:
-        path = SHIPPED / f"{self.name}.safetensors"
+        path = self._shipped_path()
         if not path.is_file():
             raise MethodError(
                 f"no weights of {self.name} come with this version; train some (relocbench train {self.name} "

@@ -93,6 +93,8 @@ class RunRecord(Strict):
     method: str
     target: str
     parameters: dict[str, Any] = Field(default_factory=dict)
+    files: dict[str, str] = Field(default_factory=dict)
+    """SHA-256 of the files that decide the answers, as weights, by parameter"""
     seed: int | None = None
     dataset: str
     fingerprint: str

@@ -273,6 +273,7 @@ def new_record(dataset: Dataset, spec: MethodSpec, workers: int, seed: int) -> R
         method=spec.label,
         target=spec.target,
         parameters=json.loads(json.dumps(dict(spec.parameters), default=str)),
+        files=spec.files(),
         seed=seed,
         dataset=dataset.name,
         fingerprint=dataset.fingerprint,
@@ -287,6 +288,9 @@ def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool)
     """Answers of two configurations never share a folder. Raises PredictionError."""
     if not folder.run_yaml.exists():
         return
+    if not _has_answers(folder):  # a run that broke off before its first answer decides nothing
+        folder.run_yaml.unlink()
+        return
     before = folder.run_record()
     if before.fingerprint != record.fingerprint:
         raise PredictionError(f"was made for the dataset with fingerprint {before.fingerprint}", folder.run_yaml)
@@ -300,6 +304,11 @@ def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool)
         for k in sorted(before.parameters.keys() | record.parameters.keys())
         if before.parameters.get(k) != record.parameters.get(k)
     ]
+    changed += [
+        f"{k}: another content of the file there, SHA-256 {before.files[k][:12]}, {record.files[k][:12]} now"
+        for k in sorted(before.files.keys() & record.files.keys())
+        if before.files[k] != record.files[k] and not any(line.startswith(f"{k}: ") for line in changed)
+    ]
     if work_left and not changed:
         changed = [
             f"{k} {before.versions.get(k)} there, {v} now"
@@ -308,6 +317,10 @@ def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool)
         ]
     if changed:
         raise PredictionError(f"holds predictions made otherwise ({'; '.join(changed)}); {way_out}", folder.run_yaml)
+
+
+def _has_answers(folder: MethodResults) -> bool:
+    return any(folder.root.glob("*.txt")) or any(folder.root.glob(".journal*/*/*.jsonl"))
 
 
 def _clear(folder: MethodResults, pair_sets: Sequence[PairSet]) -> None:

@@ -24,7 +24,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from relocbench.datasets.schema import check_name
 from relocbench.errors import MethodError
-from relocbench.files import first_fault
+from relocbench.files import first_fault, sha256_file
 from relocbench.methods.lookup import hint, load_dotted, of_theirs, offered
 
 ENTRY_POINT_GROUP = "relocbench.methods"
@@ -69,6 +69,18 @@ class MethodSpec:
         """The tracker or retriever, constructed. Raises MethodError."""
         factory = method_class(self.target, self.kind)
         return of_theirs(f"{self.kind.noun} '{self.label}' cannot be made", lambda: factory(**self.parameters))
+
+    def files(self) -> dict[str, str]:
+        """SHA-256 of each file that decides the answers, by name: a file may change while its path does not.
+
+        They are those that parameters name as a ``Path``, and those that the class tells by its ``files``, if it has
+        one (weights that come with the package). Files that are not there are left out. Raises MethodError.
+        """
+        named = {name: value for name, value in self.parameters.items() if isinstance(value, Path)}
+        tell = getattr(method_class(self.target, self.kind), "files", None)
+        if callable(tell):
+            named |= of_theirs(f"the files of '{self.label}' are not known", lambda: tell(**self.parameters))
+        return {name: sha256_file(path) for name, path in sorted(named.items()) if path.is_file()}
 
 
 @dataclass(frozen=True)
