@@ -103,21 +103,20 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
         folders = [take_lists(asked, asked.chosen, options.predictions, label, results)]
         write_set_record(results, asked, asked.chosen)
     else:
-        folders = []
-        for spec in specs:
-            folders.append(
-                run_retriever(
-                    asked,
-                    asked.chosen,
-                    spec,
-                    results,
-                    keep=options.keep,
-                    overwrite=options.overwrite,
-                    seed=options.seed,
-                    reporter=reporter,
-                )
+        folders = [
+            run_retriever(
+                asked,
+                asked.chosen,
+                spec,
+                results,
+                keep=options.keep,
+                overwrite=options.overwrite,
+                seed=options.seed,
+                reporter=reporter,
             )
-            write_set_record(results, asked, asked.chosen)
+            for spec in specs
+        ]
+        write_set_record(results, asked, asked.chosen)
     record = results.record
     for folder in folders:
         score_retriever(record, folder)

@@ -25,7 +25,13 @@ from relocbench.evaluation.retrieval.describe import (
     shared_keys,
 )
 from relocbench.evaluation.retrieval.ranking import rank_task
-from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults, TaskRun
+from relocbench.evaluation.retrieval.records import (
+    RetrievalRun,
+    RetrieverResults,
+    SetResults,
+    TaskRun,
+    write_set_record,
+)
 from relocbench.evaluation.run import Overwrite, machine, refuse_mixture
 from relocbench.execution import default_workers, messages_to_stderr
 from relocbench.files import alone_in, remove_parts
@@ -80,11 +86,13 @@ def run_retriever(
         return folder
     asking = Asking(lambda: created(spec), todo, seed)  # what cannot be made should not leave a folder
     folder.root.mkdir(parents=True, exist_ok=True)
+    write_set_record(results, asked, tasks)
     with alone_in(folder.root, PredictionError):
         if not folder.run_yaml.exists():
             folder.write_run(record)
-        images = sum(len(task.queries) + len(task.gallery) for task in todo)
-        with reporter.stage(f"{spec.label} on {asked.name}", images) as advance:
+        # Each query twice: when it is described, and when it is ranked.
+        steps = sum(2 * len(task.queries) + len(task.gallery) for task in todo)
+        with reporter.stage(f"{spec.label} on {asked.name}", steps) as advance:
             for task in todo:
                 done = asking.ask(task, keep, advance)
                 write_lists(folder.predictions(task.name), done.lists)
@@ -137,7 +145,7 @@ class Asking:
         else:
             gallery = describer(task.gallery, advance)
             queries = describer(task.queries, advance)
-        rows = list(rank_task(task, queries, gallery, retriever, keep))
+        rows = list(rank_task(task, queries, gallery, retriever, keep, advance))
         variance = descriptor_variance(queries, gallery)
         run = TaskRun(
             dimensions=None if variance is None else gallery.values.shape[1],
