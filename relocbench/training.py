@@ -3,6 +3,9 @@
 A trainer is any object with ``default_options`` and ``train``; it inherits nothing and is found by the entry-point
 group ``relocbench.trainers``. It gets pairs of images with ground-truth correspondences, and a way to try what it has
 learnt as a tracker on pairs that it never learns from.
+
+A trainer of places has ``train_places`` in place of ``train``. It gets images of known places, and a way to try what it
+has learnt as a retriever on places that it never learns from.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.progress import Reporter, Silent
+from relocbench.retrieval import PlaceData, Retriever
 from relocbench.tracking import Tracker
 
 
@@ -73,20 +77,24 @@ class TrainingData(Protocol):
 
 @dataclass(frozen=True)
 class ValidationScores:
-    """What a tracker scored on the validation pairs."""
+    """What a tracker scored on the validation pairs, or a retriever on the validation places."""
 
     together: Mapping[str, float]
-    """metric's name -> value over all pairs"""
+    """metric's name -> value over all pairs; of a retriever: mean over the directions"""
     by_conditions: Mapping[str, Mapping[str, float]]
-    """``REFERENCE -> QUERY`` -> metric's name -> value"""
+    """``REFERENCE -> QUERY`` -> metric's name -> value; of a retriever by ``QUERY-GALLERY`` view, and more than the
+    metrics: what chance would score, how far descriptors spread"""
     pairs: Mapping[str, int]
-    """how many of each ``REFERENCE -> QUERY``"""
+    """how many of each ``REFERENCE -> QUERY``; of a retriever: queries of each direction"""
     messages: tuple[str, ...] = ()
     """what broke, if anything did: the first of each kind"""
 
 
 Validate = Callable[[Tracker], ValidationScores]
 """Tracks the same pairs at each call; the tracker is used as ``relocbench evaluate`` uses it."""
+
+ValidateRetriever = Callable[[Retriever], ValidationScores]
+"""Retrieves among the same held-out places at each call, by descriptors alone."""
 
 
 @dataclass(frozen=True)
@@ -139,4 +147,42 @@ class Trainer(Protocol):
             ConfigError: an option that does not exist or makes no sense.
             MethodError: the training broke down, or ``run.out`` holds another one.
         """
+        ...
+
+
+@runtime_checkable
+class PlaceTrainer(Protocol):
+    """A retriever that learns."""
+
+    def default_options(self) -> dict[str, Any]:
+        """All options, nested, as plain values for YAML."""
+        ...
+
+    def train_places(
+        self, data: PlaceData, validate: ValidateRetriever | None, options: Mapping[str, Any], run: TrainingRun
+    ) -> TrainingReport:
+        """Learn, keep the weights that validate best, or the last ones where there is no validation.
+
+        Args:
+            data: images to learn from.
+            validate: see :data:`ValidateRetriever`.
+            options: nested as ``default_options``; what is absent has its default.
+            run: where and how.
+
+        Raises:
+            ConfigError: an option that does not exist or makes no sense, or data that the options do not fit.
+            MethodError: the training broke down, or ``run.out`` holds another one.
+        """
+        ...
+
+
+@runtime_checkable
+class ConfiguredTrainer(Protocol):
+    """A trainer of several systems, told apart by the option ``configuration``, each with options of its own."""
+
+    configurations: tuple[str, ...]
+    """their names, which ``relocbench train --config`` takes"""
+
+    def options_of(self, configuration: str) -> dict[str, Any]:
+        """As ``default_options``, of one system. Raises ConfigError."""
         ...

@@ -1,39 +1,64 @@
-"""``relocbench train``: train a method on datasets with correspondences."""
+"""``relocbench train``: train a tracker on datasets with correspondences, a retriever on images of known places."""
 
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from relocbench.cli.options import Json, Quiet
 
 if TYPE_CHECKING:
-    from relocbench.training import TrainingReport, Validate
+    from relocbench.progress import Reporter
+    from relocbench.retrieval import PlaceData
+    from relocbench.training import TrainingData, TrainingReport, Validate, ValidateRetriever
 
 
 def train(
     name: Annotated[str, typer.Argument(help="Installed trainer, or package.module:Class.")],
     dataset: Annotated[
         list[Path],
-        typer.Option("--dataset", "-d", help="Dataset with a split 'train', 'validation' or both. Repeat for several."),
+        typer.Option(
+            "--dataset",
+            "-d",
+            help="Dataset with a split 'train', 'validation' or both; for a retriever a cross-view folder with train/. "
+            "Repeat for several.",
+        ),
     ] = [],  # noqa: B006  typer copies it
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for weights, checkpoint, log and model card.")
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="YAML file with any of the trainer's options.")] = None,
+    config: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE", help="One of the trainer's configurations, or a YAML file with any of its options."
+        ),
+    ] = None,
     settings: Annotated[
         list[str], typer.Option("--set", help="key=value, nested keys with dots. Repeat for several.")
     ] = [],  # noqa: B006
-    split: Annotated[str, typer.Option(help="Whose pairs are learnt from.")] = "train",
-    validation_pairs: Annotated[int, typer.Option(min=1, help="So many pairs are tracked at each validation.")] = 180,
+    backbone_weights: Annotated[
+        Path | None,
+        typer.Option(help="For a retriever: file of torchvision's ResNet to start from, such as its ImageNet weights."),
+    ] = None,
+    split: Annotated[str, typer.Option(help="For a tracker: whose pairs are learnt from.")] = "train",
+    validation_pairs: Annotated[
+        int, typer.Option(min=1, help="For a tracker: so many pairs are tracked at each validation.")
+    ] = 180,
+    validation_places: Annotated[
+        float,
+        typer.Option(
+            min=0.0, max=0.5, help="For a retriever: share of the train places that are held out to validate."
+        ),
+    ] = 0.1,
     no_validation: Annotated[
-        bool, typer.Option("--no-validation", help="Keep the last weights instead of those that track best.")
+        bool, typer.Option("--no-validation", help="Learn from everything and keep the last weights, not the best.")
     ] = False,
     workers: Annotated[
-        int | None, typer.Option("--workers", "-j", min=0, help="Background processes that read pairs [default: 1].")
+        int | None, typer.Option("--workers", "-j", min=0, help="Background processes that read images [default: 1].")
     ] = None,
     device: Annotated[
         str | None, typer.Option(help="cpu, cuda, cuda:1, ... [default: a GPU where there is one].")
@@ -44,18 +69,27 @@ def train(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Train a method on the train split of datasets and choose its weights by tracking on their validation split.
+    """Train a tracker or a retriever; its weights are chosen on a validation split or on held-out places.
 
-    A killed training goes on where its last checkpoint stood when the same command is given again.
+    The test split is never learnt from, and never validated on. A killed training goes on where its last checkpoint
+    stood when the same command is given again.
 
     Example: relocbench train gn-net -d town1 -d town2 -o trained --set steps=2000
+
+    Example: relocbench train lpn -d university --config lpn-rpp --backbone-weights resnet50.pth -o trained
     """
     from relocbench.errors import ConfigError, MethodError
     from relocbench.files import alone_in, dump_yaml
-    from relocbench.methods.trainers import trainer_named, trainer_options
+    from relocbench.methods.trainers import chosen_options, trainer_named
+    from relocbench.training import PlaceTrainer
 
     trainer = trainer_named(name)
-    options = trainer_options(trainer.default_options(), config, settings)
+    of_places = isinstance(trainer, PlaceTrainer)
+    if backbone_weights is not None:
+        if "backbone_weights" not in trainer.default_options():
+            raise ConfigError(f"trainer '{name}' has no backbone that takes --backbone-weights")
+        settings = [*settings, f"backbone_weights={backbone_weights}"]
+    options = chosen_options(trainer, config, settings)
     if show_options:
         print(dump_yaml(options), end="")
         return
@@ -63,33 +97,65 @@ def train(
         raise ConfigError(f"train needs {'--dataset DIR' if not dataset else '--out DIR'}")
 
     from relocbench.cli.console import print_json, reporter
-    from relocbench.datasets.training_pairs import DatasetPairs, without_only_validation
-    from relocbench.evaluation.trial import Trial
-    from relocbench.progress import Silent
     from relocbench.training import TrainingRun
 
     for root in dataset:
         if out.resolve().is_relative_to(root.resolve()):
             raise ConfigError("--out lies inside a dataset, which it would change; choose another folder", out)
-    reports = reporter(quiet)
-    data = DatasetPairs(dataset if no_validation else without_only_validation(dataset, split), split)
-    # Two bars do not show at once: validation goes without.
-    validate: Validate | None = None if no_validation else Trial(dataset, validation_pairs, seed=0, reporter=Silent())
     place = device or _device()
     words = ["train", name, *(f"--dataset={root}" for root in dataset), f"--out={out}"]
     words += [f"--config={config}"] if config else []
     words += [f"--set={setting}" for setting in settings]
     words += [] if split == "train" else [f"--split={split}"]
-    words += ["--no-validation"] if no_validation else [f"--validation-pairs={validation_pairs}"]
+    asked = f"--validation-places={validation_places:g}" if of_places else f"--validation-pairs={validation_pairs}"
+    words += ["--no-validation" if no_validation else asked]
     command = shlex.join(["relocbench", *words, f"--device={place}"])
-    run = TrainingRun(out, name, command, 1 if workers is None else workers, place, reports)
+    run = TrainingRun(out, name, command, 1 if workers is None else workers, place, reporter(quiet))
+    if isinstance(trainer, PlaceTrainer):
+        share = 0.0 if no_validation else validation_places
+        data, retrieves = _places(dataset, split, share, options, run.reporter)
+    else:
+        pairs, tracks = _pairs(dataset, split, 0 if no_validation else validation_pairs)
     out.mkdir(parents=True, exist_ok=True)
     with alone_in(out, MethodError):
-        report = trainer.train(data, validate, options, run)
+        if isinstance(trainer, PlaceTrainer):
+            report = trainer.train_places(data, retrieves, options, run)
+        else:
+            report = trainer.train(pairs, tracks, options, run)
     if json:
         print_json(_plain(report))
     elif not quiet:
-        _print(report)
+        _print(report, "query-gallery" if of_places else "conditions", "queries" if of_places else "pairs")
+
+
+def _pairs(roots: Sequence[Path], split: str, validation_pairs: int) -> tuple[TrainingData, Validate | None]:
+    """What a tracker learns from and is tried on; no validation at 0."""
+    from relocbench.datasets.training_pairs import DatasetPairs, without_only_validation
+    from relocbench.evaluation.trial import Trial
+    from relocbench.progress import Silent
+
+    if not validation_pairs:
+        return DatasetPairs(roots, split), None
+    data = DatasetPairs(without_only_validation(roots, split), split)
+    # Two bars do not show at once: validation goes without.
+    return data, Trial(roots, validation_pairs, seed=0, reporter=Silent())
+
+
+def _places(
+    roots: Sequence[Path], split: str, held_out: float, options: Mapping[str, Any], reporter: Reporter
+) -> tuple[PlaceData, ValidateRetriever | None]:
+    """What a retriever learns from and is tried on; no validation at 0."""
+    from relocbench.datasets.training_places import training_places
+    from relocbench.errors import ConfigError
+    from relocbench.evaluation.place_trial import PlaceTrial, hold_out
+
+    if split != "train":
+        raise ConfigError(f"--split {split}: a retriever learns from the folder train/ alone")
+    data = training_places(roots, reporter)
+    if not held_out:
+        return data, None
+    learnt, held = hold_out(data, held_out, seed=0)
+    return learnt, PlaceTrial(held, options.get("views", data.views))
 
 
 def _device() -> str:
@@ -109,7 +175,7 @@ def _plain(report: TrainingReport) -> dict[str, object]:
     }
 
 
-def _print(report: TrainingReport) -> None:
+def _print(report: TrainingReport, groups_are: str, counted: str) -> None:
     from relocbench.cli.console import print_table
 
     if report.scores is not None:
@@ -117,5 +183,5 @@ def _print(report: TrainingReport) -> None:
         groups = {"all": report.scores.together, **report.scores.by_conditions}
         counts = {"all": sum(report.scores.pairs.values()), **report.scores.pairs}
         rows = [[g, str(counts[g]), *(f"{100 * v[n]:.1f} %" for n in names)] for g, v in groups.items()]
-        print_table(f"validation of the weights of step {report.best_step}", ["conditions", "pairs", *names], rows)
+        print_table(f"validation of the weights of step {report.best_step}", [groups_are, counted, *names], rows)
     print(f"weights: {report.weights}")

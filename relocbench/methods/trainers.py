@@ -12,9 +12,11 @@ import yaml
 from relocbench.errors import ConfigError, MethodError
 from relocbench.files import load_yaml_values
 from relocbench.methods.lookup import hint, load_dotted, of_theirs, offered
-from relocbench.training import Trainer
+from relocbench.training import ConfiguredTrainer, PlaceTrainer, Trainer
 
 TRAINER_GROUP = "relocbench.trainers"
+_CONFIGURATION = "configuration"
+_OPTIONS = "a trainer's options with their values"
 
 
 def installed_trainers() -> dict[str, metadata.EntryPoint]:
@@ -22,7 +24,7 @@ def installed_trainers() -> dict[str, metadata.EntryPoint]:
     return offered(TRAINER_GROUP, "trainer")
 
 
-def trainer_named(name: str) -> Trainer:
+def trainer_named(name: str) -> Trainer | PlaceTrainer:
     """The trainer of an installed name, or of a ``package.module:Class`` whose constructor needs no arguments.
 
     Raises:
@@ -36,9 +38,44 @@ def trainer_named(name: str) -> Trainer:
             "(or package.module:Class)"
         )
     made = of_theirs(f"trainer '{name}' cannot be made from {target}", load_dotted(target, "trainer"))
-    if not isinstance(made, Trainer):
-        raise MethodError(f"trainer '{name}': {target} has no train() or no default_options()")
+    if not isinstance(made, Trainer | PlaceTrainer):
+        raise MethodError(f"trainer '{name}': {target} has no train() or train_places(), or no default_options()")
     return made
+
+
+def chosen_options(trainer: Trainer | PlaceTrainer, config: str | None, settings: Sequence[str]) -> dict[str, Any]:
+    """A trainer's options, nested: its defaults, then a file's or a configuration's, then ``key=value`` settings.
+
+    Args:
+        config: a YAML file, or the name of a configuration that the trainer has. A file's key ``configuration`` says
+            whose defaults the file is laid upon.
+
+    Raises:
+        ConfigError: neither of them, an unknown key, named with its file, or a setting without a value.
+    """
+    if not isinstance(trainer, ConfiguredTrainer):
+        return trainer_options(trainer.default_options(), Path(config) if config else None, settings)
+    path = None
+    named = [text.partition("=")[2] for text in settings if text.startswith(f"{_CONFIGURATION}=")]
+    if config is not None and config not in trainer.configurations:
+        path = Path(config)
+        if not path.exists():
+            meant = hint(config, trainer.configurations)
+            raise ConfigError(f"no configuration and no file '{config}'{meant}; there is {_listed(trainer)}")
+        named = named or [str(load_yaml_values(path, _OPTIONS, ConfigError)[0].get(_CONFIGURATION, ""))]
+    elif config is not None:
+        named = named or [config]
+    for name in named:
+        if name and name not in trainer.configurations:
+            raise ConfigError(
+                f"no configuration '{name}'{hint(name, trainer.configurations)}; there is {_listed(trainer)}"
+            )
+    usual = trainer.options_of(named[-1]) if named and named[-1] else trainer.default_options()
+    return trainer_options(usual, path, settings)
+
+
+def _listed(trainer: ConfiguredTrainer) -> str:
+    return ", ".join(trainer.configurations)
 
 
 def trainer_options(defaults: Mapping[str, Any], config: Path | None, settings: Sequence[str]) -> dict[str, Any]:
@@ -49,7 +86,7 @@ def trainer_options(defaults: Mapping[str, Any], config: Path | None, settings: 
     """
     chosen = _copy(defaults)
     if config is not None:
-        values, _ = load_yaml_values(config, "a trainer's options with their values", ConfigError)
+        values, _ = load_yaml_values(config, _OPTIONS, ConfigError)
         _merge(chosen, values, config, "")
     for setting in settings:
         key, separator, text = setting.partition("=")

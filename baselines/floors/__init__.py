@@ -1,0 +1,7 @@
+"""Retrievers that learn nothing: what a trained one must be ahead of."""
+
+from baselines.floors.bag_of_words import OrbBagOfWords
+from baselines.floors.colour_histogram import ColourHistogram
+from baselines.floors.random_order import RandomOrder
+
+__all__ = ["ColourHistogram", "OrbBagOfWords", "RandomOrder"]

@@ -1,0 +1,1 @@
+"""LPN's training: images of known places in, a file of weights out."""

@@ -1,0 +1,29 @@
+"""Changes of training images, as in the recipe of LPN: pad and cut, turn, mirror; colours stay."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from baselines.lpn.images import Image
+from baselines.lpn.training.options import TrainOptions
+
+
+def augmented(image: Image, view: str, options: TrainOptions, rng: np.random.Generator) -> Image:
+    """A changed copy of a square image (S, S, 3).
+
+    Pad by the border's pixels, turn (satellite alone), cut out a square of the old size at random, mirror at random.
+    """
+    pad, side = options.pad, len(image)
+    wide: Image = np.pad(image, ((pad, pad), (pad, pad), (0, 0)), mode="edge")
+    if view == "satellite" and options.satellite_turn_deg:
+        wide = _turned(wide, rng.uniform(-options.satellite_turn_deg, options.satellite_turn_deg))
+    top, left = rng.integers(0, 2 * pad + 1, 2)
+    cut = wide[top : top + side, left : left + side]
+    return np.ascontiguousarray(cut[:, ::-1] if rng.random() < options.flip else cut, dtype=np.uint8)
+
+
+def _turned(image: Image, angle_deg: float) -> Image:
+    middle = (len(image) - 1) / 2
+    turn = cv2.getRotationMatrix2D((middle, middle), angle_deg, 1.0)
+    return np.asarray(cv2.warpAffine(image, turn, image.shape[1::-1], flags=cv2.INTER_LINEAR), dtype=np.uint8)

@@ -1,0 +1,166 @@
+"""Batches of images by view, read by background processes; the same whatever their number.
+
+The batch of a step is a function of the step and the seed alone, so that a training that goes on from a checkpoint sees
+what it would have seen. Each view goes round its own images, each round in an order of its own, independently of the
+other views: a batch of drone images and one of satellite images show different places, as in the authors' loader.
+Paired batches (DWDR) show the same place in each row of drone and satellite: the first half follows the satellite's
+rounds, the second half the drone's, and the partner is drawn among the place's images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from baselines.lpn.images import as_bytes, resized
+from baselines.lpn.network import VIEWS, View
+from baselines.lpn.training.augmentation import augmented
+from baselines.lpn.training.options import TrainOptions
+from relocbench.errors import ConfigError
+from relocbench.retrieval import PlaceData
+
+Batch = dict[View, tuple[Tensor, Tensor]]
+"""by view: images (B, 3, S, S) uint8 and places (B,) int64"""
+
+_PREFETCH = 2
+_ROUND, _PARTNER, _AUGMENT = range(3)
+
+
+class PlaceBatches(Dataset[Batch]):
+    """The batch of each step.
+
+    Raises:
+        ConfigError: a view without images, fewer than two places, or no place with both views where they are paired.
+    """
+
+    def __init__(self, data: PlaceData, options: TrainOptions, steps: int = 0) -> None:
+        self._data, self._options, self.steps = data, options, steps
+        self._of_view = {view: self._images(view) for view in options.views}
+        if len({data.images[i].place for numbers in self._of_view.values() for i in numbers}) < 2:
+            raise ConfigError("places to learn from: expected two or more, with images of the views asked for")
+        self._of_place: dict[View, dict[int, list[int]]] = {}
+        for view, numbers in self._of_view.items():
+            by_place = self._of_place.setdefault(view, {})
+            for number in numbers:
+                by_place.setdefault(data.images[number].place, []).append(number)
+        if options.paired:
+            self._keep_pairs()
+
+    @property
+    def steps_per_epoch(self) -> int:
+        """See ``TrainOptions.steps_per_epoch``."""
+        fewest = min(len(numbers) for numbers in self._of_view.values())
+        return self._options.steps_per_epoch or max(fewest // self._options.batch, 1)
+
+    @property
+    def places_by_view(self) -> dict[View, int]:
+        """How many places each view shows."""
+        return {view: len(by_place) for view, by_place in self._of_place.items()}
+
+    @property
+    def places_of_all_views(self) -> int:
+        """How many places all views show: only they teach what the views have in common."""
+        return len(set.intersection(*(set(by_place) for by_place in self._of_place.values())))
+
+    def __len__(self) -> int:
+        return self.steps
+
+    def __getitem__(self, step: int) -> Batch:
+        numbers = self._numbers(step)
+        return {view: self._read(view, numbers[view], step) for view in self._options.views}
+
+    def _numbers(self, step: int) -> dict[View, list[int]]:
+        """Of the images of a batch."""
+        batch = self._options.batch
+        if not self._options.paired:
+            return {view: [self._draw(view, step * batch + row) for row in range(batch)] for view in self._of_view}
+        half = batch // 2
+        led = {view: [self._draw(view, step * half + row) for row in range(half)] for view in self._pair}
+        satellite, drone = self._pair
+        rng = np.random.default_rng([self._options.seed, step, _PARTNER])
+        chosen: dict[View, list[int]] = {
+            satellite: led[satellite] + self._partners(satellite, led[drone], rng),
+            drone: self._partners(drone, led[satellite], rng) + led[drone],
+        }
+        others = {
+            view: [self._draw(view, step * batch + row) for row in range(batch)]
+            for view in self._of_view
+            if view not in self._pair
+        }
+        return {**chosen, **others}
+
+    def _read(self, view: View, numbers: Sequence[int], step: int) -> tuple[Tensor, Tensor]:
+        options = self._options
+        images = []
+        for row, number in enumerate(numbers):
+            rng = np.random.default_rng([options.seed, step, _AUGMENT, VIEWS.index(view), row])
+            square = resized(self._data.images[number].image.read(), options.size)
+            images.append(augmented(square, view, options, rng))
+        places = torch.tensor([self._data.images[number].place for number in numbers])
+        return as_bytes(images), places
+
+    def _draw(self, view: View, draw: int) -> int:
+        numbers = self._of_view[view]
+        turn, place = divmod(draw, len(numbers))
+        return numbers[int(_order(self._options.seed, VIEWS.index(view), turn, len(numbers))[place])]
+
+    def _partners(self, view: View, led: Sequence[int], rng: np.random.Generator) -> list[int]:
+        of_place = self._of_place[view]
+        return [int(rng.choice(of_place[self._data.images[number].place])) for number in led]
+
+    def _images(self, view: View) -> list[int]:
+        numbers = [number for number, each in enumerate(self._data.images) if each.image.view == view]
+        if not numbers:
+            raise ConfigError(
+                f"no images of view '{view}' to learn from; there are {', '.join(self._data.views) or 'none'} "
+                "(--set views=[...] says which are learnt from)"
+            )
+        return numbers
+
+    _pair: tuple[View, View] = ("satellite", "drone")
+
+    def _keep_pairs(self) -> None:
+        """Drop the images of places that only one of both views shows."""
+        both = set.intersection(*(set(self._of_place[view]) for view in self._pair))
+        if len(both) < 2:
+            raise ConfigError("paired batches need two or more places with drone and satellite images")
+        for view in self._pair:
+            self._of_view[view] = [n for n in self._of_view[view] if self._data.images[n].place in both]
+
+
+def batches_from(batches: PlaceBatches, first: int, last: int, workers: int, pin_memory: bool) -> Iterator[Batch]:
+    """Batches of the steps from ``first`` up to ``last``, without it, in order.
+
+    Args:
+        workers: background processes; 0 reads in this one.
+        pin_memory: ready for a GPU to fetch.
+    """
+    loader = DataLoader(
+        batches,
+        batch_size=None,
+        sampler=range(first, last),
+        num_workers=workers,
+        worker_init_fn=_one_thread,
+        prefetch_factor=_PREFETCH if workers else None,
+        multiprocessing_context="spawn" if workers else None,
+        pin_memory=pin_memory,
+        generator=torch.Generator().manual_seed(0),  # the loader draws a seed that nothing uses
+    )
+    return iter(loader)
+
+
+def _one_thread(_: int) -> None:
+    """The cores belong to the training; the loader does the same for torch."""
+    cv2.setNumThreads(1)
+
+
+@lru_cache(maxsize=64)
+def _order(seed: int, view: int, turn: int, count: int) -> NDArray[np.int64]:
+    return np.random.default_rng([seed, _ROUND, view, turn]).permutation(count)

@@ -1,0 +1,100 @@
+"""Where a training starts: drawn weights, a backbone's file, or another training's network."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from baselines.lpn.backbone_weights import load_backbone
+from baselines.lpn.network import Branch, LpnNetwork, copy_weights
+from baselines.lpn.stages import Stage
+from baselines.lpn.training.options import TrainOptions
+from baselines.lpn.weights import load_weights
+from relocbench.errors import MethodError
+
+_TORCHVISION = {
+    "f37072fd": "resnet18 IMAGENET1K_V1",
+    "0676ba61": "resnet50 IMAGENET1K_V1",
+    "11ad3fa6": "resnet50 IMAGENET1K_V2",
+}
+"""first digits of the SHA-256 of torchvision's published files, which stand in their names"""
+
+
+@dataclass(frozen=True)
+class Start:
+    """The files that a training starts from."""
+
+    told: str
+    """in words, for people"""
+    digests: dict[str, str]
+    """SHA-256 by option: another file makes another training"""
+
+
+def start_of(options: TrainOptions) -> Start:
+    """What a training with these options starts from.
+
+    Raises:
+        MethodError: a file is missing.
+    """
+    names = {"start": options.start, "backbone_weights": options.backbone_weights}
+    digests = {option: _digest(Path(name)) for option, name in names.items() if name}
+    if options.start:
+        about = load_weights(Path(options.start))[1]
+        told = f"network '{about.configuration}' of {Path(options.start).name} (backbone: {about.backbone_start})"
+    elif options.backbone_weights:
+        digest = digests["backbone_weights"]
+        published = _TORCHVISION.get(digest[:8])
+        name = Path(options.backbone_weights).name
+        told = f"ImageNet: torchvision's {published}" if published else f"file {name}, SHA-256 {digest[:16]}"
+    else:
+        told = "drawn, no ImageNet"
+    return Start(told, digests)
+
+
+def first_network(options: TrainOptions, stage: Stage, classes: int) -> LpnNetwork:
+    """The network that the first stage trains.
+
+    Raises:
+        MethodError: a file is not what it should be, or of another network.
+    """
+    network = fresh_network(options, stage, 0, classes)
+    if options.start:
+        path = Path(options.start)
+        source, _ = load_weights(path)
+        if source.classes != classes:
+            raise MethodError(f"trained on {source.classes} places, this data has {classes}", path)
+        try:
+            copy_weights(source, network)
+        except ValueError as bad:
+            raise MethodError(f"cannot start from it: {bad}", path) from bad
+    elif options.backbone_weights:
+        for branch in network.branches.values():
+            assert isinstance(branch, Branch)
+            load_backbone(Path(options.backbone_weights), branch.backbone)
+    return network
+
+
+def fresh_network(options: TrainOptions, stage: Stage, number: int, classes: int) -> LpnNetwork:
+    """The network of a stage with drawn weights."""
+    return LpnNetwork(classes, options.system.network_in(stage), generator(options.seed, number))
+
+
+def generator(seed: int, *of: int) -> torch.Generator:
+    """A stream of random numbers of its own, on the CPU."""
+    return torch.Generator().manual_seed(number_of(seed, *of))
+
+
+def number_of(seed: int, *of: int) -> int:
+    """A seed of its own."""
+    return int(np.random.SeedSequence([seed, *of]).generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def _digest(path: Path) -> str:
+    if not path.is_file():
+        raise MethodError("no such file of weights", path)
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,0 +1,282 @@
+"""LPN and its variants side by side: trained on one cross-view set, asked on another, several seeds each.
+
+Each configuration is trained with each seed by `relocbench train lpn --no-validation` (all train places are learnt from
+and the last weights are kept, as the papers do it) and asked by the code of `relocbench evaluate --task retrieval` in
+both directions between drone and satellite. Systems that start from LPN's weights (soft partition, masks) start from
+those of `lpn` with the same seed, which are trained once; `lpn-dmli` is `lpn` with its rankings sorted anew. Retrievers
+that learn nothing stand below. The table has mean +- standard deviation over the seeds.
+
+Beside it stands what the log of trials reports for University-1652: ANOTHER data set, with a backbone trained on
+ImageNet. Only the order of systems can be compared with it, and differences of its first block are noise.
+
+Trainings and answers in --scratch are taken up where they are; run again, it does what is missing.
+
+    python benchmarks/lpn_configurations.py --train TRAIN --test TEST --scratch S [--config NAME ...] [--seed N ...]
+        [--set key=value ...] [--out leaderboard/retrieval] [--device cpu]
+
+JSON on the last line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from baselines.gn_net.options import options_from_dict
+from baselines.lpn.configurations import CONFIGURATIONS, REPLACED_PARTITION_LOSS, configuration
+from baselines.lpn.training.card import differences
+from baselines.lpn.training.first_weights import start_of
+from baselines.lpn.training.options import TrainOptions
+from relocbench.cli.console import reporter
+from relocbench.datasets.cross_view import open_cross_view
+from relocbench.errors import ConfigError, RelocbenchError
+from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, RetrievalReport, evaluate_retrievers
+from relocbench.files import write_text
+from relocbench.methods.trainers import chosen_options, trainer_named
+
+FLOORS = ("random", "colour-histogram", "orb-bow")
+DIRECTIONS = ("drone-satellite", "satellite-drone")
+METRICS = ("R@1", "R@5", "AP")
+FIRST = "lpn"
+"""what others start from"""
+
+Values = dict[str, dict[str, float]]
+"""direction -> metric -> 0..1"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A system over its seeds."""
+
+    name: str
+    about: str
+    runs: tuple[Values, ...]
+    seeds: tuple[int, ...]
+    logged: tuple[float, float] | None = None
+    """R@1 and AP of the log, percent, on University-1652"""
+
+    def mean_and_deviation(self, direction: str, metric: str) -> tuple[float, float]:
+        """Percent; NaN deviation of a single run."""
+        values = 100 * np.array([run[direction][metric] for run in self.runs])
+        return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else float("nan")
+
+
+def trained_by(name: str) -> str:
+    """The configuration whose weights a system takes: its own, but for what only ranks otherwise."""
+    system = configuration(name)
+    plain_one = configuration(FIRST)
+    same = replace(system, name=FIRST, about=plain_one.about, rerank_top=0, logged=plain_one.logged)
+    return FIRST if same == plain_one else name
+
+
+def starts_from_first(name: str) -> bool:
+    """Whether its first stage is the whole of ``lpn``, so that the weights of ``lpn`` can stand for it."""
+    system = configuration(name)
+    return len(system.stages) > 1 and system.network_in(system.stages[0]) == configuration(FIRST).network
+
+
+def train(name: str, seed: int, given: argparse.Namespace) -> Path:
+    """The weights of a configuration and seed; what was trained before is not trained again."""
+    out = Path(given.scratch) / f"{name}-seed{seed}"
+    words = [f"--set={setting}" for setting in (*settings_of(name, given.settings), f"seed={seed}")]
+    if given.backbone_weights:
+        words.append(f"--backbone-weights={given.backbone_weights}")
+    if starts_from_first(name):
+        words.append(f"--set=start={Path(given.scratch) / f'{FIRST}-seed{seed}' / 'weights.safetensors'}")
+    command = [
+        sys.executable,
+        "-m",
+        "relocbench",
+        "train",
+        "lpn",
+        f"--config={name}",
+        f"--out={out}",
+        "--no-validation",
+    ]
+    command += [f"--dataset={root}" for root in given.train] + words
+    command += [f"--device={given.device}"] if given.device else []
+    command += [f"--workers={given.workers}"] if given.workers is not None else []
+    done = subprocess.run([*command, *(["--quiet"] if given.quiet else [])], stdout=sys.stderr, check=False)
+    if done.returncode:
+        raise RelocbenchError(f"the training of {name} with seed {seed} ended with status {done.returncode}", out)
+    return out / "weights.safetensors"
+
+
+def settings_of(name: str, settings: Sequence[str]) -> list[str]:
+    """Those that mean something to a configuration: epochs of stages that it does not have are left out."""
+    stages = {stage.name for stage in configuration(name).stages}
+    keys = {setting: setting.partition("=")[0] for setting in settings}
+    return [s for s in settings if not keys[s].startswith("epochs.") or keys[s].removeprefix("epochs.") in stages]
+
+
+def ask(given: argparse.Namespace, methods: dict[str, str], settings: Sequence[str]) -> RetrievalReport:
+    """Answers of several labelled retrievers on the test set."""
+    options = RetrievalOptions(
+        dataset=Path(given.test),
+        methods=tuple(f"{label}={target}" for label, target in methods.items()),
+        set=tuple(settings),
+        out=Path(given.scratch) / "results",
+        pair_sets=DIRECTIONS,
+    )
+    return evaluate_retrievers(options, reporter(given.quiet))
+
+
+def answers(report: RetrievalReport) -> dict[str, Values]:
+    """By label."""
+    out: dict[str, Values] = {}
+    for folder in report.folders:
+        scores = report.scores(folder)
+        out[folder.label] = {d: {m: float(scores[d][m] or 0.0) for m in METRICS} for d in DIRECTIONS}
+    return out
+
+
+def rows_of(given: argparse.Namespace) -> list[Row]:
+    """Train what is missing, ask what is missing."""
+    names, seeds = given.config or list(CONFIGURATIONS), given.seed or [0, 1, 2]
+    first = any(starts_from_first(name) or trained_by(name) == FIRST for name in names)
+    order = ([FIRST] if first else []) + [name for name in names if trained_by(name) == name and name != FIRST]
+    weights = {(name, seed): train(name, seed, given) for seed in seeds for name in order}
+    rows = []
+    for name in names:
+        labels = {f"{name}-seed{seed}": "lpn" for seed in seeds}
+        settings = [f"{name}-seed{seed}.weights={weights[trained_by(name), seed]}" for seed in seeds]
+        settings += [f"{label}.config={name}" for label in labels] + [
+            f"{label}.device={given.device or 'cpu'}" for label in labels
+        ]
+        found = answers(ask(given, labels, settings))
+        system = CONFIGURATIONS[name]
+        logged = (system.logged.r_at_1, system.logged.ap) if system.logged else None
+        rows.append(Row(name, system.about, tuple(found[label] for label in labels), tuple(seeds), logged))
+    floors = answers(ask(given, {name: name for name in FLOORS}, ()))
+    return rows + [Row(name, "learns nothing", (floors[name],), ()) for name in FLOORS]
+
+
+def page(rows: Sequence[Row], given: argparse.Namespace, chance: dict[str, float]) -> str:
+    """``lpn_configurations.md``."""
+    trainer = trainer_named("lpn")
+    options = options_from_dict(
+        TrainOptions, chosen_options(trainer, FIRST, settings_of(FIRST, given.settings))
+    ).with_rates()
+    if given.backbone_weights:
+        options = replace(options, backbone_weights=str(given.backbone_weights))
+    test = open_cross_view(Path(given.test))
+    trained_on = [open_cross_view(Path(root)) for root in given.train]
+    counts = {task.name: (len(task.queries), len(task.gallery)) for task in test.tasks()}
+    lines = [
+        "# LPN's configurations",
+        "",
+        "Printed by `python benchmarks/lpn_configurations.py`; how it is made stands there. Percent, mean ± standard "
+        "deviation over the seeds.",
+        "",
+        *(f"- Trained on {s.name}, fingerprint `{s.fingerprint}`, {len(s.train_labels)} places." for s in trained_on),
+        f"- Asked on {test.name}, fingerprint `{test.fingerprint}`: "
+        + "; ".join(f"{d} {counts[d][0]} queries, {counts[d][1]} images" for d in DIRECTIONS)
+        + ".",
+        f"- Chance: {'; '.join(f'{d} R@1 {100 * chance[d]:.2f}' for d in DIRECTIONS)}.",
+        f"- {options.network.backbone}, {options.size} pixels, backbone's first weights: {start_of(options).told}"
+        + (f"; {', '.join(given.settings)}" if given.settings else "")
+        + ".",
+    ]
+    apart = differences(options, start_of(options).told)
+    if apart:
+        lines.append(f"- Unlike the published systems: {'; '.join(apart)}.")
+    lines += [
+        "- The last two columns are what the log of trials reports for drone-satellite on **University-1652, another "
+        f"data set**, with ImageNet weights; its replaced partition loss, whose formula is not public, reached "
+        f"{REPLACED_PARTITION_LOSS.r_at_1} / {REPLACED_PARTITION_LOSS.ap}.",
+        "",
+        "| system | seeds | "
+        + " | ".join(f"{d} {m}" for d in DIRECTIONS for m in METRICS)
+        + " | University-1652, logged: R@1 | AP |",
+        "|---|---|" + "---|" * (len(DIRECTIONS) * len(METRICS) + 2),
+    ]
+    for row in rows:
+        cells = [_cell(*row.mean_and_deviation(d, m)) for d in DIRECTIONS for m in METRICS]
+        logged = [f"{value:.2f}" for value in row.logged] if row.logged else ["", ""]
+        lines.append(f"| {row.name} | {len(row.seeds) or ''} | {' | '.join([*cells, *logged])} |")
+    lines += ["", "| system | what it is |", "|---|---|", *(f"| {row.name} | {row.about} |" for row in rows), ""]
+    return "\n".join(lines)
+
+
+def table(rows: Sequence[Row]) -> str:
+    """``lpn_configurations.csv``: one line a system, seed, direction."""
+    text = io.StringIO()
+    out = csv.writer(text, lineterminator="\n")
+    out.writerow(["system", "seed", "direction", *METRICS])
+    for row in rows:
+        for seed, run in zip(row.seeds or ("",), row.runs, strict=True):
+            for direction in DIRECTIONS:
+                out.writerow([row.name, seed, direction, *(f"{run[direction][m]:.6f}" for m in METRICS)])
+    return text.getvalue()
+
+
+def _cell(mean: float, deviation: float) -> str:
+    return f"{mean:.2f}" if np.isnan(deviation) else f"{mean:.2f} ± {deviation:.2f}"
+
+
+def summary(rows: Sequence[Row], given: argparse.Namespace) -> dict[str, Any]:
+    """The last line."""
+    systems = {
+        row.name: {d: {m: round(row.mean_and_deviation(d, m)[0], 2) for m in METRICS} for d in DIRECTIONS}
+        for row in rows
+    }
+    return {"benchmark": "lpn_configurations", "seeds": given.seed or [0, 1, 2], "percent": systems}
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--train", nargs="+", required=True, help="cross-view folders with train/")
+    parser.add_argument("--test", required=True, help="cross-view folder with test/")
+    parser.add_argument("--scratch", required=True, help="trainings and answers, taken up again")
+    parser.add_argument("--config", nargs="+", help="configurations [default: all]")
+    parser.add_argument("--seed", nargs="+", type=int, help="[default: 0 1 2]")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        dest="settings",
+        help="key=value of the trainer; epochs.STAGE goes to those that have the stage",
+    )
+    parser.add_argument("--backbone-weights", help="torchvision's ResNet")
+    parser.add_argument("--out", default="leaderboard/retrieval")
+    parser.add_argument("--device")
+    parser.add_argument("--workers", type=int)
+    parser.add_argument("--quiet", action="store_true")
+    return parser.parse_args()
+
+
+def main() -> int:
+    """Print the page and one JSON line."""
+    given = arguments()
+    try:
+        for name in given.config or ():
+            configuration(name)
+        missing = set(DIRECTIONS) - {task.name for task in open_cross_view(Path(given.test)).tasks()}
+        if missing:
+            raise ConfigError(f"has no {' and no '.join(sorted(missing))}", Path(given.test))
+        rows = rows_of(given)
+        report = ask(given, {name: name for name in FLOORS}, ())
+        chance = {d: float(report.record.tasks[d].chance["R@1"]) for d in DIRECTIONS}
+        text = page(rows, given, chance)
+    except RelocbenchError as bad:
+        print(f"error: {bad}", file=sys.stderr)
+        return 2
+    write_text(Path(given.out) / "lpn_configurations.md", text)
+    write_text(Path(given.out) / "lpn_configurations.csv", table(rows))
+    print(text)
+    print(json.dumps(summary(rows, given)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,38 @@
+"""What retrievers learn from: the train folders of one or several cross-view sets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from relocbench.datasets.cross_view import open_cross_view
+from relocbench.errors import ConfigError
+from relocbench.progress import Reporter
+from relocbench.retrieval import PlaceData
+
+
+def training_places(roots: Sequence[Path], reporter: Reporter) -> PlaceData:
+    """Images of known places, those of several sets together; a place of one set is none of another's.
+
+    Args:
+        roots: folders.
+        reporter: is told of empty folders, and of places that are in the test folders too.
+
+    Raises:
+        DatasetError: a folder is no cross-view set, or has nothing to learn from.
+        ConfigError: a folder is given twice.
+    """
+    if len({root.resolve() for root in roots}) < len(roots):
+        raise ConfigError("a dataset is given twice")
+    return joined([open_cross_view(root, reporter).training() for root in roots])
+
+
+def joined(sets: Sequence[PlaceData]) -> PlaceData:
+    """All places of several sets, numbered one after the other."""
+    images = []
+    places = 0
+    for each in sets:
+        images += [replace(image, place=image.place + places) for image in each.images]
+        places += each.places
+    return PlaceData(places, tuple(images), tuple(described for each in sets for described in each.described))

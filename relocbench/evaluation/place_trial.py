@@ -1,0 +1,136 @@
+"""Trying a retriever in memory on places that were held out: what the training of retrievers is steered by.
+
+Every view is asked for in every other view. Rankings are those of the descriptors alone, nothing is ranked anew, and
+nothing is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import ConfigError
+from relocbench.metrics import rank_descriptors, relevance_from_labels, score_retrieval, summarize_retrieval
+from relocbench.retrieval import PlaceData, PlaceImage, Retriever
+from relocbench.training import ValidationScores
+
+METRICS = ("R@1", "R@5", "AP")
+CHANCE, SPREAD = "chance R@1", "feature variance"
+IMAGES_PER_PLACE = 4
+_AT_ONCE = 64
+_ALL_ALIKE = 1e-4
+
+
+def hold_out(data: PlaceData, share: float, seed: int) -> tuple[PlaceData, PlaceData]:
+    """Images to learn from and images to validate with; no place is in both.
+
+    Args:
+        data: of a training set.
+        share: of the places that are held out, two at least; places are numbered anew in both.
+        seed: of the choice.
+
+    Raises:
+        ConfigError: fewer than two places would be left on either side.
+    """
+    held = max(round(share * data.places), 2)
+    if data.places - held < 2:
+        raise ConfigError(
+            f"{data.places} places are too few to hold {held} out for validation; give more data, or --no-validation"
+        )
+    order = np.random.default_rng(seed).permutation(data.places)
+    return _of_places(data, np.sort(order[held:])), _of_places(data, np.sort(order[:held]))
+
+
+class PlaceTrial:
+    """Places that retrievers are tried on, the same for each.
+
+    Args:
+        data: of places that are not learnt from.
+        views: that the retriever is for; what else there is stays out.
+        seed: of the choice of images.
+        images_per_place: at most so many of each view are asked for and searched in.
+
+    Raises:
+        ConfigError: there are no two views to retrieve between.
+    """
+
+    def __init__(
+        self, data: PlaceData, views: Sequence[str], seed: int = 0, images_per_place: int = IMAGES_PER_PLACE
+    ) -> None:
+        chosen = _thinned([each for each in data.images if each.image.view in views], images_per_place, seed)
+        self._of_view = {view: [each for each in chosen if each.image.view == view] for view in views}
+        missing = [view for view, of_view in self._of_view.items() if not of_view]
+        if missing or len(self._of_view) < 2:
+            told = f"none of view '{missing[0]}'" if missing else f"images of '{''.join(self._of_view)}' alone"
+            raise ConfigError(f"validation retrieves between views, the held-out places have {told}; --no-validation?")
+
+    def __len__(self) -> int:
+        """Images that are described at each call."""
+        return sum(map(len, self._of_view.values()))
+
+    def __call__(self, retriever: Retriever) -> ValidationScores:
+        """Describe all images and score each direction."""
+        described = {view: _described(retriever, of_view) for view, of_view in self._of_view.items()}
+        spread = _variance(np.concatenate(list(described.values())))
+        by_direction, queries = {}, {}
+        for view_query, view_gallery in permutations(self._of_view, 2):
+            asked, searched = (_places(self._of_view[view]) for view in (view_query, view_gallery))
+            relevance = relevance_from_labels(asked, searched)
+            ranking = rank_descriptors(described[view_query], described[view_gallery], relevance)
+            values = summarize_retrieval(score_retrieval(ranking), METRICS).values
+            chance = float(np.mean(relevance.positives / relevance.gallery))
+            name = f"{view_query}-{view_gallery}"
+            by_direction[name] = {**values, CHANCE: chance, SPREAD: spread}
+            queries[name] = len(asked)
+        together = {name: float(np.mean([values[name] for values in by_direction.values()])) for name in METRICS}
+        return ValidationScores(together, by_direction, queries, tuple(_complaints(spread, described)))
+
+
+def _complaints(spread: float, described: dict[str, NDArray[np.floating]]) -> list[str]:
+    out = []
+    broken = sum(int(np.sum(~np.isfinite(rows).all(axis=1))) for rows in described.values())
+    if broken:
+        out.append(f"{broken} of {sum(map(len, described.values()))} images have no finite descriptor")
+    if spread < _ALL_ALIKE:
+        out.append(f"all images are described alike (variance {spread:.1e}): nothing was learnt, or the wrong weights")
+    return out
+
+
+def _variance(rows: NDArray[np.floating]) -> float:
+    """Mean squared distance from the mean descriptor, of those that are finite: 0 all alike, 1 at most at norm 1."""
+    finite = rows[np.isfinite(rows).all(axis=1)].astype(np.float64)
+    return float(np.sum(np.var(finite, axis=0))) if len(finite) else 0.0
+
+
+def _described(retriever: Retriever, images: Sequence[PlaceImage]) -> NDArray[np.floating]:
+    parts = [
+        retriever.describe([replace(each.image) for each in images[start : start + _AT_ONCE]])
+        for start in range(0, len(images), _AT_ONCE)
+    ]  # copies: what they hold once they were looked at goes with them
+    return np.concatenate(parts)
+
+
+def _places(images: Sequence[PlaceImage]) -> NDArray[np.int64]:
+    return np.array([each.place for each in images], dtype=np.int64)
+
+
+def _thinned(images: Sequence[PlaceImage], count: int, seed: int) -> list[PlaceImage]:
+    """At most ``count`` of each place and view, in the order given."""
+    kept: dict[tuple[int, str], int] = {}
+    chosen = []
+    for number in np.random.default_rng(seed).permutation(len(images)):
+        key = (images[number].place, images[number].image.view)
+        kept[key] = kept.get(key, 0) + 1
+        if kept[key] <= count:
+            chosen.append(int(number))
+    return [images[number] for number in sorted(chosen)]
+
+
+def _of_places(data: PlaceData, places: NDArray[np.int64]) -> PlaceData:
+    anew = {int(place): number for number, place in enumerate(places)}
+    images = tuple(replace(each, place=anew[each.place]) for each in data.images if each.place in anew)
+    return PlaceData(len(places), images, data.described)
