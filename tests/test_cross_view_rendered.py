@@ -247,3 +247,21 @@ def test_the_command_prints_what_it_made(made: CrossViewSet) -> None:
     for words in ("test/query_drone", "test/gallery_satellite", "Overcast", made.fingerprint[:12]):
         assert words in outcome.out
     assert read_image(made.root / "test/query_drone/5000/image-01.png").shape == (48, 48, 3)
+
+
+def test_inspect_and_validate_know_the_set(made: CrossViewSet, tmp_path: Path) -> None:
+    shown = relocbench("inspect", made.root, "--json")
+    assert '"folder": "test/gallery_drone", "classes": 4, "images": 8' in shown.out
+    assert "are for pairs" in relocbench("inspect", made.root, "--pictures", tmp_path / "p").complaint
+    whole = relocbench("validate", made.root, "--quiet")
+    assert (whole.status, whole.out.strip()) == (0, f"{made.root}: no fault (cross-view set)")
+    out = tmp_path / "out"
+    shutil.copytree(made.root, out)
+    path = out / "test/gallery_drone/5001/image-01.png"
+    data = bytearray(path.read_bytes())
+    data[200] ^= 255
+    path.write_bytes(bytes(data))
+    found = relocbench("validate", out, "--quiet")
+    assert found.status == 2
+    assert "gallery_drone/5001/image-01.png" in found.out
+    assert relocbench("validate", out, "--quick", "--quiet").status == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -41,9 +42,13 @@ def inspect(
     Example: relocbench inspect D --ground-truth check
     """
     from relocbench.cli.console import print_json, reporter
+    from relocbench.datasets.cross_view import is_cross_view
     from relocbench.datasets.dataset import Dataset
     from relocbench.datasets.inspection import take_inventory
 
+    if is_cross_view(dataset):
+        _inspect_places(dataset, [pictures, ground_truth, *pair_set], json)
+        return
     opened = Dataset(dataset)
     chosen = [opened.pair_set(name) for name in pair_set] or opened.pair_sets()
     drawn: list[Picture] = []
@@ -64,6 +69,25 @@ def inspect(
         _print_pictures(drawn, pictures)
     if page is not None and not json:
         print(f"the ground truth to look at: {page}")
+
+
+def _inspect_places(folder: Path, options: list[object], json: bool) -> None:
+    """What is in a cross-view set, which has no pairs to draw."""
+    from relocbench.cli.build_dataset import print_places
+    from relocbench.cli.console import print_json
+    from relocbench.datasets.cross_view import open_cross_view
+    from relocbench.errors import ConfigError
+
+    if any(option is not None for option in options):
+        raise ConfigError("holds places with labels; --pictures, --ground-truth and --pair-set are for pairs", folder)
+    opened = open_cross_view(folder)
+    if not json:
+        print_places(opened)
+        return
+    folders = [asdict(one) for one in opened.inventory()]
+    print_json(
+        {"name": opened.name, "fingerprint": opened.fingerprint, "folders": folders, "notes": list(opened.notes)}
+    )
 
 
 def print_summary(dataset: Dataset) -> None:

@@ -61,6 +61,8 @@ def _count(faults: int) -> str:
 
 def _check(path: Path, dataset: Path | None, quick: bool, reporter: Reporter) -> tuple[str, Findings]:
     """What ``path`` is, and what is wrong with it. Raises RelocbenchError where it is nothing of ours."""
+    from relocbench.datasets.cross_view import is_cross_view
+    from relocbench.datasets.cross_view.checking import validate_cross_view
     from relocbench.datasets.dataset import Dataset
     from relocbench.datasets.validation import is_dataset_folder, validate_dataset
     from relocbench.errors import PredictionError, RelocbenchError
@@ -73,6 +75,10 @@ def _check(path: Path, dataset: Path | None, quick: bool, reporter: Reporter) ->
         if path.suffix != ".txt":
             raise PredictionError("expected a prediction or pair file (.txt), or a folder", path)
         return "predictions" if against else "pair file", validate_prediction_files(path, against)
+    if is_cross_view(path):
+        if against is not None:
+            raise RelocbenchError("is a dataset; --dataset is for predictions and results", path)
+        return "cross-view set", validate_cross_view(path, reporter, quick=quick)
     if is_dataset_folder(path):
         if against is not None:
             raise RelocbenchError("is a dataset; --dataset is for predictions and results", path)
