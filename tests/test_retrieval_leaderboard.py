@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shlex
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ def run(dataset: Path, out: Path, *methods: str, **options: Any) -> None:
     evaluate_retrievers(RetrievalOptions(dataset=dataset, out=out, methods=methods, **options), Silent())
 
 
+@cache
 def board_of(results: Path, **options: Any) -> RetrievalBoard:
     board = load_retrieval(results, **options)
     assert board is not None

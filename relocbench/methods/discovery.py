@@ -15,6 +15,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -226,8 +227,14 @@ def distribution_version(target: str, kind: MethodKind = TRACKERS) -> str:
     if point is not None and point.dist is not None:
         return f"{point.dist.name} {point.dist.version}"
     top = target.removeprefix(SUBPROCESS).split(":")[0].split(".")[0]
-    owners = [] if target.startswith(SUBPROCESS) else metadata.packages_distributions().get(top, [])
+    owners = [] if target.startswith(SUBPROCESS) else _distributions().get(top, [])
     return f"{owners[0]} {metadata.version(owners[0])}" if owners else "unknown"
+
+
+@cache
+def _distributions() -> Mapping[str, list[str]]:
+    """Module -> packages that hold it; reading what is installed takes a good part of a second."""
+    return metadata.packages_distributions()
 
 
 def _split_label(text: str, kind: MethodKind) -> tuple[str, str]:

@@ -133,7 +133,8 @@ def _set_options(options: RetrievalOptions) -> SetOptions:
 
 def _label(options: RetrievalOptions) -> str:
     assert options.predictions is not None
-    label = options.methods[0] if options.methods else options.predictions.resolve().stem
+    source = options.predictions.resolve()
+    label = options.methods[0] if options.methods else source.stem if source.is_file() else source.name
     try:
         return check_name(label, "method label")
     except ValueError as bad:
