@@ -1,0 +1,170 @@
+"""Which first guesses does ``gn-net``'s alignment converge from? Validation pairs, one start beside another.
+
+For every pair the alignment begins at the identity, at the truth (what is lost from there no start can save), and at
+the poses that ``StartSettings`` of several kinds lead to: with and without the windows that move matches to the
+finest level, with fewer points, with fewer samples of RANSAC. Printed for each: how near the start is to the truth, how
+many pairs end within 0.25 m and 2 degrees from it, how many if the identity is tried too and the lower energy
+wins, and processor time of matching and PnP.
+
+    python benchmarks/gn_net_starts.py [-d DATASET] [--pairs N] [--weights FILE]
+
+``-d`` has a validation split; without one a district is rendered. JSON on the last line.
+"""
+
+# ruff: noqa: E402  (the number of threads must be set before numpy is imported)
+from __future__ import annotations
+
+import os
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[variable] = "1"  # one core; read when numpy is imported
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.alignment import FeatureAlignment, align_features
+from baselines.gn_net.correspondence import Landmarks
+from baselines.gn_net.start import StartSettings, matched_pose
+from baselines.gn_net.tracker import GnNet
+from relocbench.datasets.dataset import Dataset, PairSet
+from relocbench.datasets.pairfile import Pair
+from relocbench.geometry import rotation_angle
+
+Array = NDArray[np.float64]
+
+USUAL = StartSettings()
+KINDS = {
+    "search level alone": replace(USUAL, windows=(), threshold=8.0),
+    "one level finer": replace(USUAL, windows=USUAL.windows[:1], threshold=4.0),
+    "to the finest level": USUAL,
+    "200 points": replace(USUAL, points=200),
+    "800 points": replace(USUAL, points=800),
+    "500 samples": replace(USUAL, iterations=500),
+    "threshold 1.5 px": replace(USUAL, threshold=1.5),
+    "threshold 3 px": replace(USUAL, threshold=3.0),
+}
+
+
+@dataclass
+class Tally:
+    """Of one kind of start."""
+
+    near: list[bool] = field(default_factory=list)
+    """within 0.5 m and 2 degrees before anything is aligned"""
+    found: list[bool] = field(default_factory=list)
+    with_identity: list[bool] = field(default_factory=list)
+    milliseconds: list[float] = field(default_factory=list)
+
+
+def off(T_query_ref: Array, truth: Array) -> tuple[float, float]:
+    """Metres and degrees."""
+    difference = np.linalg.inv(T_query_ref) @ truth
+    return float(np.linalg.norm(difference[:3, 3])), float(np.degrees(rotation_angle(difference[:3, :3])))
+
+
+def right(found: FeatureAlignment, truth: Array) -> bool:
+    metres, degrees = off(found.T_query_ref, truth)
+    return not found.trouble and metres <= 0.25 and degrees <= 2.0
+
+
+def better(one: FeatureAlignment, other: FeatureAlignment) -> FeatureAlignment:
+    if one.trouble or other.trouble:
+        return other if one.trouble else one
+    return one if one.final.energy <= other.final.energy else other
+
+
+def some(landmarks: Landmarks, count: int) -> Landmarks:
+    """At most so many of them, drawn with seed 0."""
+    rows = np.sort(np.random.default_rng(0).permutation(len(landmarks))[:count])
+    return Landmarks(landmarks.points[rows], tuple(values[rows] for values in landmarks.values))
+
+
+def tally_pairs(dataset: Dataset, pairs: list[tuple[PairSet, Pair]], weights: Path | None) -> dict[str, Tally]:
+    """Every start on every pair."""
+    tallies = {name: Tally() for name in ("identity", "truth", *KINDS)}
+    tracker = GnNet(weights)
+    tracker.start = replace(USUAL, points=max(kind.points for kind in KINDS.values()))
+    for pair_set, pair in pairs:
+        truth = pair.T_query_ref
+        query = dataset.query(pair_set, pair)
+        reference = tracker.prepare(dataset.reference(pair_set, pair))
+        features = tracker.features(query.image, query.camera)
+        assert truth is not None
+        assert reference.landmarks is not None
+        align = partial(align_features, reference.features, features, settings=tracker.settings)
+        from_identity = align(T_start=np.eye(4))
+        tallies["identity"].found.append(right(from_identity, truth))
+        tallies["truth"].found.append(right(align(T_start=truth), truth))
+        for name, kind in KINDS.items():
+            landmarks, tally = some(reference.landmarks, kind.points), tallies[name]
+            since = time.process_time()
+            start = matched_pose(landmarks, features, kind, 0)
+            tally.milliseconds.append(1e3 * (time.process_time() - since))
+            if start is None:
+                tally.near.append(False)
+                tally.found.append(False)
+                tally.with_identity.append(right(from_identity, truth))
+                continue
+            metres, degrees = off(start, truth)
+            end = align(T_start=start, first_level=kind.level)
+            tally.near.append(metres <= 0.5 and degrees <= 2.0)
+            tally.found.append(right(end, truth))
+            tally.with_identity.append(right(better(end, from_identity), truth))
+    return tallies
+
+
+def chosen(dataset: Dataset, count: int) -> list[tuple[PairSet, Pair]]:
+    """``count`` pairs of the validation split, drawn with seed 0."""
+    known = [(s, p) for s in dataset.pair_sets("validation") for p in s.pairs if p.T_query_ref is not None]
+    return [known[i] for i in sorted(np.random.default_rng(0).permutation(len(known))[:count])]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-d", "--dataset", type=Path)
+    parser.add_argument("--pairs", type=int, default=100)
+    parser.add_argument("--weights", type=Path, help="default: those that come with the package")
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    with tempfile.TemporaryDirectory() as folder:
+        root = options.dataset or Path(folder) / "d"
+        if options.dataset is None:
+            subprocess.run(
+                [sys.executable, "-m", "relocbench", "build-dataset", "synthetic", "--conditions",
+                 "Sunny,Rain,Snow,Night,WetNoon", "--size", "512x512", "--cameras", "six", "--steps", "4",
+                 "--speed", "14", "--split", "validation", "--seed", "51", "--reference", "all", "--correspondences",
+                 "0", "--out", str(root), "-q"],
+                check=True,
+            )  # fmt: skip
+        dataset = Dataset(root)
+        tallies = tally_pairs(dataset, chosen(dataset, options.pairs), options.weights)
+    pairs = len(tallies["truth"].found)
+    print(f"{pairs} pairs, %\n\n| start | near | found | found with identity | ms |\n|---|---|---|---|---|")
+    told: dict[str, dict[str, float]] = {}
+    for name, tally in tallies.items():
+        row = {"found": 100 * float(np.mean(tally.found))}
+        if tally.near:
+            row |= {
+                "near": 100 * float(np.mean(tally.near)),
+                "with identity": 100 * float(np.mean(tally.with_identity)),
+                "ms": float(np.median(tally.milliseconds)),
+            }
+        told[name] = row
+        cells = [f"{row[key]:.1f}" if key in row else "" for key in ("near", "found", "with identity", "ms")]
+        print(f"| {name} | {' | '.join(cells)} |")
+    print(json.dumps({"benchmark": "gn_net_starts", "pairs": pairs, **told}))
+
+
+if __name__ == "__main__":
+    main()
