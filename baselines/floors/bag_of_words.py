@@ -26,6 +26,8 @@ Words = NDArray[np.float32]
 _BITS = 256
 _ROUNDS = 10
 """of k-means: words hardly move after them"""
+_BORDER = 16
+"""pixels without features; OpenCV's 31 leave nothing of an image of 64"""
 _FAST_THRESHOLD = 5
 """lower than OpenCV's 20: small and dim images have corners too"""
 
@@ -102,7 +104,7 @@ class OrbBagOfWords:
     def _bits(self, image: ImageView) -> Words:
         """(n, 256) descriptors, strongest first and then by place: the detector's order may depend on its threads."""
         grey = cv2.cvtColor(np.ascontiguousarray(image.image), cv2.COLOR_RGB2GRAY)
-        orb = cv2.ORB.create(nfeatures=self._features, fastThreshold=_FAST_THRESHOLD)
+        orb = cv2.ORB.create(nfeatures=self._features, edgeThreshold=_BORDER, fastThreshold=_FAST_THRESHOLD)
         keypoints, descriptors = orb.detectAndCompute(grey, None)
         if not keypoints:
             return np.zeros((0, _BITS), np.float32)

@@ -65,8 +65,11 @@ class PlaceTrial:
         self._of_view = {view: [each for each in chosen if each.image.view == view] for view in views}
         missing = [view for view, of_view in self._of_view.items() if not of_view]
         if missing or len(self._of_view) < 2:
-            told = f"none of view '{missing[0]}'" if missing else f"images of '{''.join(self._of_view)}' alone"
-            raise ConfigError(f"validation retrieves between views, the held-out places have {told}; --no-validation?")
+            told = f"no held-out image of view '{missing[0]}'" if missing else f"'{''.join(self._of_view)}' alone"
+            raise ConfigError(
+                f"validation retrieves between views: {told} (there are {', '.join(data.views)}); "
+                "choose others with --set views=[...], or --no-validation"
+            )
 
     def __len__(self) -> int:
         """Images that are described at each call."""

@@ -100,6 +100,8 @@ class RetrievalRun(RunRecord):
     task: Literal["retrieval"] = "retrieval"
     keep: int | None = None
     """retrieved images that are kept of each query; None for all"""
+    info: dict[str, Any] = Field(default_factory=dict)
+    """what the retriever tells of itself by its ``info``, as what it was trained on"""
     tasks: dict[str, TaskRun] = Field(default_factory=dict)
 
 

@@ -99,7 +99,8 @@ def run_retriever(
                 write_answers(folder.answers(task.name), done.answers)
                 so_far = folder.run_record()
                 tasks_done = {**so_far.tasks, task.name: done.run}
-                folder.write_run(so_far.model_copy(update={"tasks": dict(sorted(tasks_done.items())), "end": _now()}))
+                so_far = so_far.model_copy(update={"tasks": dict(sorted(tasks_done.items())), "info": asking.info})
+                folder.write_run(so_far.model_copy(update={"end": _now()}))
     return folder
 
 
@@ -119,6 +120,11 @@ class Asking:
         self._describer = self._new()
         self._fitted_on: list[str] | None = None
         """keys of a gallery"""
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """What the retriever tells of itself, if it does."""
+        return dict(getattr(self._describer.retriever, "info", {}))
 
     def _new(self) -> Describer:
         return Describer(self._make(), self._shared)

@@ -1,0 +1,124 @@
+"""LPN as a retriever: descriptors from files of weights, re-ranking, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from made_places import NarrowResNet, picture
+from safetensors.torch import save_file
+
+from baselines.lpn.descriptor import parts_of
+from baselines.lpn.dmli import aligned_distance
+from baselines.lpn.images import resized
+from baselines.lpn.network import LpnNetwork
+from baselines.lpn.options import NetworkOptions
+from baselines.lpn.retriever import GlobalAverage, Lpn
+from baselines.lpn.weights import About, load_weights, save_weights
+from relocbench.errors import ConfigError, MethodError
+from relocbench.retrieval import ImageView, RerankingRetriever, Retriever
+
+NARROW = NetworkOptions(backbone="resnet18", width=8)
+ABOUT = About("lpn", 64, "drawn, no ImageNet", ("drone", "satellite"), 0, {"data": '{"made": "0"}'})
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Of LPN in small, as drawn."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("baselines.lpn.backbone.resnet18", NarrowResNet)
+        path = tmp_path_factory.mktemp("weights") / "lpn.safetensors"
+        save_weights(path, LpnNetwork(3, NARROW).eval(), ABOUT)
+        yield path
+
+
+def views(count: int = 5, view: str = "drone", side: int = 64) -> list[ImageView]:
+    return [ImageView(f"{n}", view, lambda n=n: picture(n, view, 0, side)) for n in range(count)]
+
+
+def test_descriptors_are_those_of_the_network_with_mirror_images(weights: Path) -> None:
+    retriever = Lpn(weights=weights, batch=2)
+    assert isinstance(retriever, Retriever)
+    assert isinstance(retriever, RerankingRetriever)
+    asked = [*views(3), *views(2, "satellite")]
+    rows = retriever.describe(asked)
+    assert rows.shape == (5, 4 * 8)
+    assert np.allclose(np.linalg.norm(rows, axis=1), 1, atol=1e-6)
+    images = torch.stack([torch.from_numpy(each.image.copy()).permute(2, 0, 1) / 255 for each in asked])
+    network, _ = load_weights(weights)
+    parts = network.embed("drone", images) + network.embed("drone", images.flip(-1))
+    expected = torch.nn.functional.normalize(parts, dim=-1).flatten(1) / 2
+    assert np.allclose(rows, expected.detach().numpy(), atol=1e-5)
+    mirrored = [replace(each, read=lambda each=each: each.image[:, ::-1].copy()) for each in asked]
+    assert np.allclose(rows, retriever.describe(mirrored), atol=1e-5)
+
+
+def test_images_of_any_shape_are_resized_to_what_was_trained_with(weights: Path) -> None:
+    retriever = Lpn(weights=weights)
+    wide = ImageView("w", "drone", lambda: np.repeat(picture(0, "drone", 0, 128), 2, axis=1))
+    square = ImageView("s", "drone", lambda: resized(wide.image, 64))
+    assert np.allclose(retriever.describe([wide]), retriever.describe([square]), atol=1e-6)
+    flat = np.full((300, 200, 3), 77, np.uint8)
+    assert (resized(flat, 64) == 77).all()
+    fine = np.tile(np.array([0, 255], np.uint8), (256, 128))[..., None].repeat(3, axis=2)
+    assert np.abs(resized(fine, 64)[:, 4:-4].astype(int) - 127).max() < 12  # smoothed, not aliased to stripes
+
+
+def test_rankings_are_sorted_anew_by_aligned_parts(weights: Path) -> None:
+    assert Lpn(weights=weights).rerank_top == 0
+    assert Lpn(weights=weights, rerank=7).rerank_top == 7
+    retriever = Lpn(weights=weights, config="lpn-dmli")
+    assert retriever.rerank_top == 100
+    rows = retriever.describe(views())
+    scores = retriever.rerank(rows[0], rows[1:])
+    query, others = parts_of(torch.from_numpy(rows[0]), 4), parts_of(torch.from_numpy(rows[1:]), 4)
+    assert np.allclose(scores, [-float(aligned_distance(query, other)) for other in others], atol=1e-6)
+    assert np.argmax(retriever.rerank(rows[2], rows)) == 2
+
+
+def test_without_weights_it_says_how_to_make_them(weights: Path) -> None:
+    with pytest.raises(MethodError, match=r"relocbench train lpn --config lpn --dataset D --out OUT"):
+        Lpn()
+    with pytest.raises(MethodError, match=r"global-average needs weights: .*--config global-average"):
+        GlobalAverage()
+    with pytest.raises(MethodError, match="weights of 'lpn', which differs from 'global-average' in its parts"):
+        GlobalAverage(weights=weights)
+    with pytest.raises(MethodError, match="differs from 'lpn-rpp' in its partition"):
+        Lpn(weights=weights, config="lpn-rpp")
+    with pytest.raises(ConfigError, match="no configuration 'lpm'"):
+        Lpn(weights=weights, config="lpm")
+    with pytest.raises(MethodError, match="no branch for the view 'street', it was trained on drone, satellite"):
+        Lpn(weights=weights).describe(views(1, "street"))
+
+
+def test_results_can_say_where_the_backbone_started(weights: Path) -> None:
+    info = Lpn(weights=weights).info
+    assert info["backbone_start"] == "drawn, no ImageNet"
+    assert (info["configuration"], info["backbone"], info["image_size"]) == ("lpn", "resnet18", 64)
+    json.dumps(info)
+
+
+def test_files_that_are_no_weights_are_refused(weights: Path, tmp_path: Path) -> None:
+    def refused(path: Path) -> str:
+        with pytest.raises(MethodError) as told:
+            load_weights(path)
+        return str(told.value)
+
+    cut, other = tmp_path / "cut.safetensors", tmp_path / "other.safetensors"
+    cut.write_bytes(weights.read_bytes()[:1000])
+    save_file({"x": torch.zeros(2)}, other)
+    assert "no such file" in refused(tmp_path / "none.safetensors")
+    assert "not a readable safetensors file" in refused(cut)
+    assert "not weights of lpn" in refused(other)
+    broken = LpnNetwork(3, NARROW)
+    with torch.no_grad():
+        next(broken.parameters()).fill_(float("nan"))
+    save_weights(other, broken, ABOUT)
+    assert "not finite" in refused(other)
+    save_weights(other, LpnNetwork(3, NARROW).eval(), ABOUT)
+    assert other.read_bytes() == weights.read_bytes()
