@@ -328,6 +328,18 @@ def test_answers_made_otherwise_are_refused(views: Path, tmp_path: Path) -> None
     assert run(views, tmp_path, f"t={HERE}:Thumbnail", keep=7, overwrite="always").folders[0].run_record().keep == 7
 
 
+def test_weights_are_known_by_their_content_and_tell_of_themselves(views: Path, tmp_path: Path) -> None:
+    weights = tmp_path / "weights"
+    weights.write_text("6")
+    options: dict[str, Any] = {"set": (f"f.weights={weights}",), "pair_sets": (D2S,)}
+    report = run(views, tmp_path / "out", f"f={HERE}:FromFile", **options)
+    assert report.folders[0].run_record().info == {"side": 6, "from": "a file"}
+    run(views, tmp_path / "out", f"f={HERE}:FromFile", **options)
+    weights.write_text("7")
+    with pytest.raises(PredictionError, match=r"weights: another content of the file there"):
+        run(views, tmp_path / "out", f"f={HERE}:FromFile", **options)
+
+
 def test_a_bad_image_stops_the_run_with_its_name(tmp_path: Path) -> None:
     made = make_small_views(tmp_path / "town", places=3)
     bad = made / "test" / "query_drone" / "0001" / "0.png"

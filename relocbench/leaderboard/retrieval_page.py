@@ -161,7 +161,9 @@ def _methods(asked: SetBoard) -> list[str]:
         for m in asked.methods
         if m.run.parameters
     ]
-    return ["### Methods", table_text(columns, rows, left=4), bullet("Parameters:", lines)]
+    told = [f"{code(m.label)}: {code(json.dumps(m.run.info, ensure_ascii=False))}" for m in asked.methods if m.run.info]
+    table = table_text(columns, rows, left=4)
+    return ["### Methods", table, bullet("Parameters:", lines), bullet("What they tell of themselves:", told)]
 
 
 def _again(board: RetrievalBoard) -> list[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import datetime
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -123,8 +123,9 @@ class Asking:
 
     @property
     def info(self) -> dict[str, Any]:
-        """What the retriever tells of itself, if it does."""
-        return dict(getattr(self._describer.retriever, "info", {}))
+        """What the retriever tells of itself by a mapping ``info``, as plain values; empty where it does not."""
+        told = getattr(self._describer.retriever, "info", None)
+        return dict(json.loads(json.dumps(dict(told), default=_plain))) if isinstance(told, Mapping) else {}
 
     def _new(self) -> Describer:
         return Describer(self._make(), self._shared)
@@ -172,6 +173,11 @@ def created(spec: MethodSpec) -> Retriever:
     if not isinstance(made, Retriever):
         raise MethodError(f"retriever '{spec.label}': {spec.target} {_made(made)}, which has no describe()")
     return made
+
+
+def _plain(value: Any) -> Any:
+    """NumPy numbers and arrays as plain values, anything else as words."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def _made(thing: object) -> str:
@@ -248,6 +254,7 @@ def _new_record(asked: RetrievalSet, spec: MethodSpec, seed: int, keep: int | No
         method=spec.label,
         target=spec.target,
         parameters=json.loads(json.dumps(dict(spec.parameters), default=str)),
+        files=spec.files(),
         seed=seed,
         dataset=asked.name,
         fingerprint=asked.fingerprint,
