@@ -121,7 +121,7 @@ def test_a_folder_becomes_weights_that_evaluate_runs(university: Path, tmp_path:
     told = json.loads(done.out.splitlines()[-1])
     assert told["steps"] == 2
     assert set(told["validation"]) == {"all", "drone-satellite", "satellite-drone"}
-    assert "4 places: 4 in drone, 4 in satellite, 4 in all of them" in done.err  # two of six are held out
+    assert "4 places: 4 in drone, 4 in satellite, 4 in all of these views" in done.err  # two of six are held out
     assert "feature variance" in done.err
     assert "chance R@1 50.0 %" in done.err
     files = {"weights.safetensors", "checkpoint.pt", "log.csv", "validation.csv", "curves.png", "config.yaml"}
