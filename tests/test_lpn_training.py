@@ -34,7 +34,7 @@ CUT_SHORT = "the power went"
 
 @pytest.fixture(scope="module", autouse=True)
 def narrow() -> Iterator[None]:
-    """ResNet-18 with few channels and blocks; one test has the whole of it."""
+    """ResNet-18 with few channels and blocks; the network's own tests have the whole of it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("baselines.lpn.backbone.resnet18", NarrowResNet)
         yield

@@ -110,4 +110,4 @@ class OrbBagOfWords:
             return np.zeros((0, _BITS), np.float32)
         order = np.lexsort(([k.octave for k in keypoints], *np.array([k.pt for k in keypoints]).T,
                             [-k.response for k in keypoints]))  # fmt: skip
-        return np.unpackbits(descriptors[order], axis=1).astype(np.float32)
+        return np.unpackbits(np.asarray(descriptors[order], dtype=np.uint8), axis=1).astype(np.float32)

@@ -21,7 +21,7 @@ class ColourHistogram:
         colour: cells along a* and along b*.
     """
 
-    def __init__(self, light: Annotated[int, Field(ge=1)] = 8, colour: Annotated[int, Field(ge=1)] = 8) -> None:
+    def __init__(self, light: Annotated[int, Field(ge=1)] = 8, colour: Annotated[int, Field(ge=1)] = 16) -> None:
         self._cells = (light, colour, colour)
 
     def describe(self, images: Sequence[ImageView]) -> NDArray[np.floating]:
