@@ -338,6 +338,10 @@ def test_weights_are_known_by_their_content_and_tell_of_themselves(views: Path, 
     weights.write_text("7")
     with pytest.raises(PredictionError, match=r"weights: another content of the file there"):
         run(views, tmp_path / "out", f"f={HERE}:FromFile", **options)
+    weights.write_text("no number")
+    with pytest.raises(MethodError, match="retriever 'f' cannot be made"):
+        run(views, tmp_path / "out", f"f={HERE}:FromFile", overwrite="always", **options)
+    assert report.folders[0].complete(D2S)  # what cannot be made costs nothing
 
 
 def test_a_bad_image_stops_the_run_with_its_name(tmp_path: Path) -> None:

@@ -78,13 +78,15 @@ def run_retriever(
     folder = results.method(spec.label)
     record = _new_record(asked, spec, seed, keep)
     todo = [task for task in tasks if overwrite == "always" or _open(folder, task, overwrite)]
+    asking = None
     if overwrite == "always":
+        asking = Asking(lambda: created(spec), todo, seed)  # what cannot be made should not cost what is there
         _clear(folder, tasks)
     refuse_mixture(folder, record, work_left=bool(todo))
     _refuse_other_lists(folder, record)
     if not todo:
         return folder
-    asking = Asking(lambda: created(spec), todo, seed)  # what cannot be made should not leave a folder
+    asking = asking or Asking(lambda: created(spec), todo, seed)  # nor leave a folder
     folder.root.mkdir(parents=True, exist_ok=True)
     write_set_record(results, asked, tasks)
     with alone_in(folder.root, PredictionError):
