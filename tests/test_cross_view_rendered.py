@@ -14,8 +14,8 @@ from relocbench.datasets.cross_view import CrossViewSet, open_cross_view
 from relocbench.datasets.cross_view.rendered import flight
 from relocbench.datasets.cross_view.rendered.flight import Optics
 from relocbench.datasets.cross_view.rendered.places import Building, buildings, spread
-from relocbench.datasets.cross_view.rendered.plan import Views
-from relocbench.datasets.cross_view.rendered.work import seen_by
+from relocbench.datasets.cross_view.rendered.plan import Views, choose_places, photos_of
+from relocbench.datasets.cross_view.rendered.work import PhotoUnit, render_unit, seen_by
 from relocbench.datasets.images import read_image
 from relocbench.datasets.importers import Run, cross_view
 from relocbench.datasets.synthetic import stage
@@ -171,7 +171,7 @@ def test_a_killed_build_goes_on_and_ends_with_the_same_bytes(made: CrossViewSet,
     for name in ("dataset.yaml", "manifest.csv", "poses.csv", "places.csv"):
         (out / name).unlink()
     shutil.rmtree(out / "test" / "query_drone")
-    (out / "test/gallery_drone/5001/image-01.png").unlink()
+    (out / "test/gallery_satellite/5001/5001.png").unlink()
     torn = out / "test/gallery_satellite/5002/5002.png"
     torn.write_bytes(torn.read_bytes()[:500])
     (out / "test/gallery_drone/5001/.image-01.0123abcd.part.png").write_bytes(b"half")
@@ -187,8 +187,8 @@ def test_a_finished_set_is_not_made_again_but_mended(made: CrossViewSet, tmp_pat
     times = {p: p.stat().st_mtime_ns for p in out.rglob("*.png")}
     assert build(out).fingerprint == made.fingerprint
     assert times == {p: p.stat().st_mtime_ns for p in out.rglob("*.png")}
-    (out / "test/gallery_street/5000/1.png").unlink()
-    with pytest.raises(DatasetError, match=r"1\.png: missing; it stands in manifest\.csv"):
+    (out / "test/gallery_satellite/5000/5000.png").unlink()
+    with pytest.raises(DatasetError, match=r"5000\.png: missing; it stands in manifest\.csv"):
         open_cross_view(out)
     assert build(out).fingerprint == made.fingerprint
     assert content(out) == content(made.root)
@@ -211,11 +211,18 @@ def test_what_was_added_or_changed_is_noticed(made: CrossViewSet, tmp_path: Path
         build(out, seed=1)
 
 
-@pytest.mark.slow
-def test_two_workers_write_the_same_bytes_as_one(made: CrossViewSet, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    build(out, workers=2)
-    assert content(out) == content(made.root)
+def test_an_image_depends_on_nothing_that_was_rendered_before(made: CrossViewSet, tmp_path: Path) -> None:
+    """So that it is the same whichever worker renders it, and after what."""
+    factors = condition_named("Overcast").factors
+    views = Views(Optics(48, 80.0), 2, 1, 110.0, False, "Sunny", ("Overcast",))
+    (place, network), (other, _) = choose_places("test", 3, 1, None, 25.0, 190.0, 0, Silent())[:2]
+    chosen = [p for x in (other, place) for p in photos_of(x, network, views, "test", 0) if p.view == "drone"]
+    spent = render_unit(PhotoUnit(tmp_path, views, factors, tuple(reversed(chosen))))
+    assert spent.images == 4
+    before = content(made.root)
+    after = content(tmp_path)
+    assert sorted(after) == sorted(p.keys[0] for p in chosen)
+    assert all(before[key] == data for key, data in after.items())
 
 
 @pytest.mark.parametrize(
