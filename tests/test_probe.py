@@ -90,13 +90,13 @@ def test_a_tracker_with_a_known_basin_is_counted_right() -> None:
     query = Query("q", 2, np.zeros((4, 4), np.uint8), None)  # type: ignore[arg-type]
     (moved, turned), message = probe_poses(UpToOneMetre(), object(), query, TRUTH, (1, 2), 4, 0)
     assert message == ""
-    assert moved.offsets == (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
-    assert moved.hits["recall@(0.25m,1deg)"] == (4, 4, 4, 4, 4, 0, 0)
-    assert moved.hits["recall@(0.1m,0.5deg)"] == (4, 4, 4, 4, 4, 0, 0)
-    assert moved.answered == (4,) * 7
-    assert moved.start_hits[CONVERGED] == (4, 4, 4, 0, 0, 0, 0)  # exactly 0.25 m is within 0.25 m
-    assert turned.start_hits[CONVERGED] == (4, 4, 4, 4, 0, 0)
-    assert turned.hits[CONVERGED] == turned.answered == (4, 4, 4, 4, 4, 0)  # 4 degrees are 0.099 of the norm
+    assert moved.offsets == (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+    assert moved.hits["recall@(0.25m,1deg)"] == (4, 4, 4, 4, 4, 0, 0, 0)
+    assert moved.hits["recall@(0.1m,0.5deg)"] == (4, 4, 4, 4, 4, 0, 0, 0)
+    assert moved.answered == (4,) * 8
+    assert moved.start_hits[CONVERGED] == (4, 4, 4, 0, 0, 0, 0, 0)  # exactly 0.25 m is within 0.25 m
+    assert turned.start_hits[CONVERGED] == (4, 4, 4, 4, 0, 0, 0)
+    assert turned.hits[CONVERGED] == turned.answered == (4, 4, 4, 4, 4, 0, 0)  # 4 degrees are 0.099 of the norm
 
 
 def test_on_a_level_alone_success_falls_with_the_offset_and_a_coarse_level_reaches_further() -> None:

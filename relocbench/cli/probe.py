@@ -25,7 +25,7 @@ def probe(
     ] = None,
     poses: Annotated[
         bool | None,
-        typer.Option("--poses/--no-poses", help="Whole poses, 0 to 4 m and 0 to 8 degrees off [default: yes]."),
+        typer.Option("--poses/--no-poses", help="Whole poses, 0 to 8 m and 0 to 16 degrees off [default: yes]."),
     ] = None,
     pairs: Annotated[int | None, typer.Option(min=1, help="Pairs of each pair set at most [default: 50].")] = None,
     per_pair: Annotated[

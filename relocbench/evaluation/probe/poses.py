@@ -22,8 +22,8 @@ from relocbench.tracking import Query, SupportsBatch, TrackResult, fault_of
 Array = NDArray[np.float64]
 
 OFFSETS: dict[What, tuple[float, ...]] = {
-    "translation": (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0),
-    "rotation": (0.0, 0.5, 1.0, 2.0, 4.0, 8.0),
+    "translation": (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0),
+    "rotation": (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0),
 }
 """metres; degrees"""
 CONVERGED = "recall@(0.25m,2deg)"
