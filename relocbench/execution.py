@@ -14,6 +14,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, redirect_stdout
+from contextvars import ContextVar
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import wait as wait_for
 from typing import Any, TypeVar
@@ -70,7 +71,30 @@ def run_units(
                 result = function(unit)
             yield index, result
     else:
-        yield from _run_on_processes(function, units, min(workers, len(units)), on_lost)
+        yield from _run_on_processes(function, units, workers, on_lost)
+
+
+@contextmanager
+def kept_workers() -> Iterator[None]:
+    """Within it, worker processes are kept from one call of :func:`run_units` to the next, unless one died.
+
+    A process that has imported what it works with and built its method goes on at once; a fresh one takes seconds.
+    """
+    if _kept.get() is not None:
+        yield
+        return
+    kept: dict[int, ProcessPoolExecutor] = {}
+    token = _kept.set(kept)
+    try:
+        yield
+    finally:
+        _kept.reset(token)
+        for pool in kept.values():
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+_kept: ContextVar[dict[int, ProcessPoolExecutor] | None] = ContextVar("_kept", default=None)
+"""pools by their number of workers"""
 
 
 @contextmanager
@@ -134,8 +158,10 @@ def _run_on_processes(
     remaining = iter(range(len(units)))
     with _single_threaded_children():
         while True:
-            with _pool(workers) as pool:
+            with _pool_to_use(workers, len(units)) as pool:
                 broken = yield from _drain(pool, function, units, remaining, workers * _IN_FLIGHT_PER_WORKER)
+                if broken and (kept := _kept.get()) is not None:
+                    kept.pop(workers).shutdown(wait=False)
             suspects.extend(broken)
             if not broken:
                 break
@@ -196,6 +222,19 @@ def _drain(
 def _pool(workers: int) -> ProcessPoolExecutor:
     # A fresh interpreter: forking one that holds threads (OpenMP, Open3D, torch) can hang.
     return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start_worker)
+
+
+@contextmanager
+def _pool_to_use(workers: int, units: int) -> Iterator[ProcessPoolExecutor]:
+    """The one that is kept, or one for this call alone."""
+    kept = _kept.get()
+    if kept is None:
+        with _pool(min(workers, units)) as pool:
+            yield pool
+        return
+    if workers not in kept:
+        kept[workers] = _pool(workers)
+    yield kept[workers]
 
 
 def _start_worker() -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from relocbench import execution
 from relocbench.errors import ConfigError, DatasetError, RelocbenchError
-from relocbench.execution import chunks, run_units
+from relocbench.execution import chunks, kept_workers, run_units
 
 
 def square(value: int) -> int:
@@ -65,6 +65,25 @@ def test_a_worker_that_dies_costs_its_unit_a_retry(tmp_path: Path) -> None:
     units = [str(tmp_path / name) for name in ("a", "die", "b", "c", "d")]
     results = dict(run_units(die_once, units, workers=2))
     assert [results[i] for i in range(5)] == ["a", "die", "b", "c", "d"]
+
+
+def test_kept_workers_serve_call_after_call_until_one_dies(tmp_path: Path) -> None:
+    def processes() -> set[int]:
+        return {pid for _, (pid, _) in run_units(environment, range(8), workers=2)}
+
+    with kept_workers():
+        first = processes()
+        with kept_workers():
+            assert processes() <= first
+        units = [str(tmp_path / name) for name in ("a", "die", "b")]
+        assert sorted(run_units(die_once, units, workers=2)) == [(0, "a"), (1, "die"), (2, "b")]
+        second = processes()
+        assert not second & first
+        with pytest.raises(DatasetError, match="expected better"):
+            list(run_units(user_error, range(3), workers=2))
+        assert processes() <= second
+    assert not any(is_running(pid) for pid in first | second)
+    assert not processes() & second
 
 
 def test_workers_end_with_a_job_that_is_killed(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ from relocbench.evaluation.worker import (
     traversal_of,
     units_of,
 )
-from relocbench.execution import chunks, default_workers, run_units
+from relocbench.execution import chunks, default_workers, kept_workers, run_units
 from relocbench.files import alone_in, dump_yaml, read_rows, remove_parts, write_text
 from relocbench.geometry import transform_to_tq
 from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
@@ -78,7 +78,8 @@ def run_method(
     folder.root.mkdir(parents=True, exist_ok=True)
     if not folder.run_yaml.exists():
         _write_record(folder, record)
-    with reporter.stage(f"{spec.label} on {dataset.name}", sum(map(len, todo.values()))) as advance:
+    stage = reporter.stage(f"{spec.label} on {dataset.name}", sum(map(len, todo.values())))
+    with stage as advance, kept_workers():
         for pair_set in pair_sets:
             _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], workers, scheduler, advance)
     started = folder.run_record().start
