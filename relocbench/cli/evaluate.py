@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 def evaluate(
     task: Annotated[
-        Literal["tracking", "retrieval"] | None,
+        Literal["tracking", "retrieval", "relocalization"] | None,
         typer.Option(
-            help="What is asked: the pose of a query against its keyframe, or which images of a gallery are near "
-            "[default: tracking]."
+            help="What is asked: the pose of a query against its keyframe, which images of a gallery are near, or both "
+            "in a row: retrieve keyframes, track against the best [default: tracking]."
         ),
     ] = None,
     dataset: Annotated[
@@ -29,6 +29,20 @@ def evaluate(
     ] = None,
     method: Methods = [],  # noqa: B006  typer copies it
     settings: Settings = [],  # noqa: B006
+    retriever: Annotated[
+        list[str],
+        typer.Option(
+            "--retriever",
+            "-r",
+            help="Relocalization: what ranks the keyframes for the trackers of --method: a retriever as --method names "
+            "one, 'oracle', which knows the truth, or LABEL=predictions:PATH with lists of 'query db' lines. Repeat "
+            "for several: each is run with each tracker.",
+        ),
+    ] = [],  # noqa: B006
+    top: Annotated[
+        int | None,
+        typer.Option(help="Relocalization: trackers are asked against so many of the best keyframes [default: 3]."),
+    ] = None,
     predictions: Annotated[
         Path | None,
         typer.Option(
@@ -57,11 +71,22 @@ def evaluate(
         int | None, typer.Option(help="Retrieval: so many retrieved images of each query are kept [default: 100].")
     ] = None,
     radius: Annotated[
-        float | None, typer.Option(help="Retrieval along drives: metres within which an image is right [default: 25].")
+        float | None,
+        typer.Option(
+            help="Retrieval along drives: metres within which an image is right [default: 25]. Relocalization: metres "
+            "of the trackers' basin [default: as far as the pairs reach]."
+        ),
     ] = None,
     heading: Annotated[
         float | None,
-        typer.Option(help="Retrieval along drives: and that look the same way within so many degrees [default: any]."),
+        typer.Option(
+            help="Retrieval along drives: and that look the same way within so many degrees [default: any]. "
+            "Relocalization: degrees of the basin."
+        ),
+    ] = None,
+    probe: Annotated[
+        Path | None,
+        typer.Option(help="Relocalization: results of `relocbench probe`, for each tracker's own basin."),
     ] = None,
     positives: Annotated[
         Literal["radius", "pairs"] | None,
@@ -88,11 +113,15 @@ def evaluate(
     Example: relocbench evaluate -d D -m identity -m orb-pnp -m dso --set dso.points=1000
 
     Example: relocbench evaluate --task retrieval -d D -m lpn --set lpn.weights=trained/weights.safetensors
+
+    Example: relocbench evaluate --task relocalization -d D -r orb-bow -r oracle -m gn-net -m dso --top 3
     """
     given: dict[str, Any] = {
         "dataset": dataset,
         "methods": method or None,
         "set": settings or None,
+        "retriever": retriever or None,
+        "top": top,
         "predictions": predictions,
         "out": out,
         "split": split,
@@ -102,6 +131,7 @@ def evaluate(
         "keep": keep,
         "radius": radius,
         "heading": heading,
+        "probe": probe,
         "positives": positives,
         "by_condition": by_condition,
         "seed": seed,
@@ -151,10 +181,17 @@ def _evaluate_retrieval(config: Path | None, given: dict[str, Any], quiet: bool,
     evaluate_retrieval(config, given, quiet, json)
 
 
+def _evaluate_relocalization(config: Path | None, given: dict[str, Any], quiet: bool, json: bool) -> None:
+    from relocbench.cli.evaluate_relocalization import evaluate_relocalization
+
+    evaluate_relocalization(config, given, quiet, json)
+
+
 TRACKING = "tracking"
 _EVALUATIONS: dict[str, Callable[[Path | None, dict[str, Any], bool, bool], None]] = {
     TRACKING: _evaluate_tracking,
     "retrieval": _evaluate_retrieval,
+    "relocalization": _evaluate_relocalization,
 }
 """by ``--task``: each takes the configuration file, the options that were given, ``--quiet`` and ``--json``"""
 

@@ -1,0 +1,85 @@
+"""Asking trackers about retrieved keyframes: each (keyframe, query) once, whichever retrievers propose it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+
+from relocbench.datasets.dataset import Dataset, PairSet
+from relocbench.datasets.pairfile import Pair, PairKey
+from relocbench.errors import PredictionError
+from relocbench.evaluation.relocalization.chain import Tracked
+from relocbench.evaluation.results import DatasetResults, MethodResults, read_answers
+from relocbench.evaluation.run import Overwrite, run_method
+from relocbench.evaluation.score import read_predictions
+from relocbench.evaluation.worker import journal_entries
+from relocbench.methods import MethodSpec
+from relocbench.progress import Reporter
+
+
+class Candidates(PairSet):
+    """Pairs of a pair set's traversals that a tracker is asked about, without their truth."""
+
+    def __init__(self, of: PairSet, keys: Iterable[PairKey]) -> None:
+        super().__init__(of.layout, of.name)
+        self._keys = sorted(set(keys))
+
+    @cached_property
+    def all_pairs(self) -> list[Pair]:
+        return [Pair(*key, None) for key in self._keys]
+
+
+def track(
+    dataset: Dataset,
+    wanted: Mapping[str, Iterable[PairKey]],
+    spec: MethodSpec,
+    results: DatasetResults,
+    *,
+    overwrite: Overwrite,
+    workers: int | None,
+    scheduler: str | None,
+    seed: int,
+    reporter: Reporter,
+) -> MethodResults:
+    """Ask a tracker what it has not been asked yet; earlier answers stay.
+
+    Args:
+        wanted: pairs by pair set.
+
+    Raises:
+        PredictionError: the folder holds answers of the same label made otherwise, or another process is at it.
+        DatasetError: an image, depth or description of the dataset is bad.
+    """
+    folder = results.method(spec.label)
+    pools: Sequence[PairSet] = [
+        Candidates(dataset.pair_set(name), [*keys, *(() if overwrite == "always" else _asked_before(folder, name))])
+        for name, keys in wanted.items()
+    ]
+    return run_method(
+        dataset,
+        pools,
+        spec,
+        results,
+        overwrite=overwrite,
+        workers=workers,
+        scheduler=scheduler,
+        seed=seed,
+        reporter=reporter,
+    )
+
+
+def tracked(dataset: Dataset, folder: MethodResults, task: str) -> Tracked:
+    """What a tracker answered on a task. Raises PredictionError."""
+    path = folder.answers(task)
+    answers = read_answers(path)
+    poses = read_predictions(folder.predictions(task), Candidates(dataset.pair_set(task), answers))
+    for key in poses:
+        if answers[key].status != "ok":
+            raise PredictionError(f"pair {key[0]} {key[1]} has a pose, but is said to have failed", path)
+    return Tracked(answers, poses)
+
+
+def _asked_before(folder: MethodResults, task: str) -> list[PairKey]:
+    """Pairs whose answers are there: of earlier calls, and in the journal of one that was stopped."""
+    known = list(read_answers(folder.answers(task))) if folder.complete(task) else []
+    return [*known, *(entry["key"] for entry in journal_entries(folder.journal(task)))]

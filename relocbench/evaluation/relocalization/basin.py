@@ -1,0 +1,91 @@
+"""From which keyframes a tracker can be expected to find the pose: what "retrieved well enough" means."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from relocbench.errors import PredictionError
+from relocbench.evaluation.probe.table import ACROSS, SAME
+from relocbench.files import parse_floats, read_text
+
+Source = Literal["pairs", "given", "probe"]
+SAID: dict[Source, str] = {
+    "pairs": "as far as the pairs of the set reach",
+    "given": "as given by --radius and --heading",
+    "probe": "the tracker's own, as measured by relocbench probe",
+}
+
+
+@dataclass(frozen=True)
+class Basin:
+    """A keyframe is in it if the query's camera is at most so far from it and turned by at most so much."""
+
+    metres: float
+    degrees: float
+    source: Source
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        return self.metres, self.degrees
+
+
+@dataclass(frozen=True)
+class Basins:
+    """What was said about basins; nothing: the reach of the pairs."""
+
+    given: tuple[float, float] | None = None
+    measured: dict[tuple[str, str, str], float] | None = None
+    """(method, ``translation`` or ``rotation``, conditions) -> radius"""
+
+    def of(self, tracker: str, condition_ref: str, condition_query: str, reach: tuple[float, float]) -> Basin:
+        """Of a tracker on a task. A tracker that was not measured, as it starts from no prior, has the pairs' reach."""
+        if self.given is not None:
+            return Basin(*self.given, "given")
+        whole = SAME if condition_ref == condition_query else ACROSS
+        for conditions in (f"{condition_ref} → {condition_query}", whole):
+            metres = (self.measured or {}).get((tracker, "translation", conditions))
+            degrees = (self.measured or {}).get((tracker, "rotation", conditions))
+            if metres is not None and degrees is not None:
+                return Basin(metres, degrees, "probe")
+        return Basin(*reach, "pairs")
+
+    def knows(self, tracker: str) -> bool:
+        """Whether the tracker was measured."""
+        return any(name == tracker for name, _, _ in self.measured or {})
+
+
+def given_basin(radius_m: float | None, heading_deg: float | None) -> tuple[float, float] | None:
+    """None where neither was given; the other one is then without limit."""
+    if radius_m is None and heading_deg is None:
+        return None
+    return math.inf if radius_m is None else radius_m, 180.0 if heading_deg is None else heading_deg
+
+
+def read_basins(folder: Path) -> dict[tuple[str, str, str], float]:
+    """Radii of whole poses from ``radii.csv`` of ``relocbench probe``.
+
+    Args:
+        folder: that of the probe, or the file itself.
+
+    Raises:
+        PredictionError: no such table, other columns, a radius that is no number, no whole pose in it.
+    """
+    path = folder / "radii.csv" if folder.is_dir() else folder
+    rows = csv.DictReader(read_text(path, "radii of `relocbench probe`", PredictionError).splitlines())
+    wanted = {"method", "what", "conditions", "radius"}
+    if not wanted <= set(rows.fieldnames or ()):
+        raise PredictionError(
+            f"expected columns {', '.join(sorted(wanted))} as `relocbench probe` writes them", path, 1
+        )
+    out = {}
+    for number, row in enumerate(rows, start=2):
+        if row["what"] in ("translation", "rotation"):
+            (radius,) = parse_floats([row["radius"] or ""], path, number, "radius", PredictionError)
+            out[row["method"], row["what"], row["conditions"]] = radius
+    if not out:
+        raise PredictionError("holds no basin of whole poses; probe a tracker that starts from a prior", path)
+    return out

@@ -1,0 +1,151 @@
+"""From what was retrieved and what the tracker answered to one answer a query, and where the chain broke."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.pairfile import PairKey, PoseLine
+from relocbench.evaluation.relocalization.answers import ChainAnswer, Outcome
+from relocbench.evaluation.relocalization.basin import Basin
+from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside
+from relocbench.evaluation.results import Answer
+from relocbench.metrics import PoseErrors, pose_errors, within
+from relocbench.metrics.registry import CORRECT
+
+Array = NDArray[np.float64]
+RIGHT = CORRECT
+"""(metres, degrees) within which an answer is right where it is said which half failed"""
+
+
+@dataclass(frozen=True)
+class Retrieved:
+    """What a retriever found for one query."""
+
+    keyframes: Sequence[int]
+    """indices, best first"""
+    status: str = "ok"
+    seconds: float | None = None
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What a tracker answered, by (keyframe, query) timestamps."""
+
+    answers: Mapping[PairKey, Answer] = field(default_factory=dict)
+    poses: Mapping[PairKey, Array] = field(default_factory=dict)
+
+
+def keyframe_poses(truth: MapTruth, retrieved: Sequence[Retrieved]) -> Tracked:
+    """The floor: the query is where its first keyframe was. Nothing is asked."""
+    keys = [
+        (truth.keyframe_times[found.keyframes[0]], time)
+        for time, found in zip(truth.query_times, retrieved, strict=True)
+        if found.keyframes
+    ]
+    return Tracked({key: Answer(key, "ok") for key in keys}, {key: np.eye(4) for key in keys})
+
+
+def chained(
+    truth: MapTruth, retrieved: Sequence[Retrieved], tracked: Tracked, top: int, basin: Basin
+) -> tuple[list[ChainAnswer], list[PoseLine]]:
+    """A row of each query, and the poses that were kept.
+
+    The most confident of the answers against the first ``top`` keyframes is kept; of equally confident ones, and where
+    a tracker tells no confidence, that against the keyframe that was retrieved first.
+    """
+    rows, lines = [], []
+    for query, found in enumerate(retrieved):
+        row = _answer(truth, query, found, tracked, top, basin)
+        rows.append(row)
+        if row.ref_timestamp_ns is not None:
+            key = row.ref_timestamp_ns, row.query_timestamp_ns
+            lines.append(PoseLine(*key, tracked.poses[key]))
+    return rows, lines
+
+
+def _answer(truth: MapTruth, query: int, found: Retrieved, tracked: Tracked, top: int, basin: Basin) -> ChainAnswer:
+    time = truth.query_times[query]
+    keyframes = list(found.keyframes[:top])
+    keys = [(truth.keyframe_times[k], time) for k in keyframes]
+    T_query_ref = truth.relative(query)[keyframes]
+    hits = np.flatnonzero(inside(*distance_and_angle(T_query_ref), basin.limits))
+    hit_rank = int(hits[0]) + 1 if hits.size else None
+    answers = [tracked.answers[key] for key in keys]
+    seconds = _together([found.seconds, *(a.seconds for a in answers)])
+    kept = most_confident(
+        [a.confidence if key in tracked.poses else None for a, key in zip(answers, keys, strict=True)],
+        [key in tracked.poses for key in keys],
+    )
+    errors = _errors([tracked.poses.get(key) for key in keys], T_query_ref)
+    right = np.flatnonzero(np.asarray(within(errors, *RIGHT)))
+    right_rank = int(right[0]) + 1 if right.size else None
+    if kept is None:
+        status, message = _why_not(found, answers)
+        return ChainAnswer(
+            time,
+            status,
+            "retrieval" if hit_rank is None else "tracking",
+            hit_rank=hit_rank,
+            asked=len(keys),
+            seconds=seconds,
+            message=message,
+        )
+    outcome: Outcome
+    if kept in right:
+        outcome = "right"
+    elif right_rank is not None:
+        outcome = "choice"
+    elif not np.isfinite(T_query_ref[kept]).all():
+        outcome = "unreachable"
+    else:
+        outcome = "retrieval" if hit_rank is None else "tracking"
+    return ChainAnswer(
+        query_timestamp_ns=time,
+        status="ok",
+        outcome=outcome,
+        ref_timestamp_ns=keys[kept][0],
+        rank=kept + 1,
+        hit_rank=hit_rank,
+        right_rank=right_rank,
+        asked=len(keys),
+        rotation_error_deg=float(errors.rotation_error_deg[kept]),
+        translation_error_m=float(errors.translation_error_m[kept]),
+        mlad_translation_error_m=float(errors.mlad_translation_error_m[kept]),
+        confidence=answers[kept].confidence,
+        seconds=seconds,
+        message=answers[kept].message,
+    )
+
+
+def most_confident(confidence: Sequence[float | None], answered: Sequence[bool]) -> int | None:
+    """Which answer is kept: the surest; one without a confidence only where none has one. None: there is no answer."""
+    known = [index for index, there in enumerate(answered) if there]
+    if not known:
+        return None
+    return max(known, key=lambda i: (-np.inf if (c := confidence[i]) is None else c, -i))
+
+
+def _errors(poses: Sequence[Array | None], T_query_ref: Array) -> PoseErrors:
+    """Errors of the answers; infinite where there is none, or no truth to judge it by."""
+    known: NDArray[np.bool_] = np.all(np.isfinite(T_query_ref), axis=(1, 2))
+    answers = np.array([np.full((4, 4), np.nan) if T is None else T for T in poses]).reshape(-1, 4, 4)
+    return pose_errors(answers, np.where(known[:, None, None], T_query_ref, np.eye(4)), answered=known)
+
+
+def _together(seconds: Sequence[float | None]) -> float | None:
+    known = [s for s in seconds if s is not None]
+    return round(sum(known), 6) if known else None
+
+
+def _why_not(found: Retrieved, answers: Sequence[Answer]) -> tuple[str, str]:
+    """Status and message of a query without an answer."""
+    if not answers:
+        status = "error" if found.status == "error" else "failed"
+        return status, f"retrieval: {found.message or 'nothing was retrieved'}"
+    broke = [a for a in answers if a.status == "error"]
+    return ("error", broke[0].message) if broke else ("failed", answers[0].message)

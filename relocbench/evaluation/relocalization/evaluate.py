@@ -1,0 +1,206 @@
+"""Every retriever with every tracker on a dataset: retrieve, track against the best K, choose, score."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from relocbench.datasets.pairfile import PairKey
+from relocbench.datasets.schema import Strict
+from relocbench.evaluation.opening import opened
+from relocbench.evaluation.relocalization.asking import track, tracked
+from relocbench.evaluation.relocalization.basin import Basins, given_basin, read_basins
+from relocbench.evaluation.relocalization.chain import Retrieved, keyframe_poses
+from relocbench.evaluation.relocalization.parsing import parse_chain
+from relocbench.evaluation.relocalization.records import (
+    KEYFRAME,
+    ORACLE,
+    ChainResults,
+    ChainRun,
+    ChainSetResults,
+    chain_results,
+    write_set,
+)
+from relocbench.evaluation.relocalization.retrieving import Ranked, retrieve
+from relocbench.evaluation.relocalization.score import Values
+from relocbench.evaluation.relocalization.tasks import ChainTasks, chain_tasks
+from relocbench.evaluation.relocalization.truth import MapTruth
+from relocbench.evaluation.relocalization.writing import broken, write_chain_results
+from relocbench.evaluation.results import MethodResults
+from relocbench.evaluation.retrieval.evaluate import KEEP
+from relocbench.evaluation.retrieval.opening import SetOptions, open_set
+from relocbench.evaluation.retrieval.records import set_results
+from relocbench.evaluation.run import Overwrite
+from relocbench.methods import MethodSpec
+from relocbench.progress import Reporter
+
+TOP = 3
+
+
+class RelocalizationOptions(Strict):
+    """Fields are options of ``relocbench evaluate --task relocalization`` and keys of its YAML file."""
+
+    task: Literal["relocalization"] = "relocalization"
+    dataset: Path
+    retriever: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
+    """trackers"""
+    set: tuple[str, ...] = ()
+    """LABEL.key=value"""
+    out: Path = Path("results")
+    split: str | None = None
+    pair_sets: tuple[str, ...] = ()
+    overwrite: Overwrite = "never"
+    top: int = Field(TOP, ge=1, le=KEEP)
+    """K: keyframes that a tracker is asked against"""
+    radius: float | None = Field(None, gt=0, allow_inf_nan=False)
+    """metres of the basin"""
+    heading: float | None = Field(None, gt=0, le=180)
+    """degrees of the basin"""
+    probe: Path | None = None
+    """results of ``relocbench probe``, for each tracker's own basin"""
+    seed: int = Field(0, ge=0)
+    workers: int | None = Field(None, ge=1)
+    scheduler: str | None = None
+
+    @model_validator(mode="after")
+    def _something_to_do(self) -> Self:
+        if not self.retriever:
+            raise ValueError(f"nothing to evaluate: give --retriever NAME (or {ORACLE}, which knows the truth)")
+        if self.probe is not None and (self.radius is not None or self.heading is not None):
+            raise ValueError("--probe measures each tracker's basin, --radius and --heading say it: give one of them")
+        return self
+
+
+@dataclass(frozen=True)
+class RelocalizationReport:
+    """What an evaluation did."""
+
+    tasks: ChainTasks
+    folders: list[ChainResults]
+    results: Path
+    broken: list[tuple[str, str]] = field(default_factory=list)
+    """chain and message of each that broke on queries"""
+
+    def scores(self, folder: ChainResults) -> dict[str, Values]:
+        """Of the tasks that were asked."""
+        return {name: values for name, values in folder.scores().tasks.items() if name in self.tasks.names}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for scripts."""
+        return {
+            "task": "relocalization",
+            "dataset": self.tasks.record.dataset,
+            "fingerprint": self.tasks.record.fingerprint,
+            "results": str(self.results),
+            "tasks": {name: record.model_dump() for name, record in self.tasks.record.tasks.items()},
+            "chains": [
+                {
+                    "chain": folder.label,
+                    "retriever": run.retriever,
+                    "tracker": run.tracker,
+                    "top": run.top,
+                    "basins": {n: b.model_dump() for n, b in folder.scores().basins.items() if n in self.tasks.names},
+                    "tasks": self.scores(folder),
+                }
+                for folder in self.folders
+                for run in (folder.run_record(),)
+            ],
+            "broken": [{"chain": label, "message": message} for label, message in self.broken],
+        }
+
+
+def evaluate_chains(options: RelocalizationOptions, reporter: Reporter) -> RelocalizationReport:
+    """Run and score every retriever with every tracker; and with none, the pose of the first keyframe.
+
+    Raises:
+        RelocbenchError: a bad dataset, method, option or list.
+    """
+    # Methods are found and configured before anything is written: a typing error must not leave a folder.
+    retrievers, trackers = parse_chain(options.retriever, options.methods, options.set, options.seed)
+    basins = _basins(options, trackers, reporter)
+    dataset = opened(options.dataset, options.out)
+    places = SetOptions(options.split, options.pair_sets, positives="pairs")
+    tasks = chain_tasks(dataset, open_set(options.dataset, options.out, places, reporter), reporter)
+    ranked = retrieve(
+        tasks.asked,
+        retrievers,
+        set_results(options.out, tasks.asked),
+        overwrite=options.overwrite,
+        seed=options.seed,
+        reporter=reporter,
+    )
+    results = chain_results(options.out, tasks.record.name, tasks.record.fingerprint)
+    write_set(results, tasks.record)
+    found = {each.label: _found(each, tasks, options.top) for each in ranked}
+    wanted = {name: _pairs(tasks.truth[name], [of[name] for of in found.values()]) for name in tasks.names}
+    answered = [
+        track(
+            dataset,
+            wanted,
+            spec,
+            results.trackers,
+            overwrite=options.overwrite,
+            workers=options.workers,
+            scheduler=options.scheduler,
+            seed=options.seed,
+            reporter=reporter,
+        )
+        for spec in trackers
+    ]
+    answers = {folder.label: {name: tracked(dataset, folder, name) for name in tasks.names} for folder in answered}
+    folders = []
+    for each in ranked:
+        of = found[each.label]
+        floor = {name: keyframe_poses(tasks.truth[name], of[name]) for name in tasks.names}
+        run = _run(tasks, each, KEYFRAME, 1, None)
+        folders.append(write_chain_results(_folder(results, run), run, tasks, of, floor, basins))
+        for folder in answered:
+            run = _run(tasks, each, folder.label, options.top, folder)
+            folders.append(write_chain_results(_folder(results, run), run, tasks, of, answers[folder.label], basins))
+    told = [each for folder in folders for each in broken(folder, tasks.names)]
+    return RelocalizationReport(tasks, folders, results.root, told)
+
+
+def _basins(options: RelocalizationOptions, trackers: Sequence[MethodSpec], reporter: Reporter) -> Basins:
+    measured = None if options.probe is None else read_basins(options.probe)
+    basins = Basins(given_basin(options.radius, options.heading), measured)
+    for spec in trackers if measured is not None else ():
+        if not basins.knows(spec.label):
+            reporter.note(f"{spec.label} has no basin in {options.probe}: the reach of the pairs is taken for it")
+    return basins
+
+
+def _found(ranking: Ranked, tasks: ChainTasks, top: int) -> dict[str, list[Retrieved]]:
+    """By task."""
+    return {task.name: ranking.of(task, tasks.truth[task.name], top) for task in tasks.asked.chosen}
+
+
+def _pairs(truth: MapTruth, found: Sequence[Sequence[Retrieved]]) -> set[PairKey]:
+    """What a tracker is to be asked: every retrieved keyframe with its query."""
+    return {
+        (truth.keyframe_times[keyframe], time)
+        for of_retriever in found
+        for time, retrieved in zip(truth.query_times, of_retriever, strict=True)
+        for keyframe in retrieved.keyframes
+    }
+
+
+def _run(tasks: ChainTasks, ranking: Ranked, tracker: str, top: int, folder: MethodResults | None) -> ChainRun:
+    return ChainRun(
+        retriever=ranking.label,
+        tracker=tracker,
+        top=top,
+        dataset=tasks.record.dataset,
+        fingerprint=tasks.record.fingerprint,
+        retriever_run=ranking.run,
+        tracker_run=None if folder is None else folder.run_record(),
+    )
+
+
+def _folder(results: ChainSetResults, run: ChainRun) -> ChainResults:
+    return results.chain(run.retriever, run.tracker, run.top)

@@ -1,0 +1,62 @@
+"""Retrievers and trackers of one call, each with its settings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from relocbench.datasets.schema import check_name
+from relocbench.errors import ConfigError
+from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
+from relocbench.evaluation.relocalization.retrieving import label_of
+from relocbench.evaluation.retrieval.external import PREDICTIONS
+from relocbench.methods import RETRIEVERS, TRACKERS, MethodSpec
+from relocbench.methods.discovery import parse_method
+
+
+def parse_chain(
+    retrievers: Sequence[str], trackers: Sequence[str], settings: Sequence[str], seed: int
+) -> tuple[list[MethodSpec | str], list[MethodSpec]]:
+    """Retrievers and trackers, in the order given.
+
+    A retriever stays a string where it is the oracle, or lists that were made elsewhere.
+
+    Raises:
+        MethodError: unknown method, one of another kind, a wrong parameter.
+        ConfigError: a label twice, the name of a floor, a setting that does not say for which method.
+    """
+    prefixes = {}
+    for setting in settings:
+        prefix, dot, _ = setting.partition("=")[0].rpartition(".")
+        if not dot:
+            raise ConfigError(f"--set {setting}: say for which method, as LABEL.key=value")
+        prefixes[prefix] = setting
+    of_retrievers = [_retriever(text, settings, seed) for text in retrievers]
+    of_trackers = [parse_method(text, settings, seed, TRACKERS) for text in trackers]
+    labels = [*map(label_of, of_retrievers), *(spec.label for spec in of_trackers)]
+    floors = [one for one in of_retrievers if one == ORACLE]
+    for label in labels:
+        if "+" in label:
+            raise ConfigError(f"label '{label}': '+' joins the two halves of a chain; choose another")
+        if label == KEYFRAME or (label == ORACLE and not floors):
+            raise ConfigError(f"'{label}' is the name of a floor; give the method another label: LABEL=METHOD")
+        if labels.count(label) > 1:
+            raise ConfigError(f"two methods are called '{label}'; give one a label of its own: LABEL=METHOD")
+    for prefix, setting in prefixes.items():
+        if prefix not in labels:
+            raise ConfigError(f"--set {setting}: no method '{prefix}' in this run; there is {', '.join(labels)}")
+    return of_retrievers, of_trackers
+
+
+def _retriever(text: str, settings: Sequence[str], seed: int) -> MethodSpec | str:
+    label, separator, target = text.partition("=")
+    if text == ORACLE:
+        return text
+    if not target.startswith(PREDICTIONS) and not text.startswith(PREDICTIONS):
+        return parse_method(text, settings, seed, RETRIEVERS)
+    try:
+        if not separator or text.startswith(PREDICTIONS):
+            raise ValueError("lists made elsewhere need a label")
+        check_name(label, "retriever label")
+    except ValueError as bad:
+        raise ConfigError(f"--retriever {text}: {bad}; give one: LABEL={PREDICTIONS}PATH") from None
+    return text

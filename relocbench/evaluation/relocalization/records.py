@@ -1,0 +1,186 @@
+"""What chains left on one dataset.
+
+``RESULTS/DATASET.relocalization@FINGERPRINT/`` holds ``relocalization.yaml`` (what each task asks),
+``answers/TRACKER/`` (every answer of a tracker, as in its own results, whichever retriever asked for it) and, for each
+chain, ``RETRIEVER+TRACKER.topK/``: the poses that were kept (``TASK.txt``), one row a query (``TASK.csv``), and both
+``run.yaml`` and ``scores.yaml``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+
+from relocbench.datasets.fingerprint import SHORT
+from relocbench.datasets.schema import Strict
+from relocbench.errors import PredictionError
+from relocbench.evaluation.relocalization.basin import Source
+from relocbench.evaluation.results import DatasetResults, RunRecord
+from relocbench.evaluation.retrieval.records import RetrievalRun
+from relocbench.files import dump_yaml, load_yaml, write_text
+
+SET_FILE = "relocalization.yaml"
+ANSWERS = "answers"
+ORACLE = "oracle"
+"""the retriever that knows the truth"""
+KEYFRAME = "keyframe-pose"
+"""the tracker that answers the pose of the first keyframe, without looking"""
+
+
+class ChainTask(Strict):
+    """What a leaderboard must know about a task when the dataset is not at hand."""
+
+    queries: int
+    gallery: int
+    """keyframes"""
+    pairs: int
+    rejected: int
+    """pairs whose ground truth was rejected"""
+    images_without_pair: int
+    """images of the query traversal that are in no pair: their truth is not known, and they are not asked"""
+    condition_query: str = ""
+    condition_gallery: str = ""
+    reach_m: float
+    reach_deg: float
+    """of the farthest and of the most turned pair"""
+    unposed_keyframes: int = 0
+    """without a pose in their own traversal"""
+    truth_spread_m: float | None = None
+    """median over queries of how far their pairs disagree about their place; None where none has two"""
+    median_sigma_translation_m: float | None = None
+    median_sigma_rotation_deg: float | None = None
+
+
+class ChainSet(Strict):
+    """``relocalization.yaml``."""
+
+    name: str
+    dataset: str
+    dataset_fingerprint: str
+    fingerprint: str
+    splits: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    tasks: dict[str, ChainTask]
+
+
+class ChainRun(Strict):
+    """``run.yaml`` of a chain: how both halves were made."""
+
+    task: Literal["relocalization"] = "relocalization"
+    retriever: str
+    tracker: str
+    top: int
+    dataset: str
+    fingerprint: str
+    """of the set"""
+    retriever_run: RetrievalRun | None = None
+    """None for the oracle"""
+    tracker_run: RunRecord | None = None
+    """None where no tracker was asked"""
+
+
+class ChainBasin(Strict):
+    """Of a chain on a task."""
+
+    metres: float
+    degrees: float
+    source: Source
+
+
+class ChainScores(Strict):
+    """``scores.yaml`` of a chain."""
+
+    relocbench: str
+    answers: dict[str, str]
+    """task -> SHA-256 of its table"""
+    basins: dict[str, ChainBasin]
+    tasks: dict[str, dict[str, float | int | None]]
+    """task -> counts, metrics, and ``METRIC_low`` and ``METRIC_high`` of their 95 % intervals"""
+
+
+@dataclass(frozen=True)
+class ChainResults:
+    """The folder of one chain."""
+
+    root: Path
+
+    @property
+    def label(self) -> str:
+        return self.root.name
+
+    @property
+    def run_yaml(self) -> Path:
+        return self.root / "run.yaml"
+
+    @property
+    def scores_yaml(self) -> Path:
+        return self.root / "scores.yaml"
+
+    def predictions(self, task: str) -> Path:
+        return self.root / f"{task}.txt"
+
+    def answers(self, task: str) -> Path:
+        return self.root / f"{task}.csv"
+
+    def run_record(self) -> ChainRun:
+        """Raises PredictionError with file and line."""
+        return load_yaml(self.run_yaml, ChainRun, "the record of a chain", PredictionError)
+
+    def scores(self) -> ChainScores:
+        """Raises PredictionError with file and line."""
+        return load_yaml(self.scores_yaml, ChainScores, "the scores of a chain", PredictionError)
+
+
+@dataclass(frozen=True)
+class ChainSetResults:
+    """The folder of one dataset's chains."""
+
+    root: Path
+
+    @cached_property
+    def record(self) -> ChainSet:
+        """Raises PredictionError with file and line."""
+        return load_yaml(self.root / SET_FILE, ChainSet, "the record of chains", PredictionError)
+
+    @property
+    def trackers(self) -> DatasetResults:
+        """Answers of trackers, shared by chains."""
+        return DatasetResults(self.root / ANSWERS)
+
+    def chain(self, retriever: str, tracker: str, top: int) -> ChainResults:
+        return ChainResults(self.root / f"{retriever}+{tracker}.top{top}")
+
+    def chains(self) -> list[ChainResults]:
+        """Every chain with a run record, by name."""
+        return [ChainResults(p.parent) for p in sorted(self.root.glob("*.top*/run.yaml"))]
+
+
+def chain_results(results: Path, name: str, fingerprint: str) -> ChainSetResults:
+    """The folder for a set's chains; nothing is written."""
+    return ChainSetResults(results / f"{name}@{fingerprint[:SHORT]}")
+
+
+def write_set(folder: ChainSetResults, new: ChainSet) -> None:
+    """Keep what the set asks: these tasks, and what is recorded of others of it already."""
+    path = folder.root / SET_FILE
+    known = ChainSetResults(folder.root).record.tasks if path.exists() else {}
+    tasks = dict(sorted({**known, **new.tasks}.items()))
+    write_record(path, new.model_copy(update={"tasks": tasks}))
+
+
+def write_record(path: Path, record: Strict) -> None:
+    """Whole or not at all; a file that says the same already is left alone."""
+    values: Any = record.model_dump(mode="json")
+    text = dump_yaml(values)
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        write_text(path, text)
+
+
+def all_chain_sets(results: Path) -> list[ChainSetResults]:
+    """Every folder of chains below a results folder; empty where there is none."""
+    if (results / SET_FILE).exists():
+        return [ChainSetResults(results)]
+    return [ChainSetResults(p.parent) for p in sorted(results.glob(f"*@*/{SET_FILE}"))]

@@ -1,0 +1,124 @@
+"""Which keyframes a tracker is asked against: those that a retriever ranks first, or that the truth does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from relocbench.evaluation.relocalization.chain import Retrieved
+from relocbench.evaluation.relocalization.records import ORACLE
+from relocbench.evaluation.relocalization.truth import MapTruth
+from relocbench.evaluation.retrieval.answers import read_answers, read_lists
+from relocbench.evaluation.retrieval.evaluate import KEEP
+from relocbench.evaluation.retrieval.external import PREDICTIONS, take_lists
+from relocbench.evaluation.retrieval.opening import OpenedSet
+from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults, write_set_record
+from relocbench.evaluation.retrieval.run import run_retriever
+from relocbench.evaluation.retrieval.score import score_retriever
+from relocbench.evaluation.run import Overwrite
+from relocbench.methods import MethodSpec
+from relocbench.progress import Reporter
+from relocbench.retrieval import RetrievalTask
+
+
+class Ranked(Protocol):
+    """Rankings of all tasks by one retriever."""
+
+    @property
+    def label(self) -> str: ...
+
+    @property
+    def run(self) -> RetrievalRun | None:
+        """How they were made; None for the oracle."""
+        ...
+
+    def of(self, task: RetrievalTask, truth: MapTruth, top: int) -> list[Retrieved]:
+        """The first of each query, in the queries' order."""
+        ...
+
+
+class Oracle:
+    """The keyframes nearest to the true pose."""
+
+    label = ORACLE
+    run = None
+
+    def of(self, task: RetrievalTask, truth: MapTruth, top: int) -> list[Retrieved]:
+        return [Retrieved(truth.oracle(query, top)) for query in range(len(task.queries))]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Rankings in a results folder."""
+
+    folder: RetrieverResults
+
+    @property
+    def label(self) -> str:
+        return self.folder.label
+
+    @property
+    def run(self) -> RetrievalRun:
+        return self.folder.run_record()
+
+    def of(self, task: RetrievalTask, truth: MapTruth, top: int) -> list[Retrieved]:
+        queries = {image.key: index for index, image in enumerate(task.queries)}
+        gallery = {image.key: index for index, image in enumerate(task.gallery)}
+        lists = read_lists(self.folder.predictions(task.name), queries, gallery)
+        told = {a.query: a for a in read_answers(self.folder.answers(task.name))}
+        out = []
+        for key in queries:
+            answer = told[key]
+            out.append(Retrieved(lists[key][:top], answer.status, answer.seconds, answer.message))
+        return out
+
+
+def retrieve(
+    asked: OpenedSet,
+    retrievers: Sequence[MethodSpec | str],
+    results: SetResults,
+    *,
+    overwrite: Overwrite,
+    seed: int,
+    reporter: Reporter,
+) -> list[Ranked]:
+    """Ask retrievers as ``relocbench evaluate --task retrieval --positives pairs`` does, if they have not answered yet.
+
+    Their results are the same files, scored as they are there.
+
+    Args:
+        retrievers: a string is ``oracle``, or ``LABEL=predictions:PATH`` with lists made elsewhere.
+
+    Raises:
+        RelocbenchError: a retriever that cannot be made or asked, a bad list, answers made otherwise.
+    """
+    out: list[Ranked] = []
+    for retriever in retrievers:
+        if retriever == ORACLE:
+            out.append(Oracle())
+            continue
+        if isinstance(retriever, str):
+            path = Path(retriever.partition("=")[2].removeprefix(PREDICTIONS))
+            folder = take_lists(asked, asked.chosen, path, label_of(retriever), results)
+        else:
+            folder = run_retriever(
+                asked,
+                asked.chosen,
+                retriever,
+                results,
+                keep=KEEP,
+                overwrite=overwrite,
+                seed=seed,
+                reporter=reporter,
+            )
+        write_set_record(results, asked, asked.chosen)
+        score_retriever(results.record, folder)
+        out.append(Kept(folder))
+    return out
+
+
+def label_of(retriever: MethodSpec | str) -> str:
+    """As results are kept under."""
+    return retriever.partition("=")[0] if isinstance(retriever, str) else retriever.label

@@ -1,0 +1,91 @@
+"""Numbers of a chain on a task: pose recall, basin recall, and the share of each way to fail."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import ConfigError
+from relocbench.evaluation.relocalization.answers import OUTCOMES, ChainAnswer, errors_of
+from relocbench.evaluation.retrieval.score import generator
+from relocbench.metrics import METRICS, bootstrap_interval, metric_named, summarize
+
+Array = NDArray[np.float64]
+Values = dict[str, float | int | None]
+RANKING = "recall@(0.25m,2deg)"
+POSE_METRICS = tuple(m.name for m in METRICS if m.per_pair is not None)
+FAILURES = tuple(f"failed_{outcome}" for outcome in OUTCOMES if outcome != "right")
+HIT = "hit"
+"""share of queries with a keyframe in the basin among the K: basin recall@K"""
+
+
+def basin_recall(count: int) -> str:
+    """Name of the share of queries with a keyframe in the basin among the first ``count``."""
+    return f"basin_recall@{count}"
+
+
+def chain_metrics(top: int) -> tuple[str, ...]:
+    """Every share of a chain that is a mean over queries."""
+    shares = (HIT, "right_and_hit", "right_without_hit", "right_among_K", *FAILURES)
+    return (*POSE_METRICS, *(basin_recall(k) for k in range(1, top + 1)), *shares)
+
+
+def per_query(answers: Sequence[ChainAnswer], metric: str) -> Array:
+    """(Q,) values whose mean is the metric. Raises ConfigError for a metric that has none."""
+    if metric in POSE_METRICS:
+        compute = metric_named(metric).per_pair
+        assert compute is not None
+        return compute(errors_of(answers))
+    hit = np.array([a.hit_rank is not None for a in answers])
+    right = np.array([a.outcome == "right" for a in answers])
+    shares = {
+        HIT: hit,
+        "right_and_hit": right & hit,
+        "right_without_hit": right & ~hit,
+        "right_among_K": np.array([a.right_rank is not None for a in answers]),
+        **{name: np.array([f"failed_{a.outcome}" == name for a in answers]) for name in FAILURES},
+    }
+    if metric.startswith("basin_recall@"):
+        count = int(metric.partition("@")[2])
+        shares[metric] = np.array([a.hit_rank is not None and a.hit_rank <= count for a in answers])
+    if metric not in shares:
+        raise ConfigError(f"chains have no metric '{metric}'; expected one of {', '.join((*POSE_METRICS, *shares))}")
+    return shares[metric].astype(np.float64)
+
+
+def summary(place: str, answers: Sequence[ChainAnswer], top: int, seed: int = 0) -> Values:
+    """Counts, means over all queries and their intervals from blocks along the drive.
+
+    Args:
+        place: names the task: each number has a generator of its own.
+    """
+    seconds = np.array([np.nan if a.seconds is None else a.seconds for a in answers])
+    confidence = np.array([np.nan if a.confidence is None else a.confidence for a in answers])
+    whole = summarize(errors_of(answers), seconds, confidence).to_dict()
+    statuses = [a.status for a in answers]
+    values: Values = {
+        "queries": len(answers),
+        "failed": statuses.count("failed"),
+        "broke": statuses.count("error"),
+        **{name: whole[name] for name in whole if name not in ("pairs", "answered")},
+    }
+    for metric in chain_metrics(top):
+        each = per_query(answers, metric)
+        interval = bootstrap_interval([each], generator(seed, place, metric))
+        values[metric] = float(np.mean(each))
+        values[f"{metric}_low"] = None if interval is None else interval.low
+        values[f"{metric}_high"] = None if interval is None else interval.high
+    hit, both = values[HIT], values["right_and_hit"]
+    assert hit is not None
+    assert both is not None
+    values["right_given_hit"] = both / hit if hit else None
+    return values
+
+
+def table_hash(path: Path) -> str:
+    """SHA-256 of a table: scores of another one are stale."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()

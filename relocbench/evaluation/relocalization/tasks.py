@@ -1,0 +1,100 @@
+"""What chains are asked on a dataset: place recognition by pairs, with the truth that answers are judged by."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from relocbench.datasets.dataset import Dataset
+from relocbench.errors import ConfigError
+from relocbench.evaluation.relocalization.records import ChainSet, ChainTask
+from relocbench.evaluation.relocalization.truth import MapTruth
+from relocbench.evaluation.retrieval.opening import OpenedSet
+from relocbench.progress import Reporter
+from relocbench.retrieval import ImageView, RetrievalTask
+
+_VERSION = 1
+"""counted up when the same dataset is asked otherwise"""
+
+
+@dataclass(frozen=True, eq=False)
+class ChainTasks:
+    """Of one dataset; those that were chosen."""
+
+    asked: OpenedSet
+    """for retrievers"""
+    truth: Mapping[str, MapTruth]
+    record: ChainSet
+
+    @property
+    def names(self) -> list[str]:
+        return [task.name for task in self.asked.chosen]
+
+
+def chain_tasks(dataset: Dataset, asked: OpenedSet, reporter: Reporter) -> ChainTasks:
+    """The tasks whose pairs have their true pose; the others are told.
+
+    Args:
+        asked: places of the dataset by pairs.
+
+    Raises:
+        ConfigError: none is left.
+    """
+    known = tuple(task for task in asked.chosen if dataset.pair_set(task.name).has_truth)
+    for task in asked.chosen:
+        if task not in known:
+            reporter.note(f"{task.name}: ground truth is withheld, poses cannot be judged; left out")
+    if not known:
+        raise ConfigError("no pair set with ground truth is left to evaluate", dataset.root)
+    truth = {task.name: _truth(dataset, task) for task in known}
+    text = json.dumps({"dataset": dataset.fingerprint, "version": _VERSION, "task": "relocalization"}, sort_keys=True)
+    record = ChainSet(
+        name=f"{dataset.name}.relocalization",
+        dataset=dataset.name,
+        dataset_fingerprint=dataset.fingerprint,
+        fingerprint=hashlib.sha256(text.encode()).hexdigest(),
+        splits=dict(dataset.splits),
+        tasks={task.name: _record(dataset, task, truth[task.name]) for task in known},
+    )
+    return ChainTasks(replace(asked, chosen=known), truth, record)
+
+
+def _truth(dataset: Dataset, task: RetrievalTask) -> MapTruth:
+    return MapTruth(dataset, dataset.pair_set(task.name), *(_times(side) for side in (task.queries, task.gallery)))
+
+
+def _times(images: tuple[ImageView, ...]) -> list[int]:
+    """Timestamps by keys, ``traversals/NAME/images/CAMERA/TIME.png``."""
+    return [int(Path(image.key).stem) for image in images]
+
+
+def _record(dataset: Dataset, task: RetrievalTask, truth: MapTruth) -> ChainTask:
+    pair_set = truth.pair_set
+    traversal = dataset.traversal(pair_set.reference)
+    images = len(dataset.traversal(pair_set.query).timestamps(pair_set.camera))
+    metres, degrees = truth.reach
+    return ChainTask(
+        queries=len(task.queries),
+        gallery=len(task.gallery),
+        pairs=len(pair_set.pairs),
+        rejected=len(pair_set.rejected),
+        images_without_pair=images - len(task.queries),
+        condition_query=task.condition_query,
+        condition_gallery=task.condition_gallery,
+        reach_m=round(metres, 6),
+        reach_deg=round(degrees, 6),
+        unposed_keyframes=sum(time not in traversal.poses for time in truth.keyframe_times),
+        truth_spread_m=_median(truth.spread),
+        median_sigma_translation_m=_median([p.sigma_translation_m for p in pair_set.pairs]),
+        median_sigma_rotation_deg=_median([p.sigma_rotation_deg for p in pair_set.pairs]),
+    )
+
+
+def _median(values: object) -> float | None:
+    known = [value for value in np.asarray(values, dtype=np.float64).ravel() if np.isfinite(value)]
+    return round(float(np.median(known)), 6) if known else None

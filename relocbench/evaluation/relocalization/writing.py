@@ -1,0 +1,98 @@
+"""The files of one chain: poses, rows, how it was made, what it scored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import relocbench
+from relocbench.datasets.pairfile import write_pose_lines
+from relocbench.errors import PredictionError
+from relocbench.evaluation.relocalization.answers import read_chain, write_chain
+from relocbench.evaluation.relocalization.basin import Basins
+from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chained
+from relocbench.evaluation.relocalization.records import (
+    ChainBasin,
+    ChainResults,
+    ChainRun,
+    ChainScores,
+    write_record,
+)
+from relocbench.evaluation.relocalization.score import summary, table_hash
+from relocbench.evaluation.relocalization.tasks import ChainTasks
+
+
+def write_chain_results(
+    folder: ChainResults,
+    run: ChainRun,
+    tasks: ChainTasks,
+    found: Mapping[str, Sequence[Retrieved]],
+    tracked: Mapping[str, Tracked],
+    basins: Basins,
+) -> ChainResults:
+    """Choose, judge, score and write; tasks that were asked before stay as they are.
+
+    Nothing is asked here: the same rankings and answers give the same bytes.
+
+    Args:
+        found, tracked: by task.
+
+    Raises:
+        PredictionError: the folder holds a chain of methods that were made otherwise.
+    """
+    _drop_other(folder, run, tasks)
+    before = folder.scores() if folder.scores_yaml.exists() else None
+    hashes, scores = (dict(before.answers), dict(before.tasks)) if before else ({}, {})
+    used = dict(before.basins) if before else {}
+    for name in tasks.names:
+        truth, record = tasks.truth[name], tasks.record.tasks[name]
+        conditions = record.condition_gallery, record.condition_query
+        basin = basins.of(run.tracker, *conditions, truth.reach)
+        rows, lines = chained(truth, found[name], tracked[name], run.top, basin)
+        write_pose_lines(folder.predictions(name), lines)
+        write_chain(folder.answers(name), rows)
+        hashes[name] = table_hash(folder.answers(name))
+        used[name] = ChainBasin(metres=basin.metres, degrees=basin.degrees, source=basin.source)
+        scores[name] = summary(name, rows, run.top)
+    write_record(folder.run_yaml, run)
+    record_of_scores = ChainScores(
+        relocbench=relocbench.__version__,
+        answers=dict(sorted(hashes.items())),
+        basins=dict(sorted(used.items())),
+        tasks=dict(sorted(scores.items())),
+    )
+    write_record(folder.scores_yaml, record_of_scores)
+    return folder
+
+
+def broken(folder: ChainResults, names: Sequence[str]) -> list[tuple[str, str]]:
+    """Label and message where a method broke rather than failed."""
+    rows = [row for name in names for row in read_chain(folder.answers(name))]
+    bad = [row for row in rows if row.status == "error"]
+    if not bad:
+        return []
+    told = f"no answer to {len(bad)} of {len(rows)} queries for an error; first on {bad[0].query_timestamp_ns}"
+    return [(folder.label, f"{told}: {bad[0].message}")]
+
+
+def _drop_other(folder: ChainResults, run: ChainRun, tasks: ChainTasks) -> None:
+    """A chain of the same labels made otherwise: its tasks must all be made again, or none stays.
+
+    Answers of both halves are refused where they would be mixed; what is left to see here is a half that was made anew
+    (``--overwrite always``) under its label since.
+    """
+    if not folder.run_yaml.exists():
+        return
+    before = folder.run_record()
+    if before.fingerprint != run.fingerprint:
+        raise PredictionError(f"was made for the set with fingerprint {before.fingerprint}", folder.run_yaml)
+    if _made(before) == _made(run):
+        return
+    for path in [*folder.root.glob("*.csv"), *folder.root.glob("*.txt"), folder.scores_yaml]:
+        path.unlink(missing_ok=True)
+
+
+def _made(run: ChainRun) -> list[object]:
+    return [
+        None if half is None else (half.target, half.parameters, half.files)
+        for half in (run.retriever_run, run.tracker_run)
+    ]
