@@ -275,6 +275,19 @@ def test_a_run_that_broke_off_before_its_first_answer_does_not_stand_in_the_way(
     assert all(line.T_query_ref is not None for line in read_pose_lines(report.folders[0].predictions(WITHIN)))
 
 
+def test_a_method_that_cannot_be_made_costs_no_answers(dataset: Dataset, tmp_path: Path) -> None:
+    weights = tmp_path / "weights"
+    weights.write_text("0.25")
+    given = f"weights={weights}"
+    report = evaluate(dataset, tmp_path / "out", f"w={HERE}:Weighted", settings=(given,))
+    before = predictions(Path(report.results), "w")
+    assert before
+    weights.write_text("not a number")
+    with pytest.raises(MethodError, match="cannot be made"):
+        evaluate(dataset, tmp_path / "out", f"w={HERE}:Weighted", settings=(given,), overwrite="always")
+    assert predictions(Path(report.results), "w") == before
+
+
 def test_a_mistyped_method_leaves_no_folder(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(MethodError):
         evaluate(dataset, tmp_path / "out", "identity", "orb-pmp")

@@ -64,12 +64,15 @@ def run_method(
     Raises:
         PredictionError: the folder holds answers of the same label made with other parameters or versions, or
             another process is writing them.
+        MethodError: answers are to be made anew by a method that cannot be made.
         DatasetError: an image, depth or description of the dataset is bad.
     """
     folder = results.method(spec.label)
     workers = default_workers() if workers is None else workers
     record = new_record(dataset, spec, workers, seed)
     if overwrite == "always":
+        if not spec.target.startswith(SUBPROCESS):
+            spec.create()  # a method that cannot be made, over a mistyped path of weights say, costs no answers
         _clear(folder, pair_sets)
     todo = {s.name: _open_pairs(folder, s, overwrite) for s in pair_sets}
     refuse_mixture(folder, record, work_left=any(todo.values()))
