@@ -11,6 +11,7 @@ from relocbench.cli.options import Json, Quiet
 
 if TYPE_CHECKING:
     from relocbench.leaderboard.model import Board, DatasetBoard, Table
+    from relocbench.leaderboard.relocalization import ChainBoard
     from relocbench.leaderboard.retrieval import RetrievalBoard
     from relocbench.metrics import Metric
 
@@ -20,13 +21,16 @@ def leaderboard(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
     metric: Annotated[str, typer.Option(help="Ranks trackers; any metric that is a mean over pairs.")] = "t_auc@0.5m",
     retrieval_metric: Annotated[str, typer.Option(help="Ranks retrievers: R@1, R@5, AP, ...")] = "R@1",
+    relocalization_metric: Annotated[
+        str, typer.Option(help="Ranks chains of a retriever and a tracker; any metric that is a mean over queries.")
+    ] = "recall@(0.25m,2deg)",
     split: Annotated[str | None, typer.Option(help="Only the pair sets of this split.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
     plots: Annotated[bool, typer.Option("--plots/--no-plots", help="Draw the cumulative error curves.")] = True,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Compare methods: CSV, Markdown and cumulative error curves; retrievers have a page of their own.
+    """Compare methods: CSV, Markdown and cumulative error curves; retrievers and chains have pages of their own.
 
     Needs the results folder alone, not the dataset. The same results give the same bytes.
 
@@ -35,16 +39,22 @@ def leaderboard(
     from relocbench.cli.console import print_json, reporter
     from relocbench.leaderboard import write_leaderboard
     from relocbench.leaderboard.long_form import leaderboard_rows
+    from relocbench.leaderboard.relocalization_write import chain_rows, write_relocalization_leaderboard
     from relocbench.leaderboard.retrieval import holds_tracking
     from relocbench.leaderboard.retrieval_write import retrieval_rows, write_retrieval_leaderboard
 
     reports = reporter(quiet)
     found = write_retrieval_leaderboard(results, out, metric=retrieval_metric, split=split, seed=seed, reporter=reports)
+    chains = write_relocalization_leaderboard(
+        results, out, metric=relocalization_metric, split=split, seed=seed, reporter=reports
+    )
     board = None
-    if found is None or holds_tracking(results):
+    if (found is None and chains is None) or holds_tracking(results):
         board = write_leaderboard(results, out, metric=metric, split=split, seed=seed, plots=plots, reporter=reports)
     if json:
         retrieval = {} if found is None else {"retrieval_metric": found.metric, "retrieval": retrieval_rows(found)}
+        if chains is not None:
+            retrieval |= {"relocalization_metric": chains.metric, "relocalization": chain_rows(chains)}
         rows = [] if board is None else leaderboard_rows(board)
         print_json({"metric": metric, "seed": seed, "split": split, "rows": rows, **retrieval})
     elif not quiet:
@@ -54,6 +64,9 @@ def leaderboard(
         if found is not None:
             _print_retrieval(found)
             typer.echo(f"written: {out / 'retrieval.md'}", err=True)
+        if chains is not None:
+            _print_chains(chains)
+            typer.echo(f"written: {out / 'relocalization.md'}", err=True)
 
 
 def _print_retrieval(board: RetrievalBoard) -> None:
@@ -71,6 +84,28 @@ def _print_retrieval(board: RetrievalBoard) -> None:
             chance = ["(chance)", "", *(number(table.chance[m], "share") for m in board.shown)]
             columns = ["method", "rank", *(f"{m} %" for m in board.shown)]
             print_table(title, columns, [*([name, *row] for name, row in zip(names, rows, strict=True)), chance])
+
+
+def _print_chains(board: ChainBoard) -> None:
+    from relocbench.cli.console import print_table
+    from relocbench.leaderboard.text import number
+
+    shares = ("recall@(1m,5deg)", "basin_recall@1", "hit", "right_given_hit")
+    for asked in board.sets:
+        for table in asked.tables:
+            title = f"{asked.title}: {table.name} ({table.queries} queries)"
+            rows = [
+                [
+                    f"{row.chain.run.retriever} + {row.chain.run.tracker}",
+                    str(row.chain.run.top),
+                    "" if row.rank is None else str(row.rank),
+                    *(number(row.values.get(m), "share") for m in (board.metric, *shares)),
+                    number(row.values.get("median_translation_error_m"), "m"),
+                ]
+                for row in table.rows
+            ]
+            columns = ["chain", "K", "rank", f"{board.metric} %", f"{shares[0]} %", "basin@1 %", "basin@K %"]
+            print_table(title, [*columns, "right in basin %", "median m"], rows)
 
 
 def print_leaderboard(board: Board) -> None:
