@@ -164,20 +164,20 @@ def _chain(folder: ChainResults, asked: ChainSet, tasks: Mapping[str, ChainTask]
             folder.run_yaml,
         )
     answers: dict[str, Sequence[ChainAnswer]] = {}
+    scores = folder.scores() if folder.scores_yaml.exists() else None
     for name, record in tasks.items():
         path = folder.answers(name)
         if not path.exists():
             continue
         again = "run `relocbench evaluate --task relocalization` again to score"
-        scored = folder.scores().answers if folder.scores_yaml.exists() else {}
-        if name not in scored:
+        if scores is None or name not in scores.answers:
             raise PredictionError(f"is not scored; {again}", path)
-        if scored[name] != table_hash(path):
+        if scores.answers[name] != table_hash(path):
             raise PredictionError(f"changed since it was scored; {again}", path)
         answers[name] = read_chain(path)
         if len(answers[name]) != record.queries:
             raise PredictionError(f"{len(answers[name])} rows, expected one for each of {record.queries} queries", path)
-    return Chain(folder.label, run, folder.scores().basins if answers else {}, answers)
+    return Chain(folder.label, run, scores.basins if scores else {}, answers)
 
 
 def _check_same_queries(folder: ChainSetResults, chains: Sequence[Chain]) -> None:

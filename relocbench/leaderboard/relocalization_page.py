@@ -118,8 +118,8 @@ def _how_to_read(board: ChainBoard) -> list[str]:
         "otherwise. What is not right is lost to *retrieval* (none of the K in the basin), to *tracking* (there was "
         "one, and no answer is right) or to the *choice* (an answer was right, and another one was more confident).",
         "**Failures.** The denominator is every query. A query without an answer has infinite errors; an answer "
-        "against a keyframe from which the truth is not known counts as wrong. A chain that misses a task has blank means and "
-        "no rank.",
+        "against a keyframe from which the truth is not known counts as wrong. A chain that misses a task has blank "
+        "means and no rank.",
     ]
 
 

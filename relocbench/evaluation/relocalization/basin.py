@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Literal
 
 from relocbench.errors import PredictionError
-from relocbench.evaluation.probe.table import ACROSS, SAME
 from relocbench.files import parse_floats, read_text
 
 Source = Literal["pairs", "given", "probe"]
@@ -45,10 +44,14 @@ class Basins:
         """Of a tracker on a task. A tracker that was not measured, as it starts from no prior, has the pairs' reach."""
         if self.given is not None:
             return Basin(*self.given, "given")
+        if self.measured is None:
+            return Basin(*reach, "pairs")
+        from relocbench.evaluation.probe.table import ACROSS, SAME  # which loads what draws curves
+
         whole = SAME if condition_ref == condition_query else ACROSS
         for conditions in (f"{condition_ref} → {condition_query}", whole):
-            metres = (self.measured or {}).get((tracker, "translation", conditions))
-            degrees = (self.measured or {}).get((tracker, "rotation", conditions))
+            metres = self.measured.get((tracker, "translation", conditions))
+            degrees = self.measured.get((tracker, "rotation", conditions))
             if metres is not None and degrees is not None:
                 return Basin(metres, degrees, "probe")
         return Basin(*reach, "pairs")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -19,8 +20,10 @@ from relocbench.evaluation.relocalization.parsing import parse_chain
 from relocbench.evaluation.relocalization.records import (
     KEYFRAME,
     ORACLE,
+    ChainBasin,
     ChainResults,
     ChainRun,
+    ChainScores,
     ChainSetResults,
     chain_results,
     write_set,
@@ -86,9 +89,18 @@ class RelocalizationReport:
     broken: list[tuple[str, str]] = field(default_factory=list)
     """chain and message of each that broke on queries"""
 
+    @cached_property
+    def _scores(self) -> dict[str, ChainScores]:
+        return {folder.label: folder.scores() for folder in self.folders}
+
     def scores(self, folder: ChainResults) -> dict[str, Values]:
         """Of the tasks that were asked."""
-        return {name: values for name, values in folder.scores().tasks.items() if name in self.tasks.names}
+        tasks = self._scores[folder.label].tasks
+        return {name: values for name, values in tasks.items() if name in self.tasks.names}
+
+    def basins(self, folder: ChainResults) -> dict[str, ChainBasin]:
+        """Of the tasks that were asked."""
+        return {name: basin for name, basin in self._scores[folder.label].basins.items() if name in self.tasks.names}
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for scripts."""
@@ -104,7 +116,7 @@ class RelocalizationReport:
                     "retriever": run.retriever,
                     "tracker": run.tracker,
                     "top": run.top,
-                    "basins": {n: b.model_dump() for n, b in folder.scores().basins.items() if n in self.tasks.names},
+                    "basins": {name: basin.model_dump() for name, basin in self.basins(folder).items()},
                     "tasks": self.scores(folder),
                 }
                 for folder in self.folders
