@@ -1,0 +1,178 @@
+"""Where is a query lost: by the retriever, the tracker, or the choice among the K? Both in a row on test districts.
+
+In each district that no training saw (test split, ``--seeds``) drives in several conditions are rendered; all ask the
+map of the first one, with the front camera. ``relocbench evaluate --task relocalization`` runs every retriever with
+every tracker: retrievers that need no training, the oracle that knows the nearest keyframes, and a random order.
+``relocbench leaderboard`` writes the page. What is printed here are means over all tasks, and what the oracle's chain
+is ahead of each retriever's: the share that better retrieval could win for that tracker.
+
+Datasets and results in ``--scratch`` are taken up where they are; run again, it does what is missing.
+
+    python benchmarks/relocalization.py --scratch S [--out leaderboard/relocalization] [--workers N]
+        [-r RETRIEVER ...] [-m TRACKER ...]
+
+JSON on the last line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
+from relocbench.evaluation.relocalization.score import FAILURES, RANKING, per_query
+from relocbench.leaderboard.relocalization import Chain, ChainBoard, load_chains
+from relocbench.metrics import Difference, paired_difference
+
+CONDITIONS = ("WetNoon", "SoftRainNoon", "Overcast", "Night")
+"""the map's first"""
+RETRIEVERS = (ORACLE, "colour-histogram", "orb-bow", "random")
+TRACKERS = ("dso", "orb-pnp", "gn-net")
+SHARES = (RANKING, "recall@(1m,5deg)", "basin_recall@1", "hit", "right_given_hit", "right_without_hit", *FAILURES)
+
+
+def main() -> None:
+    options = _options()
+    with tempfile.TemporaryDirectory() as temporary:
+        scratch = options.scratch or Path(temporary)
+        for seed in options.seeds.split(","):
+            _evaluate(_build(scratch, seed, options), scratch / "results", options)
+        page = options.out or scratch / "page"
+        _run("leaderboard", scratch / "results", "--out", page, "-q")
+        board = load_chains(scratch / "results", split=options.split)
+        assert board is not None
+        rows = _rows(page / "relocalization.csv")
+        ahead = _ahead(board)
+    print(_table(rows))
+    for (tracker, retriever), difference in ahead.items():
+        print(f"{tracker}: {ORACLE} less {retriever}, {RANKING}: {_told(difference)}")
+    print(json.dumps({"benchmark": "relocalization", "chains": rows, "oracle_less": _plain(ahead)}))
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scratch", type=Path, help="keeps datasets and results; default: a folder that goes again")
+    parser.add_argument("--out", type=Path, help="folder that gets relocalization.md and relocalization.csv")
+    parser.add_argument("--split", default="test")
+    parser.add_argument("--seeds", default="100", help="of the districts")
+    parser.add_argument("--steps", type=int, default=100, help="of each drive: so many queries in each condition")
+    parser.add_argument("--size", default="512x512", help="pixels")
+    parser.add_argument("--conditions", default=",".join(CONDITIONS), help="the map's first")
+    parser.add_argument("--top", type=int, default=3, help="keyframes that a tracker is asked against")
+    parser.add_argument("--workers", "-j", type=int, default=2)
+    parser.add_argument("-r", dest="retrievers", action="append", help=f"default: {', '.join(RETRIEVERS)}")
+    parser.add_argument("-m", dest="trackers", action="append", help=f"default: {', '.join(TRACKERS)}")
+    parser.add_argument("--set", dest="settings", action="append", default=[], help="method.key=value")
+    options = parser.parse_args()
+    options.retrievers = options.retrievers or list(RETRIEVERS)
+    options.trackers = options.trackers or list(TRACKERS)
+    return options
+
+
+def _build(scratch: Path, seed: str, options: argparse.Namespace) -> Path:
+    out = scratch / f"relocalization-{seed}"
+    _run(
+        "build-dataset", "synthetic", "--name", out.name, "--conditions", options.conditions, "--cameras", "front",
+        "--size", options.size, "--steps", options.steps, "--split", options.split, "--seed", seed,
+        "--reference", "first", "--correspondences", 0, "--out", out, "-j", options.workers, "-q",
+    )  # fmt: skip
+    return out
+
+
+def _evaluate(dataset: Path, results: Path, options: argparse.Namespace) -> None:
+    words = [word for retriever in options.retrievers for word in ("-r", retriever)]
+    words += [word for tracker in options.trackers for word in ("-m", tracker)]
+    words += [word for setting in options.settings for word in ("--set", setting)]
+    _run(
+        "evaluate", "--task", "relocalization", "-d", dataset, "--out", results, "--split", options.split,
+        "--top", options.top, "-j", options.workers, "-q", *words,
+    )  # fmt: skip
+
+
+def _run(*words: object) -> None:
+    """A command of relocbench; what it complains about goes through."""
+    subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True)
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    """A chain each: means over all single tasks of all districts, every task counting the same."""
+    with path.open(encoding="utf-8") as stream:
+        single = [row for row in csv.DictReader(stream) if " " not in row["tasks"] and not row["missing"]]
+    chains: dict[tuple[str, str, str], list[dict[str, str]]] = {}
+    for row in single:
+        chains.setdefault((row["retriever"], row["tracker"], row["top"]), []).append(row)
+    out = []
+    for (retriever, tracker, top), of in chains.items():
+        means = {share: _mean([row[share] for row in of]) for share in SHARES}
+        queries = sum(int(row["queries"]) for row in of)
+        named = {"retriever": retriever, "tracker": tracker, "top": int(top), "queries": queries}
+        out.append({**named, "tasks": len(of), **means})
+    return sorted(out, key=lambda row: (row["retriever"], row["tracker"]))
+
+
+def _mean(values: list[str]) -> float | None:
+    known = [float(value) for value in values if value]
+    return float(np.mean(known)) if known else None
+
+
+def _ahead(board: ChainBoard) -> dict[tuple[str, str], Difference]:
+    """What the oracle's chain is ahead of the same tracker's behind each retriever, by (tracker, retriever)."""
+    out = {}
+    labels = dict.fromkeys((c.run.tracker, c.run.retriever) for of in board.sets for c in of.chains)
+    for tracker, retriever in labels:
+        if retriever == ORACLE or tracker == KEYFRAME:
+            continue
+        a, b = [], []
+        for of in board.sets:
+            known = {(c.run.tracker, c.run.retriever): c for c in of.chains}
+            for task in (t.tasks[0] for t in of.tables if len(t.tasks) == 1):
+                both = known.get((tracker, ORACLE)), known.get((tracker, retriever))
+                if all(c is not None and task in c.answers for c in both):
+                    a.append(_values(both[0], task))
+                    b.append(_values(both[1], task))
+        if a:
+            out[tracker, retriever] = paired_difference(a, b, np.random.default_rng(0))
+    return out
+
+
+def _values(chain: Chain | None, task: str) -> np.ndarray:
+    assert chain is not None
+    return per_query(chain.answers[task], RANKING)
+
+
+def _table(rows: list[dict[str, Any]]) -> str:
+    lines = [
+        f"| retriever | tracker | K | queries | {' | '.join(SHARES)} |",
+        f"|---|---|---|---|{'---|' * len(SHARES)}",
+    ]
+    for row in rows:
+        cells = ["" if row[share] is None else f"{100 * row[share]:.1f}" for share in SHARES]
+        lines.append(
+            f"| {row['retriever']} | {row['tracker']} | {row['top']} | {row['queries']} | {' | '.join(cells)} |"
+        )
+    return "\n".join(lines)
+
+
+def _told(difference: Difference) -> str:
+    text = f"{100 * difference.mean:+.1f} points"
+    interval = difference.interval
+    return text if interval is None else f"{text} [{100 * interval.low:+.1f}, {100 * interval.high:+.1f}]"
+
+
+def _plain(ahead: dict[tuple[str, str], Difference]) -> dict[str, list[float | None]]:
+    return {
+        f"{tracker}, {retriever}": [d.mean, *((d.interval.low, d.interval.high) if d.interval else (None, None))]
+        for (tracker, retriever), d in ahead.items()
+    }
+
+
+if __name__ == "__main__":
+    main()
