@@ -63,7 +63,8 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, help="folder that gets relocalization.md and relocalization.csv")
     parser.add_argument("--split", default="test")
     parser.add_argument("--seeds", default="100", help="of the districts")
-    parser.add_argument("--steps", type=int, default=100, help="of each drive: so many queries in each condition")
+    parser.add_argument("--steps", type=int, default=120, help="of each drive: so many queries in each condition")
+    parser.add_argument("--speed", type=float, default=15.0, help="m/s; a step is a tenth of a second")
     parser.add_argument("--size", default="512x512", help="pixels")
     parser.add_argument("--conditions", default=",".join(CONDITIONS), help="the map's first")
     parser.add_argument("--top", type=int, default=3, help="keyframes that a tracker is asked against")
@@ -81,8 +82,8 @@ def _build(scratch: Path, seed: str, options: argparse.Namespace) -> Path:
     out = scratch / f"relocalization-{seed}"
     _run(
         "build-dataset", "synthetic", "--name", out.name, "--conditions", options.conditions, "--cameras", "front",
-        "--size", options.size, "--steps", options.steps, "--split", options.split, "--seed", seed,
-        "--reference", "first", "--correspondences", 0, "--out", out, "-j", options.workers, "-q",
+        "--size", options.size, "--steps", options.steps, "--speed", options.speed, "--split", options.split,
+        "--seed", seed, "--reference", "first", "--correspondences", 0, "--out", out, "-j", options.workers, "-q",
     )  # fmt: skip
     return out
 

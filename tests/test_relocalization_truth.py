@@ -71,7 +71,14 @@ def test_pairs_that_disagree_are_told(tmp_path: Path) -> None:
     for index, cell in enumerate(cells):
         cell[3] = repr(0.2 * index)
     poses.write_text("\n".join([head, *map(",".join, cells)]) + "\n")
-    assert truth_of(Dataset(made.root)).spread == pytest.approx(np.full(3, 0.05), abs=1e-9)
+    known = truth_of(Dataset(made.root))
+    assert known.spread == pytest.approx(np.full(3, 0.05), abs=1e-9)
+    # Query 2 is paired with keyframes 1 and 2. Keyframe 3 is seen through 2, keyframe 0 through 1.
+    forward, T_query_ref = np.eye(4), known.relative(2)
+    forward[2, 3] = 0.2
+    assert T_query_ref[3] == pytest.approx(truth(2, 2) @ forward, abs=1e-9)
+    assert T_query_ref[0] == pytest.approx(truth(1, 2) @ np.linalg.inv(forward), abs=1e-9)
+    assert T_query_ref[1] == pytest.approx(truth(1, 2), abs=1e-9)
 
 
 def test_the_oracle_takes_the_nearest_that_look_the_same_way(tmp_path: Path, dataset: Dataset) -> None:
@@ -106,12 +113,15 @@ def test_basins_are_given_measured_or_the_reach(tmp_path: Path) -> None:
         "dso,rotation,,across conditions,6\n"
         "dso,translation,,sun → rain,0.5\n"
         "dso,rotation,,sun → rain,3\n"
+        "weak,translation,,across conditions,0.000000\n"
+        "weak,rotation,,across conditions,2\n"
     )
     basins = Basins(None, read_basins(tmp_path))
     assert basins.of("dso", "sun", "rain", (9.0, 9.0)).limits == (0.5, 3.0)
     assert basins.of("dso", "sun", "fog", (9.0, 9.0)).limits == (1.5, 6.0)
     assert basins.of("dso", "sun", "sun", (9.0, 8.0)) == basins.of("orb-pnp", "sun", "fog", (9.0, 8.0))
-    assert (basins.knows("dso"), basins.knows("orb-pnp")) == (True, False)
+    assert basins.of("weak", "sun", "fog", (9.0, 8.0)).source == "pairs"
+    assert [basins.knows(name) for name in ("dso", "orb-pnp", "weak")] == [True, False, False]
     assert Basins((1.0, 2.0)).of("dso", "a", "b", (9.0, 9.0)).limits == (1.0, 2.0)
     table.write_text("method,what,level,conditions,radius\ndso,translation,,a,wide\n")
     with pytest.raises(PredictionError, match=r"radii\.csv.*2.*radius is 'wide'"):

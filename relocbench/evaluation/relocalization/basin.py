@@ -58,7 +58,7 @@ class Basins:
 
     def knows(self, tracker: str) -> bool:
         """Whether the tracker was measured."""
-        return any(name == tracker for name, _, _ in self.measured or {})
+        return {what for name, what, _ in self.measured or {} if name == tracker} == {"translation", "rotation"}
 
 
 def given_basin(radius_m: float | None, heading_deg: float | None) -> tuple[float, float] | None:
@@ -70,6 +70,8 @@ def given_basin(radius_m: float | None, heading_deg: float | None) -> tuple[floa
 
 def read_basins(folder: Path) -> dict[tuple[str, str, str], float]:
     """Radii of whole poses from ``radii.csv`` of ``relocbench probe``.
+
+    A radius of 0, where fewer than half are found even from the truth, says nothing of how wide a basin is: left out.
 
     Args:
         folder: that of the probe, or the file itself.
@@ -88,7 +90,8 @@ def read_basins(folder: Path) -> dict[tuple[str, str, str], float]:
     for number, row in enumerate(rows, start=2):
         if row["what"] in ("translation", "rotation"):
             (radius,) = parse_floats([row["radius"] or ""], path, number, "radius", PredictionError)
-            out[row["method"], row["what"], row["conditions"]] = radius
+            if radius > 0:
+                out[row["method"], row["what"], row["conditions"]] = radius
     if not out:
         raise PredictionError("holds no basin of whole poses; probe a tracker that starts from a prior", path)
     return out
