@@ -43,9 +43,7 @@ Array = NDArray[np.float64]
 CARLA = ("WetNoon", "SoftRainNoon", "WetCloudySunset")
 OTHERS = ("Sunny", "Overcast", "Rain", "Snow", "Night", "Fog")
 METRICS = ("t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)")
-METHODS = ("identity", "dso", "orb-pnp", "gn-net-contrastive", "lm-net", "prior-only=gn-net", "gn-net")
-SETTINGS = ("prior-only.matched_start=false",)
-"""``prior-only`` is the paper's tracker, which knows no other start"""
+METHODS = ("identity", "dso", "orb-pnp", "gn-net-contrastive", "lm-net", "gn-net")
 SUBJECT = "gn-net"
 RIVALS = ("dso", "orb-pnp")
 """the subject is to be ahead of both"""
@@ -115,8 +113,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("-m", dest="methods", action="append", help=f"default: {', '.join(METHODS)}")
     parser.add_argument("--set", dest="settings", action="append", default=[], help="method.key=value")
     options = parser.parse_args()
-    if not options.methods:
-        options.methods, options.settings = list(METHODS), [*SETTINGS, *options.settings]
+    options.methods = options.methods or list(METHODS)
     return options
 
 
