@@ -134,6 +134,14 @@ def test_a_basin_can_be_given_and_changes_no_answer(dataset: Dataset, tmp_path: 
         (r.rank, r.translation_error_m) for r in first
     ]
     assert folder(wide, "t").scores().basins[ACROSS].source == "given"
+    radii = tmp_path / "radii.csv"
+    radii.write_text(
+        "method,what,conditions,radius\nt,translation,across conditions,0.125\nt,rotation,across conditions,9\n"
+    )
+    own = run(*args, probe=radii)
+    basins = own.basins(folder(own, "t")), own.basins(folder(own, "keyframe-pose"))
+    assert [b[ACROSS].source for b in basins] == ["probe", "pairs"]
+    assert own.scores(folder(own, "t"))[ACROSS]["basin_recall@1"] == 1.0
 
 
 @pytest.mark.parametrize("beyond", ["fail", "raise"])

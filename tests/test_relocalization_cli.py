@@ -134,6 +134,8 @@ def test_options_of_chains_mean_nothing_elsewhere(dataset: Dataset, tmp_path: Pa
 def test_boards_refuse_what_they_cannot_show(results: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be ranked by 'R@1'"):
         load_chains(results, metric="R@1")
+    with pytest.raises(ConfigError, match="no split 'nowhere'; there is all, test"):
+        load_chains(results, split="nowhere")
     board = load_chains(results, split="test")
     assert board is not None
     assert [t.tasks for t in board.sets[0].tables] == [(ACROSS,)]
