@@ -239,7 +239,7 @@ KILLED = (
 )
 
 
-def test_a_build_killed_at_every_stage_and_for_two_workers_ends_with_the_same_bytes(
+def test_a_build_killed_twice_and_for_two_workers_ends_with_the_same_bytes(
     drives: Drives, built: Built, tmp_path: Path
 ) -> None:
     out = tmp_path / "dataset"
@@ -248,16 +248,13 @@ def test_a_build_killed_at_every_stage_and_for_two_workers_ends_with_the_same_by
     sources = (drives.reference.folder, drives.query.folder)
     arguments = ["build-dataset", "robotcar", *sources, *SMALL, "--out", out, "-j", 2, "-q"]
 
-    def blocks() -> bool:
-        return len(list(out.glob("groundtruth/blocks/*/*.npz"))) >= 3
-
     def registrations() -> bool:
         return any(p.read_bytes().count(b"\n") >= 2 for p in out.glob("groundtruth/registrations/*.journal"))
 
     def depth() -> bool:
         return len(list(out.glob("traversals/*/depth/*/*.png"))) >= 2
 
-    for stage in (blocks, registrations, depth):
+    for stage in (registrations, depth):  # within the submaps: test_groundtruth_submaps
         with subprocess.Popen([sys.executable, str(script), *map(str, arguments)], start_new_session=True) as process:
             for _ in range(4000):
                 if stage() or process.poll() is not None:

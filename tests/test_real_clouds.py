@@ -120,7 +120,6 @@ def test_without_recordings_the_benchmark_says_so_and_ends_well(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("source", "limits"),
     [
-        (SOURCES[0], {"mutual": 0.045, "adjusted": 0.020, "triangles": 0.050, "close": 4, "outside": 5}),
         (SOURCES[1], {"mutual": 0.035, "adjusted": 0.020, "triangles": 0.050, "close": 4, "outside": 6}),
         (SOURCES[2], {"mutual": 0.010, "adjusted": 0.010, "triangles": 0.025, "close": 6, "outside": 9}),
     ],

@@ -305,11 +305,10 @@ def test_a_build_renders_one_missing_frame_alone_to_the_same_bytes(town: Dataset
     assert layout.image("front", first).stat().st_mtime_ns == untouched
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_killed_build_resumes_to_the_same_bytes(town: Dataset, tmp_path: Path, workers: int) -> None:
+def test_a_killed_build_resumes_to_the_same_bytes(town: Dataset, tmp_path: Path) -> None:
     """The command and all its workers are killed at once, with the first image on disk."""
     out = tmp_path / "out"
-    options = ["build-dataset", "synthetic", "--preset", "smoke", "--workers", str(workers), "--quiet"]
+    options = ["build-dataset", "synthetic", "--preset", "smoke", "--workers", "2", "--quiet"]
     extras = ["--extras", "changed,instance,semantic,normals", "--out", str(out)]
     job = subprocess.Popen([sys.executable, "-m", "relocbench", *options, *extras], start_new_session=True)
     deadline = time.monotonic() + 300
@@ -322,7 +321,7 @@ def test_a_killed_build_resumes_to_the_same_bytes(town: Dataset, tmp_path: Path,
         Dataset(out)
     for torn in list(out.rglob("depth/front/*.png"))[:1]:
         torn.write_bytes(torn.read_bytes()[:50])
-    assert build(out, workers=workers).fingerprint == town.fingerprint
+    assert build(out, workers=1).fingerprint == town.fingerprint
 
 
 def test_traffic_is_rendered_marked_as_changed_and_never_matched(tmp_path: Path) -> None:

@@ -5,10 +5,6 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -197,26 +193,11 @@ def test_odometry_drifts_little_and_the_ins_differs_by_metres_between_drives(rob
     assert 0.3 < np.linalg.norm(offsets[0] - offsets[1]) < 8
 
 
-def test_a_killed_recording_is_finished_by_two_workers_with_the_same_bytes(robotcar: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    job = subprocess.Popen([sys.executable, "-m", "relocbench", *command(out, 1)])
-    deadline = time.monotonic() + 120
-    while len(list(out.rglob("[0-9]*.bin"))) < 3 and job.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.01)
-    job.send_signal(signal.SIGKILL)
-    job.wait()
-    assert len(list(out.rglob("[0-9]*.bin"))) >= 3
-    assert not (out / "drives.csv").exists()
-    torn = min(out.rglob("[0-9]*.bin"))
-    torn.write_bytes(torn.read_bytes()[:100])
-    outcome = relocbench(*command(out, 2))
-    assert outcome.status == 0, outcome.err
-    assert hashes(out) == hashes(robotcar)
-    # Another recording does not mix with it.
-    assert (
-        "holds drives recorded with other options (seed differ)" in relocbench(*command(out, 1), "--seed", 1).complaint
-    )
-    assert hashes(out) == hashes(robotcar)
+def test_another_recording_does_not_mix_with_one_that_is_there(robotcar: Path) -> None:
+    before = hashes(robotcar)
+    outcome = relocbench(*command(robotcar, 1), "--seed", 1)
+    assert "holds drives recorded with other options (seed differ)" in outcome.complaint
+    assert hashes(robotcar) == before
 
 
 @pytest.fixture(scope="module")
