@@ -21,10 +21,10 @@ import cv2
 import numpy as np
 import torch
 
-from baselines.gn_net.options import options_from_dict
 from baselines.gn_net.tracker import GnNet
 from baselines.gn_net.training.loop import Training
 from baselines.gn_net.training.options import TrainOptions
+from baselines.options import options_from_dict
 from relocbench.methods.trainers import trainer_named, trainer_options
 from relocbench.training import PairLabel, TrainingPair, TrainingRun
 

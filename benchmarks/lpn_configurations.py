@@ -32,11 +32,11 @@ from typing import Any
 
 import numpy as np
 
-from baselines.gn_net.options import options_from_dict
 from baselines.lpn.configurations import CONFIGURATIONS, REPLACED_PARTITION_LOSS, configuration
 from baselines.lpn.training.card import differences
 from baselines.lpn.training.first_weights import start_of
 from baselines.lpn.training.options import TrainOptions
+from baselines.options import options_from_dict
 from relocbench.cli.console import reporter
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import ConfigError, RelocbenchError

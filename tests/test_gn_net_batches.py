@@ -11,12 +11,13 @@ import pytest
 import torch
 from made_pairs import TINY, MadePairs
 
-from baselines.gn_net.options import options_from_dict
 from baselines.gn_net.training.augmentation import augment
-from baselines.gn_net.training.batches import Batch, Batches, batches_from
+from baselines.gn_net.training.batches import Batch, Batches
 from baselines.gn_net.training.crops import cut_pair, mirrored, scaled
 from baselines.gn_net.training.drawing import EvenDraw
 from baselines.gn_net.training.options import AugmentationOptions, TrainOptions
+from baselines.options import options_from_dict
+from baselines.training.loading import batches_in_order
 from relocbench.errors import ConfigError
 from relocbench.training import TrainingPair
 
@@ -222,12 +223,12 @@ def look_up(image: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
 @pytest.mark.slow
 def test_any_number_of_workers_gives_the_same_bytes() -> None:
     batches = Batches(MadePairs(UNEVEN), options(steps=5))
-    alone = list(batches_from(batches, 0, workers=0, pin_memory=False))
+    alone = list(batches_in_order(batches, 0, len(batches), workers=0, pin_memory=False))
     assert len(alone) == 5
     for workers in (1, 2):
-        helped = list(batches_from(batches, 0, workers=workers, pin_memory=False))
+        helped = list(batches_in_order(batches, 0, len(batches), workers=workers, pin_memory=False))
         assert all(same(a, b) for a, b in zip(alone, helped, strict=True))
-    assert all(same(a, b) for a, b in zip(alone[3:], batches_from(batches, 3, 0, False), strict=True))
+    assert all(same(a, b) for a, b in zip(alone[3:], batches_in_order(batches, 3, len(batches), 0, False), strict=True))
     assert not same(alone[0], alone[1])
 
 

@@ -30,8 +30,9 @@ from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
 from baselines.gn_net.losses.reduce import masked_mean
 from baselines.gn_net.losses.symmetric import Symmetric, normal_equations
 from baselines.gn_net.network import FeatureNet
-from baselines.gn_net.options import NetworkOptions, options_from_dict, options_to_dict
+from baselines.gn_net.options import NetworkOptions
 from baselines.gn_net.sampling import sample, sample_with_gradient
+from baselines.options import options_from_dict, options_to_dict
 from relocbench.errors import ConfigError
 
 

@@ -14,9 +14,10 @@ import torch
 from torch import Tensor, nn
 
 from baselines.gn_net.network import FeatureNet, image_tensor
-from baselines.gn_net.options import NetworkOptions, options_from_dict, options_to_dict
+from baselines.gn_net.options import NetworkOptions
 from baselines.gn_net.sampling import level_coordinates
 from baselines.gn_net.weights import load_weights, read_card, save_weights
+from baselines.options import options_from_dict, options_to_dict
 from relocbench.errors import ConfigError, MethodError
 
 SMALL = NetworkOptions(widths=(4, 6, 8), finest=0, dim=3, levels=3)

@@ -13,11 +13,11 @@ from torch import Tensor
 from torch.autograd import gradcheck
 from torch.nn import functional
 
-from baselines.gn_net.options import options_from_dict, options_to_dict
 from baselines.lpn.decorrelation import DecorrelationOptions, correlations, decorrelation_loss
 from baselines.lpn.losses import LossOptions, instance_loss, total_loss
 from baselines.lpn.network import View, ViewOutput
 from baselines.lpn.partition_loss import PartitionLossOptions, largest_spread, partition_loss, spread
+from baselines.options import options_from_dict, options_to_dict
 from relocbench.errors import ConfigError
 
 FORMS = [

@@ -15,7 +15,6 @@ from torch import Tensor, nn
 from torch.autograd import gradcheck
 from torchvision.models import resnet18, resnet50  # type: ignore[import-untyped]
 
-from baselines.gn_net.options import options_from_dict, options_to_dict
 from baselines.lpn.attention import AttentionOptions, LocalAttention
 from baselines.lpn.backbone import Backbone
 from baselines.lpn.backbone_weights import load_backbone
@@ -25,6 +24,7 @@ from baselines.lpn.losses import total_loss
 from baselines.lpn.network import LpnNetwork, View, copy_weights
 from baselines.lpn.options import NetworkOptions
 from baselines.lpn.stages import ALL, INDUCED, Stage, enter, group_of
+from baselines.options import options_from_dict, options_to_dict
 from relocbench.errors import ConfigError, MethodError
 
 SMALL = NetworkOptions(backbone="resnet18", parts=2, width=8)

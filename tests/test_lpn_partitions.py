@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.autograd import gradcheck
 
-from baselines.gn_net.options import options_from_dict
 from baselines.lpn.head import PartHead
 from baselines.lpn.heatmap import HeatmapOptions, HeatmapPartition, heatmap
 from baselines.lpn.pooling import PartMean, masked_means
 from baselines.lpn.rings import RingMean, Rings, ring_index, ring_weights, stretched
 from baselines.lpn.soft_partition import SoftPartition, SoftPartitionOptions
+from baselines.options import options_from_dict
 from relocbench.errors import ConfigError
 
 

@@ -15,7 +15,6 @@ import pytest
 import torch
 from made_places import TINY, NarrowResNet, made_places
 
-from baselines.gn_net.options import options_from_dict
 from baselines.lpn.configurations import CONFIGURATIONS
 from baselines.lpn.retriever import Lpn
 from baselines.lpn.training.augmentation import augmented
@@ -24,6 +23,7 @@ from baselines.lpn.training.options import TrainOptions, usual_options
 from baselines.lpn.training.schedule import Schedule
 from baselines.lpn.training.trainer import LpnTrainer
 from baselines.lpn.weights import load_weights
+from baselines.options import options_from_dict
 from relocbench.errors import ConfigError, MethodError
 from relocbench.evaluation.place_trial import PlaceTrial, hold_out
 from relocbench.retrieval import PlaceData, PlaceImage

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Literal, TypeVar
+from dataclasses import dataclass
+from typing import Literal
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError
-
+from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
-
-Options = TypeVar("Options")
-
-NO_OTHER_KEYS = ConfigDict(extra="forbid")
-"""for ``__pydantic_config__`` of a dataclass of options: a key that does not exist is refused by name"""
 
 
 @dataclass(frozen=True)
@@ -65,21 +58,3 @@ class NetworkOptions:
     def smallest_side(self) -> int:
         """Pixels of an image whose coarsest feature map has one pixel."""
         return 1 << (self.finest + self.levels - 1)
-
-
-def options_to_dict(options: Any) -> dict[str, Any]:
-    """A dataclass of options as plain values, for JSON or YAML."""
-    return asdict(options)
-
-
-def options_from_dict(kind: type[Options], values: Mapping[str, Any]) -> Options:
-    """The dataclass of options ``kind`` from plain values; what is absent keeps its default.
-
-    Raises:
-        ConfigError: an unknown key, a wrong type or an impossible value, each named.
-    """
-    try:
-        return TypeAdapter(kind).validate_python(dict(values))
-    except ValidationError as bad:
-        faults = "; ".join(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in bad.errors())
-        raise ConfigError(f"{kind.__name__}: {faults}") from bad

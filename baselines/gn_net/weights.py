@@ -1,25 +1,20 @@
-"""A network's weights as one safetensors file that also says what network it is and where it comes from."""
+"""The feature network's weights as a file, with its options and its card."""
 
 from __future__ import annotations
 
-import json
-import os
-import secrets
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
 from torch import Tensor
 
 from baselines.gn_net.network import FeatureNet
-from baselines.gn_net.options import NetworkOptions, options_from_dict, options_to_dict
+from baselines.gn_net.options import NetworkOptions
+from baselines.options import options_from_dict, options_to_dict
+from baselines.weights_file import fill_network, read_network, write_network
 from relocbench.errors import ConfigError, MethodError
 
-_KEY = "gn-net"
-"""the one entry of the file's metadata: several would be written in an order of their own"""
-_VERSION = 1
+_KIND = "gn-net"
 
 
 def save_weights(path: Path, net: FeatureNet, card: Mapping[str, str]) -> None:
@@ -36,19 +31,7 @@ def save_weights(path: Path, net: FeatureNet, card: Mapping[str, str]) -> None:
     wrong = [key for key, value in card.items() if not isinstance(key, str) or not isinstance(value, str)]
     if wrong:
         raise MethodError(f"the model card's entries are text, {wrong[0]!r} is not", path)
-    about = {"version": _VERSION, "options": options_to_dict(net.options), "card": dict(card)}
-    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()}
-    data = save(tensors, {_KEY: json.dumps(about, sort_keys=True)})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.part{path.suffix}")
-    try:
-        with part.open("wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    write_network(path, _KIND, net, {"options": options_to_dict(net.options), "card": dict(card)})
 
 
 def load_weights(path: Path) -> FeatureNet:
@@ -62,18 +45,7 @@ def load_weights(path: Path) -> FeatureNet:
         net = FeatureNet(options_from_dict(NetworkOptions, about["options"]))
     except ConfigError as bad:
         raise MethodError(f"the network's options are not understood ({bad})", path) from bad
-    expected = net.state_dict()
-    for name in sorted(expected.keys() | tensors.keys()):
-        if name not in tensors or name not in expected:
-            raise MethodError(f"'{name}' is {'missing' if name in expected else 'not part of this network'}", path)
-        found, wanted = tensors[name], expected[name]
-        if found.shape != wanted.shape or found.dtype != wanted.dtype:
-            raise MethodError(
-                f"'{name}' is {tuple(found.shape)} {found.dtype}, expected {tuple(wanted.shape)} {wanted.dtype}", path
-            )
-        if not bool(found.isfinite().all()):
-            raise MethodError(f"'{name}' holds numbers that are not finite", path)
-    net.load_state_dict(tensors)
+    fill_network(net, tensors, path)
     return net.eval()
 
 
@@ -87,20 +59,7 @@ def read_card(path: Path) -> dict[str, str]:
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    if not path.is_file():
-        raise MethodError("no such file of weights", path)
-    try:
-        with safe_open(path, framework="pt", device="cpu") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
-    except (SafetensorError, OSError) as bad:
-        raise MethodError(f"not a readable safetensors file, damaged or cut short ({bad})", path) from bad
-    try:
-        about = json.loads(metadata[_KEY])
-    except (KeyError, ValueError) as bad:
-        raise MethodError(f"a safetensors file, but not weights of gn-net (no '{_KEY}' in its metadata)", path) from bad
-    if not isinstance(about, dict) or about.get("version") != _VERSION:
-        raise MethodError(f"weights of another version, expected version {_VERSION}", path)
+    about, tensors = read_network(path, _KIND)
     if not isinstance(about.get("options"), dict) or not isinstance(about.get("card"), dict):
         raise MethodError("the metadata has no options or no card", path)
     return about, tensors

@@ -15,8 +15,8 @@ from typing import Literal, cast
 import torch
 from torch import Tensor, nn
 
-from baselines.gn_net.options import NO_OTHER_KEYS
 from baselines.lpn.drawing import convolution, draw_weights
+from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 Stage = Literal["layer3", "layer4"]

@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from baselines.gn_net.options import NO_OTHER_KEYS
+from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 

@@ -17,9 +17,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from baselines.gn_net.options import NO_OTHER_KEYS
 from baselines.lpn.drawing import convolution, draw_weights
 from baselines.lpn.pooling import PartMean, Parts, masked_means
+from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 

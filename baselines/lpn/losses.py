@@ -17,10 +17,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from baselines.gn_net.options import NO_OTHER_KEYS
 from baselines.lpn.decorrelation import DecorrelationOptions, decorrelation_loss
 from baselines.lpn.network import View, ViewOutput
 from baselines.lpn.partition_loss import PartitionLossOptions, partition_loss
+from baselines.options import NO_OTHER_KEYS
 
 
 @dataclass(frozen=True)

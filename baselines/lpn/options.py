@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from baselines.gn_net.options import NO_OTHER_KEYS
 from baselines.lpn.attention import AttentionOptions
 from baselines.lpn.heatmap import HeatmapOptions
 from baselines.lpn.rings import RingMean
 from baselines.lpn.soft_partition import SoftPartitionOptions
+from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 BackboneName = Literal["resnet18", "resnet50"]

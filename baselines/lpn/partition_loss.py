@@ -31,7 +31,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from baselines.gn_net.options import NO_OTHER_KEYS
+from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 _LEAST = 1e-12

@@ -21,9 +21,9 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from baselines.gn_net.options import NO_OTHER_KEYS
 from baselines.lpn.drawing import convolution
 from baselines.lpn.pooling import PartMean, Parts, masked_means
+from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 _SPREAD = 0.001

@@ -16,7 +16,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from baselines.gn_net.options import NO_OTHER_KEYS
+from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 Form = Literal["distance", "squared"]

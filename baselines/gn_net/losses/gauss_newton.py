@@ -20,8 +20,8 @@ import torch
 from torch import Tensor
 
 from baselines.gn_net.losses.symmetric import normal_equations
-from baselines.gn_net.options import NO_OTHER_KEYS
 from baselines.gn_net.sampling import sample_with_gradient
+from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 

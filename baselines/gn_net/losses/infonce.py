@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from baselines.gn_net.options import NO_OTHER_KEYS
+from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 

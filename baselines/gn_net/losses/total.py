@@ -22,8 +22,8 @@ from baselines.gn_net.losses.gauss_newton_integrated import integrated_gauss_new
 from baselines.gn_net.losses.infonce import InfoNceOptions, infonce_terms
 from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
 from baselines.gn_net.losses.reduce import masked_mean
-from baselines.gn_net.options import NO_OTHER_KEYS
 from baselines.gn_net.sampling import level_coordinates, sample
+from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 

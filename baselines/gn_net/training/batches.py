@@ -6,15 +6,13 @@ what it would have seen.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import Dataset
 
 from baselines.gn_net.training.augmentation import augment
 from baselines.gn_net.training.crops import Image, Pixels, cut_pair, mirrored
@@ -22,7 +20,6 @@ from baselines.gn_net.training.drawing import EvenDraw
 from baselines.gn_net.training.options import TrainOptions
 from relocbench.training import TrainingData, TrainingPair
 
-_PREFETCH = 2
 _CUT, _REF, _QUERY = range(3)
 
 
@@ -101,29 +98,3 @@ def _swapped(pair: TrainingPair, swap: bool) -> tuple[Image, Image, Pixels, Pixe
     if swap:
         return pair.image_query, pair.image_ref, pair.u_query, pair.u_ref
     return pair.image_ref, pair.image_query, pair.u_ref, pair.u_query
-
-
-def batches_from(batches: Batches, first: int, workers: int, pin_memory: bool) -> Iterator[Batch]:
-    """Batches of the steps from ``first`` to the last, in order.
-
-    Args:
-        workers: background processes; 0 reads in this one.
-        pin_memory: ready for a GPU to fetch.
-    """
-    loader = DataLoader(
-        batches,
-        batch_size=None,
-        sampler=range(first, len(batches)),
-        num_workers=workers,
-        worker_init_fn=_one_thread,
-        prefetch_factor=_PREFETCH if workers else None,
-        multiprocessing_context="spawn" if workers else None,
-        pin_memory=pin_memory,
-        generator=torch.Generator().manual_seed(0),  # the loader draws a seed that nothing uses
-    )
-    return iter(loader)
-
-
-def _one_thread(_: int) -> None:
-    """The cores belong to the training; the loader does the same for torch."""
-    cv2.setNumThreads(1)

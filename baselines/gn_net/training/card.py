@@ -3,32 +3,14 @@
 from __future__ import annotations
 
 import json
-import platform
 from collections.abc import Mapping
-from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import torch
 
-import relocbench
 from baselines.gn_net.training.options import TrainOptions
+from baselines.training.provenance import hardware, versions
 from relocbench.training import TrainingRun, ValidationScores
-
-
-def versions() -> dict[str, str]:
-    """Of what training depends on."""
-    known = {name: metadata.version(name) for name in ("torch", "numpy", "opencv-python-headless", "numba")}
-    return {"relocbench": relocbench.__version__, "python": platform.python_version(), **known}
-
-
-def hardware(device: torch.device) -> str:
-    """Processor, threads and GPU in words."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    words = f"{(names or [platform.machine()])[0]}, {torch.get_num_threads()} threads"
-    return f"{words}; {torch.cuda.get_device_name(device)}" if device.type == "cuda" else words
 
 
 def weights_card(

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from baselines.gn_net.training.files import write_whole
-from baselines.gn_net.training.log import Row
+from baselines.files import write_whole
+from baselines.training.log import Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

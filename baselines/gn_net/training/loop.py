@@ -5,38 +5,31 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from baselines.files import write_whole
 from baselines.gn_net.losses import total_loss
 from baselines.gn_net.network import FeatureNet
-from baselines.gn_net.options import options_to_dict
 from baselines.gn_net.sampling import level_coordinates
 from baselines.gn_net.tracker import GnNet
-from baselines.gn_net.training.batches import Batch, Batches, batches_from
+from baselines.gn_net.training.batches import Batch, Batches
 from baselines.gn_net.training.card import model_card, weights_card
-from baselines.gn_net.training.checkpoint import Best, Checkpoint, load_checkpoint, save_checkpoint
 from baselines.gn_net.training.curves import draw_curves
 from baselines.gn_net.training.ema import MeanNet
-from baselines.gn_net.training.files import write_whole
-from baselines.gn_net.training.log import TIMED, Table, Window
 from baselines.gn_net.training.options import TrainOptions
 from baselines.gn_net.weights import save_weights
-from relocbench.errors import MethodError
-from relocbench.training import TrainingData, TrainingReport, TrainingRun, Validate, ValidationScores
+from baselines.options import options_to_dict
+from baselines.training.checkpoint import Best, Checkpoint, load_checkpoint, save_checkpoint
+from baselines.training.loading import batches_in_order
+from baselines.training.log import TIMED, Table, Window
+from baselines.training.step import descend
+from relocbench.training import TrainingData, TrainingReport, TrainingRun, Validate
 
 _FIRST_WEIGHTS, _LOSS = range(2)
-
-
-class Outcome(NamedTuple):
-    """Of one step."""
-
-    loss: float
-    gradient_norm: float
-    parts: dict[str, float]
 
 
 class Training:
@@ -90,7 +83,7 @@ class Training:
         left = options.steps - self.step
         if left and self.step:
             self.run.reporter.note(f"goes on after step {self.step} of {options.steps}")
-        batches = batches_from(self.batches, self.step, self.run.workers, self.device.type == "cuda")
+        batches = batches_in_order(self.batches, self.step, options.steps, self.run.workers, self.device.type == "cuda")
         with self.run.reporter.stage(f"training {self._tracker.name}", left) as advance:
             for batch in batches if left else ():
                 self.one_step(batch)
@@ -127,21 +120,11 @@ class Training:
         for group in self.optimiser.param_groups:
             group["lr"] = rate
         loss, parts = self._loss(batch.to(self.device))
-        self.optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        limit = self.options.clip or math.inf
-        norm = torch.nn.utils.clip_grad_norm_(self.net.parameters(), limit)
-        names = ["loss", "gradient_norm", *parts]
-        numbers = torch.stack([x.detach().double() for x in (loss, norm, *parts.values())]).tolist()  # one wait
-        values = dict(zip(names, numbers, strict=True))
-        if not (math.isfinite(values["loss"]) and math.isfinite(values["gradient_norm"])):
-            wrong = ", ".join(name for name, value in values.items() if not math.isfinite(value))
-            raise MethodError(
-                f"training broke down at step {self.step + 1}: not finite: {wrong}; try a lower learning_rate "
-                f"(now {self.options.learning_rate:g}) in another --out",
-                self.run.out,
-            )
-        self.optimiser.step()
+        remedy = f"a lower learning_rate (now {self.options.learning_rate:g})"
+        values = descend(
+            loss, parts, self.net.parameters(), self.optimiser, self.options.clip,
+            step=self.step + 1, remedy=remedy, out=self.run.out,
+        )  # fmt: skip
         self.step += 1
         if self.mean:
             self.mean.follow(self.net, self.step)
@@ -184,7 +167,7 @@ class Training:
         for group, values in groups.items():
             self.validation.add({"step": self.step, "conditions": group, "pairs": counts[group], **values})
         if self.best is None or score >= self.best.score:
-            self.best = Best(self.step, score, _copied(self.kept_net), _plain(scores))
+            self.best = Best.of(self.step, score, self.kept_net, scores)
 
     def _save(self) -> None:
         if self.best is not None:
@@ -215,9 +198,9 @@ class Training:
 
     def _finish(self) -> TrainingReport:
         if self.best is None:  # without validation
-            self.best = Best(self.step, math.nan, _copied(self.kept_net), {})
+            self.best = Best.of(self.step, math.nan, self.kept_net, None)
         self._write_weights()
-        scores = ValidationScores(**self.best.scores) if self.best.scores else None
+        scores = self.best.validation
         text = model_card(
             self._tracker.name,
             self.options,
@@ -252,15 +235,3 @@ def _generator(seed: int, *of: int) -> torch.Generator:
     """A stream of random numbers of its own, on the CPU."""
     state = np.random.SeedSequence([seed, *of]).generate_state(1, np.uint64)[0]
     return torch.Generator().manual_seed(int(state >> np.uint64(1)))
-
-
-def _copied(net: FeatureNet) -> dict[str, Tensor]:
-    return {name: tensor.detach().cpu().clone() for name, tensor in net.state_dict().items()}
-
-
-def _plain(scores: ValidationScores) -> dict[str, Any]:
-    return {
-        "together": dict(scores.together),
-        "by_conditions": {name: dict(values) for name, values in scores.by_conditions.items()},
-        "pairs": dict(scores.pairs),
-    }

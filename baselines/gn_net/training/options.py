@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from baselines.gn_net.losses import LossOptions
-from baselines.gn_net.options import NO_OTHER_KEYS, NetworkOptions
+from baselines.gn_net.options import NetworkOptions
+from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import torch
 import yaml
 
-from baselines.gn_net.options import options_from_dict, options_to_dict
+from baselines.files import write_whole
 from baselines.gn_net.tracker import GnNet
-from baselines.gn_net.training.files import write_whole
 from baselines.gn_net.training.loop import Training
 from baselines.gn_net.training.options import TrainOptions
-from relocbench.errors import MethodError
+from baselines.options import filled, options_from_dict, plain
+from baselines.training.device import device_named
 from relocbench.training import TrainingData, TrainingReport, TrainingRun, Validate
 
 
@@ -37,33 +36,7 @@ class GnNetTrainer:
         self, data: TrainingData, validate: Validate | None, options: Mapping[str, Any], run: TrainingRun
     ) -> TrainingReport:
         """See ``relocbench.training.Trainer``."""
-        chosen = options_from_dict(TrainOptions, _filled(self.default_options(), options))
-        training = Training(data, validate, chosen, run, self._tracker, _device(run.device))
+        chosen = options_from_dict(TrainOptions, filled(self.default_options(), options))
+        training = Training(data, validate, chosen, run, self._tracker, device_named(run.device))
         write_whole(run.out / "config.yaml", yaml.safe_dump(plain(chosen), sort_keys=False))
         return training.run_to_end()
-
-
-def plain(options: TrainOptions) -> dict[str, Any]:
-    """Options as YAML and JSON hold them: lists in place of tuples."""
-
-    def of(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return {key: of(inner) for key, inner in value.items()}
-        return [of(inner) for inner in value] if isinstance(value, tuple | list) else value
-
-    return {key: of(value) for key, value in options_to_dict(options).items()}
-
-
-def _filled(usual: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """``usual`` where ``given`` says nothing; keys that do not exist stay, to be refused by name."""
-    nested = {key for key, value in usual.items() if isinstance(value, Mapping) and isinstance(given.get(key), Mapping)}
-    return {**usual, **given, **{key: _filled(usual[key], given[key]) for key in nested}}
-
-
-def _device(name: str) -> torch.device:
-    try:
-        device = torch.device(name)
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError) as bad:  # torch says which: no such device, or no driver
-        raise MethodError(f"device '{name}' cannot be used: {str(bad).splitlines()[0]}") from bad
-    return device

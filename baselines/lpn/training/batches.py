@@ -9,15 +9,14 @@ rounds, the second half the drone's, and the partner is drawn among the place's 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import Dataset
 
 from baselines.lpn.images import as_bytes, resized
 from baselines.lpn.network import VIEWS, View
@@ -29,7 +28,6 @@ from relocbench.retrieval import PlaceData
 Batch = dict[View, tuple[Tensor, Tensor]]
 """by view: images (B, 3, S, S) uint8 and places (B,) int64"""
 
-_PREFETCH = 2
 _ROUND, _PARTNER, _AUGMENT = range(3)
 
 
@@ -133,32 +131,6 @@ class PlaceBatches(Dataset[Batch]):
             raise ConfigError("paired batches need two or more places with drone and satellite images")
         for view in self._pair:
             self._of_view[view] = [n for n in self._of_view[view] if self._data.images[n].place in both]
-
-
-def batches_from(batches: PlaceBatches, first: int, last: int, workers: int, pin_memory: bool) -> Iterator[Batch]:
-    """Batches of the steps from ``first`` up to ``last``, without it, in order.
-
-    Args:
-        workers: background processes; 0 reads in this one.
-        pin_memory: ready for a GPU to fetch.
-    """
-    loader = DataLoader(
-        batches,
-        batch_size=None,
-        sampler=range(first, last),
-        num_workers=workers,
-        worker_init_fn=_one_thread,
-        prefetch_factor=_PREFETCH if workers else None,
-        multiprocessing_context="spawn" if workers else None,
-        pin_memory=pin_memory,
-        generator=torch.Generator().manual_seed(0),  # the loader draws a seed that nothing uses
-    )
-    return iter(loader)
-
-
-def _one_thread(_: int) -> None:
-    """The cores belong to the training; the loader does the same for torch."""
-    cv2.setNumThreads(1)
 
 
 @lru_cache(maxsize=64)

@@ -8,8 +8,8 @@ from typing import Any
 
 import torch
 
-from baselines.gn_net.training.card import hardware, versions
 from baselines.lpn.training.options import TrainOptions
+from baselines.training.provenance import hardware, versions
 from relocbench.retrieval import PlaceData
 from relocbench.training import TrainingRun, ValidationScores
 

@@ -11,24 +11,26 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from baselines.gn_net.training.checkpoint import Best, Checkpoint, load_checkpoint, save_checkpoint
-from baselines.gn_net.training.files import write_whole
-from baselines.gn_net.training.log import TIMED, Table, Window
+from baselines.files import write_whole
 from baselines.lpn.images import as_network_takes_them
 from baselines.lpn.losses import LossValue, total_loss
 from baselines.lpn.network import LpnNetwork, View, ViewOutput, copy_weights
 from baselines.lpn.retriever import Lpn
 from baselines.lpn.stages import enter
-from baselines.lpn.training.batches import Batch, PlaceBatches, batches_from
+from baselines.lpn.training.batches import Batch, PlaceBatches
 from baselines.lpn.training.card import model_card, weights_card
 from baselines.lpn.training.curves import draw_curves
 from baselines.lpn.training.first_weights import first_network, fresh_network, number_of, start_of
-from baselines.lpn.training.options import TrainOptions, plain
+from baselines.lpn.training.options import TrainOptions
 from baselines.lpn.training.schedule import Schedule
 from baselines.lpn.weights import About, save_weights
-from relocbench.errors import MethodError
+from baselines.options import plain
+from baselines.training.checkpoint import Best, Checkpoint, load_checkpoint, save_checkpoint
+from baselines.training.loading import batches_in_order
+from baselines.training.log import TIMED, Table, Window
+from baselines.training.step import descend
 from relocbench.retrieval import PlaceData
-from relocbench.training import TrainingReport, TrainingRun, ValidateRetriever, ValidationScores
+from relocbench.training import TrainingReport, TrainingRun, ValidateRetriever
 
 _DROPOUT = 1
 
@@ -87,7 +89,9 @@ class Training:
                 if self.step == self.schedule.stretches[self._stage].last:
                     self._next_stage()
                 last = self.schedule.stretches[self._stage].last
-                for batch in batches_from(self.batches, self.step, last, self.run.workers, self.device.type == "cuda"):
+                for batch in batches_in_order(
+                    self.batches, self.step, last, self.run.workers, self.device.type == "cuda"
+                ):
                     self.one_step(batch)
                     self.seconds = time.monotonic() - since
                     self._after_step()
@@ -101,21 +105,12 @@ class Training:
         for group in self.optimiser.param_groups:
             group["lr"] = group["full_rate"] * factor
         value = self._loss(batch)
-        self.optimiser.zero_grad(set_to_none=True)
-        value.total.backward()
         trained = [parameter for parameter in self.network.parameters() if parameter.requires_grad]
-        norm = torch.nn.utils.clip_grad_norm_(trained, self.options.clip or math.inf)
-        names = ["loss", "gradient_norm", *value.parts]
-        numbers = torch.stack([x.detach().double() for x in (value.total, norm, *value.parts.values())]).tolist()
-        values = dict(zip(names, numbers, strict=True))
-        if not all(math.isfinite(values[name]) for name in ("loss", "gradient_norm")):
-            wrong = ", ".join(name for name, number in values.items() if not math.isfinite(number))
-            raise MethodError(
-                f"training broke down at step {self.step + 1}: not finite: {wrong}; try lower rates "
-                f"(backbone_rate {self.options.backbone_rate:g}, rate {self.options.rate:g}) in another --out",
-                self.run.out,
-            )
-        self.optimiser.step()
+        remedy = f"lower rates (backbone_rate {self.options.backbone_rate:g}, rate {self.options.rate:g})"
+        values = descend(
+            value.total, value.parts, trained, self.optimiser, self.options.clip,
+            step=self.step + 1, remedy=remedy, out=self.run.out,
+        )  # fmt: skip
         self.step += 1
         self.window.add({"rate_factor": factor, **values})
 
@@ -198,7 +193,7 @@ class Training:
             self.validation.add({"step": self.step, "views": group, "queries": counts[group], **values})
         score = float(np.mean(list(scores.together.values())))
         if self.best is None or score >= self.best.score:
-            self.best = Best(self.step, score, _copied(self.network), _plain(scores))
+            self.best = Best.of(self.step, score, self.network, scores)
 
     def _save(self) -> None:
         checkpoint = Checkpoint(
@@ -249,10 +244,10 @@ class Training:
 
     def _finish(self) -> TrainingReport:
         if self.best is None:  # without validation
-            self.best = Best(self.step, math.nan, _copied(self.network), {})
+            self.best = Best.of(self.step, math.nan, self.network, None)
         options, best = self.options, self.best
         self.network.load_state_dict(best.weights)
-        scores = ValidationScores(**best.scores) if best.scores else None
+        scores = best.validation
         save_weights(self._weights, self.network, self._about("", best.step, best.scores or None))
         parameters = sum(parameter.numel() for parameter in self.network.parameters())
         text = model_card(
@@ -281,15 +276,3 @@ class Training:
     @property
     def _checkpoint(self) -> Path:
         return self.run.out / "checkpoint.pt"
-
-
-def _copied(network: LpnNetwork) -> dict[str, Tensor]:
-    return {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
-
-
-def _plain(scores: ValidationScores) -> dict[str, Any]:
-    return {
-        "together": dict(scores.together),
-        "by_conditions": {name: dict(values) for name, values in scores.by_conditions.items()},
-        "pairs": dict(scores.pairs),
-    }

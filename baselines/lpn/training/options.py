@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field, replace
-from typing import Any
 
-from baselines.gn_net.options import NO_OTHER_KEYS, options_to_dict
 from baselines.lpn.configurations import Configuration, configuration
 from baselines.lpn.losses import LossOptions
 from baselines.lpn.network import VIEWS, View
 from baselines.lpn.options import NetworkOptions
 from baselines.lpn.stages import Stage
+from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 _SCRATCH_RATE = 1e-2
@@ -145,9 +143,3 @@ def usual_options(name: str) -> TrainOptions:
         loss=system.loss,
         network=system.network,
     )
-
-
-def plain(options: Any) -> dict[str, Any]:
-    """A dataclass of options as YAML and JSON hold them: lists in place of tuples."""
-    values: dict[str, Any] = json.loads(json.dumps(options_to_dict(options)))
-    return values

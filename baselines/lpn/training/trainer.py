@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import torch
 import yaml
 
-from baselines.gn_net.options import options_from_dict
-from baselines.gn_net.training.files import write_whole
+from baselines.files import write_whole
 from baselines.lpn.configurations import CONFIGURATIONS
 from baselines.lpn.training.loop import Training
-from baselines.lpn.training.options import TrainOptions, plain, usual_options
-from relocbench.errors import MethodError
+from baselines.lpn.training.options import TrainOptions, usual_options
+from baselines.options import filled, options_from_dict, plain
+from baselines.training.device import device_named
 from relocbench.retrieval import PlaceData
 from relocbench.training import TrainingReport, TrainingRun, ValidateRetriever
 
@@ -36,22 +35,7 @@ class LpnTrainer:
     ) -> TrainingReport:
         """See ``relocbench.training.PlaceTrainer``."""
         usual = self.options_of(str(options.get("configuration", "lpn")))
-        chosen = options_from_dict(TrainOptions, _filled(usual, options)).with_rates()
-        training = Training(data, validate, chosen, run, _device(run.device))
+        chosen = options_from_dict(TrainOptions, filled(usual, options)).with_rates()
+        training = Training(data, validate, chosen, run, device_named(run.device))
         write_whole(run.out / "config.yaml", yaml.safe_dump(plain(chosen), sort_keys=False))
         return training.run_to_end()
-
-
-def _filled(usual: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """``usual`` where ``given`` says nothing; keys that do not exist stay, to be refused by name."""
-    nested = {key for key, value in usual.items() if isinstance(value, Mapping) and isinstance(given.get(key), Mapping)}
-    return {**usual, **given, **{key: _filled(usual[key], given[key]) for key in nested}}
-
-
-def _device(name: str) -> torch.device:
-    try:
-        device = torch.device(name)
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError) as bad:  # torch says which: no such device, or no driver
-        raise MethodError(f"device '{name}' cannot be used: {str(bad).splitlines()[0]}") from bad
-    return device

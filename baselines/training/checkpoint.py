@@ -1,6 +1,6 @@
 """All that a training needs to go on after a kill, as one file that appears whole or not at all.
 
-Nothing random is kept: pairs, cuts, starts and negatives of a step are functions of the step and the seed.
+Nothing random is kept: what a step draws is a function of the step and the seed.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from baselines.gn_net.training.files import write_whole
+from baselines.files import write_whole
 from relocbench.errors import MethodError
+from relocbench.training import ValidationScores
 
 _VERSION = 1
 
@@ -31,7 +32,22 @@ class Best:
     score: float
     weights: StateDict
     scores: dict[str, Any]
-    """``ValidationScores`` as plain values"""
+    """``ValidationScores`` as plain values; empty without validation"""
+
+    @classmethod
+    def of(cls, step: int, score: float, network: nn.Module, scores: ValidationScores | None) -> Best:
+        """A copy of a network's weights as they are now, on the CPU."""
+        weights = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
+        if scores is None:
+            return cls(step, score, weights, {})
+        by_conditions = {name: dict(values) for name, values in scores.by_conditions.items()}
+        told = {"together": dict(scores.together), "by_conditions": by_conditions, "pairs": dict(scores.pairs)}
+        return cls(step, score, weights, told)
+
+    @property
+    def validation(self) -> ValidationScores | None:
+        """What they scored."""
+        return ValidationScores(**self.scores) if self.scores else None
 
 
 @dataclass

@@ -7,7 +7,7 @@ import io
 from collections.abc import Mapping
 from pathlib import Path
 
-from baselines.gn_net.training.files import write_whole
+from baselines.files import write_whole
 
 TIMED = "seconds"
 """the one column that differs from one run to the next"""

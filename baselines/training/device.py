@@ -1,0 +1,17 @@
+"""Where a training computes."""
+
+from __future__ import annotations
+
+import torch
+
+from relocbench.errors import MethodError
+
+
+def device_named(name: str) -> torch.device:
+    """Raises MethodError: there is no such device, or it cannot be used."""
+    try:
+        device = torch.device(name)
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError) as bad:  # torch says which: no such device, or no driver
+        raise MethodError(f"device '{name}' cannot be used: {str(bad).splitlines()[0]}") from bad
+    return device

@@ -1,0 +1,41 @@
+"""Batches of the steps of a training, read ahead by background processes; the same whatever their number."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TypeVar
+
+import cv2
+import torch
+from torch.utils.data import DataLoader, Dataset
+
+Batch = TypeVar("Batch")
+
+_PREFETCH = 2
+
+
+def batches_in_order(batches: Dataset[Batch], first: int, last: int, workers: int, pin_memory: bool) -> Iterator[Batch]:
+    """Batches of the steps from ``first`` up to ``last``, without it, in order.
+
+    Args:
+        batches: the batch of each step.
+        workers: background processes; 0 reads in this one.
+        pin_memory: ready for a GPU to fetch.
+    """
+    loader = DataLoader(
+        batches,
+        batch_size=None,
+        sampler=range(first, last),
+        num_workers=workers,
+        worker_init_fn=_one_thread,
+        prefetch_factor=_PREFETCH if workers else None,
+        multiprocessing_context="spawn" if workers else None,
+        pin_memory=pin_memory,
+        generator=torch.Generator().manual_seed(0),  # the loader draws a seed that nothing uses
+    )
+    return iter(loader)
+
+
+def _one_thread(_: int) -> None:
+    """The cores belong to the training; the loader does the same for torch."""
+    cv2.setNumThreads(1)

@@ -1,0 +1,73 @@
+"""A network's weights as one safetensors file that also says, as JSON, what network it is and where it comes from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from baselines.files import write_whole
+from relocbench.errors import MethodError
+
+_VERSION = 1
+
+
+def write_network(path: Path, kind: str, network: nn.Module, about: Mapping[str, Any]) -> None:
+    """Write weights and what is known of them, whole or not at all; the same of both gives the same bytes.
+
+    Args:
+        path: a file that ends in ``.safetensors``; an existing one is replaced.
+        kind: of network. It is the one entry of the file's metadata: several would be written in an order of their own.
+        network: all its parameters and buffers are kept.
+        about: plain values.
+    """
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
+    write_whole(path, save(tensors, {kind: json.dumps({**about, "version": _VERSION}, sort_keys=True)}))
+
+
+def read_network(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """What :func:`write_network` was given: about, and tensors on the CPU.
+
+    Raises:
+        MethodError: the file is missing, damaged or of something else.
+    """
+    if not path.is_file():
+        raise MethodError("no such file of weights", path)
+    try:
+        with safe_open(path, framework="pt", device="cpu") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
+    except (SafetensorError, OSError) as bad:
+        raise MethodError(f"not a readable safetensors file, damaged or cut short ({bad})", path) from bad
+    try:
+        about = json.loads(metadata[kind])
+    except (KeyError, ValueError) as bad:
+        raise MethodError(f"a safetensors file, but not weights of {kind} (no '{kind}' in its metadata)", path) from bad
+    if not isinstance(about, dict) or about.pop("version", None) != _VERSION:
+        raise MethodError(f"weights of another version, expected version {_VERSION}", path)
+    return about, tensors
+
+
+def fill_network(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
+    """Give a network the weights of a file.
+
+    Raises:
+        MethodError: a tensor is missing, superfluous, of another shape or type, or not finite; it is named.
+    """
+    expected = network.state_dict()
+    for name in sorted(expected.keys() | tensors.keys()):
+        if name not in tensors or name not in expected:
+            raise MethodError(f"'{name}' is {'missing' if name in expected else 'not part of this network'}", path)
+        found, wanted = tensors[name], expected[name]
+        if found.shape != wanted.shape or found.dtype != wanted.dtype:
+            raise MethodError(
+                f"'{name}' is {tuple(found.shape)} {found.dtype}, expected {tuple(wanted.shape)} {wanted.dtype}", path
+            )
+        if not bool(found.isfinite().all()):
+            raise MethodError(f"'{name}' holds numbers that are not finite", path)
+    network.load_state_dict(dict(tensors))
