@@ -136,8 +136,8 @@ class PairErrors:
 
 
 @dataclass(frozen=True)
-class MethodResults:
-    """The folder of one method."""
+class AnswerFolder:
+    """What was answered to each pair set or task: a file in a format of the field and a table beside it."""
 
     root: Path
 
@@ -153,11 +153,16 @@ class MethodResults:
     def scores_yaml(self) -> Path:
         return self.root / "scores.yaml"
 
-    def predictions(self, pair_set: str) -> Path:
-        return self.root / f"{pair_set}.txt"
+    def predictions(self, asked: str) -> Path:
+        return self.root / f"{asked}.txt"
 
-    def answers(self, pair_set: str) -> Path:
-        return self.root / f"{pair_set}.csv"
+    def answers(self, asked: str) -> Path:
+        return self.root / f"{asked}.csv"
+
+
+@dataclass(frozen=True)
+class MethodResults(AnswerFolder):
+    """The folder of one method."""
 
     def errors(self, pair_set: str) -> Path:
         return self.root / f"{pair_set}.errors.csv"
@@ -214,8 +219,12 @@ def dataset_results(results: Path, dataset: Dataset) -> DatasetResults:
 
 def write_dataset_record(folder: DatasetResults, dataset: Dataset) -> None:
     """Keep beside the results what the dataset asks."""
-    path = folder.root / "dataset.yaml"
-    text = dump_yaml(_dataset_record(dataset).model_dump(mode="json"))
+    write_record(folder.root / "dataset.yaml", _dataset_record(dataset))
+
+
+def write_record(path: Path, record: Strict) -> None:
+    """Whole or not at all; a file that says the same already is left alone."""
+    text = dump_yaml(record.model_dump(mode="json"))
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         write_text(path, text)
 

@@ -21,7 +21,15 @@ from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.pairfile import PairKey, number_fields, parse_pose_numbers
 from relocbench.datasets.writer import versions
 from relocbench.errors import PredictionError
-from relocbench.evaluation.results import Answer, DatasetResults, MethodResults, RunRecord, read_answers, write_answers
+from relocbench.evaluation.results import (
+    Answer,
+    DatasetResults,
+    MethodResults,
+    RunRecord,
+    read_answers,
+    write_answers,
+    write_record,
+)
 from relocbench.evaluation.worker import (
     Unit,
     guarded,
@@ -33,7 +41,7 @@ from relocbench.evaluation.worker import (
     units_of,
 )
 from relocbench.execution import chunks, default_workers, kept_workers, run_units
-from relocbench.files import alone_in, dump_yaml, read_rows, remove_parts, write_text
+from relocbench.files import alone_in, read_rows, remove_parts, write_text
 from relocbench.geometry import transform_to_tq
 from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
 from relocbench.progress import Reporter
@@ -80,13 +88,13 @@ def run_method(
         return folder
     folder.root.mkdir(parents=True, exist_ok=True)
     if not folder.run_yaml.exists():
-        _write_record(folder, record)
+        write_record(folder.run_yaml, record)
     stage = reporter.stage(f"{spec.label} on {dataset.name}", sum(map(len, todo.values())))
     with stage as advance, kept_workers():
         for pair_set in pair_sets:
             _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], workers, scheduler, advance)
     started = folder.run_record().start
-    _write_record(folder, record.model_copy(update={"start": started, "end": _now()}))
+    write_record(folder.run_yaml, record.model_copy(update={"start": started, "end": now()}))
     return folder
 
 
@@ -273,19 +281,22 @@ def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str
 
 def new_record(dataset: Dataset, spec: MethodSpec, workers: int, seed: int) -> RunRecord:
     """What a run that begins now would say of itself."""
-    return RunRecord(
-        method=spec.label,
-        target=spec.target,
-        parameters=json.loads(json.dumps(dict(spec.parameters), default=str)),
-        files=spec.files(),
-        seed=seed,
-        dataset=dataset.name,
-        fingerprint=dataset.fingerprint,
-        versions={**versions(), "method": distribution_version(spec.target)},
-        machine=machine(),
-        workers=workers,
-        start=_now(),
-    )
+    return RunRecord(dataset=dataset.name, fingerprint=dataset.fingerprint, **made_by(spec, workers, seed))
+
+
+def made_by(spec: MethodSpec, workers: int, seed: int) -> dict[str, Any]:
+    """What a record of a run says of method and machine; it begins now."""
+    return {
+        "method": spec.label,
+        "target": spec.target,
+        "parameters": json.loads(json.dumps(dict(spec.parameters), default=str)),
+        "files": spec.files(),
+        "seed": seed,
+        "versions": {**versions(), "method": distribution_version(spec.target, spec.kind)},
+        "machine": machine(),
+        "workers": workers,
+        "start": now(),
+    }
 
 
 def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool) -> None:
@@ -339,10 +350,6 @@ def _clear(folder: MethodResults, pair_sets: Sequence[PairSet]) -> None:
         remove_parts(folder.root)
 
 
-def _write_record(folder: MethodResults, record: RunRecord) -> None:
-    write_text(folder.run_yaml, dump_yaml(record.model_dump(mode="json")))
-
-
 def machine() -> dict[str, Any]:
     """The machine that seconds are measured on."""
     model = platform.processor() or platform.machine()
@@ -353,5 +360,6 @@ def machine() -> dict[str, Any]:
     return {"cpu": model, "cores": default_workers(), "system": f"{platform.system()} {platform.machine()}"}
 
 
-def _now() -> str:
+def now() -> str:
+    """As records have it: UTC, to a second."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

@@ -29,8 +29,8 @@ from relocbench.evaluation.results import (
     ScoreRecord,
     read_answers,
     write_errors,
+    write_record,
 )
-from relocbench.files import dump_yaml, write_text
 from relocbench.metrics import PairSetSummary, PoseErrors, align_predictions, pose_errors, summarize
 
 Array = NDArray[np.float64]
@@ -86,7 +86,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
         pair_sets={k: v for k, v in sorted(scores.items()) if k in known},
         matching={k: v for k, v in sorted(matching.items()) if k in known and folder.matching(k).exists()},
     )
-    write_text(folder.scores_yaml, dump_yaml(score_record.model_dump(mode="json")))
+    write_record(folder.scores_yaml, score_record)
     return score_record
 
 

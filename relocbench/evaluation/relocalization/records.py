@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -19,9 +19,9 @@ from relocbench.datasets.fingerprint import SHORT
 from relocbench.datasets.schema import Strict
 from relocbench.errors import PredictionError
 from relocbench.evaluation.relocalization.basin import Source
-from relocbench.evaluation.results import DatasetResults, RunRecord
+from relocbench.evaluation.results import AnswerFolder, DatasetResults, RunRecord, write_record
 from relocbench.evaluation.retrieval.records import RetrievalRun
-from relocbench.files import dump_yaml, load_yaml, write_text
+from relocbench.files import load_yaml
 
 SET_FILE = "relocalization.yaml"
 ANSWERS = "answers"
@@ -102,28 +102,8 @@ class ChainScores(Strict):
 
 
 @dataclass(frozen=True)
-class ChainResults:
+class ChainResults(AnswerFolder):
     """The folder of one chain."""
-
-    root: Path
-
-    @property
-    def label(self) -> str:
-        return self.root.name
-
-    @property
-    def run_yaml(self) -> Path:
-        return self.root / "run.yaml"
-
-    @property
-    def scores_yaml(self) -> Path:
-        return self.root / "scores.yaml"
-
-    def predictions(self, task: str) -> Path:
-        return self.root / f"{task}.txt"
-
-    def answers(self, task: str) -> Path:
-        return self.root / f"{task}.csv"
 
     def run_record(self) -> ChainRun:
         """Raises PredictionError with file and line."""
@@ -169,14 +149,6 @@ def write_set(folder: ChainSetResults, new: ChainSet) -> None:
     known = ChainSetResults(folder.root).record.tasks if path.exists() else {}
     tasks = dict(sorted({**known, **new.tasks}.items()))
     write_record(path, new.model_copy(update={"tasks": tasks}))
-
-
-def write_record(path: Path, record: Strict) -> None:
-    """Whole or not at all; a file that says the same already is left alone."""
-    values: Any = record.model_dump(mode="json")
-    text = dump_yaml(values)
-    if not path.exists() or path.read_text(encoding="utf-8") != text:
-        write_text(path, text)
 
 
 def all_chain_sets(results: Path) -> list[ChainSetResults]:

@@ -15,10 +15,10 @@ from relocbench.evaluation.relocalization.records import (
     ChainResults,
     ChainRun,
     ChainScores,
-    write_record,
 )
 from relocbench.evaluation.relocalization.score import summary, table_hash
 from relocbench.evaluation.relocalization.tasks import ChainTasks
+from relocbench.evaluation.results import write_record
 
 
 def write_chain_results(

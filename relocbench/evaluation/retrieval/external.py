@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from relocbench.errors import PredictionError
+from relocbench.evaluation.results import write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_lists, write_answers, write_lists
 from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults
 from relocbench.files import load_yaml
@@ -39,7 +40,7 @@ def take_lists(
     for task, lists, answers in checked:
         write_lists(folder.predictions(task.name), lists)
         write_answers(folder.answers(task.name), answers)
-    folder.write_run(record)
+    write_record(folder.run_yaml, record)
     return folder
 
 

@@ -18,8 +18,8 @@ from pydantic import Field
 from relocbench.datasets.fingerprint import SHORT
 from relocbench.datasets.schema import Strict
 from relocbench.errors import PredictionError
-from relocbench.evaluation.results import MethodResults, RunRecord
-from relocbench.files import dump_yaml, load_yaml, write_text
+from relocbench.evaluation.results import MethodResults, RunRecord, write_record
+from relocbench.files import load_yaml
 from relocbench.metrics import chance_level
 from relocbench.retrieval import RetrievalSet, RetrievalTask
 
@@ -128,10 +128,6 @@ class RetrieverResults(MethodResults):
         """Raises PredictionError with file and line."""
         return load_yaml(self.scores_yaml, RetrievalScores, "the scores of a retriever", PredictionError)
 
-    def write_run(self, record: RetrievalRun) -> None:
-        """Whole or not at all."""
-        write_text(self.run_yaml, dump_yaml(record.model_dump(mode="json")))
-
 
 @dataclass(frozen=True)
 class SetResults:
@@ -172,9 +168,7 @@ def write_set_record(folder: SetResults, asked: RetrievalSet, tasks: Sequence[Re
         splits={split: kept for split, of in splits.items() if (kept := tuple(n for n in of if n in names))},
         tasks=dict(sorted({**known, **new}.items())),
     )
-    text = dump_yaml(record.model_dump(mode="json"))
-    if not path.exists() or path.read_text(encoding="utf-8") != text:
-        write_text(path, text)
+    write_record(path, record)
 
 
 def task_record(task: RetrievalTask) -> TaskRecord:

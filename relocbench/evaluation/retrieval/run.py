@@ -5,16 +5,14 @@ A task is the unit: its two files appear whole when it is done, and a killed run
 
 from __future__ import annotations
 
-import datetime
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from relocbench.datasets.writer import versions
 from relocbench.errors import DatasetError, MethodError, PredictionError
-from relocbench.evaluation.results import STATUSES
+from relocbench.evaluation.results import STATUSES, write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers, write_lists
 from relocbench.evaluation.retrieval.describe import (
     AnonymousViews,
@@ -32,10 +30,10 @@ from relocbench.evaluation.retrieval.records import (
     TaskRun,
     write_set_record,
 )
-from relocbench.evaluation.run import Overwrite, machine, refuse_mixture
+from relocbench.evaluation.run import Overwrite, made_by, now, refuse_mixture
 from relocbench.execution import default_workers, messages_to_stderr
 from relocbench.files import alone_in, remove_parts
-from relocbench.methods import MethodSpec, distribution_version
+from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 from relocbench.retrieval import FittingRetriever, RerankingRetriever, RetrievalSet, RetrievalTask, Retriever
 
@@ -91,7 +89,7 @@ def run_retriever(
     write_set_record(results, asked, tasks)
     with alone_in(folder.root, PredictionError):
         if not folder.run_yaml.exists():
-            folder.write_run(record)
+            write_record(folder.run_yaml, record)
         # Each query twice: when it is described, and when it is ranked.
         steps = sum(2 * len(task.queries) + len(task.gallery) for task in todo)
         with reporter.stage(f"{spec.label} on {asked.name}", steps) as advance:
@@ -102,7 +100,7 @@ def run_retriever(
                 so_far = folder.run_record()
                 tasks_done = {**so_far.tasks, task.name: done.run}
                 so_far = so_far.model_copy(update={"tasks": dict(sorted(tasks_done.items())), "info": asking.info})
-                folder.write_run(so_far.model_copy(update={"end": _now()}))
+                write_record(folder.run_yaml, so_far.model_copy(update={"end": now()}))
     return folder
 
 
@@ -253,20 +251,5 @@ def _clear(folder: RetrieverResults, tasks: Sequence[RetrievalTask]) -> None:
 
 def _new_record(asked: RetrievalSet, spec: MethodSpec, seed: int, keep: int | None) -> RetrievalRun:
     return RetrievalRun(
-        method=spec.label,
-        target=spec.target,
-        parameters=json.loads(json.dumps(dict(spec.parameters), default=str)),
-        files=spec.files(),
-        seed=seed,
-        dataset=asked.name,
-        fingerprint=asked.fingerprint,
-        versions={**versions(), "method": distribution_version(spec.target, spec.kind)},
-        machine=machine(),
-        workers=default_workers(),
-        start=_now(),
-        keep=keep,
+        dataset=asked.name, fingerprint=asked.fingerprint, keep=keep, **made_by(spec, default_workers(), seed)
     )
-
-
-def _now() -> str:
-    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

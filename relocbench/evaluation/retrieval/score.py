@@ -9,6 +9,7 @@ import numpy as np
 
 import relocbench
 from relocbench.errors import PredictionError
+from relocbench.evaluation.results import write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, answers_hash, ranking_of, read_answers
 from relocbench.evaluation.retrieval.records import (
     METRICS,
@@ -18,7 +19,6 @@ from relocbench.evaluation.retrieval.records import (
     TaskRecord,
     TaskRun,
 )
-from relocbench.files import dump_yaml, write_text
 from relocbench.metrics import Denominator, Interval, bootstrap_interval, per_group, score_retrieval
 from relocbench.metrics.retrieval import RetrievalScores as QueryScores
 
@@ -48,7 +48,7 @@ def score_retriever(asked: SetRecord, folder: RetrieverResults, *, seed: int = 0
     scores = RetrievalScores(
         relocbench=relocbench.__version__, answers=hashes, denominator=str(Denominator.ALL), tasks=tasks
     )
-    write_text(folder.scores_yaml, dump_yaml(scores.model_dump(mode="json")))
+    write_record(folder.scores_yaml, scores)
     return scores
 
 
