@@ -53,6 +53,15 @@ def read_network(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Tenso
     return about, tensors
 
 
+def holds_network(path: Path, kind: str) -> bool:
+    """Whether :func:`write_network` wrote a file for that kind of network; not if the file cannot be read at all."""
+    try:
+        with safe_open(path, framework="pt", device="cpu") as file:
+            return kind in (file.metadata() or {})
+    except (SafetensorError, OSError):
+        return False
+
+
 def fill_network(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
     """Give a network the weights of a file.
 

@@ -16,6 +16,7 @@ import torch
 from made_places import TINY, NarrowResNet, made_places
 
 from baselines.lpn.configurations import CONFIGURATIONS
+from baselines.lpn.images import as_network_takes_them
 from baselines.lpn.retriever import Lpn
 from baselines.lpn.training.augmentation import augmented
 from baselines.lpn.training.batches import PlaceBatches
@@ -275,6 +276,37 @@ def test_a_backbone_from_a_file_is_told_and_learns_at_the_recipes_rates(tmp_path
     card = (tmp_path / "out" / "MODEL_CARD.md").read_text()
     assert "backbone not started from known ImageNet weights" in card
     assert "images of 64 instead of 256 pixels" in card
+
+
+@pytest.mark.usefixtures("without_curves")
+def test_the_backbone_of_another_training_can_be_taken(tmp_path: Path, trained: Path) -> None:
+    told = Heard()
+    report = train(tmp_path / "a", "global-average", backbone_weights=str(trained), rate=1e-9, backbone_rate=1e-9,
+                   data=made_places(5), reporter=told)  # fmt: skip
+    assert "backbone of 'lpn', file weights.safetensors, SHA-256 " in "\n".join(told.notes)
+    assert "(first weights there: drawn, no ImageNet)" in "\n".join(told.notes)
+    source, found = (load_weights(path)[0].branch("drone").backbone for path in (trained, report.weights))
+    for name, tensor in source.named_parameters():
+        assert torch.allclose(found.get_parameter(name), tensor, atol=1e-6), name
+    deeper = {**TINY["network"], "backbone": "resnet50"}
+    with pytest.raises(MethodError, match="another network than this ResNet"):
+        train(tmp_path / "b", backbone_weights=str(trained), network=deeper)
+
+
+@pytest.mark.usefixtures("without_curves")
+def test_half_precision_where_it_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[bool] = []
+    monkeypatch.setattr(
+        "baselines.lpn.training.loop.as_network_takes_them",
+        lambda *given: seen.append(torch.is_autocast_enabled("cpu")) or as_network_takes_them(*given),
+    )
+    losses = []
+    for chosen in (None, False, True):
+        train(tmp_path / str(chosen), mixed_precision=chosen)
+        losses.append(float(rows(tmp_path / str(chosen) / "log.csv")[0]["loss"]))
+    assert [seen[0], seen[len(seen) // 2], seen[-1]] == [False, False, True]
+    assert losses[0] == losses[1] != losses[2]
+    assert losses[2] == pytest.approx(losses[0], rel=0.05)
 
 
 # Options, batches, schedule

@@ -12,6 +12,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from baselines.lpn.backbone import Backbone
+from baselines.lpn.weights import are_weights, load_weights
 from relocbench.errors import MethodError
 
 _CLASSIFIER = ("fc.weight", "fc.bias")
@@ -23,8 +24,9 @@ def load_backbone(path: Path, backbone: Backbone) -> None:
     """Replace the backbone's weights by those of a file; the file's own classifier is left out.
 
     Args:
-        path: a state dict of torchvision's ResNet of the same depth, as ``.safetensors`` or by ``torch.save``. Nothing
-            but tensors is read: a file of pickled code is refused.
+        path: a state dict of torchvision's ResNet of the same depth, as ``.safetensors`` or by ``torch.save``, or the
+            weights of another training of LPN, whose backbone (of the view from above) is taken. Nothing but tensors
+            is read: a file of pickled code is refused.
         backbone: changed in place, and not at all if the file is refused.
 
     Raises:
@@ -50,6 +52,8 @@ def load_backbone(path: Path, backbone: Backbone) -> None:
 def _read(path: Path) -> Mapping[str, Tensor]:
     if not path.is_file():
         raise MethodError("no such file of weights", path)
+    if are_weights(path):
+        return load_weights(path)[0].branch("satellite").backbone.state_dict()
     if path.suffix == ".safetensors":
         try:
             return load_file(path)

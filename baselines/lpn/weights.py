@@ -9,7 +9,7 @@ from pathlib import Path
 from baselines.lpn.network import LpnNetwork
 from baselines.lpn.options import NetworkOptions
 from baselines.options import options_from_dict, options_to_dict
-from baselines.weights_file import fill_network, read_network, write_network
+from baselines.weights_file import fill_network, holds_network, read_network, write_network
 from relocbench.errors import ConfigError, MethodError
 
 _KIND = "lpn"
@@ -44,6 +44,11 @@ def save_weights(path: Path, network: LpnNetwork, about: About) -> None:
     told = {**options_to_dict(about), "views": list(about.views), "card": dict(about.card)}
     whole = {"classes": network.classes, "network": options_to_dict(network.options), **told}
     write_network(path, _KIND, network, whole)
+
+
+def are_weights(path: Path) -> bool:
+    """Whether a file is one of :func:`save_weights`."""
+    return holds_network(path, _KIND)
 
 
 def load_weights(path: Path) -> tuple[LpnNetwork, About]:

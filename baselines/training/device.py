@@ -15,3 +15,8 @@ def device_named(name: str) -> torch.device:
     except (RuntimeError, AssertionError) as bad:  # torch says which: no such device, or no driver
         raise MethodError(f"device '{name}' cannot be used: {str(bad).splitlines()[0]}") from bad
     return device
+
+
+def half_precision(chosen: bool | None, device: torch.device) -> bool:
+    """Whether a network computes in bfloat16: as chosen, or else where it runs on a GPU."""
+    return device.type == "cuda" if chosen is None else chosen

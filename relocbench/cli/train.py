@@ -42,7 +42,10 @@ def train(
     ] = [],  # noqa: B006
     backbone_weights: Annotated[
         Path | None,
-        typer.Option(help="For a retriever: file of torchvision's ResNet to start from, such as its ImageNet weights."),
+        typer.Option(
+            help="For a retriever: file of torchvision's ResNet to start from, such as its ImageNet weights, "
+            "or weights trained here, whose backbone is taken."
+        ),
     ] = None,
     split: Annotated[str, typer.Option(help="For a tracker: whose pairs are learnt from.")] = "train",
     validation_pairs: Annotated[

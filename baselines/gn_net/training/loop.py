@@ -24,6 +24,7 @@ from baselines.gn_net.training.options import TrainOptions
 from baselines.gn_net.weights import save_weights
 from baselines.options import options_to_dict
 from baselines.training.checkpoint import Best, Checkpoint, load_checkpoint, save_checkpoint
+from baselines.training.device import half_precision
 from baselines.training.loading import batches_in_order
 from baselines.training.log import TIMED, Table, Window
 from baselines.training.step import descend
@@ -133,7 +134,7 @@ class Training:
     def _loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """Both images of all pairs go through the network together: batch normalisation sees all weathers at once."""
         images = torch.cat([batch.images_ref, batch.images_query]).contiguous(memory_format=torch.channels_last)
-        half = self.options.mixed_precision and self.device.type == "cuda"
+        half = half_precision(self.options.mixed_precision, self.device)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=half):
             maps = self.net(images)
         pairs = len(batch.mask)

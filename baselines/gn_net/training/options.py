@@ -86,8 +86,9 @@ class TrainOptions:
     ema: float = 0.999
     """the weights that are validated and kept are the running mean of those that are trained, by this factor a step; 0
     for the trained ones themselves"""
-    mixed_precision: bool = True
-    """the network's forward pass in bfloat16 where it runs on a GPU; losses are never"""
+    mixed_precision: bool | None = None
+    """the network's forward pass in bfloat16, losses never; null: where it runs on a GPU. Processors that have
+    instructions for it (AVX512-BF16, AMX) gain as well, others lose"""
     seed: int = 0
     """of first weights, pairs, cuts, augmentation, starts and negatives"""
     log_every: int = 20

@@ -13,7 +13,7 @@ from baselines.lpn.backbone_weights import load_backbone
 from baselines.lpn.network import Branch, LpnNetwork, copy_weights
 from baselines.lpn.stages import Stage
 from baselines.lpn.training.options import TrainOptions
-from baselines.lpn.weights import load_weights
+from baselines.lpn.weights import are_weights, load_weights
 from relocbench.errors import MethodError
 
 _TORCHVISION = {
@@ -46,10 +46,7 @@ def start_of(options: TrainOptions) -> Start:
         about = load_weights(Path(options.start))[1]
         told = f"network '{about.configuration}' of {Path(options.start).name} (backbone: {about.backbone_start})"
     elif options.backbone_weights:
-        digest = digests["backbone_weights"]
-        published = _TORCHVISION.get(digest[:8])
-        name = Path(options.backbone_weights).name
-        told = f"ImageNet: torchvision's {published}" if published else f"file {name}, SHA-256 {digest[:16]}"
+        told = _told(Path(options.backbone_weights), digests["backbone_weights"])
     else:
         told = "drawn, no ImageNet"
     return Start(told, digests)
@@ -91,6 +88,16 @@ def generator(seed: int, *of: int) -> torch.Generator:
 def number_of(seed: int, *of: int) -> int:
     """A seed of its own."""
     return int(np.random.SeedSequence([seed, *of]).generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def _told(path: Path, digest: str) -> str:
+    """Of a backbone's file."""
+    file = f"file {path.name}, SHA-256 {digest[:16]}"
+    if are_weights(path):
+        about = load_weights(path)[1]
+        return f"backbone of '{about.configuration}', {file} (first weights there: {about.backbone_start})"
+    published = _TORCHVISION.get(digest[:8])
+    return f"ImageNet: torchvision's {published}" if published else file
 
 
 def _digest(path: Path) -> str:

@@ -26,6 +26,7 @@ from baselines.lpn.training.schedule import Schedule
 from baselines.lpn.weights import About, save_weights
 from baselines.options import plain
 from baselines.training.checkpoint import Best, Checkpoint, load_checkpoint, save_checkpoint
+from baselines.training.device import half_precision
 from baselines.training.loading import batches_in_order
 from baselines.training.log import TIMED, Table, Window
 from baselines.training.step import descend
@@ -117,7 +118,7 @@ class Training:
     def _loss(self, batch: Batch) -> LossValue:
         """Views go through the network one after the other: normalisations see one view at a time."""
         stage = self.schedule.stretches[self._stage].stage
-        half = self.options.mixed_precision and self.device.type == "cuda"
+        half = half_precision(self.options.mixed_precision, self.device)
         outputs: dict[View, ViewOutput] = {}
         devices = [self.device] if self.device.type == "cuda" else []
         with torch.random.fork_rng(devices=devices):

@@ -40,7 +40,8 @@ class TrainOptions:
     paired: bool = False
     """batches show the same places row by row in drone and satellite, half of them led by either"""
     backbone_weights: str = ""
-    """file of torchvision's ResNet, such as its ImageNet weights; empty: the backbone's weights are drawn"""
+    """file of torchvision's ResNet, such as its ImageNet weights, or of another training of LPN, whose backbone is
+    taken; empty: the backbone's weights are drawn"""
     start: str = ""
     """file of an LPN network to start from; a configuration that begins with a stage of rings leaves that stage out"""
     backbone_rate: float | None = None
@@ -64,8 +65,9 @@ class TrainOptions:
     """probability of the mirror image"""
     satellite_turn_deg: float = 90.0
     """a satellite image is turned by an angle between minus and plus this; what comes in from outside is black"""
-    mixed_precision: bool = True
-    """the network's forward pass in bfloat16 where it runs on a GPU; losses are never"""
+    mixed_precision: bool | None = None
+    """the network's forward pass in bfloat16, losses never; null: where it runs on a GPU. Processors that have
+    instructions for it (AVX512-BF16, AMX) gain as well, others lose"""
     seed: int = 0
     """of first weights, batches, augmentation and dropout"""
     log_every: int = 20
