@@ -95,7 +95,8 @@ def _told(path: Path, digest: str) -> str:
     file = f"file {path.name}, SHA-256 {digest[:16]}"
     if are_weights(path):
         about = load_weights(path)[1]
-        return f"backbone of '{about.configuration}', {file} (first weights there: {about.backbone_start})"
+        learnt = f"after {about.card.get('step', '?')} steps on {about.card.get('places', '?')} places"
+        return f"backbone of '{about.configuration}' {learnt}, {file} (first weights there: {about.backbone_start})"
     published = _TORCHVISION.get(digest[:8])
     return f"ImageNet: torchvision's {published}" if published else file
 

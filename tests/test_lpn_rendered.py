@@ -1,0 +1,61 @@
+"""Every configuration on a small rendered set, from its images to its row of metrics."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_places import TINY, NarrowResNet
+
+from baselines.lpn.configurations import CONFIGURATIONS
+from baselines.lpn.retriever import Lpn
+from baselines.lpn.training.trainer import LpnTrainer
+from relocbench.datasets.cross_view import CrossViewSet
+from relocbench.datasets.importers import Run, cross_view
+from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
+from relocbench.progress import Silent
+from relocbench.training import TrainingRun
+
+DIRECTIONS = ("drone-satellite", "satellite-drone")
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> CrossViewSet:
+    options = {"split": "all", "places": 4, "distractors": 1, "drone_views": 2, "size": 64, "extent": 190.0, "conditions": ("Sunny",)}  # fmt: skip
+    out = tmp_path_factory.mktemp("places") / "out"
+    return cross_view.build_places([], cross_view.Options.model_validate(options), out, Silent(), Run(1))
+
+
+@pytest.mark.parametrize("name", CONFIGURATIONS)
+def test_each_configuration_trains_and_is_evaluated(
+    name: str, rendered: CrossViewSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("baselines.lpn.backbone.resnet18", NarrowResNet)
+    monkeypatch.setattr("baselines.lpn.training.loop.draw_curves", lambda *_: None)  # takes longer than the training
+    stages = CONFIGURATIONS[name].stages
+    options = {**TINY, "configuration": name, "epochs": {stage.name: 1 for stage in stages}}
+    run = TrainingRun(tmp_path / "trained", "lpn", "relocbench train lpn", workers=0)
+    report = LpnTrainer().train_places(rendered.training(), None, options, run)
+    with (run.out / "log.csv").open(newline="") as stream:
+        assert [row["stage"] for row in csv.DictReader(stream)] == [stage.name for stage in stages]
+    assert report.steps == len(stages)
+    assert {path.stem for path in run.out.glob("stage-*")} == {f"stage-{stage.name}" for stage in stages[:-1]}
+
+    retriever = Lpn(weights=report.weights)
+    assert retriever.info["configuration"] == name
+    assert retriever.rerank_top == CONFIGURATIONS[name].rerank_top
+    assert retriever.network.options.partition == CONFIGURATIONS[name].network.partition
+    asked = RetrievalOptions(
+        dataset=rendered.root,
+        methods=("lpn",),
+        set=(f"lpn.weights={report.weights}",),
+        out=tmp_path / "results",
+        pair_sets=DIRECTIONS,
+    )
+    found = evaluate_retrievers(asked, Silent())
+    (folder,) = found.folders
+    for direction in DIRECTIONS:
+        values = found.scores(folder)[direction]
+        assert np.isfinite([values[metric] for metric in ("R@1", "R@5", "AP")]).all()
