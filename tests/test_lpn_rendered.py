@@ -23,9 +23,10 @@ DIRECTIONS = ("drone-satellite", "satellite-drone")
 
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> CrossViewSet:
-    options = {"split": "all", "places": 4, "distractors": 1, "drone_views": 2, "size": 64, "extent": 190.0, "conditions": ("Sunny",)}  # fmt: skip
-    out = tmp_path_factory.mktemp("places") / "out"
-    return cross_view.build_places([], cross_view.Options.model_validate(options), out, Silent(), Run(1))
+    of_four = {"split": "all", "places": 4, "distractors": 1, "drone_views": 2}
+    small = {"size": 64, "extent": 190.0, "conditions": ("Sunny",)}
+    options = cross_view.Options.model_validate({**of_four, **small})
+    return cross_view.build_places([], options, tmp_path_factory.mktemp("places") / "out", Silent(), Run(1))
 
 
 @pytest.mark.parametrize("name", CONFIGURATIONS)
