@@ -12,7 +12,7 @@ ImageNet. Only the order of systems can be compared with it, and differences of 
 Trainings and answers in --scratch are taken up where they are; run again, it does what is missing.
 
     python benchmarks/lpn_configurations.py --train TRAIN --test TEST --scratch S [--config NAME ...] [--seed N ...]
-        [--set key=value ...] [--out leaderboard/retrieval] [--device cpu]
+        [--set key=value ...] [--out leaderboard/retrieval] [--device cpu] [--jobs N]
 
 JSON on the last line.
 """
@@ -23,9 +23,11 @@ import argparse
 import csv
 import io
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -106,10 +108,25 @@ def train(name: str, seed: int, given: argparse.Namespace) -> Path:
     command += [f"--dataset={root}" for root in given.train] + words
     command += [f"--device={given.device}"] if given.device else []
     command += [f"--workers={given.workers}"] if given.workers is not None else []
-    done = subprocess.run([*command, *(["--quiet"] if given.quiet else [])], stdout=sys.stderr, check=False)
+    command += ["--quiet"] if given.quiet or given.jobs > 1 else []
+    threads = max((os.cpu_count() or 1) // given.jobs, 1)
+    environment = {**os.environ, "OMP_NUM_THREADS": str(threads)} if given.jobs > 1 else None
+    done = subprocess.run(command, stdout=sys.stderr, env=environment, check=False)
     if done.returncode:
         raise RelocbenchError(f"the training of {name} with seed {seed} ended with status {done.returncode}", out)
     return out / "weights.safetensors"
+
+
+def trained(wanted: Sequence[tuple[str, int]], given: argparse.Namespace) -> dict[tuple[str, int], Path]:
+    """The weights of configurations and seeds, several trained side by side; first those that others start from."""
+    firsts = [each for each in wanted if each[0] == FIRST]
+    others = [each for each in wanted if each[0] != FIRST]
+    with ThreadPoolExecutor(given.jobs) as pool:
+        return {
+            each: path
+            for some in (firsts, others)
+            for each, path in zip(some, pool.map(lambda each: train(*each, given), some), strict=True)
+        }
 
 
 def settings_of(name: str, settings: Sequence[str]) -> list[str]:
@@ -145,7 +162,7 @@ def rows_of(given: argparse.Namespace) -> list[Row]:
     names, seeds = given.config or list(CONFIGURATIONS), given.seed or [0, 1, 2]
     first = any(starts_from_first(name) or trained_by(name) == FIRST for name in names)
     order = ([FIRST] if first else []) + [name for name in names if trained_by(name) == name and name != FIRST]
-    weights = {(name, seed): train(name, seed, given) for seed in seeds for name in order}
+    weights = trained([(name, seed) for seed in seeds for name in order], given)
     rows = []
     for name in names:
         labels = {f"{name}-seed{seed}": "lpn" for seed in seeds}
@@ -251,6 +268,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", default="leaderboard/retrieval")
     parser.add_argument("--device")
     parser.add_argument("--workers", type=int)
+    parser.add_argument("--jobs", type=int, default=1, help="trainings side by side, that share the cores")
     parser.add_argument("--quiet", action="store_true")
     return parser.parse_args()
 

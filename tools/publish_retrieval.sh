@@ -21,4 +21,6 @@ relocbench train lpn --dataset "$scratch/train" --config global-average --set ne
 
 python benchmarks/lpn_configurations.py --train "$scratch/train" --test "$scratch/test" --scratch "$scratch/systems" \
   --backbone-weights "$scratch/backbone/weights.safetensors" --out leaderboard/retrieval \
-  --set network.backbone=resnet18 --set mixed_precision=true --set size=128
+  --set network.backbone=resnet18 --set mixed_precision=true --set size=128 --set backbone_rate=1e-3 --set rate=3e-3 \
+  --set network.dropout=0.25 --set epochs.all=8 --set epochs.classifier=2 --set epochs.refined=4 --set epochs.heatmap=4 \
+  --jobs 2 --workers 0
