@@ -34,6 +34,8 @@ class ImageView:
     """from where it was taken: ``street``, ``drone``, ``satellite``"""
     read: Callable[[], Image]
     """raises DatasetError"""
+    content: str = ""
+    """digest of what the image holds, where it is known: images of one view with the same are described once"""
 
     @cached_property
     def image(self) -> Image:

@@ -63,6 +63,23 @@ def made_task(vectors: Sequence[Sequence[int]], labels: Sequence[int], queries: 
     return RetrievalTask("made", tuple(names[:queries]), tuple(names[queries:]), relevance)
 
 
+def test_an_image_under_two_names_is_described_once() -> None:
+    read: list[str] = []
+
+    def view(key: str, content: str, side: str = "drone") -> ImageView:
+        grey = np.full((2, 2, 3), ord(content[:1] or key[:1]), dtype=np.uint8)
+        return ImageView(key, side, lambda: read.append(key) or grey, content)
+
+    queries = (view("q0", "a"), view("q1", "a"), view("q2", ""))
+    gallery = (view("g0", "b"), view("g1", "a"), view("g2", ""), view("g3", "a", "satellite"))
+    task = RetrievalTask("made", queries, gallery, relevance_from_labels([0, 0, 0], [0, 0, 1, 1]))
+    asking = Asking(Thumbnail, [task], 0)
+    done = asking.ask(task, None)
+    assert read == ["g0", "g1", "g2", "g3", "q2"]  # q0 and q1 hold what g1 holds; the satellite's view is another
+    assert (done.run.queries_described, done.run.gallery_described) == (3, 4)
+    assert [len(done.lists[f"q{k}"]) for k in range(3)] == [4, 4, 4]
+
+
 def test_lists_and_ranks_are_those_of_the_descriptors(views: Path, tmp_path: Path) -> None:
     report = run(views, tmp_path, f"t={HERE}:Thumbnail", keep=3)
     for task in report.asked.chosen:

@@ -24,3 +24,16 @@ python benchmarks/lpn_configurations.py --train "$scratch/train" --test "$scratc
   --set network.backbone=resnet18 --set mixed_precision=true --set size=128 --set backbone_rate=1e-3 --set rate=3e-3 \
   --set network.dropout=0.25 --set epochs.all=8 --set epochs.classifier=2 --set epochs.refined=4 --set epochs.heatmap=4 \
   --jobs 2 --workers 0
+
+if [ -n "$sample" ]; then
+  board=$PWD/leaderboard/retrieval/real
+  cd "$scratch" # pages name weights by their paths from here
+  asked=(-m random -m colour-histogram -m orb-bow)
+  for seed in 0 1 2; do
+    for name in global-average lpn lpn-dwdr; do
+      asked+=(-m "$name-seed$seed=lpn" --set "$name-seed$seed.weights=systems/$name-seed$seed/weights.safetensors")
+    done
+  done
+  relocbench evaluate --task retrieval -d "$sample" --out real -q "${asked[@]}"
+  relocbench leaderboard real --out "$board" -q
+fi

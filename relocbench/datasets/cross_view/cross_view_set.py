@@ -140,12 +140,16 @@ class CrossViewSet:
 
 
 def shots_of(
-    root: Path, classes: Mapping[str, Iterable[str]], view: str, conditions: Mapping[str, str] | None = None
+    root: Path,
+    classes: Mapping[str, Iterable[str]],
+    view: str,
+    conditions: Mapping[str, str] | None = None,
+    digests: Mapping[str, str] | None = None,
 ) -> tuple[Shot, ...]:
     """Images by the keys of each class, in order of the classes' names."""
-    known = conditions or {}
+    known, contents = conditions or {}, digests or {}
     return tuple(
-        Shot(ImageView(key, view, partial(read_rgb, root / key)), label, known.get(key, ""))
+        Shot(ImageView(key, view, partial(read_rgb, root / key), contents.get(key, "")), label, known.get(key, ""))
         for label, keys in sorted(classes.items())
         for key in keys
     )

@@ -94,15 +94,21 @@ def _made_here(path: Path, layout: Layout) -> CrossViewSet:
             path / content.DATASET_FILE,
         )
     content.check_against(path, rows, layout.keys)
-    return _set(path, file.name, layout, partial(str, file.fingerprint), content.read_conditions(path))
+    digests = {key: sha256 for key, _, sha256 in rows}
+    return _set(path, file.name, layout, partial(str, file.fingerprint), content.read_conditions(path), digests)
 
 
 def _set(
-    path: Path, name: str, layout: Layout, fingerprinted: Callable[[], str], conditions: dict[str, str] | None = None
+    path: Path,
+    name: str,
+    layout: Layout,
+    fingerprinted: Callable[[], str],
+    conditions: dict[str, str] | None = None,
+    digests: dict[str, str] | None = None,
 ) -> CrossViewSet:
     def shots(folders: dict[str, ClassFolders], views: dict[str, str], prefix: str) -> dict[str, tuple[Shot, ...]]:
         return {
-            folder.removeprefix(prefix): shots_of(path, found.images, views[folder], conditions)
+            folder.removeprefix(prefix): shots_of(path, found.images, views[folder], conditions, digests)
             for folder, found in folders.items()
             if found.images
         }

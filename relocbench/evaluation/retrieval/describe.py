@@ -54,7 +54,7 @@ class Describer:
 
     Args:
         retriever: as constructed, and fitted where it fits.
-        shared: keys of images whose descriptors are kept for a later call.
+        shared: identities of images whose descriptors are kept for a later call.
     """
 
     def __init__(self, retriever: Retriever, shared: frozenset[str] = frozenset()) -> None:
@@ -74,16 +74,16 @@ class Describer:
         """
         out: list[_One] = []
         for batch in chunks(images, BATCH):
-            new = [image for image in batch if image.key not in self._known]
-            fresh = dict(zip((image.key for image in new), self._batch(new), strict=True))
+            new = list({identity(image): image for image in batch if identity(image) not in self._known}.values())
+            fresh = dict(zip(map(identity, new), self._batch(new), strict=True))
             self._known |= {key: one for key, one in fresh.items() if key in self._shared}
-            out += [fresh.get(image.key) or self._known[image.key] for image in batch]
+            out += [fresh.get(identity(image)) or self._known[identity(image)] for image in batch]
             advance(len(batch))
         return _stacked(out)
 
     def knows(self, images: Iterable[ImageView]) -> bool:
         """Whether all of them were described before."""
-        return all(image.key in self._known for image in images)
+        return all(identity(image) in self._known for image in images)
 
     def _batch(self, images: Sequence[ImageView]) -> list[_One]:
         if not images:
@@ -179,10 +179,15 @@ class AnonymousViews(Sequence[ImageView]):
         return next(anonymous([self._images[index]]))
 
 
-def shared_keys(tasks: Sequence[RetrievalTask]) -> frozenset[str]:
-    """Images that more than one of the tasks shows, or that are query and gallery at once."""
-    counts = Counter(image.key for task in tasks for side in (task.queries, task.gallery) for image in side)
-    return frozenset(key for key, count in counts.items() if count > 1)
+def identity(image: ImageView) -> str:
+    """The same of images that a retriever describes alike: what one shows, from where, or else its name."""
+    return f"{image.view} {image.content}" if image.content else image.key
+
+
+def shared_images(tasks: Sequence[RetrievalTask]) -> frozenset[str]:
+    """Identities of images that more than one of the tasks shows, or that are query and gallery at once."""
+    counts = Counter(identity(image) for task in tasks for side in (task.queries, task.gallery) for image in side)
+    return frozenset(one for one, count in counts.items() if count > 1)
 
 
 def descriptor_variance(*described: Described) -> float | None:

@@ -20,7 +20,7 @@ from relocbench.evaluation.retrieval.describe import (
     descriptor_variance,
     nothing,
     of_method,
-    shared_keys,
+    shared_images,
 )
 from relocbench.evaluation.retrieval.ranking import rank_task
 from relocbench.evaluation.retrieval.records import (
@@ -116,7 +116,7 @@ class Asking:
     def __init__(self, make: Callable[[], Retriever], tasks: Sequence[RetrievalTask], seed: int) -> None:
         self._make = make
         self._seed = seed
-        self._shared = shared_keys(tasks)
+        self._shared = shared_images(tasks)
         self._describer = self._new()
         self._fitted_on: list[str] | None = None
         """keys of a gallery"""
