@@ -28,12 +28,8 @@ python benchmarks/lpn_configurations.py --train "$scratch/train" --test "$scratc
 if [ -n "$sample" ]; then
   board=$PWD/leaderboard/retrieval/real
   cd "$scratch" # pages name weights by their paths from here
-  asked=(-m random -m colour-histogram -m orb-bow)
-  for seed in 0 1 2; do
-    for name in global-average lpn lpn-dwdr; do
-      asked+=(-m "$name-seed$seed=lpn" --set "$name-seed$seed.weights=systems/$name-seed$seed/weights.safetensors")
-    done
-  done
+  asked=(-m random -m colour-histogram -m orb-bow -m lpn-seed0=lpn)
+  asked+=(--set lpn-seed0.weights=systems/lpn-seed0/weights.safetensors)
   relocbench evaluate --task retrieval -d "$sample" --out real -q "${asked[@]}"
   relocbench leaderboard real --out "$board" -q
 fi
