@@ -2,7 +2,8 @@ VENV ?= .venv
 RUN := $(VENV)/bin
 RECORDINGS ?= ../shared/data
 
-.PHONY: help setup test lint format demo bench docs leaderboard leaderboard-weather leaderboard-retrieval leaderboard-relocalization constraints clean
+.PHONY: help setup test lint format demo bench docs constraints clean
+.PHONY: leaderboard leaderboard-weather leaderboard-retrieval leaderboard-relocalization
 
 help:            ## list the targets
 	@grep -hE '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 24
@@ -41,8 +42,8 @@ leaderboard: setup ## make the published results again (RECORDINGS=folder of kit
 leaderboard-weather: setup ## make the published results across weathers again (renders and evaluates for hours)
 	$(RUN)/python benchmarks/cross_weather.py --out leaderboard/weather
 
-leaderboard-retrieval: setup ## make the published results of retrieval across views again (trains for hours)
-	tools/publish_retrieval.sh $(or $(SCRATCH),retrieval-scratch)
+leaderboard-retrieval: setup ## make the published results of retrieval across views again (trains for hours; SAMPLE=folder of real pairs)
+	tools/publish_retrieval.sh $(or $(SCRATCH),retrieval-scratch) $(SAMPLE)
 
 leaderboard-relocalization: setup ## make the published results of both halves in a row again
 	$(RUN)/python benchmarks/relocalization.py --out leaderboard/relocalization

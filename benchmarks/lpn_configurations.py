@@ -277,6 +277,8 @@ def main() -> int:
     """Print the page and one JSON line."""
     given = arguments()
     try:
+        if given.jobs < 1:
+            raise ConfigError(f"--jobs is {given.jobs}, expected 1 or more")
         for name in given.config or ():
             configuration(name)
         missing = set(DIRECTIONS) - {task.name for task in open_cross_view(Path(given.test)).tasks()}

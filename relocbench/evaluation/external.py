@@ -14,9 +14,10 @@ from relocbench.evaluation.results import (
     RunRecord,
     read_answers,
     write_answers,
+    write_record,
 )
 from relocbench.evaluation.score import read_predictions
-from relocbench.files import dump_yaml, load_yaml, write_text
+from relocbench.files import load_yaml
 
 
 def take_predictions(
@@ -52,7 +53,7 @@ def take_predictions(
     for name, lines, answers in checked:
         write_pose_lines(ours.predictions(name), lines)
         write_answers(ours.answers(name), answers)
-    write_text(ours.run_yaml, dump_yaml(record.model_dump(mode="json")))
+    write_record(ours.run_yaml, record)
     return ours
 
 
