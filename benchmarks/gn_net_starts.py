@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from baselines.alignment import FeatureAlignment, align_features
 from baselines.gn_net.correspondence import Landmarks
-from baselines.gn_net.start import StartSettings, matched_pose
+from baselines.gn_net.start import StartSettings, find_landmarks
 from baselines.gn_net.tracker import GnNet
 from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.pairfile import Pair
@@ -109,7 +109,7 @@ def tally_pairs(dataset: Dataset, pairs: list[tuple[PairSet, Pair]], weights: Pa
         for name, kind in KINDS.items():
             landmarks, tally = some(reference.landmarks, kind.points), tallies[name]
             since = time.process_time()
-            start = matched_pose(landmarks, features, kind, 0)
+            start = find_landmarks(landmarks, features, kind).pose(kind, 0)
             tally.milliseconds.append(1e3 * (time.process_time() - since))
             if start is None:
                 tally.near.append(False)

@@ -68,6 +68,18 @@ def test_the_tracker_finds_small_motions(weights: Path, dataset: Dataset) -> Non
         assert 0 < found.confidence <= 1
 
 
+def test_another_place_is_answered_with_less_confidence(weights: Path, dataset: Dataset) -> None:
+    """Confidence must compare between queries and keyframes; turned upside down, a query shows none of the keyframe."""
+    tracker = GnNet(weights=weights)
+    pair_set = dataset.pair_set(WITHIN)
+    pair = pair_set.pairs[0]
+    reference, query = tracker.prepare(dataset.reference(pair_set, pair)), dataset.query(pair_set, pair)
+    right = tracker.track(reference, query)
+    other = tracker.track(reference, replace(query, image=np.ascontiguousarray(query.image[::-1])))
+    assert right.confidence is not None
+    assert (other.confidence or 0.0) < 0.5 * right.confidence
+
+
 def test_one_prepared_reference_serves_all_queries_and_the_network_sees_it_once(
     weights: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

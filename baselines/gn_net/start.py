@@ -16,6 +16,7 @@ from baselines.alignment import FeaturePyramid
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose
 from baselines.gn_net.correspondence import Landmarks, match_landmarks
 from relocbench.errors import ConfigError
+from relocbench.geometry import Camera, apply
 
 Array = NDArray[np.float64]
 
@@ -53,26 +54,50 @@ class StartSettings:
             raise ConfigError(f"confidence of RANSAC is {self.confidence}, expected between 0 and 1")
 
 
-def matched_pose(landmarks: Landmarks, query: FeaturePyramid, settings: StartSettings, seed: int) -> Array | None:
-    """T_query_ref (4, 4) that agrees best with where the landmarks are seen; None where none was found.
+@dataclass(frozen=True, eq=False)
+class SeenLandmarks:
+    """Where a query shows a reference's landmarks."""
 
-    Args:
-        query: maps of each level.
-        settings: of the search, and of RANSAC.
-        seed: of RANSAC.
+    matches: Matches2D3D
+    """of those that were found; pixels of the query's finest map; nearest features first"""
+    sought: int
+    """landmarks of the reference"""
+    camera: Camera
+    """of the query's finest map"""
+
+    def pose(self, settings: StartSettings, seed: int) -> Array | None:
+        """T_query_ref (4, 4) that agrees best with them; None where there is none. ``seed`` is RANSAC's."""
+        return ransac_pose(
+            self.matches,
+            self.camera,
+            settings.threshold,
+            settings.iterations,
+            settings.confidence,
+            seed,
+            best_first=True,
+        )
+
+    def agreement(self, T_query_ref: Array, threshold: float) -> float:
+        """Share of all landmarks sought that are seen at most ``threshold`` pixels from where a pose puts them.
+
+        It compares between references. Residuals do not: a wrong pose can bring all points into view, where their
+        features are much alike.
+        """
+        if not self.sought:
+            return 0.0
+        put, _ = self.camera.project(apply(T_query_ref, self.matches.points))
+        agree = np.linalg.norm(put - self.matches.pixels, axis=1) <= threshold
+        return float(np.count_nonzero(agree) / self.sought)
+
+
+def find_landmarks(landmarks: Landmarks, query: FeaturePyramid, settings: StartSettings) -> SeenLandmarks:
+    """Look for landmarks in the query's maps, level by level.
+
+    Fewer landmarks than a pose follows from are not looked for.
     """
-    if len(landmarks) < SMALLEST_SAMPLE:
-        return None
-    level = min(settings.level, len(query) - 1)
-    rows, pixels = match_landmarks(landmarks, query, level, settings.windows)
+    rows, pixels = np.zeros(0, dtype=np.intp), np.zeros((0, 2))
+    if len(landmarks) >= SMALLEST_SAMPLE:
+        rows, pixels = match_landmarks(landmarks, query, min(settings.level, len(query) - 1), settings.windows)
     points = landmarks.points[rows]
     matches = Matches2D3D(points, pixels, np.ones(len(points)), np.zeros_like(points))
-    return ransac_pose(
-        matches,
-        query.levels[0].camera,
-        settings.threshold,
-        settings.iterations,
-        settings.confidence,
-        seed,
-        best_first=True,
-    )
+    return SeenLandmarks(matches, len(landmarks), query.levels[0].camera)

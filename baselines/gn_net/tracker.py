@@ -37,7 +37,7 @@ from baselines.alignment.feature_pyramid import level_coordinates
 from baselines.alignment.pyramid import level_camera
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.network import FeatureNet, image_tensor
-from baselines.gn_net.start import StartSettings, matched_pose
+from baselines.gn_net.start import SeenLandmarks, StartSettings, find_landmarks
 from baselines.gn_net.weights import load_weights
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
@@ -69,7 +69,9 @@ class GnNetReference:
 class GnNet:
     """Direct alignment of learned features from the prior, or from the identity without one.
 
-    Confidence, 0 to 1: the share of the reference's points that are in view and within the cutoff.
+    Confidence, 0 to 1: the share of the landmarks that the matched start looked for and that the query shows within two
+    pixels (of the finest map) of where the answer puts them. Without ``matched_start``, the share of the reference's
+    points that are in view and within the cutoff, which does not compare between keyframes.
 
     Args:
         weights: a file of ``relocbench train``; default: those that come with the package.
@@ -163,11 +165,13 @@ class GnNet:
         starts = [Start(first)]
         if self.multistart:
             starts += [Start(turn @ first) for turn in small_rotations()]
+        seen = None
         if self.start is not None and reference.landmarks is not None:
-            matched = matched_pose(reference.landmarks, features, self.start, self.seed)
+            seen = find_landmarks(reference.landmarks, features, self.start)
+            matched = seen.pose(self.start, self.seed)
             # First, as it mostly wins: what others cannot reach any more they give up early.
             starts = starts if matched is None else [Start(matched, self.start.level), *starts]
-        return self._answer(align_features_best(reference.features, features, starts, self.settings))
+        return self._answer(align_features_best(reference.features, features, starts, self.settings), seen)
 
     def match(self, reference: GnNetReference, query: Query, uv_ref: Array, uv_start: Array) -> Array:
         """Where single pixels of the keyframe are in the query, by Gauss-Newton on features from given starts.
@@ -220,7 +224,7 @@ class GnNet:
         """The inverse of :meth:`_on_finest`."""
         return (uv + 0.5) * float(1 << self.net.options.finest) - 0.5
 
-    def _answer(self, found: FeatureAlignment) -> TrackResult:
+    def _answer(self, found: FeatureAlignment, seen: SeenLandmarks | None) -> TrackResult:
         info = self._info(found)
         if found.trouble:
             return TrackResult.failure(found.trouble, **info)
@@ -228,7 +232,11 @@ class GnNet:
             return TrackResult.failure(
                 f"only {found.final.valid} of {found.residuals} residuals project into the query", **info
             )
-        return TrackResult(found.T_query_ref, confidence=float(found.inlier_share), info=info)
+        confidence = float(found.inlier_share)
+        if self.start is not None and seen is not None:
+            confidence = seen.agreement(found.T_query_ref, self.start.threshold)
+            info["matches"] = len(seen.matches)
+        return TrackResult(found.T_query_ref, confidence=confidence, info=info)
 
     def _info(self, found: FeatureAlignment) -> dict[str, Any]:
         return {
