@@ -1,4 +1,4 @@
-"""LPN and its variants side by side: trained on one cross-view set, asked on another, several seeds each.
+"""LPN and its variants side by side: trained on one cross-view set, asked on others, several seeds each.
 
 Each configuration is trained with each seed by `relocbench train lpn --no-validation` (all train places are learnt from
 and the last weights are kept, as the papers do it) and asked by the code of `relocbench evaluate --task retrieval` in
@@ -6,13 +6,13 @@ both directions between drone and satellite. Systems that start from LPN's weigh
 those of `lpn` with the same seed, which are trained once; `lpn-dmli` is `lpn` with its rankings sorted anew. Retrievers
 that learn nothing stand below. The table has mean +- standard deviation over the seeds.
 
-Beside it stands what the log of trials reports for University-1652: ANOTHER data set, with a backbone trained on
-ImageNet. Only the order of systems can be compared with it, and differences of its first block are noise.
+Beside it stands what the log of trials reports for test places of University-1652: ANOTHER data set, with a backbone
+trained on ImageNet. Only the order of systems can be compared with it, and differences of its first block are noise.
 
 Trainings and answers in --scratch are taken up where they are; run again, it does what is missing.
 
-    python benchmarks/lpn_configurations.py --train TRAIN --test TEST --scratch S [--config NAME ...] [--seed N ...]
-        [--set key=value ...] [--out leaderboard/retrieval] [--device cpu] [--jobs N]
+    python benchmarks/lpn_configurations.py --train TRAIN --test TEST [TEST ...] --scratch S [--config NAME ...]
+        [--seed N ...] [--set key=value ...] [--out leaderboard/retrieval [FOLDER ...]] [--device cpu] [--jobs N]
 
 JSON on the last line.
 """
@@ -136,10 +136,12 @@ def settings_of(name: str, settings: Sequence[str]) -> list[str]:
     return [s for s in settings if not keys[s].startswith("epochs.") or keys[s].removeprefix("epochs.") in stages]
 
 
-def ask(given: argparse.Namespace, methods: dict[str, str], settings: Sequence[str]) -> RetrievalReport:
-    """Answers of several labelled retrievers on the test set."""
+def ask(
+    given: argparse.Namespace, test: Path, methods: dict[str, str], settings: Sequence[str] = ()
+) -> RetrievalReport:
+    """Answers of several labelled retrievers on a test set."""
     options = RetrievalOptions(
-        dataset=Path(given.test),
+        dataset=test,
         methods=tuple(f"{label}={target}" for label, target in methods.items()),
         set=tuple(settings),
         out=Path(given.scratch) / "results",
@@ -157,12 +159,17 @@ def answers(report: RetrievalReport) -> dict[str, Values]:
     return out
 
 
-def rows_of(given: argparse.Namespace) -> list[Row]:
-    """Train what is missing, ask what is missing."""
+def weights_of(given: argparse.Namespace) -> dict[tuple[str, int], Path]:
+    """By configuration and seed; what is missing is trained."""
     names, seeds = given.config or list(CONFIGURATIONS), given.seed or [0, 1, 2]
     first = any(starts_from_first(name) or trained_by(name) == FIRST for name in names)
     order = ([FIRST] if first else []) + [name for name in names if trained_by(name) == name and name != FIRST]
-    weights = trained([(name, seed) for seed in seeds for name in order], given)
+    return trained([(name, seed) for seed in seeds for name in order], given)
+
+
+def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], test: Path) -> list[Row]:
+    """Of every system on one test set; what is missing is asked."""
+    names, seeds = given.config or list(CONFIGURATIONS), given.seed or [0, 1, 2]
     rows = []
     for name in names:
         labels = {f"{name}-seed{seed}": "lpn" for seed in seeds}
@@ -170,23 +177,23 @@ def rows_of(given: argparse.Namespace) -> list[Row]:
         settings += [f"{label}.config={name}" for label in labels] + [
             f"{label}.device={given.device or 'cpu'}" for label in labels
         ]
-        found = answers(ask(given, labels, settings))
+        found = answers(ask(given, test, labels, settings))
         system = CONFIGURATIONS[name]
         logged = (system.logged.r_at_1, system.logged.ap) if system.logged else None
         rows.append(Row(name, system.about, tuple(found[label] for label in labels), tuple(seeds), logged))
-    floors = answers(ask(given, {name: name for name in FLOORS}, ()))
+    floors = answers(ask(given, test, {name: name for name in FLOORS}))
     return rows + [Row(name, "learns nothing", (floors[name],), ()) for name in FLOORS]
 
 
-def page(rows: Sequence[Row], given: argparse.Namespace, chance: dict[str, float]) -> str:
-    """``lpn_configurations.md``."""
+def page(rows: Sequence[Row], given: argparse.Namespace, folder: Path, chance: dict[str, float]) -> str:
+    """``lpn_configurations.md`` of a test set."""
     trainer = trainer_named("lpn")
     options = options_from_dict(
         TrainOptions, chosen_options(trainer, FIRST, settings_of(FIRST, given.settings))
     ).with_rates()
     if given.backbone_weights:
         options = replace(options, backbone_weights=str(given.backbone_weights))
-    test = open_cross_view(Path(given.test))
+    test = open_cross_view(folder)
     trained_on = [open_cross_view(Path(root)) for root in given.train]
     counts = {task.name: (len(task.queries), len(task.gallery)) for task in test.tasks()}
     lines = [
@@ -208,9 +215,9 @@ def page(rows: Sequence[Row], given: argparse.Namespace, chance: dict[str, float
     if apart:
         lines.append(f"- Unlike the published systems: {'; '.join(apart)}.")
     lines += [
-        "- The last two columns are what the log of trials reports for drone-satellite on **University-1652, another "
-        f"data set**, with ImageNet weights; its replaced partition loss, whose formula is not public, reached "
-        f"{REPLACED_PARTITION_LOSS.r_at_1} / {REPLACED_PARTITION_LOSS.ap}.",
+        "- The last two columns are what the log of trials reports for drone-satellite on the test places of "
+        "**University-1652, another data set than this**, with ImageNet weights; its replaced partition loss, whose "
+        f"formula is not public, reached {REPLACED_PARTITION_LOSS.r_at_1} / {REPLACED_PARTITION_LOSS.ap}.",
         "",
         "| system | seeds | "
         + " | ".join(f"{d} {m}" for d in DIRECTIONS for m in METRICS)
@@ -241,19 +248,18 @@ def _cell(mean: float, deviation: float) -> str:
     return f"{mean:.2f}" if np.isnan(deviation) else f"{mean:.2f} ± {deviation:.2f}"
 
 
-def summary(rows: Sequence[Row], given: argparse.Namespace) -> dict[str, Any]:
-    """The last line."""
-    systems = {
+def summary(rows: Sequence[Row]) -> dict[str, Any]:
+    """Of one test set, for the last line."""
+    return {
         row.name: {d: {m: round(row.mean_and_deviation(d, m)[0], 2) for m in METRICS} for d in DIRECTIONS}
         for row in rows
     }
-    return {"benchmark": "lpn_configurations", "seeds": given.seed or [0, 1, 2], "percent": systems}
 
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--train", nargs="+", required=True, help="cross-view folders with train/")
-    parser.add_argument("--test", required=True, help="cross-view folder with test/")
+    parser.add_argument("--test", nargs="+", required=True, help="cross-view folders with test/, or two sheets")
     parser.add_argument("--scratch", required=True, help="trainings and answers, taken up again")
     parser.add_argument("--config", nargs="+", help="configurations [default: all]")
     parser.add_argument("--seed", nargs="+", type=int, help="[default: 0 1 2]")
@@ -265,7 +271,7 @@ def arguments() -> argparse.Namespace:
         help="key=value of the trainer; epochs.STAGE goes to those that have the stage",
     )
     parser.add_argument("--backbone-weights", help="torchvision's ResNet")
-    parser.add_argument("--out", default="leaderboard/retrieval")
+    parser.add_argument("--out", nargs="+", default=["leaderboard/retrieval"], help="a folder for each test set's page")
     parser.add_argument("--device")
     parser.add_argument("--workers", type=int)
     parser.add_argument("--jobs", type=int, default=1, help="trainings side by side, that share the cores")
@@ -279,22 +285,29 @@ def main() -> int:
     try:
         if given.jobs < 1:
             raise ConfigError(f"--jobs is {given.jobs}, expected 1 or more")
+        if len(given.out) != len(given.test):
+            raise ConfigError(f"--out names {len(given.out)} folders for {len(given.test)} test sets; expected as many")
         for name in given.config or ():
             configuration(name)
-        missing = set(DIRECTIONS) - {task.name for task in open_cross_view(Path(given.test)).tasks()}
-        if missing:
-            raise ConfigError(f"has no {' and no '.join(sorted(missing))}", Path(given.test))
-        rows = rows_of(given)
-        report = ask(given, {name: name for name in FLOORS}, ())
-        chance = {d: float(report.record.tasks[d].chance["R@1"]) for d in DIRECTIONS}
-        text = page(rows, given, chance)
+        tests = {Path(folder): open_cross_view(Path(folder)) for folder in given.test}
+        for folder, found in tests.items():
+            missing = set(DIRECTIONS) - {task.name for task in found.tasks()}
+            if missing:
+                raise ConfigError(f"has no {' and no '.join(sorted(missing))}", folder)
+        weights = weights_of(given)
+        results = {}
+        for (folder, found), out in zip(tests.items(), map(Path, given.out), strict=True):
+            rows = rows_of(given, weights, folder)
+            record = ask(given, folder, {name: name for name in FLOORS}).record
+            text = page(rows, given, folder, {d: float(record.tasks[d].chance["R@1"]) for d in DIRECTIONS})
+            write_text(out / "lpn_configurations.md", text)
+            write_text(out / "lpn_configurations.csv", table(rows))
+            print(text)
+            results[found.name] = summary(rows)
     except RelocbenchError as bad:
         print(f"error: {bad}", file=sys.stderr)
         return 2
-    write_text(Path(given.out) / "lpn_configurations.md", text)
-    write_text(Path(given.out) / "lpn_configurations.csv", table(rows))
-    print(text)
-    print(json.dumps(summary(rows, given)))
+    print(json.dumps({"benchmark": "lpn_configurations", "seeds": given.seed or [0, 1, 2], "percent": results}))
     return 0
 
 
