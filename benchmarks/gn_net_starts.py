@@ -109,7 +109,7 @@ def tally_pairs(dataset: Dataset, pairs: list[tuple[PairSet, Pair]], weights: Pa
         for name, kind in KINDS.items():
             landmarks, tally = some(reference.landmarks, kind.points), tallies[name]
             since = time.process_time()
-            start = find_landmarks(landmarks, features, kind).pose(kind, 0)
+            start = find_landmarks(landmarks, features, kind).pose(0)
             tally.milliseconds.append(1e3 * (time.process_time() - since))
             if start is None:
                 tally.near.append(False)

@@ -161,7 +161,7 @@ def answers(report: RetrievalReport) -> dict[str, Values]:
 
 def weights_of(given: argparse.Namespace) -> dict[tuple[str, int], Path]:
     """By configuration and seed; what is missing is trained."""
-    names, seeds = given.config or list(CONFIGURATIONS), given.seed or [0, 1, 2]
+    names, seeds = given.config, given.seed
     first = any(starts_from_first(name) or trained_by(name) == FIRST for name in names)
     order = ([FIRST] if first else []) + [name for name in names if trained_by(name) == name and name != FIRST]
     return trained([(name, seed) for seed in seeds for name in order], given)
@@ -169,9 +169,8 @@ def weights_of(given: argparse.Namespace) -> dict[tuple[str, int], Path]:
 
 def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], test: Path) -> list[Row]:
     """Of every system on one test set; what is missing is asked."""
-    names, seeds = given.config or list(CONFIGURATIONS), given.seed or [0, 1, 2]
-    rows = []
-    for name in names:
+    rows, seeds = [], given.seed
+    for name in given.config:
         labels = {f"{name}-seed{seed}": "lpn" for seed in seeds}
         settings = [f"{name}-seed{seed}.weights={weights[trained_by(name), seed]}" for seed in seeds]
         settings += [f"{label}.config={name}" for label in labels] + [
@@ -261,8 +260,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--train", nargs="+", required=True, help="cross-view folders with train/")
     parser.add_argument("--test", nargs="+", required=True, help="cross-view folders with test/, or two sheets")
     parser.add_argument("--scratch", required=True, help="trainings and answers, taken up again")
-    parser.add_argument("--config", nargs="+", help="configurations [default: all]")
-    parser.add_argument("--seed", nargs="+", type=int, help="[default: 0 1 2]")
+    parser.add_argument("--config", nargs="+", default=list(CONFIGURATIONS), help="configurations [default: all]")
+    parser.add_argument("--seed", nargs="+", type=int, default=[0, 1, 2], help="[default: 0 1 2]")
     parser.add_argument(
         "--set",
         action="append",
@@ -287,7 +286,7 @@ def main() -> int:
             raise ConfigError(f"--jobs is {given.jobs}, expected 1 or more")
         if len(given.out) != len(given.test):
             raise ConfigError(f"--out names {len(given.out)} folders for {len(given.test)} test sets; expected as many")
-        for name in given.config or ():
+        for name in given.config:
             configuration(name)
         tests = {Path(folder): open_cross_view(Path(folder)) for folder in given.test}
         for folder, found in tests.items():
@@ -307,7 +306,7 @@ def main() -> int:
     except RelocbenchError as bad:
         print(f"error: {bad}", file=sys.stderr)
         return 2
-    print(json.dumps({"benchmark": "lpn_configurations", "seeds": given.seed or [0, 1, 2], "percent": results}))
+    print(json.dumps({"benchmark": "lpn_configurations", "seeds": given.seed, "percent": results}))
     return 0
 
 

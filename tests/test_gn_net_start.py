@@ -43,7 +43,7 @@ def a_scene(seed: int, right: float) -> tuple[Landmarks, FeaturePyramid]:
 
 @pytest.mark.parametrize("right", [1.0, 0.4])
 def test_the_pose_is_found_far_from_the_identity(right: float) -> None:
-    found = find_landmarks(*a_scene(0, right), SETTINGS).pose(SETTINGS, seed=0)
+    found = find_landmarks(*a_scene(0, right), SETTINGS).pose(seed=0)
     assert found is not None
     off = np.linalg.inv(found) @ T_QUERY_REF
     assert np.linalg.norm(off[:3, 3]) < 0.05
@@ -52,7 +52,7 @@ def test_the_pose_is_found_far_from_the_identity(right: float) -> None:
 
 def test_the_same_seed_gives_the_same_pose() -> None:
     scene = a_scene(1, 0.5)
-    one, other = (find_landmarks(*scene, SETTINGS).pose(SETTINGS, seed=3) for _ in range(2))
+    one, other = (find_landmarks(*scene, SETTINGS).pose(seed=3) for _ in range(2))
     assert one is not None
     assert other is not None
     assert np.array_equal(one, other)
@@ -64,8 +64,8 @@ def test_too_few_points_give_no_pose() -> None:
     none = Landmarks(landmarks.points[:0], (landmarks.values[0][:0],))
     for landmarks in (few, none):
         seen = find_landmarks(landmarks, query, SETTINGS)
-        assert seen.pose(SETTINGS, seed=0) is None
-        assert (len(seen.matches), seen.agreement(np.eye(4), SETTINGS.threshold)) == (0, 0.0)
+        assert seen.pose(seed=0) is None
+        assert (len(seen.matches), seen.agreement(np.eye(4))) == (0, 0.0)
 
 
 @pytest.mark.parametrize("right", [1.0, 0.4])
@@ -75,11 +75,11 @@ def test_the_share_that_agrees_tells_the_right_pose(right: float) -> None:
     seen = find_landmarks(landmarks, query, SETTINGS)
     put, _ = CAMERA.project(apply(T_QUERY_REF, landmarks.points))
     in_view = np.count_nonzero(CAMERA.contains(put)) / len(landmarks)
-    assert seen.agreement(T_QUERY_REF, SETTINGS.threshold) == pytest.approx(right * in_view, abs=0.08)
+    assert seen.agreement(T_QUERY_REF) == pytest.approx(right * in_view, abs=0.08)
     wrong = make_transform(so3_exp([0.0, 0.3, 0.0]), [0.0, 0.0, 2.0]) @ T_QUERY_REF
     behind = make_transform(so3_exp([0.0, np.pi, 0.0]), [0.0, 0.0, 0.0]) @ T_QUERY_REF
-    assert seen.agreement(wrong, SETTINGS.threshold) < 0.02
-    assert seen.agreement(behind, SETTINGS.threshold) == 0.0
+    assert seen.agreement(wrong) < 0.02
+    assert seen.agreement(behind) == 0.0
 
 
 def test_landmarks_are_points_with_depth_where_they_are() -> None:

@@ -19,7 +19,7 @@ relocbench build-dataset cross-view --split test --places 90 --distractors 30 --
   --conditions Sunny,Overcast,Rain,Snow --out test -q
 
 # No ImageNet weights: one long training gives all systems their backbone, first on few places (with 720 classes drawn
-# weights learn nothing for long), then on three times as many. If it favours a system, then global-average, whose own
+# weights begin to learn late), then on three times as many. If it favours a system, then global-average, whose own
 # way of training it is.
 network=(--set network.backbone=resnet18 --set mixed_precision=true)
 backbone=("${network[@]}" --set size=96 --set batch=16 --set rate=1e-2 --set warm_up=100 --set network.dropout=0.2)

@@ -39,7 +39,7 @@ class StartSettings:
     windows: tuple[int, ...] = (3, 2)
     """half-widths of the windows on the levels below, coarser first, pixels of the level"""
     threshold: float = 2.0
-    """pixels of the finest map; what RANSAC holds for agreement"""
+    """pixels of the finest map; what RANSAC, and the confidence of an answer, hold for agreement"""
     iterations: int = 2000
     """of RANSAC, at most"""
     confidence: float = 0.999
@@ -64,21 +64,23 @@ class SeenLandmarks:
     """landmarks of the reference"""
     camera: Camera
     """of the query's finest map"""
+    settings: StartSettings
+    """they were looked for with"""
 
-    def pose(self, settings: StartSettings, seed: int) -> Array | None:
+    def pose(self, seed: int) -> Array | None:
         """T_query_ref (4, 4) that agrees best with them; None where there is none. ``seed`` is RANSAC's."""
         return ransac_pose(
             self.matches,
             self.camera,
-            settings.threshold,
-            settings.iterations,
-            settings.confidence,
+            self.settings.threshold,
+            self.settings.iterations,
+            self.settings.confidence,
             seed,
             best_first=True,
         )
 
-    def agreement(self, T_query_ref: Array, threshold: float) -> float:
-        """Share of all landmarks sought that are seen at most ``threshold`` pixels from where a pose puts them.
+    def agreement(self, T_query_ref: Array) -> float:
+        """Share of all landmarks sought that are seen within the threshold of where a pose puts them.
 
         It compares between references. Residuals do not: a wrong pose can bring all points into view, where their
         features are much alike.
@@ -86,7 +88,7 @@ class SeenLandmarks:
         if not self.sought:
             return 0.0
         put, _ = self.camera.project(apply(T_query_ref, self.matches.points))
-        agree = np.linalg.norm(put - self.matches.pixels, axis=1) <= threshold
+        agree = np.linalg.norm(put - self.matches.pixels, axis=1) <= self.settings.threshold
         return float(np.count_nonzero(agree) / self.sought)
 
 
@@ -100,4 +102,4 @@ def find_landmarks(landmarks: Landmarks, query: FeaturePyramid, settings: StartS
         rows, pixels = match_landmarks(landmarks, query, min(settings.level, len(query) - 1), settings.windows)
     points = landmarks.points[rows]
     matches = Matches2D3D(points, pixels, np.ones(len(points)), np.zeros_like(points))
-    return SeenLandmarks(matches, len(landmarks), query.levels[0].camera)
+    return SeenLandmarks(matches, len(landmarks), query.levels[0].camera, settings)

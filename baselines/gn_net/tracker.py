@@ -168,7 +168,7 @@ class GnNet:
         seen = None
         if self.start is not None and reference.landmarks is not None:
             seen = find_landmarks(reference.landmarks, features, self.start)
-            matched = seen.pose(self.start, self.seed)
+            matched = seen.pose(self.seed)
             # First, as it mostly wins: what others cannot reach any more they give up early.
             starts = starts if matched is None else [Start(matched, self.start.level), *starts]
         return self._answer(align_features_best(reference.features, features, starts, self.settings), seen)
@@ -232,11 +232,10 @@ class GnNet:
             return TrackResult.failure(
                 f"only {found.final.valid} of {found.residuals} residuals project into the query", **info
             )
-        confidence = float(found.inlier_share)
-        if self.start is not None and seen is not None:
-            confidence = seen.agreement(found.T_query_ref, self.start.threshold)
-            info["matches"] = len(seen.matches)
-        return TrackResult(found.T_query_ref, confidence=confidence, info=info)
+        if seen is None:
+            return TrackResult(found.T_query_ref, confidence=float(found.inlier_share), info=info)
+        info["matches"] = len(seen.matches)
+        return TrackResult(found.T_query_ref, confidence=seen.agreement(found.T_query_ref), info=info)
 
     def _info(self, found: FeatureAlignment) -> dict[str, Any]:
         return {
