@@ -1,0 +1,92 @@
+"""Files that appear whole or not at all, and text that says where it is wrong.
+
+Every text that others wrote is read here: UTF-8 text and its lines, tables, numbers, times, YAML, JSON and names. What
+cannot be read is a :class:`~relocbench.errors.RelocbenchError` of one line with file and line number; sizes, depths
+and lengths are limited, so that no file costs more than its reading.
+"""
+
+from relocbench.files.json_text import parse_json, read_journal
+from relocbench.files.names import (
+    MAX_FOLDER_BYTES,
+    MAX_JOINED_BYTES,
+    check_distinct,
+    check_joined_name,
+    check_name,
+    fitting_name,
+    plain_name,
+)
+from relocbench.files.numbers import (
+    parse_count,
+    parse_floats,
+    parse_seconds,
+    parse_timestamp,
+    seconds_to_ns,
+    whole_number,
+)
+from relocbench.files.plain import plain_file, read_bytes
+from relocbench.files.tables import read_csv, read_table
+from relocbench.files.text import lines_of, read_rows, read_text
+from relocbench.files.writing import (
+    alone_in,
+    alone_writing_to,
+    atomic_write,
+    link_file,
+    remove_parts,
+    sha256_file,
+    write_bytes,
+    write_text,
+)
+from relocbench.files.yaml_files import (
+    dump_yaml,
+    first_fault,
+    load_yaml,
+    load_yaml_value,
+    load_yaml_values,
+    yaml_line,
+)
+from relocbench.files.yaml_text import MAX_DEPTH, MAX_NODES, YamlFault, YamlPlaces, parse_yaml, parse_yaml_setting
+
+__all__ = [
+    "MAX_DEPTH",
+    "MAX_FOLDER_BYTES",
+    "MAX_JOINED_BYTES",
+    "MAX_NODES",
+    "YamlFault",
+    "YamlPlaces",
+    "alone_in",
+    "alone_writing_to",
+    "atomic_write",
+    "check_distinct",
+    "check_joined_name",
+    "check_name",
+    "dump_yaml",
+    "first_fault",
+    "fitting_name",
+    "lines_of",
+    "link_file",
+    "load_yaml",
+    "load_yaml_value",
+    "load_yaml_values",
+    "parse_count",
+    "parse_floats",
+    "parse_json",
+    "parse_seconds",
+    "parse_timestamp",
+    "parse_yaml",
+    "parse_yaml_setting",
+    "plain_file",
+    "plain_name",
+    "read_bytes",
+    "read_csv",
+    "read_journal",
+    "read_rows",
+    "read_table",
+    "read_text",
+    "remove_parts",
+    "seconds_to_ns",
+    "sha256_file",
+    "whole_number",
+    "write_bytes",
+    "write_text",
+    "yaml_line",
+]

@@ -1,0 +1,61 @@
+"""JSON that others wrote, and journals of JSON lines."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from relocbench.errors import quoted
+from relocbench.files.plain import read_bytes
+
+
+def parse_json(text: str | bytes) -> Any:
+    """The value of a JSON text.
+
+    Raises:
+        ValueError: with one line of why: no JSON, no UTF-8, a key twice, nested too deep, a number of more digits than
+            Python reads, half of a surrogate pair, which no file could be written with.
+    """
+    try:
+        value = json.loads(text, object_pairs_hook=_distinct)
+        if "\\u" in text if isinstance(text, str) else b"\\u" in text:
+            json.dumps(value, ensure_ascii=False).encode()
+    except RecursionError:
+        raise ValueError("is nested too deep") from None
+    except UnicodeEncodeError:
+        raise ValueError("holds half of a surrogate pair") from None
+    return value
+
+
+def _distinct(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        seen: set[str] = set()
+        again = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise ValueError(f"the key {quoted(again)} occurs twice")
+    return found
+
+
+def read_journal(path: Path) -> list[dict[str, Any]]:
+    """The whole lines of a journal of JSON objects; their ``key``, where they have one, is a list of words or numbers.
+
+    The first line that is none ends it: a kill tore the last one, wherever in a character that was.
+
+    Raises:
+        RelocbenchError: there is no file to be read, such as a pipe, a folder, or a link to a file that is gone.
+    """
+    out = []
+    for line in read_bytes(path, "a journal").split(b"\n")[:-1]:
+        try:
+            entry = parse_json(line)
+        except ValueError:
+            break
+        if not isinstance(entry, dict) or not _is_key(entry.get("key", [])):
+            break
+        out.append(entry)
+    return out
+
+
+def _is_key(key: Any) -> bool:
+    return isinstance(key, list) and all(isinstance(part, str | int) for part in key)

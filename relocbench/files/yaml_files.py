@@ -1,0 +1,91 @@
+"""YAML files checked against pydantic models; a fault names file, line and key."""
+
+from __future__ import annotations
+
+import reprlib
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from relocbench.errors import MOST_QUOTED, RelocbenchError, cut, printable
+from relocbench.files.text import read_text
+from relocbench.files.yaml_text import YamlFault, YamlPlaces, parse_yaml
+
+Model = TypeVar("Model", bound=BaseModel)
+MAX_YAML_BYTES = 16 * 2**20
+"""the scores of a method on some ten thousand pair sets"""
+
+
+def dump_yaml(values: Any) -> str:
+    """YAML in the order given, short lists on one line."""
+    return str(yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110))
+
+
+def load_yaml(path: Path, model: type[Model], what: str, error: type[RelocbenchError] = RelocbenchError) -> Model:
+    """A YAML file checked against a pydantic model.
+
+    Raises:
+        RelocbenchError: (as ``error``) with file, line and key: no YAML, an unknown key, a wrong type.
+    """
+    values, places = load_yaml_values(path, what, error)
+    try:
+        return model.model_validate(values)
+    except ValidationError as bad:
+        message, location = first_fault(bad)
+        raise error(message, path, yaml_line(places, location)) from None
+
+
+def load_yaml_values(
+    path: Path, what: str, error: type[RelocbenchError] = RelocbenchError
+) -> tuple[dict[str, Any], YamlPlaces]:
+    """The mapping that a YAML file holds, and where its parts stand. Raises ``error`` with file and line."""
+    value, places = _load(path, what, error)
+    if not isinstance(value, dict):
+        raise error(f"expected {what} with keys and values", path)
+    return value, places
+
+
+def load_yaml_value(path: Path, what: str, error: type[RelocbenchError] = RelocbenchError) -> Any:
+    """Whatever a YAML file holds; None where that is nothing. Raises ``error`` with file and line."""
+    return _load(path, what, error)[0]
+
+
+def _load(path: Path, what: str, error: type[RelocbenchError]) -> tuple[Any, YamlPlaces]:
+    text = read_text(path, what, error, MAX_YAML_BYTES)
+    try:
+        return parse_yaml(text), YamlPlaces(text)
+    except YamlFault as bad:
+        raise error(f"not valid YAML ({bad.problem}); expected {what}", path, bad.line) from None
+
+
+def first_fault(bad: ValidationError) -> tuple[str, tuple[str | int, ...]]:
+    """One line about a pydantic error (the first, and how many more), and where it is."""
+    faults = bad.errors(include_url=False)
+    first = faults[0]
+    location = tuple(first["loc"])
+    key = cut(printable(".".join(str(part) for part in location)), MOST_QUOTED)
+    if first["type"] == "extra_forbidden":
+        message = f"unknown key '{key}'"
+    elif first["type"] == "missing":
+        message = f"key '{key}' is missing"
+    else:
+        told = cut(printable(str(first["msg"])), 2 * MOST_QUOTED)
+        message = f"key '{key}': {told}, got {_shown(first.get('input'))}" if key else told
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return message + more, location
+
+
+def _shown(value: Any) -> str:
+    """A value as Python writes it, of at most :data:`MOST_QUOTED` characters; more than that is not looked at."""
+    shortened = reprlib.Repr()
+    shortened.maxlevel = 4
+    shortened.maxlist = shortened.maxtuple = shortened.maxset = shortened.maxdict = 50
+    shortened.maxstring = shortened.maxlong = shortened.maxother = MOST_QUOTED
+    return cut(printable(shortened.repr(value)), MOST_QUOTED)
+
+
+def yaml_line(places: YamlPlaces | None, location: tuple[str | int, ...]) -> int | None:
+    """1-based line of the innermost part of ``location`` that exists in the text."""
+    return None if places is None else places.line(location)
