@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,9 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.dataset import Dataset
 from relocbench.errors import DatasetError
-from relocbench.evaluation.worker import guarded
+from relocbench.evaluation.answers import CheckedAnswer, ask, broken, checked, checked_pixels
+from relocbench.evaluation.guard import guarded, neighbours_of, offers
+from relocbench.evaluation.info_text import INFO_CHARACTERS
 from relocbench.execution import messages_to_stderr
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
@@ -23,8 +26,6 @@ from relocbench.tracking import (
     SupportsBatch,
     SupportsMatching,
     SupportsPrepare,
-    fault_of,
-    match_fault_of,
 )
 
 _WIDTH, _HEIGHT, _FOCAL, _WALL_M = 320, 240, 250.0, 4.0
@@ -58,28 +59,37 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
     if problem:
         return [Finding("is constructed", False, problem)]
     findings.append(Finding("is constructed", True, ", ".join(f"{k}={v}" for k, v in spec.parameters.items())))
-    if not callable(getattr(tracker, "track", None)):
+    if guarded(lambda: callable(getattr(tracker, "track", None)))[0] is not True:
         return [*findings, Finding("has track()", False, f"{type(tracker).__name__} has none")]
     questions = _made_up() + (_from_dataset(dataset) if dataset else [])
+    _, fault = neighbours_of(tracker)
+    if fault is not None:
+        findings.append(Finding("says how many neighbours it wants", False, fault))
     answers = [_ask(tracker, question) for question in questions]
-    for question, (result, problem) in zip(questions, answers, strict=True):
-        fault = problem or fault_of(result)
-        findings.append(Finding(f"answers {question.name}", fault is None, fault or _words(result)))
-    usable = [i for i, (result, problem) in enumerate(answers) if problem is None and fault_of(result) is None]
+    for question, answer in zip(questions, answers, strict=True):
+        findings.append(Finding(f"answers {question.name}", answer.status != "error", _words(answer)))
+    usable = [i for i, answer in enumerate(answers) if answer.status != "error"]
     findings.append(_repeatable(spec, tracker, questions, answers, usable))
     findings.append(_leaves_input_alone(tracker, questions[0]))
-    if isinstance(tracker, SupportsBatch) and usable:
-        findings.append(_batch_agrees(tracker, questions[usable[0]], answers[usable[0]][0]))
-    if isinstance(tracker, SupportsMatching):
+    if offers(tracker, SupportsBatch) and usable:
+        findings.append(_batch_agrees(tracker, questions[usable[0]], answers[usable[0]]))
+    if offers(tracker, SupportsMatching):
         findings += [_matches(tracker, question) for question in questions]
         findings.append(_matches_by_pixel(spec, tracker, questions[0]))
-    if callable(getattr(tracker, "close", None)):
-        tracker.close()
+    _close(tracker)
     return findings
 
 
-def _ask(tracker: Any, question: _Question) -> tuple[Any, str | None]:
-    return _attempt(lambda: tracker.track(_prepared(tracker, question), question.query, None))
+def _close(tracker: Any) -> None:
+    """Programs are asked to end."""
+    close, problem = guarded(lambda: getattr(tracker, "close", None))
+    if problem is None and callable(close):
+        _attempt(close)
+
+
+def _ask(tracker: Any, question: _Question) -> CheckedAnswer:
+    result, problem = _attempt(lambda: tracker.track(_prepared(tracker, question), question.query, None))
+    return broken(problem) if problem else checked(result)
 
 
 def _attempt(call: Callable[[], Any]) -> tuple[Any, str | None]:
@@ -89,29 +99,33 @@ def _attempt(call: Callable[[], Any]) -> tuple[Any, str | None]:
 
 
 def _prepared(tracker: Any, question: _Question) -> Any:
-    return tracker.prepare(question.reference) if isinstance(tracker, SupportsPrepare) else question.reference
+    return tracker.prepare(question.reference) if offers(tracker, SupportsPrepare) else question.reference
 
 
 def _repeatable(
-    spec: MethodSpec, tracker: Any, questions: list[_Question], answers: list[tuple[Any, str | None]], usable: list[int]
+    spec: MethodSpec, tracker: Any, questions: list[_Question], answers: list[CheckedAnswer], usable: list[int]
 ) -> Finding:
     """The same answer again, from the same and from a fresh tracker, with the questions in another order."""
     name = "gives the same answer whatever was asked before"
-    fresh = spec.create()
+    fresh, unmade = guarded(spec.create)
+    if unmade is not None:
+        return Finding(name, False, f"constructed again, it raised {unmade}")
+    told = None
     for other in (tracker, fresh):
         for i in reversed(usable):
-            again, problem = _ask(other, questions[i])
-            if problem or not _same_pose(again, answers[i][0]):
-                return Finding(name, False, f"{questions[i].name}: {problem or 'another pose than the first time'}")
-    if callable(getattr(fresh, "close", None)):
-        fresh.close()
-    return Finding(name, True)
+            again = _ask(other, questions[i])
+            if told is None and again.status == "error":
+                told = f"{questions[i].name}: {again.message}"
+            elif told is None and not _same_pose(again, answers[i]):
+                told = f"{questions[i].name}: another pose than the first time"
+    _close(fresh)
+    return Finding(name, told is None, told or "")
 
 
-def _same_pose(a: Any, b: Any) -> bool:
-    if fault_of(a) is not None or a.answered != b.answered:
-        return False
-    return not a.answered or bool(np.array_equal(a.T_query_ref, b.T_query_ref))
+def _same_pose(a: CheckedAnswer, b: CheckedAnswer) -> bool:
+    if a.T_query_ref is None or b.T_query_ref is None:
+        return a.T_query_ref is b.T_query_ref
+    return bool(np.array_equal(a.T_query_ref, b.T_query_ref))
 
 
 def _leaves_input_alone(tracker: Any, question: _Question) -> Finding:
@@ -125,15 +139,15 @@ def _leaves_input_alone(tracker: Any, question: _Question) -> Finding:
     return Finding("leaves the images it is given unchanged", kept)
 
 
-def _batch_agrees(tracker: Any, question: _Question, single: Any) -> Finding:
+def _batch_agrees(tracker: Any, question: _Question, single: CheckedAnswer) -> Finding:
     name = "track_batch agrees with track"
-    values, problem = _attempt(
-        lambda: list(tracker.track_batch(_prepared(tracker, question), [question.query] * 2, [None, None]))
-    )
-    if problem is None and len(values) != 2:
-        problem = f"{len(values)} results for 2 queries"
-    if problem is None and not all(_close_pose(v, single) for v in values):
-        problem = "another pose than track() by more than 1e-6"
+    reference, problem = _attempt(lambda: _prepared(tracker, question))
+    if problem is None:
+        with messages_to_stderr():
+            answers, _ = ask(tracker, reference, [question.query] * 2)
+        problem = next((answer.message for answer in answers if answer.status == "error"), None)
+        if problem is None and not all(_close_pose(answer, single) for answer in answers):
+            problem = "another pose than track() by more than 1e-6"
     return Finding(name, problem is None, problem or "")
 
 
@@ -148,7 +162,7 @@ def _pixels(question: _Question) -> tuple[NDArray[np.float64], NDArray[np.float6
 def _match(tracker: Any, question: _Question, rows: slice = slice(None)) -> tuple[Any, str | None]:
     uv_ref, uv_start = (uv[rows].copy() for uv in _pixels(question))
     ends, problem = _attempt(lambda: tracker.match(_prepared(tracker, question), question.query, uv_ref, uv_start))
-    return ends, problem or match_fault_of(ends, len(uv_ref))
+    return checked_pixels(ends, problem, len(uv_ref))
 
 
 def _matches(tracker: Any, question: _Question) -> Finding:
@@ -160,29 +174,31 @@ def _matches(tracker: Any, question: _Question) -> Finding:
 def _matches_by_pixel(spec: MethodSpec, tracker: Any, question: _Question) -> Finding:
     """The same pixels to the last bit, from a fresh tracker, with half of the questions, with none at all."""
     name = "match answers each pixel by itself, and the same again"
-    fresh = spec.create()
+    fresh, problem = guarded(spec.create)
+    if problem:
+        return Finding(name, False, f"constructed again, it raised {problem}")
     whole, problem = _match(tracker, question)
     for other, rows in ((fresh, slice(None)), (tracker, slice(1, None, 2)), (fresh, slice(0, 0))):
         again, fault = _match(other, question, rows)
         problem = problem or fault
         if problem is None and not np.array_equal(again, whole[rows], equal_nan=True):
             problem = "other pixels than the first time"
-    if callable(getattr(fresh, "close", None)):
-        fresh.close()
+    _close(fresh)
     return Finding(name, problem is None, problem or "")
 
 
-def _close_pose(a: Any, b: Any) -> bool:
-    if fault_of(a) is not None or a.answered != b.answered:
-        return False
-    return not a.answered or bool(np.abs(np.asarray(a.T_query_ref) - b.T_query_ref).max() < 1e-6)
+def _close_pose(a: CheckedAnswer, b: CheckedAnswer) -> bool:
+    if a.T_query_ref is None or b.T_query_ref is None:
+        return a.T_query_ref is b.T_query_ref
+    return bool(np.abs(a.T_query_ref - b.T_query_ref).max() < 1e-6)
 
 
-def _words(result: Any) -> str:
-    if not result.answered:
-        return f"failure: {result.message}"
-    confidence = "" if result.confidence is None else f", confidence {result.confidence:.4g}"
-    return f"a pose{confidence}"
+def _words(answer: CheckedAnswer) -> str:
+    if answer.T_query_ref is None:
+        return f"{'failure: ' if answer.status == 'failed' else ''}{answer.message}"
+    confidence = "" if answer.confidence is None else f", confidence {answer.confidence:.4g}"
+    cut = json.loads(answer.info).get("cut") is True
+    return f"a pose{confidence}{f', info over {INFO_CHARACTERS} characters is not kept' if cut else ''}"
 
 
 def _made_up() -> list[_Question]:

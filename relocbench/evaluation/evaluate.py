@@ -9,20 +9,28 @@ from typing import Any, Literal, Self
 from pydantic import Field, model_validator
 
 from relocbench.datasets.dataset import Dataset, PairSet
-from relocbench.datasets.schema import Strict
 from relocbench.errors import ConfigError
+from relocbench.evaluation.asking_options import AskingOptions
 from relocbench.evaluation.external import take_predictions
-from relocbench.evaluation.matching import match_method, supports_matching
+from relocbench.evaluation.matching import match_method
 from relocbench.evaluation.matching_table import read_matching
+from relocbench.evaluation.offers import offers_of
 from relocbench.evaluation.opening import opened
-from relocbench.evaluation.results import MethodResults, dataset_results, read_answers, write_dataset_record
+from relocbench.evaluation.results import (
+    DatasetResults,
+    MethodResults,
+    dataset_results,
+    read_answers,
+    write_dataset_record,
+)
 from relocbench.evaluation.run import Overwrite, run_method
 from relocbench.evaluation.score import score_method
+from relocbench.execution import kept_workers
 from relocbench.methods import MethodSpec, parse_methods
 from relocbench.progress import Reporter
 
 
-class EvaluateOptions(Strict):
+class EvaluateOptions(AskingOptions):
     """Fields are options of ``relocbench evaluate`` and keys of its YAML file."""
 
     task: Literal["tracking"] = "tracking"
@@ -38,8 +46,6 @@ class EvaluateOptions(Strict):
     matching: bool = False
     """measure matching quality too, of methods that have ``match`` on pair sets with correspondences"""
     seed: int = Field(0, ge=0)
-    workers: int | None = Field(None, ge=1)
-    scheduler: str | None = None
 
     @model_validator(mode="after")
     def _something_to_do(self) -> Self:
@@ -65,13 +71,14 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for scripts."""
+        scored = {folder.label: folder.score_record() for folder in self.folders}
         return {
             "dataset": self.dataset.name,
             "fingerprint": self.dataset.fingerprint,
             "results": str(self.results),
             "rejected_pairs": {s.name: len(s.rejected) for s in self.pair_sets},
-            "methods": {f.label: f.score_record().pair_sets for f in self.folders},
-            "matching": {f.label: scores for f in self.folders if (scores := f.score_record().matching)},
+            "methods": {label: scores.pair_sets for label, scores in scored.items()},
+            "matching": {label: scores.matching for label, scores in scored.items() if scores.matching},
             "broken": [{"method": label, "message": message} for label, message in self.broken],
         }
 
@@ -93,25 +100,35 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
         write_dataset_record(results, dataset)
     else:
         write_dataset_record(results, dataset)
-        folders = [
-            run_method(
-                dataset,
-                pair_sets,
-                spec,
-                results,
-                overwrite=options.overwrite,
-                workers=options.workers,
-                scheduler=options.scheduler,
-                seed=options.seed,
-                reporter=reporter,
-            )
-            for spec in specs
-        ]
-        if options.matching:
-            _match(dataset, pair_sets, specs, folders, options, reporter)
+        with kept_workers():
+            folders = [_run(dataset, pair_sets, spec, results, options, reporter) for spec in specs]
+            if options.matching:
+                _match(dataset, pair_sets, specs, folders, options, reporter)
     for folder in folders:
         score_method(dataset, pair_sets, folder)
     return Report(dataset, pair_sets, folders, results.root, [b for f in folders for b in _broken(f, pair_sets)])
+
+
+def _run(
+    dataset: Dataset,
+    pair_sets: list[PairSet],
+    spec: MethodSpec,
+    results: DatasetResults,
+    options: EvaluateOptions,
+    reporter: Reporter,
+) -> MethodResults:
+    return run_method(
+        dataset,
+        pair_sets,
+        spec,
+        results,
+        overwrite=options.overwrite,
+        workers=options.workers,
+        scheduler=options.scheduler,
+        limits=options.limits,
+        seed=options.seed,
+        reporter=reporter,
+    )
 
 
 def _match(
@@ -125,7 +142,8 @@ def _match(
     """Matching quality of the methods that offer it; what is left out is told."""
     for name in (s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()):
         reporter.note(f"{name} has no correspondences: no matching quality (build-dataset --correspondences N)")
-    able = [(spec, folder) for spec, folder in zip(specs, folders, strict=True) if supports_matching(spec)]
+    pairs = zip(specs, folders, strict=True)
+    able = [(spec, folder) for spec, folder in pairs if offers_of(spec, options.workforce).match]
     unable = [spec.label for spec in specs if spec.label not in {spec.label for spec, _ in able}]
     if unable:
         reporter.note(f"no matching quality, for want of match(): {', '.join(unable)}")
@@ -136,7 +154,8 @@ def _match(
             spec,
             folder,
             workers=options.workers,
-            scheduler=options.scheduler,
+            scheduler=options.scheduler and options.scheduler.sharing(options.out, options.dataset),
+            limits=options.limits,
             seed=options.seed,
             reporter=reporter,
         )

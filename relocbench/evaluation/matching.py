@@ -21,7 +21,10 @@ from relocbench.datasets.correspondences import Correspondences, read_correspond
 from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.pairfile import PairKey
-from relocbench.errors import PredictionError
+from relocbench.errors import PredictionError, one_line
+from relocbench.evaluation.answers import checked_pixels
+from relocbench.evaluation.guard import guarded
+from relocbench.evaluation.lost_pairs import LostPairs, Workforce, ask_all
 from relocbench.evaluation.matching_table import (
     OFFSETS_PX,
     Found,
@@ -34,21 +37,21 @@ from relocbench.evaluation.results import MethodResults
 from relocbench.evaluation.run import new_record, refuse_mixture
 from relocbench.evaluation.worker import (
     Unit,
-    guarded,
     journal_entries,
     open_journal,
     prepared,
+    query_of,
+    read_only,
     tracker_of,
     traversal_of,
     units_of,
 )
-from relocbench.execution import default_workers, run_units
+from relocbench.execution import MANY_TIMES, Limits, Scheduler, default_workers, step
 from relocbench.files import alone_in
 from relocbench.geometry import Camera
-from relocbench.methods import MethodSpec, method_class
+from relocbench.methods import MethodSpec
 from relocbench.metrics import matching_quality
 from relocbench.progress import Reporter
-from relocbench.tracking import SupportsMatching, match_fault_of
 
 Array = NDArray[np.float64]
 
@@ -102,14 +105,6 @@ def draw_starts(
     return Starts(uv_ref, uv_query, offset, uv_query + step)
 
 
-def supports_matching(spec: MethodSpec) -> bool:
-    """Whether a method has ``match``. Raises MethodError where it cannot be constructed."""
-    target = method_class(spec.target)
-    if isinstance(target, type):
-        return callable(getattr(target, "match", None))
-    return isinstance(spec.create(), SupportsMatching)
-
-
 def match_method(
     dataset: Dataset,
     pair_sets: Sequence[PairSet],
@@ -117,7 +112,8 @@ def match_method(
     folder: MethodResults,
     *,
     workers: int | None = None,
-    scheduler: str | None = None,
+    scheduler: Scheduler | None = None,
+    limits: Limits = Limits(),
     seed: int = 0,
     reporter: Reporter,
 ) -> None:
@@ -136,18 +132,22 @@ def match_method(
     left = [s for s in with_truth if not folder.matching(s.name).exists()]
     if not left:
         return
-    workers = default_workers() if workers is None else workers
-    refuse_mixture(folder, new_record(dataset, spec, workers, seed), work_left=True)
+    force = Workforce(default_workers() if workers is None else workers, scheduler, limits)
+    refuse_mixture(folder, new_record(dataset, spec, force.workers, seed), work_left=True)
+
+    def open_units() -> list[Unit]:
+        # All pair sets at once: starting worker processes for each would take longer than the work.
+        return [
+            unit
+            for pair_set in left
+            for unit in units_of(dataset, pair_set, spec, _journal(folder, pair_set), _open_pairs(folder, pair_set))
+        ]
+
     with ExitStack() as alone:
         for pair_set in left:
             alone.enter_context(alone_in(_journal(folder, pair_set), PredictionError))
         with reporter.stage(f"{spec.label}, matching on {dataset.name}", sum(map(len, todo.values()))) as advance:
-            while any(todo.values()):
-                # All pair sets at once: starting worker processes for each would take longer than the work.
-                units = [u for s in left for u in units_of(dataset, s, spec, _journal(folder, s), todo[s.name])]
-                for _, done in run_units(_match_unit, units, workers=workers, scheduler=scheduler, on_lost=_lose_one):
-                    advance(done)
-                todo = {s.name: _open_pairs(folder, s) for s in left}
+            ask_all(_match_unit, open_units, LostPairs(_write_broken), force, advance)
         for pair_set in left:
             _collect(pair_set, folder)
 
@@ -210,11 +210,11 @@ def _ask(tracker: Any, reference: Any, unit: Unit, key: PairKey, starts: Starts)
     """Where the method ends (N, 2), or None and how it broke."""
     if not len(starts):
         return None, None
-    query = traversal_of(unit.dataset, unit.query).query(unit.camera, key[1])
-    # The method gets copies: what it does to them must not reach the truth.
-    ends, broke = guarded(lambda: tracker.match(reference, query, starts.uv_ref.copy(), starts.uv_start.copy()))
-    broke = broke or match_fault_of(ends, len(starts))
-    return (None, broke) if broke else (np.asarray(ends, dtype=np.float64), None)
+    query = query_of(unit, key)
+    uv_ref, uv_start = read_only(starts.uv_ref), read_only(starts.uv_start)
+    with step("", (key,), _times(unit.spec)):
+        ends, broke = guarded(lambda: tracker.match(reference, query, uv_ref, uv_start))
+        return checked_pixels(ends, broke, len(starts))
 
 
 def _entry(key: PairKey, starts: Starts, ends: Array | None, message: str | None) -> dict[str, Any]:
@@ -224,7 +224,7 @@ def _entry(key: PairKey, starts: Starts, ends: Array | None, message: str | None
     return {
         "key": list(key),
         "found": [astuple(f) for f in found],
-        "message": " ".join((message or "").split())[:500],
+        "message": one_line(message or ""),
     }
 
 
@@ -240,11 +240,17 @@ def _count(offset: int, starts: Starts, ends: Array) -> Found:
     return Found(offset, count, answered, near, nearer_than_3, start_near, start_3)
 
 
-def _lose_one(unit: Unit) -> int:
-    """A worker died twice on this unit: its first pair without a result is the one that kills."""
-    done = {entry["key"] for entry in journal_entries(unit.journal)}
-    culprit = next(key for key in unit.keys if key not in done)
-    message = "the worker process died twice on this pair (out of memory, or a crash in native code)"
+_warm: set[str] = set()
+
+
+def _times(spec: MethodSpec) -> float:
+    """How many times the time limit a call may take: the first of a process may compile."""
+    first = spec.label not in _warm
+    _warm.add(spec.label)
+    return MANY_TIMES if first else 1.0
+
+
+def _write_broken(unit: Unit, key: PairKey, message: str) -> None:
+    """A pair that is lost, and how."""
     with open_journal(unit.journal) as stream:
-        stream.write(json.dumps(_entry(culprit, _starts(unit, culprit), None, message)) + "\n")
-    return 1
+        stream.write(json.dumps(_entry(key, _starts(unit, key), None, message)) + "\n")

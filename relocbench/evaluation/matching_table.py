@@ -9,7 +9,7 @@ from pathlib import Path
 
 from relocbench.datasets.pairfile import PairKey
 from relocbench.errors import PredictionError
-from relocbench.files import atomic_write, parse_timestamp, read_text
+from relocbench.files import atomic_write, parse_count, parse_timestamp, read_table
 from relocbench.metrics.matching import OFFSET_EDGES_PX
 
 ALL = "all"
@@ -61,19 +61,12 @@ def write_matching(path: Path, rows: Sequence[MatchingRow]) -> None:
 
 def read_matching(path: Path) -> list[MatchingRow]:
     """``PAIRSET.matching.csv``. Raises PredictionError with file and line."""
-    lines = csv.reader(read_text(path, f"a table ({','.join(MATCHING_COLUMNS)})", PredictionError).splitlines())
-    if tuple(next(lines, [])) != MATCHING_COLUMNS:
-        raise PredictionError(f"expected the header {','.join(MATCHING_COLUMNS)}", path, 1)
     out = []
-    for number, line in enumerate(lines, start=2):
-        if len(line) != len(MATCHING_COLUMNS):
-            raise PredictionError(f"expected {len(MATCHING_COLUMNS)} columns, found {len(line)}", path, number)
+    for number, line in read_table(path, MATCHING_COLUMNS, error=PredictionError):
         ref, query = (parse_timestamp(text, path, number, PredictionError) for text in line[:2])
         counts = line[3:-1]
-        bad = next((f"{name} is '{n}'" for name, n in zip(_COUNTS, counts, strict=True) if not n.isdecimal()), None)
-        if bad:
-            raise PredictionError(f"{bad}, expected a whole number", path, number)
-        found = Found(*map(int, counts))
+        named = zip(counts, _COUNTS, strict=True)
+        found = Found(*(parse_count(text, name, path, number, PredictionError) for text, name in named))
         if not found.within_1px <= found.within_3px <= found.answered <= found.count:
             raise PredictionError("expected within_1px <= within_3px <= answered <= count", path, number)
         out.append(MatchingRow((ref, query), line[2], found, line[-1]))

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -21,28 +21,57 @@ from pydantic import Field
 from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.fingerprint import SHORT
 from relocbench.datasets.pairfile import PairKey, distances_and_angles
-from relocbench.datasets.schema import Strict
+from relocbench.datasets.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
-from relocbench.files import atomic_write, dump_yaml, load_yaml, parse_floats, parse_timestamp, read_text, write_text
-
-STATUSES = ("ok", "failed", "error")
-"""answered; the method said it failed; the method broke (exception, crash, breach of the contract)"""
-ANSWER_COLUMNS = ("ref_timestamp_ns", "query_timestamp_ns", "status", "seconds", "confidence", "message", "info")
-ERROR_COLUMNS = (
-    "ref_timestamp_ns",
-    "query_timestamp_ns",
-    "group",
-    "status",
-    "rotation_error_deg",
-    "translation_error_m",
-    "mlad_translation_error_m",
-    "confidence",
-    "seconds",
-    "distance_m",
-    "angle_deg",
-    "sigma_translation_m",
-    "sigma_rotation_deg",
+from relocbench.evaluation.error_table import (
+    ERROR_COLUMNS,
+    STATUSES,
+    ErrorTable,
+    PairErrors,
+    groups_in,
+    read_errors,
+    write_errors,
 )
+from relocbench.files import (
+    atomic_write,
+    check_joined_name,
+    check_name,
+    dump_yaml,
+    load_yaml,
+    parse_floats,
+    parse_timestamp,
+    read_bytes,
+    read_table,
+    remove_parts,
+    write_text,
+)
+
+__all__ = [
+    "ANSWER_COLUMNS",
+    "ERROR_COLUMNS",
+    "STATUSES",
+    "Answer",
+    "AnswerFolder",
+    "DatasetRecord",
+    "DatasetResults",
+    "ErrorTable",
+    "MethodResults",
+    "PairErrors",
+    "PairSetRecord",
+    "RunRecord",
+    "ScoreRecord",
+    "all_results",
+    "dataset_results",
+    "groups_in",
+    "read_answers",
+    "read_errors",
+    "write_answers",
+    "write_dataset_record",
+    "write_errors",
+    "write_record",
+]
+
+ANSWER_COLUMNS = ("ref_timestamp_ns", "query_timestamp_ns", "status", "seconds", "confidence", "message", "info")
 
 
 @dataclass(frozen=True)
@@ -59,16 +88,20 @@ class Answer:
     """JSON: what else the method had to say"""
 
 
+Count = Annotated[int, Field(ge=0, le=10**15)]
+"""how many of something there are"""
+
+
 class PairSetRecord(Strict):
     """What a leaderboard must know about a pair set when the dataset is not at hand."""
 
-    reference: str
-    query: str
-    camera: str
+    reference: Name
+    query: Name
+    camera: Name
     reference_condition: str
     query_condition: str
-    pairs: int
-    rejected: int
+    pairs: Count
+    rejected: Count
     has_truth: bool
     groups: tuple[str, ...] = ()
     median_distance_m: float | None = None
@@ -80,24 +113,30 @@ class PairSetRecord(Strict):
 class DatasetRecord(Strict):
     """``RESULTS/DATASET@FINGERPRINT/dataset.yaml``."""
 
-    name: str
-    fingerprint: str
+    name: FolderName
+    fingerprint: Fingerprint
+    question: str = ""
+    """what is asked, whatever the processor's last digits; empty in results of versions that did not tell"""
     licence: str
-    splits: dict[str, tuple[str, ...]] = Field(default_factory=dict)
-    pair_sets: dict[str, PairSetRecord]
+    splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
+    pair_sets: dict[JoinedName, PairSetRecord]
 
 
 class RunRecord(Strict):
     """``run.yaml``: what made the predictions of one method."""
 
-    method: str
+    method: Name
     target: str
     parameters: dict[str, Any] = Field(default_factory=dict)
     files: dict[str, str] = Field(default_factory=dict)
     """SHA-256 of the files that decide the answers, as weights, by parameter"""
     seed: int | None = None
-    dataset: str
-    fingerprint: str
+    dataset: FolderName
+    fingerprint: Fingerprint
+    question: str = ""
+    """of the dataset, the same on every processor"""
+    answered_on: str = ""
+    """fingerprint of the copy of the dataset that predictions made elsewhere were given on, where it is another copy"""
     versions: dict[str, str] = Field(default_factory=dict)
     machine: dict[str, Any] = Field(default_factory=dict)
     workers: int | None = None
@@ -109,30 +148,12 @@ class ScoreRecord(Strict):
     """``scores.yaml``: the summary of each pair set (and group), and which predictions it was computed from."""
 
     relocbench: str
-    predictions: dict[str, str]
+    predictions: dict[JoinedName, str]
     """pair set -> SHA-256 of the prediction file and its table"""
-    pair_sets: dict[str, dict[str, dict[str, float | int | None]]]
+    pair_sets: dict[JoinedName, dict[str, dict[str, float | int | None]]]
     """pair set -> group ('all' for the whole) -> metric -> value"""
-    matching: dict[str, dict[str, dict[str, dict[str, float | int | None]]]] = Field(default_factory=dict)
+    matching: dict[JoinedName, dict[str, dict[str, dict[str, float | int | None]]]] = Field(default_factory=dict)
     """where it was measured, pair set -> group -> start offset ('all', '1px', ...) -> matching quality"""
-
-
-@dataclass(frozen=True)
-class PairErrors:
-    """One row of ``PAIRSET.errors.csv``."""
-
-    key: PairKey
-    group: str
-    status: str
-    rotation_error_deg: float
-    translation_error_m: float
-    mlad_translation_error_m: float
-    confidence: float | None
-    seconds: float | None
-    distance_m: float | None
-    angle_deg: float | None
-    sigma_translation_m: float | None
-    sigma_rotation_deg: float | None
 
 
 @dataclass(frozen=True)
@@ -154,10 +175,10 @@ class AnswerFolder:
         return self.root / "scores.yaml"
 
     def predictions(self, asked: str) -> Path:
-        return self.root / f"{asked}.txt"
+        return self.root / f"{_named(asked)}.txt"
 
     def answers(self, asked: str) -> Path:
-        return self.root / f"{asked}.csv"
+        return self.root / f"{_named(asked)}.csv"
 
 
 @dataclass(frozen=True)
@@ -165,19 +186,19 @@ class MethodResults(AnswerFolder):
     """The folder of one method."""
 
     def errors(self, pair_set: str) -> Path:
-        return self.root / f"{pair_set}.errors.csv"
+        return self.root / f"{_named(pair_set)}.errors.csv"
 
     def matching(self, pair_set: str) -> Path:
         """How often the method's per-pixel Gauss-Newton finds the true pixel; only where that was asked for."""
-        return self.root / f"{pair_set}.matching.csv"
+        return self.root / f"{_named(pair_set)}.matching.csv"
 
     def matching_journal(self, pair_set: str) -> Path:
         """As :meth:`journal`, for matching quality."""
-        return self.root / ".journal-matching" / pair_set
+        return self.root / ".journal-matching" / _named(pair_set)
 
     def journal(self, pair_set: str) -> Path:
         """Folder that workers append to while they run; gone when the pair set is complete."""
-        return self.root / ".journal" / pair_set
+        return self.root / ".journal" / _named(pair_set)
 
     def complete(self, pair_set: str) -> bool:
         """Whether the pair set was run to its end."""
@@ -209,7 +230,18 @@ class DatasetResults:
 
     def methods(self) -> list[MethodResults]:
         """Every method with a run record, by name."""
-        return [MethodResults(p.parent) for p in sorted(self.root.glob("*/run.yaml"))]
+        return [MethodResults(p.parent) for p in method_folders(self.root)]
+
+
+def method_folders(root: Path) -> list[Path]:
+    """``run.yaml`` of every method below a folder, by name. Raises PredictionError where a label can be none."""
+    found = sorted(root.glob("*/run.yaml"))
+    for path in found:
+        try:
+            check_name(path.parent.name, "method label")
+        except ValueError as bad:
+            raise PredictionError(f"the folder's name is no label: {bad}", path.parent) from None
+    return found
 
 
 def dataset_results(results: Path, dataset: Dataset) -> DatasetResults:
@@ -223,9 +255,13 @@ def write_dataset_record(folder: DatasetResults, dataset: Dataset) -> None:
 
 
 def write_record(path: Path, record: Strict) -> None:
-    """Whole or not at all; a file that says the same already is left alone."""
+    """Whole or not at all; a file that says the same already is left alone.
+
+    What runs that were killed left unfinished in its folder is removed.
+    """
+    remove_parts(path.parent, deep=False)
     text = dump_yaml(record.model_dump(mode="json"))
-    if not path.exists() or path.read_text(encoding="utf-8") != text:
+    if not path.exists() or read_bytes(path, "a record", PredictionError) != text.encode():
         write_text(path, text)
 
 
@@ -253,7 +289,8 @@ def write_answers(path: Path, answers: Sequence[Answer]) -> None:
 def read_answers(path: Path) -> dict[PairKey, Answer]:
     """``PAIRSET.csv``. Raises PredictionError with file and line."""
     out: dict[PairKey, Answer] = {}
-    for number, field in _rows(path, ANSWER_COLUMNS):
+    for number, row in read_table(path, ANSWER_COLUMNS, error=PredictionError):
+        field = dict(zip(ANSWER_COLUMNS, row, strict=True))
         key = _key(field, path, number)
         if key in out:
             raise PredictionError(f"pair {key[0]} {key[1]} occurs again", path, number)
@@ -270,40 +307,19 @@ def read_answers(path: Path) -> dict[PairKey, Answer]:
     return out
 
 
-def write_errors(path: Path, rows: Sequence[PairErrors]) -> None:
-    """``PAIRSET.errors.csv``: one row a pair of the set; a failed pair's errors are ``inf``."""
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(ERROR_COLUMNS)
-        for r in rows:
-            table.writerow(
-                [
-                    *r.key,
-                    r.group,
-                    r.status,
-                    *(repr(float(getattr(r, name))) for name in ERROR_COLUMNS[4:7]),
-                    *(_text(getattr(r, name)) for name in ERROR_COLUMNS[7:]),
-                ]
-            )
-
-
-def read_errors(path: Path) -> list[PairErrors]:
-    """``PAIRSET.errors.csv``. Raises PredictionError with file and line."""
-    out = []
-    for number, field in _rows(path, ERROR_COLUMNS):
-        values: dict[str, Any] = {}
-        for name in ERROR_COLUMNS[4:7]:
-            infinite = field[name] == "inf"
-            values[name] = np.inf if infinite else parse_floats([field[name]], path, number, name, PredictionError)[0]
-        values |= {name: _value(field, name, path, number) for name in ERROR_COLUMNS[7:]}
-        out.append(PairErrors(_key(field, path, number), field["group"], field["status"], **values))
-    return out
+def _named(asked: str) -> str:
+    """The name of a pair set or task. Raises PredictionError where it would lead out of the folder."""
+    try:
+        return check_joined_name(asked, "name of a pair set or task")
+    except ValueError as bad:
+        raise PredictionError(str(bad)) from None
 
 
 def _dataset_record(dataset: Dataset) -> DatasetRecord:
     return DatasetRecord(
         name=dataset.name,
         fingerprint=dataset.fingerprint,
+        question=dataset.question,
         licence=dataset.file.licence,
         splits=dict(dataset.splits),
         pair_sets={s.name: _pair_set_record(dataset, s) for s in dataset.pair_sets()},
@@ -333,18 +349,6 @@ def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
 def _median(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return round(float(np.median(known)), 6) if known else None
-
-
-def _rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, dict[str, str]]]:
-    rows = csv.reader(read_text(path, f"a table ({','.join(columns)})", PredictionError).splitlines())
-    if tuple(next(rows, [])) != columns:
-        raise PredictionError(f"expected the header {','.join(columns)}", path, 1)
-    out = []
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(columns):
-            raise PredictionError(f"expected {len(columns)} columns, found {len(row)}", path, number)
-        out.append((number, dict(zip(columns, row, strict=True))))
-    return out
 
 
 def _key(field: dict[str, str], path: Path, line: int) -> PairKey:

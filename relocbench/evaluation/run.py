@@ -10,17 +10,18 @@ import datetime
 import json
 import platform
 import shutil
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
-
-import numpy as np
 
 from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.pairfile import PairKey, number_fields, parse_pose_numbers
 from relocbench.datasets.writer import versions
 from relocbench.errors import PredictionError
+from relocbench.evaluation.answers import CheckedAnswer, ask, broken
+from relocbench.evaluation.guard import offers
+from relocbench.evaluation.lost_pairs import LostPairs, Workforce, ask_all
+from relocbench.evaluation.offers import can_be_made
 from relocbench.evaluation.results import (
     Answer,
     DatasetResults,
@@ -32,20 +33,18 @@ from relocbench.evaluation.results import (
 )
 from relocbench.evaluation.worker import (
     Unit,
-    guarded,
     journal_entries,
     open_journal,
     prepared,
+    query_of,
     tracker_of,
-    traversal_of,
     units_of,
 )
-from relocbench.execution import chunks, default_workers, kept_workers, run_units
+from relocbench.execution import MANY_TIMES, Limits, Scheduler, chunks, default_workers, kept_workers, step
 from relocbench.files import alone_in, read_rows, remove_parts, write_text
-from relocbench.geometry import transform_to_tq
 from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
 from relocbench.progress import Reporter
-from relocbench.tracking import Query, SupportsBatch, TrackResult, fault_of
+from relocbench.tracking import Query, SupportsBatch
 
 Overwrite = Literal["never", "failed", "always"]
 _BATCH = 8
@@ -59,11 +58,15 @@ def run_method(
     *,
     overwrite: Overwrite = "never",
     workers: int | None = None,
-    scheduler: str | None = None,
+    scheduler: Scheduler | None = None,
+    limits: Limits = Limits(),
     seed: int = 0,
     reporter: Reporter,
 ) -> MethodResults:
     """Run what is missing of a method's predictions.
+
+    A method that takes more than the limits, or ends its process, breaks on the pair in hand; one that cannot even be
+    constructed without, on all its pairs.
 
     Args:
         overwrite: ``never`` keeps every answer there is, ``failed`` asks again where the method failed or broke,
@@ -76,11 +79,13 @@ def run_method(
         DatasetError: an image, depth or description of the dataset is bad.
     """
     folder = results.method(spec.label)
-    workers = default_workers() if workers is None else workers
-    record = new_record(dataset, spec, workers, seed)
+    force = Workforce(default_workers() if workers is None else workers, scheduler, limits)
+    record = new_record(dataset, spec, force.workers, seed)
     if overwrite == "always":
-        if not spec.target.startswith(SUBPROCESS):
-            spec.create()  # a method that cannot be made, over a mistyped path of weights say, costs no answers
+        # A method that cannot be made, over a mistyped path of weights say, costs no answers.
+        if _has_answers(folder) and (fault := can_be_made(spec, force)):
+            reporter.note(f"{spec.label} keeps the answers that it has: {fault}")
+            return folder
         _clear(folder, pair_sets)
     todo = {s.name: _open_pairs(folder, s, overwrite) for s in pair_sets}
     refuse_mixture(folder, record, work_left=any(todo.values()))
@@ -90,9 +95,10 @@ def run_method(
     if not folder.run_yaml.exists():
         write_record(folder.run_yaml, record)
     stage = reporter.stage(f"{spec.label} on {dataset.name}", sum(map(len, todo.values())))
+    lost = LostPairs(_write_broken)
     with stage as advance, kept_workers():
         for pair_set in pair_sets:
-            _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], workers, scheduler, advance)
+            _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, force, advance)
     started = folder.run_record().start
     write_record(folder.run_yaml, record.model_copy(update={"start": started, "end": now()}))
     return folder
@@ -104,22 +110,21 @@ def _run_pair_set(
     spec: MethodSpec,
     folder: MethodResults,
     todo: list[PairKey],
-    workers: int,
-    scheduler: str | None,
+    lost: LostPairs[Unit],
+    force: Workforce,
     advance: Callable[[int], None],
 ) -> None:
     if not todo and folder.complete(pair_set.name):
         return
     journal = folder.journal(pair_set.name)
     journal.mkdir(parents=True, exist_ok=True)
-    left = todo
+
+    def open_units() -> list[Unit]:
+        answered = {entry["key"] for entry in journal_entries(journal)}
+        return units_of(dataset, pair_set, spec, journal, [key for key in todo if key not in answered])
+
     with alone_in(journal, PredictionError):
-        while left:
-            units = units_of(dataset, pair_set, spec, journal, left)
-            for _, done in run_units(_run_unit, units, workers=workers, scheduler=scheduler, on_lost=_lose_one):
-                advance(done)
-            answered = {entry["key"] for entry in journal_entries(journal)}
-            left = [key for key in left if key not in answered]  # what a dying worker left of its unit
+        ask_all(_run_unit, open_units, lost, force, advance)
         _collect(pair_set, folder, journal)
 
 
@@ -127,100 +132,58 @@ def _run_unit(unit: Unit) -> int:
     """Answer the pairs of a unit; returns how many. Runs in a worker."""
     tracker = tracker_of(unit.spec)
     reference, broke = prepared(unit, tracker)
-    queries = traversal_of(unit.dataset, unit.query)
     with open_journal(unit.journal) as stream:
-        for batch in chunks(unit.keys, _BATCH if isinstance(tracker, SupportsBatch) else 1):
-            views = [queries.query(unit.camera, key[1]) for key in batch]
+        for batch in chunks(unit.keys, _BATCH if offers(tracker, SupportsBatch) else 1):
+            views = [query_of(unit, key) for key in batch]
             seconds: float | None
             if broke is not None:
-                answered, seconds = [_broken(broke)] * len(batch), None
+                answered, seconds = [broken(broke)] * len(batch), None
             else:
-                _warm_up(tracker, reference, views[0], unit.spec)
-                answered, seconds = ask(tracker, reference, views)
-            for key, result in zip(batch, answered, strict=True):
-                each = None if seconds is None else seconds / len(batch)
-                stream.write(json.dumps(_entry(key, result, each)) + "\n")
+                _warm_up(tracker, reference, views[0], unit.spec, batch)
+                with step("", tuple(batch), _times(unit.spec, len(batch))):
+                    answered, seconds = ask(tracker, reference, views)
+            each = None if seconds is None else seconds / len(batch)
+            for key, answer in zip(batch, answered, strict=True):
+                stream.write(json.dumps(_entry(key, answer, each)) + "\n")
             stream.flush()
     return len(unit.keys)
-
-
-def ask(tracker: Any, reference: Any, views: list[Query]) -> tuple[list[TrackResult], float]:
-    """Answers to some queries of one reference and the seconds they took together."""
-    start = time.perf_counter()
-    if isinstance(tracker, SupportsBatch):
-        answered, broke = guarded(lambda: list(tracker.track_batch(reference, views, [None] * len(views))))
-        if broke is None and len(answered) != len(views):
-            broke = f"track_batch returned {len(answered)} results for {len(views)} queries"
-    else:
-        value, broke = guarded(lambda: tracker.track(reference, views[0], None))
-        answered = [value]
-    seconds = time.perf_counter() - start
-    if broke is not None:
-        return [_broken(broke)] * len(views), seconds
-    faults = [fault_of(result) for result in answered]
-    return [_broken(f) if f else r for f, r in zip(faults, answered, strict=True)], seconds
-
-
-def _broken(message: str) -> TrackResult:
-    return TrackResult.failure(message, status="error")
 
 
 _warm: set[str] = set()
 
 
-def _warm_up(tracker: Any, reference: Any, view: Query, spec: MethodSpec) -> None:
+def _times(spec: MethodSpec, count: int) -> float:
+    """How many times the time limit a call may take: a program is started by its first."""
+    first = spec.label not in _warm
+    _warm.add(spec.label)
+    return MANY_TIMES if first else min(float(count), MANY_TIMES)
+
+
+def _warm_up(tracker: Any, reference: Any, view: Query, spec: MethodSpec, keys: Sequence[PairKey]) -> None:
     """Compilation and first allocations are not the method's speed: one call a process goes untimed."""
     if spec.label in _warm or spec.target.startswith(SUBPROCESS):
         return
     _warm.add(spec.label)
-    ask(tracker, reference, [view])
+    with step("", tuple(keys), MANY_TIMES):
+        ask(tracker, reference, [view])
 
 
-def _entry(key: PairKey, result: TrackResult, seconds: float | None) -> dict[str, Any]:
-    pose = None
-    if result.T_query_ref is not None:
-        translation, quaternion = transform_to_tq(np.asarray(result.T_query_ref, dtype=np.float64))
-        pose = [*translation.tolist(), *quaternion.tolist()]
-    told = result.info.get("status") if isinstance(result.info, Mapping) else None
-    status = "ok" if pose is not None else str(told)
+def _entry(key: PairKey, answer: CheckedAnswer, seconds: float | None) -> dict[str, Any]:
     return {
         "key": list(key),
-        "pose": pose,
-        "status": status if status in ("ok", "error") else "failed",
+        "pose": answer.pose,
+        "status": answer.status,
         "seconds": seconds,
-        "confidence": None if result.confidence is None else float(result.confidence),
-        "message": _one_line(result.message),
-        "info": _json_text(result.info),
+        "confidence": answer.confidence,
+        "message": answer.message,
+        "info": answer.info,
     }
 
 
-def _one_line(message: object) -> str:
-    """A message as a table and a terminal can hold it."""
-    words = " ".join(str(message).split())[:500]
-    return "".join(c if c.isprintable() else "?" for c in words)
-
-
-def _json_text(info: Any) -> str:
-    """What a method had to say as JSON; what JSON cannot hold as words."""
-    try:
-        return json.dumps(dict(info), default=_plain)
-    except (TypeError, ValueError, RecursionError):
-        return json.dumps({"info": _one_line(info)})
-
-
-def _plain(value: Any) -> Any:
-    """NumPy numbers and arrays as plain values, anything else as words."""
-    return value.tolist() if hasattr(value, "tolist") else str(value)
-
-
-def _lose_one(unit: Unit) -> int:
-    """A worker died twice on this unit: its first pair without an answer is the one that kills."""
-    done = {entry["key"] for entry in journal_entries(unit.journal)}
-    culprit = next(key for key in unit.keys if key not in done)
+def _write_broken(unit: Unit, key: PairKey, message: str) -> None:
+    """A pair that is lost, and how."""
     with open_journal(unit.journal) as stream:
-        result = _broken("the worker process died twice on this pair (out of memory, or a crash in native code)")
-        stream.write(json.dumps(_entry(culprit, result, None)) + "\n")
-    return 1
+        stream.write(json.dumps(_entry(key, broken(message), None)) + "\n")
 
 
 def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
@@ -281,7 +244,9 @@ def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str
 
 def new_record(dataset: Dataset, spec: MethodSpec, workers: int, seed: int) -> RunRecord:
     """What a run that begins now would say of itself."""
-    return RunRecord(dataset=dataset.name, fingerprint=dataset.fingerprint, **made_by(spec, workers, seed))
+    return RunRecord(
+        dataset=dataset.name, fingerprint=dataset.fingerprint, question=dataset.question, **made_by(spec, workers, seed)
+    )
 
 
 def made_by(spec: MethodSpec, workers: int, seed: int) -> dict[str, Any]:

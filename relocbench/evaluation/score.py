@@ -24,14 +24,17 @@ from relocbench.evaluation.matching_table import (
 )
 from relocbench.evaluation.results import (
     Answer,
+    ErrorTable,
     MethodResults,
     PairErrors,
     ScoreRecord,
+    groups_in,
     read_answers,
     write_errors,
     write_record,
 )
-from relocbench.metrics import PairSetSummary, PoseErrors, align_predictions, pose_errors, summarize
+from relocbench.files import remove_parts
+from relocbench.metrics import PairSetSummary, align_predictions, pose_errors
 
 Array = NDArray[np.float64]
 
@@ -66,6 +69,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
             f"the dataset is {dataset.name}@{dataset.fingerprint[:12]}",
             folder.run_yaml,
         )
+    remove_parts(folder.root)
     before = folder.score_record() if folder.scores_yaml.exists() else None
     hashes = dict(before.predictions) if before else {}
     scores = dict(before.pair_sets) if before else {}
@@ -123,39 +127,30 @@ def matching_scores(pair_set: PairSet, folder: MethodResults) -> dict[str, Summa
 
 def summarize_rows(rows: Sequence[PairErrors], group: str = ALL) -> PairSetSummary:
     """Every metric over the rows of one group. Raises DatasetError where there is none."""
-    chosen = [r for r in rows if group in (ALL, r.group)]
-    return summarize(errors_of(chosen), seconds=column(chosen, "seconds"), confidence=column(chosen, "confidence"))
-
-
-def errors_of(rows: Sequence[PairErrors]) -> PoseErrors:
-    """The error arrays of rows."""
-    return PoseErrors(
-        rotation_error_deg=np.array([r.rotation_error_deg for r in rows], dtype=np.float64),
-        translation_error_m=np.array([r.translation_error_m for r in rows], dtype=np.float64),
-        mlad_translation_error_m=np.array([r.mlad_translation_error_m for r in rows], dtype=np.float64),
-    )
-
-
-def column(rows: Sequence[PairErrors], name: str) -> Array | None:
-    """(N,) values, NaN where a row has none; None where no row has one."""
-    values = [getattr(r, name) for r in rows]
-    if all(v is None for v in values):
-        return None
-    return np.array([np.nan if v is None else v for v in values], dtype=np.float64)
+    return ErrorTable.of(rows).of_group(group).summary
 
 
 def groups_of(rows: Sequence[PairErrors] | Sequence[MatchingRow]) -> list[str]:
     """``all`` and the named groups, in order of appearance; a single group is the whole set and not repeated."""
-    named = list(dict.fromkeys(r.group for r in rows if r.group))
-    return [ALL, *named] if len(named) > 1 else [ALL]
+    return groups_in(rows.group_names if isinstance(rows, ErrorTable) else list(dict.fromkeys(r.group for r in rows)))
 
 
 def predictions_hash(folder: MethodResults, pair_set: str) -> str:
     """SHA-256 over what was scored: a score whose predictions changed since is stale."""
-    digest = hashlib.sha256(folder.predictions(pair_set).read_bytes())
+    digest = hashlib.sha256()
+    _add_file(digest, folder.predictions(pair_set))
+    digest.update(b"\n")
     answers = folder.answers(pair_set)
-    digest.update(b"\n" + (answers.read_bytes() if answers.exists() else b""))
+    if answers.exists():
+        _add_file(digest, answers)
     return digest.hexdigest()
+
+
+def _add_file(digest: hashlib._Hash, path: Path) -> None:
+    """A block at a time: a file may be large."""
+    with path.open("rb") as stream:
+        while block := stream.read(2**20):
+            digest.update(block)
 
 
 def _row(

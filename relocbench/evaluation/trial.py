@@ -5,7 +5,7 @@ A pair is asked and scored as ``relocbench evaluate`` does it; nothing is writte
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -18,11 +18,11 @@ from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.pairfile import Pair
 from relocbench.datasets.training_pairs import VALIDATION_SPLIT
 from relocbench.errors import ConfigError
-from relocbench.evaluation.run import ask
-from relocbench.evaluation.worker import guarded
+from relocbench.evaluation.answers import CheckedAnswer, ask, broken
+from relocbench.evaluation.guard import guarded, neighbours_of, offers
 from relocbench.metrics import PoseErrors, pose_errors, summarize
 from relocbench.progress import Reporter
-from relocbench.tracking import SupportsPrepare, Tracker, TrackResult
+from relocbench.tracking import SupportsPrepare, Tracker
 from relocbench.training import ValidationScores
 
 METRICS = ("t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)")
@@ -77,7 +77,7 @@ class Trial:
             for _, group in groupby(self._asked, key=_keyframe):
                 asked = list(group)
                 for each, result in zip(asked, _track(tracker, asked), strict=True):
-                    if result.info.get("status") == "error":
+                    if result.status == "error":
                         messages.setdefault(result.message)
                     conditions.append(each.conditions)
                     answers.append(np.full((4, 4), np.nan) if result.T_query_ref is None else result.T_query_ref)
@@ -94,17 +94,19 @@ class Trial:
         )
 
 
-def _track(tracker: Tracker, asked: Sequence[_Asked]) -> list[TrackResult]:
+def _track(tracker: Tracker, asked: Sequence[_Asked]) -> list[CheckedAnswer]:
     """Answers to the pairs of one keyframe."""
     first = asked[0]
-    neighbours = int(getattr(tracker, "neighbours", 0))
+    neighbours, broke = neighbours_of(tracker)
+    if broke is not None:
+        return [broken(broke)] * len(asked)
     keyframe: Any = first.dataset.reference(first.pair_set, first.pair, neighbours)
-    if isinstance(tracker, SupportsPrepare):
-        prepare: Callable[[Any], Any] = tracker.prepare
+    if offers(tracker, SupportsPrepare):
+        preparing: Any = tracker
         view = keyframe
-        keyframe, broke = guarded(lambda: prepare(view))
+        keyframe, broke = guarded(lambda: preparing.prepare(view))
         if broke is not None:
-            return [TrackResult.failure(broke, status="error")] * len(asked)
+            return [broken(broke)] * len(asked)
     return [ask(tracker, keyframe, [each.dataset.query(each.pair_set, each.pair)])[0][0] for each in asked]
 
 

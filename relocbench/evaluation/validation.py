@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +22,7 @@ from relocbench.evaluation.results import (
     ScoreRecord,
 )
 from relocbench.evaluation.score import predictions_hash
-from relocbench.files import parse_floats, parse_timestamp, read_journal, read_text
+from relocbench.files import parse_floats, parse_timestamp, read_csv, read_journal
 from relocbench.progress import Reporter
 
 
@@ -188,10 +187,10 @@ def _read_answers(path: Path, found: Findings) -> dict[PairKey, tuple[str, int]]
 def _table(path: Path, columns: tuple[str, ...], found: Findings) -> list[tuple[int, dict[str, str]]]:
     out = []
     with found.catching():
-        rows = csv.reader(read_text(path, f"a table ({','.join(columns)})", PredictionError).splitlines())
-        if tuple(next(rows, [])) != columns:
+        rows = read_csv(path, f"a table ({','.join(columns)})", PredictionError)
+        if next(rows, (1, []))[1] != list(columns):
             raise PredictionError(f"expected the header {','.join(columns)}", path, 1)
-        for number, row in enumerate(rows, start=2):
+        for number, row in rows:
             if len(row) != len(columns):
                 found.fault(f"expected {len(columns)} columns, found {len(row)}", path, number)
             else:

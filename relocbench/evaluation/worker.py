@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import os
+import secrets
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import groupby
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from relocbench.datasets.dataset import Dataset, PairSet, Traversal
 from relocbench.datasets.layout import DatasetLayout
 from relocbench.datasets.pairfile import PairKey
-from relocbench.execution import chunks
+from relocbench.evaluation.guard import guarded, neighbours_of, offers
+from relocbench.execution import MANY_TIMES, chunks, step
 from relocbench.files import read_journal
 from relocbench.methods import MethodSpec
-from relocbench.tracking import Reference, SupportsPrepare
+from relocbench.tracking import KeyframePoints, Query, Reference, SupportsPrepare
 
+CONSTRUCTOR = "constructor"
+PREPARE = "prepare"
 _PAIRS_A_UNIT = 16
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True)
@@ -52,18 +62,46 @@ def units_of(
 
 
 def prepared(unit: Unit, tracker: Any) -> tuple[Any, str | None]:
-    """The unit's keyframe as the tracker wants it, or why its ``prepare`` broke."""
-    neighbours = int(getattr(tracker, "neighbours", 0))
-    keyframe: Reference = traversal_of(unit.dataset, unit.reference).reference(unit.camera, unit.keys[0][0], neighbours)
-    return guarded(lambda: tracker.prepare(keyframe)) if isinstance(tracker, SupportsPrepare) else (keyframe, None)
+    """The unit's keyframe as the tracker wants it, or how the tracker broke on it."""
+    neighbours, broke = neighbours_of(tracker)
+    if broke is not None:
+        return None, broke
+    traversal = traversal_of(unit.dataset, unit.reference)
+    keyframe = shown_reference(traversal.reference(unit.camera, unit.keys[0][0], neighbours))
+    if not offers(tracker, SupportsPrepare):
+        return keyframe, None
+    with step(PREPARE, unit.keys, MANY_TIMES):
+        return guarded(lambda: tracker.prepare(keyframe))
 
 
-def guarded(call: Callable[[], Any]) -> tuple[Any, str | None]:
-    """The value of a method's own code, or what it raised: a method's bug costs its pair only."""
-    try:
-        return call(), None
-    except (Exception, SystemExit) as bad:  # noqa: BLE001  the boundary to code that is not ours
-        return None, f"{type(bad).__name__}: {bad}"
+def query_of(unit: Unit, key: PairKey) -> Query:
+    """A pair's query as the method is shown it. Raises DatasetError."""
+    query = traversal_of(unit.dataset, unit.query).query(unit.camera, key[1])
+    return replace(query, image=read_only(query.image))
+
+
+def shown_reference(reference: Reference) -> Reference:
+    """A keyframe as the method is shown it: nothing in it can be written to."""
+    points, depth = reference.sparse_points, reference.depth
+    return replace(
+        reference,
+        image=read_only(reference.image),
+        depth=None if depth is None else read_only(depth),
+        sparse_points=None
+        if points is None
+        else KeyframePoints(read_only(points.uv), read_only(points.inverse_depth), read_only(points.sigma)),
+        neighbours=tuple(
+            replace(each, image=read_only(each.image), T_neighbour_ref=read_only(each.T_neighbour_ref))
+            for each in reference.neighbours
+        ),
+    )
+
+
+def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
+    """The same numbers; who writes to them gets a ValueError, rather than another question for the next method."""
+    shown = array.view()
+    shown.flags.writeable = False
+    return shown
 
 
 def journal_entries(journal: Path) -> Iterator[dict[str, Any]]:
@@ -72,12 +110,21 @@ def journal_entries(journal: Path) -> Iterator[dict[str, Any]]:
         return
     for path in sorted(journal.glob("*.jsonl")):
         for entry in read_journal(path):
-            yield {**entry, "key": tuple(entry["key"])}
+            if "key" in entry:
+                yield {**entry, "key": tuple(entry["key"])}
 
 
-def open_journal(journal: Path) -> IO[str]:
+@contextmanager
+def open_journal(journal: Path) -> Iterator[IO[str]]:
     """A file of this process alone: two writers never meet, and a torn line is always a file's last."""
-    return (journal / f"{time.time_ns()}-{os.getpid()}.jsonl").open("x", encoding="utf-8")
+    # The clock only puts files in order: it may stand still or be set back, and machines have processes of one number.
+    name = f"{time.time_ns()}-{os.getpid()}-{secrets.token_hex(4)}.jsonl"
+    try:
+        with (journal / name).open("x", encoding="utf-8") as stream:
+            yield stream
+    except OSError as bad:
+        bad.filename = bad.filename or str(journal / name)  # a full disk does not say which file did not fit
+        raise
 
 
 @cache
@@ -92,5 +139,6 @@ _trackers: dict[str, Any] = {}
 def tracker_of(spec: MethodSpec) -> Any:
     """One tracker a process and specification; building it may load weights."""
     if repr(spec) not in _trackers:
-        _trackers[repr(spec)] = spec.create()
+        with step(CONSTRUCTOR, times=MANY_TIMES):
+            _trackers[repr(spec)] = spec.create()
     return _trackers[repr(spec)]

@@ -20,12 +20,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, get_type_hints
 
-import yaml
 from pydantic import TypeAdapter, ValidationError
 
-from relocbench.datasets.schema import check_name
-from relocbench.errors import MethodError
-from relocbench.files import first_fault, sha256_file
+from relocbench.errors import MethodError, quoted
+from relocbench.files import YamlFault, check_distinct, check_name, first_fault, parse_yaml_setting, sha256_file
 from relocbench.methods.lookup import hint, load_dotted, of_theirs, offered
 
 ENTRY_POINT_GROUP = "relocbench.methods"
@@ -131,7 +129,11 @@ def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0, kind: M
         if name not in known:
             have = ", ".join(known) or "none"
             raise MethodError(f"{noun} '{label}' has no parameter '{name}'{hint(name, known)}; it has: {have}")
-        chosen[name] = _validated(f"{noun} '{label}'", known[name], yaml.safe_load(value) if value else "", value)
+        try:
+            plain = parse_yaml_setting(value)
+        except YamlFault as bad:
+            raise MethodError(f"--set {quoted(setting)}: {bad}") from None
+        chosen[name] = _validated(f"{noun} '{label}'", known[name], plain, value)
     if "seed" in known:
         chosen.setdefault("seed", seed)
     for name, parameter in known.items():
@@ -155,6 +157,10 @@ def parse_methods(
     for label in labels:
         if labels.count(label) > 1:
             raise MethodError(f"two {kind.noun}s are called '{label}'; give one a label of its own: LABEL={label}")
+    try:
+        check_distinct(labels, f"{kind.noun} labels")
+    except ValueError as bad:
+        raise MethodError(str(bad)) from None
     for setting in settings:
         prefix, dot, _ = setting.partition("=")[0].rpartition(".")
         if dot and prefix not in labels:

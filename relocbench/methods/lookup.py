@@ -10,7 +10,7 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any
 
-from relocbench.errors import MethodError, RelocbenchError
+from relocbench.errors import MethodError, RelocbenchError, raised
 from relocbench.execution import messages_to_stderr
 
 
@@ -66,11 +66,12 @@ def of_theirs(failed: str, call: Callable[[], Any]) -> Any:
             return call()
     except RelocbenchError:
         raise
-    except (Exception, SystemExit) as bad:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as bad:
         last = traceback.extract_tb(bad.__traceback__)[-1]
-        told = " ".join(str(bad).split())
         place = "" if isinstance(bad, SyntaxError) else f" ({last.filename}, line {last.lineno})"
-        raise MethodError(f"{failed}: {type(bad).__name__}: {told}{place}") from bad
+        raise MethodError(f"{failed}: {raised(bad)}{place}") from bad
 
 
 def hint(name: str, known: Iterable[str], prefix: str = "") -> str:

@@ -5,26 +5,22 @@ The program reads one JSON object a line on standard input and answers each with
 ========================================================================= =======================================
 relocbench writes                                                          the program answers
 ========================================================================= =======================================
-``{"type": "start", "protocol": 1}``                                       ``{"type": "ready"}``
-``{"type": "reference", "key", "image", "camera", "depth", "points"}``     ``{"type": "ready"}``
-``{"type": "query", "key", "image", "camera", "prior"}``                   ``{"type": "result", "pose", ...}``
+``{"type": "start", "id", "protocol": 2}``                                 ``{"type": "ready", "id"}``
+``{"type": "reference", "id", "key", "image", "camera", "depth", ...}``    ``{"type": "ready", "id"}``
+``{"type": "query", "id", "key", "image", "camera", "prior"}``             ``{"type": "result", "id", "pose", ...}``
 ``{"type": "stop"}``                                                       (ends)
 ========================================================================= =======================================
 
+An answer carries the ``id`` of its question, so that one that comes too late is never taken for another's.
 ``docs/add-a-method.md`` describes the fields. Images and depth are files in a scratch folder that holds nothing
 else: the program sees no ground truth.
 """
 
 from __future__ import annotations
 
-import json
-import queue
 import shlex
 import shutil
-import subprocess
 import tempfile
-import threading
-import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,17 +32,12 @@ from pydantic import Field
 
 from relocbench.datasets.images import write_depth, write_image, write_points
 from relocbench.datasets.pairfile import QUATERNION_TOLERANCE
-from relocbench.errors import MethodError
+from relocbench.errors import MethodError, one_line
 from relocbench.geometry import transform_from_tq, transform_to_tq
+from relocbench.methods.program import Broken, Program
 from relocbench.tracking import Query, Reference, TrackResult
 
-PROTOCOL = 1
-_STDERR_TAIL = 300
-_STOP_GRACE_S = 2.0
-
-
-class _Broken(Exception):
-    """The program ended, was too slow, or spoke nonsense; it is gone, and the message says why."""
+PROTOCOL = 2
 
 
 @dataclass(frozen=True)
@@ -75,7 +66,7 @@ class SubprocessTracker:
             raise MethodError(f"no program '{self.words[0] if self.words else ''}' to run as subprocess:{command}")
         self.time_limit_s = time_limit_s
         self.start_limit_s = start_limit_s
-        self._program: _Program | None = None
+        self._program: Program | None = None
         self._told: _Sent | None = None
 
     def prepare(self, reference: Reference) -> _Sent:
@@ -114,7 +105,7 @@ class SubprocessTracker:
         try:
             program = self._ready_program(reference)
             return _result(program.ask(message, "result", self.time_limit_s))
-        except _Broken as bad:
+        except Broken as bad:
             self._forget()
             return TrackResult.failure(str(bad), status="error")
 
@@ -124,9 +115,12 @@ class SubprocessTracker:
             self._program.stop()
         self._forget()
 
-    def _ready_program(self, reference: _Sent) -> _Program:
+    def _ready_program(self, reference: _Sent) -> Program:
         if self._program is None:
-            self._program = _Program(self.words)
+            try:
+                self._program = Program(self.words)
+            except OSError as bad:
+                raise Broken(f"cannot start '{self.words[0]}' ({bad.strerror})") from None
             self._program.ask({"type": "start", "protocol": PROTOCOL}, "ready", self.start_limit_s)
         if self._told is not reference:
             self._program.ask(reference.message, "ready", self.time_limit_s)
@@ -137,74 +131,6 @@ class SubprocessTracker:
         if self._program is not None:
             self._program.kill()
         self._program, self._told = None, None
-
-
-class _Program:
-    """A running program; its lines are read by a thread, so that waiting for one can end."""
-
-    def __init__(self, words: list[str]) -> None:
-        # Threads that read pipes must not keep the program alive: the finalizer knows the process alone.
-        try:
-            self.process = subprocess.Popen(
-                words,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                encoding="utf-8",
-                errors="replace",
-            )
-        except OSError as bad:
-            raise MethodError(f"cannot start '{words[0]}' ({bad.strerror})") from None
-        self.lines: queue.Queue[str | None] = queue.Queue()
-        self.complaints: list[str] = []
-        self._finalizer = weakref.finalize(self, _end, self.process)
-        threading.Thread(target=_read_lines, args=(self.process.stdout, self.lines.put), daemon=True).start()
-        threading.Thread(target=_keep_tail, args=(self.process.stderr, self.complaints), daemon=True).start()
-
-    def ask(self, message: dict[str, Any], expected: str, limit_s: float) -> dict[str, Any]:
-        """Send one line and wait for the answer. Raises _Broken."""
-        assert self.process.stdin is not None
-        try:
-            self.process.stdin.write(json.dumps(message) + "\n")
-            self.process.stdin.flush()
-            line = self.lines.get(timeout=limit_s)
-        except queue.Empty:
-            raise _Broken(f"no answer to '{message['type']}' within {limit_s:g} s") from None
-        except OSError:
-            line = None
-        if line is None:
-            raise _Broken(self._obituary(str(message["type"])))
-        try:
-            answer = json.loads(line)
-        except json.JSONDecodeError:
-            raise _Broken(f"answered '{message['type']}' with '{line.strip()[:80]}', expected a JSON object") from None
-        if not isinstance(answer, dict) or answer.get("type") != expected:
-            raise _Broken(
-                f"answered '{message['type']}' with {line.strip()[:80]}, expected an object of type '{expected}'"
-            )
-        return answer
-
-    def stop(self) -> None:
-        """Ask the program to end, and see that it does."""
-        assert self.process.stdin is not None
-        try:
-            self.process.stdin.write(json.dumps({"type": "stop"}) + "\n")
-            self.process.stdin.close()
-            self.process.wait(_STOP_GRACE_S)
-        except (OSError, subprocess.TimeoutExpired):
-            self.kill()
-
-    def kill(self) -> None:
-        self._finalizer()
-
-    def _obituary(self, asked: str) -> str:
-        try:
-            code: object = self.process.wait(_STOP_GRACE_S)
-        except subprocess.TimeoutExpired:
-            code = "unknown"
-        last = " ".join("".join(self.complaints).split())[-_STDERR_TAIL:]
-        return f"the program ended (exit status {code}) when asked '{asked}'" + (f": {last}" if last else "")
 
 
 def subprocess_tracker(command: str) -> Callable[..., SubprocessTracker]:
@@ -219,38 +145,27 @@ def subprocess_tracker(command: str) -> Callable[..., SubprocessTracker]:
 
 
 def _result(answer: dict[str, Any]) -> TrackResult:
-    """The pose of a ``result`` line. Raises _Broken where it is none."""
+    """The pose of a ``result`` line. Raises Broken where it is none."""
     pose, confidence = answer.get("pose"), answer.get("confidence")
     info = answer.get("info") or {}
-    if not isinstance(info, dict) or not (confidence is None or isinstance(confidence, int | float)):
-        raise _Broken("'info' must be an object and 'confidence' a number or null")
-    message = str(answer.get("message", ""))
+    if not isinstance(info, dict) or not (confidence is None or _is_number(confidence)):
+        raise Broken("'info' must be an object and 'confidence' a number or null")
+    said = answer.get("message")
+    message = "" if said is None else one_line(said)
     if pose is None:
         return TrackResult(None, confidence, message or "the program reports a failure", info)
     values = np.array(pose, dtype=np.float64) if _is_numbers(pose) else np.zeros(0)
     if values.shape != (7,) or not np.all(np.isfinite(values)):
-        raise _Broken(f"'pose' is {str(pose)[:80]}, expected seven finite numbers tx ty tz qx qy qz qw, or null")
+        raise Broken(f"'pose' is {one_line(pose, 80)}, expected seven finite numbers tx ty tz qx qy qz qw, or null")
     if abs(np.linalg.norm(values[3:]) - 1.0) > QUATERNION_TOLERANCE:
-        raise _Broken(f"quaternion qx qy qz qw has norm {np.linalg.norm(values[3:]):.6g}, expected 1")
+        raise Broken(f"quaternion qx qy qz qw has norm {np.linalg.norm(values[3:]):.6g}, expected 1")
     return TrackResult(transform_from_tq(values[:3], values[3:]), confidence, message, info)
 
 
 def _is_numbers(values: Any) -> bool:
-    return isinstance(values, list) and all(isinstance(v, int | float) for v in values)
+    return isinstance(values, list) and all(map(_is_number, values))
 
 
-def _read_lines(stream: Any, put: Callable[[str | None], None]) -> None:
-    for line in stream:
-        put(line)
-    put(None)
-
-
-def _keep_tail(stream: Any, tail: list[str]) -> None:
-    for line in stream:
-        tail.append(line)
-        del tail[:-20]
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    process.kill()
-    process.wait()
+def _is_number(value: Any) -> bool:
+    """JSON's true and false are none, though Python counts with them."""
+    return isinstance(value, int | float) and not isinstance(value, bool)

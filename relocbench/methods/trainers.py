@@ -7,10 +7,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from relocbench.errors import ConfigError, MethodError
-from relocbench.files import load_yaml_values
+from relocbench.errors import ConfigError, MethodError, quoted
+from relocbench.files import YamlFault, load_yaml_values, parse_yaml_setting
 from relocbench.methods.lookup import hint, load_dotted, of_theirs, offered
 from relocbench.training import ConfiguredTrainer, PlaceTrainer, Trainer
 
@@ -92,7 +90,7 @@ def trainer_options(defaults: Mapping[str, Any], config: Path | None, settings: 
         key, separator, text = setting.partition("=")
         if not separator:
             raise ConfigError(f"--set {setting}: expected key=value, as in learning_rate=0.001 or network.dim=8")
-        nested: Any = _value(text)
+        nested: Any = _value(setting, text)
         for part in reversed(key.split(".")):
             nested = {part: nested}
         _merge(chosen, nested, None, "")
@@ -113,13 +111,16 @@ def _merge(into: dict[str, Any], values: Mapping[str, Any], path: Path | None, p
             into[key] = value
 
 
-def _value(text: str) -> Any:
+def _value(setting: str, text: str) -> Any:
     """As YAML; it reads 1e-3 as a word, a number is meant."""
     try:
-        value = yaml.safe_load(text) if text else ""
+        value = parse_yaml_setting(text)
+    except YamlFault as bad:
+        raise ConfigError(f"--set {quoted(setting)}: {bad}") from None
+    try:
         return float(value) if isinstance(value, str) and value[:1] in "+-.0123456789" else value
-    except (yaml.YAMLError, ValueError):
-        return text
+    except ValueError:
+        return value
 
 
 def _copy(values: Mapping[str, Any]) -> dict[str, Any]:

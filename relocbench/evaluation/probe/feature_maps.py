@@ -20,7 +20,10 @@ from relocbench.datasets.drawing import rgb
 from relocbench.datasets.images import write_image
 from relocbench.datasets.pairfile import Pair
 from relocbench.errors import MethodError
+from relocbench.evaluation.worker import read_only, tracker_of
+from relocbench.execution import MANY_TIMES, Loss, step
 from relocbench.geometry import Camera
+from relocbench.methods import MethodSpec
 from relocbench.tracking import SupportsFeatures
 
 Array = NDArray[np.float64]
@@ -131,9 +134,34 @@ def write_feature_maps(place: Place, method: Any, label: str, folder: Path) -> P
     return path
 
 
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What a worker is to draw."""
+
+    spec: MethodSpec
+    place: Place
+    folder: Path
+
+
+def draw(picture: Picture) -> tuple[Path | None, str]:
+    """The file, or None and why there is none. Raises MethodError. Runs in a worker."""
+    label = picture.spec.label
+    tracker = tracker_of(picture.spec)
+    if not shows_features(tracker):
+        return None, f"{label} shows no features (it has no features())"
+    with step("", times=MANY_TIMES):
+        return write_feature_maps(picture.place, tracker, label, picture.folder), ""
+
+
+def lost_picture(picture: Picture, loss: Loss) -> tuple[Path | None, str]:
+    """What is told of a picture that ended its worker."""
+    how = f"the worker process died ({loss.words})" if loss.kind == "death" else loss.words
+    return None, f"{picture.spec.label} left no picture of its features at {picture.place.name}: {how}"
+
+
 def _levels(method: SupportsFeatures, label: str, image: Image, camera: Camera) -> list[NDArray[np.float32]]:
     """Maps (H, W, D), finest first; anything else is not what the contract says."""
-    maps = [level.map for level in method.features(image, camera).levels]
+    maps = [level.map for level in method.features(read_only(image), camera).levels]
     wrong = [np.shape(m) for m in maps if not isinstance(m, np.ndarray) or m.ndim != 3 or not np.isfinite(m).all()]
     if wrong or not maps:
         told = f"{wrong[0]} or not finite" if wrong else "none"

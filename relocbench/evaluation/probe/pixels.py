@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import cv2
@@ -20,10 +21,12 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.correspondences import Correspondences
 from relocbench.datasets.pairfile import PairKey
+from relocbench.evaluation.answers import checked_pixels
+from relocbench.evaluation.guard import guarded
 from relocbench.evaluation.matching import Starts, draw_starts
 from relocbench.evaluation.probe.tally import Tally
-from relocbench.evaluation.worker import guarded
-from relocbench.tracking import Query, match_fault_of
+from relocbench.evaluation.worker import read_only
+from relocbench.tracking import Query
 
 Array = NDArray[np.float64]
 
@@ -31,6 +34,7 @@ OFFSETS_PX = (0, 1, 2, 4, 8, 16)
 NEAR = "match@1px"
 NEAR_ON_LEVEL = "match@1levelpx"
 _WITHIN_PX = {NEAR: 1.0, "match@3px": 3.0}
+_MOST_LEVELS = 32
 _DIGITS = 6
 """a start meant to be 1 px off is 1 px off up to rounding"""
 
@@ -52,12 +56,8 @@ def probe_pixels(
     tallies = [_tally(None, starts, ends)]
     if reference is None or not callable(getattr(tracker, "match_levels", None)):
         return tallies, broke or ""
-    levels, broke_too = guarded(
-        lambda: list(tracker.match_levels(reference, query, starts.uv_ref.copy(), starts.uv_start.copy()))
-    )
-    broke_too = broke_too or next((f for e in levels if (f := match_fault_of(e, len(starts)))), None)
-    if not broke_too:
-        tallies += [_tally(level, starts, np.asarray(e, dtype=np.float64)) for level, e in enumerate(levels)]
+    levels, broke_too = _asked_by_level(tracker.match_levels, reference, query, starts)
+    tallies += [_tally(level, starts, e) for level, e in enumerate(levels)]
     return tallies, broke or broke_too or ""
 
 
@@ -85,10 +85,25 @@ def level_names() -> tuple[str, ...]:
 
 
 def _asked(match: Callable[..., Any], reference: Any, query: Query, starts: Starts) -> tuple[Array | None, str | None]:
-    # The method gets copies: what it does to them must not reach the truth.
-    ends, broke = guarded(lambda: match(reference, query, starts.uv_ref.copy(), starts.uv_start.copy()))
-    broke = broke or match_fault_of(ends, len(starts))
-    return (None, broke) if broke else (np.asarray(ends, dtype=np.float64), None)
+    ends, broke = guarded(lambda: match(reference, query, read_only(starts.uv_ref), read_only(starts.uv_start)))
+    return checked_pixels(ends, broke, len(starts))
+
+
+def _asked_by_level(
+    match_levels: Callable[..., Any], reference: Any, query: Query, starts: Starts
+) -> tuple[list[Array], str | None]:
+    """Ends of each level, none where one of them is no answer; the levels may come from a generator."""
+    uv_ref, uv_start = read_only(starts.uv_ref), read_only(starts.uv_start)
+    given, broke = guarded(lambda: list(islice(match_levels(reference, query, uv_ref, uv_start), _MOST_LEVELS + 1)))
+    if broke is None and len(given) > _MOST_LEVELS:
+        broke = f"match_levels returned more than {_MOST_LEVELS} levels"
+    found: list[Array] = []
+    for ends in given or ():
+        pixels, broke = checked_pixels(ends, broke, len(starts))
+        if pixels is None:
+            return [], broke
+        found.append(pixels)
+    return found, broke
 
 
 def _tally(level: int | None, starts: Starts, ends: Array | None) -> Tally:

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.pairfile import PairKey
+from relocbench.evaluation.answers import ask, broken
 from relocbench.evaluation.probe.tally import Tally, What
-from relocbench.evaluation.worker import guarded
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.metrics import PoseErrors, pose_errors, within
-from relocbench.tracking import Query, SupportsBatch, TrackResult, fault_of
+from relocbench.tracking import Query
 
 Array = NDArray[np.float64]
 
@@ -65,8 +65,9 @@ def probe_poses(
     for what, offsets in OFFSETS.items():
         priors = draw_priors(T_query_ref, what, key, directions, seed)
         flat = priors.reshape(-1, 4, 4)
-        results = _track(tracker, reference, query, flat)
-        broke = broke or next((r.message for r in results if r.info.get("status") == "error"), "")
+        nothing = [broken("")] * len(flat)
+        results = nothing if reference is None else ask(tracker, reference, [query] * len(flat), list(flat))[0]
+        broke = broke or next((r.message for r in results if r.status == "error"), "")
         answers = [np.full((4, 4), np.nan) if r.T_query_ref is None else r.T_query_ref for r in results]
         truth = np.repeat(T_query_ref[None], len(flat), axis=0)
         ends = pose_errors(np.array(answers, dtype=np.float64), truth)
@@ -96,25 +97,3 @@ def _starts_near(what: What, offsets: Sequence[float], name: str, directions: in
 
 def _by_offset(chosen: NDArray[np.bool_], offsets: Sequence[float]) -> tuple[int, ...]:
     return tuple(int(n) for n in chosen.reshape(len(offsets), -1).sum(axis=1))
-
-
-def _track(tracker: Any, reference: Any, query: Query, priors: Array) -> list[TrackResult]:
-    """An answer from each prior."""
-    if reference is None:
-        return [TrackResult.failure("", status="error")] * len(priors)
-    if not isinstance(tracker, SupportsBatch):
-        return [_checked(*_track_one(tracker, reference, query, prior)) for prior in priors]
-    each = [prior.copy() for prior in priors]
-    answered, broke = guarded(lambda: list(tracker.track_batch(reference, [query] * len(each), each)))
-    if broke is None and len(answered) != len(each):
-        broke = f"track_batch returned {len(answered)} results for {len(each)} queries"
-    return [_checked(None, broke)] * len(each) if broke else [_checked(result, None) for result in answered]
-
-
-def _track_one(tracker: Any, reference: Any, query: Query, prior: Array) -> tuple[Any, str | None]:
-    return guarded(lambda: tracker.track(reference, query, prior.copy()))
-
-
-def _checked(result: Any, broke: str | None) -> TrackResult:
-    fault = broke or fault_of(result)
-    return TrackResult.failure(fault, status="error") if fault else result

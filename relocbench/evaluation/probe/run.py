@@ -13,20 +13,21 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.pairfile import PairKey
-from relocbench.datasets.schema import Strict
 from relocbench.errors import ConfigError
+from relocbench.evaluation.asking_options import AskingOptions
+from relocbench.evaluation.offers import offers_of
 from relocbench.evaluation.opening import opened
-from relocbench.evaluation.probe.feature_maps import places_of, shows_features, write_feature_maps
+from relocbench.evaluation.probe.feature_maps import Picture, draw, lost_picture, places_of
 from relocbench.evaluation.probe.table import Line, lines_of
 from relocbench.evaluation.probe.work import Answered, Task, ask_pairs, task_for
 from relocbench.evaluation.probe.write import write_probe
 from relocbench.evaluation.run import new_record
-from relocbench.execution import default_workers
+from relocbench.execution import kept_workers, run_limited
 from relocbench.methods import MethodSpec, parse_methods
 from relocbench.progress import Reporter
 
 
-class ProbeOptions(Strict):
+class ProbeOptions(AskingOptions):
     """Fields are options of ``relocbench probe`` and keys of its YAML file."""
 
     dataset: Path
@@ -51,8 +52,6 @@ class ProbeOptions(Strict):
     feature_maps: int = Field(0, ge=0)
     """places whose features are drawn"""
     seed: int = Field(0, ge=0)
-    workers: int | None = Field(None, ge=1)
-    scheduler: str | None = None
 
     @model_validator(mode="after")
     def _something_to_do(self) -> Self:
@@ -106,6 +105,17 @@ def probe_methods(options: ProbeOptions, reporter: Reporter) -> ProbeReport:
     dataset = opened(options.dataset, options.out)
     specs = parse_methods(options.methods, options.set, options.seed)
     asked = chosen_pairs(dataset, options)
+    with kept_workers():
+        return _probe(dataset, specs, asked, options, reporter)
+
+
+def _probe(
+    dataset: Dataset,
+    specs: Sequence[MethodSpec],
+    asked: list[tuple[PairSet, list[PairKey]]],
+    options: ProbeOptions,
+    reporter: Reporter,
+) -> ProbeReport:
     tasks = _tasks(dataset, [pair_set for pair_set, _ in asked], specs, options, reporter)
     pictures = _draw(dataset, [pair_set for pair_set, _ in asked], specs, options, reporter)
     answers = {}
@@ -116,8 +126,7 @@ def probe_methods(options: ProbeOptions, reporter: Reporter) -> ProbeReport:
             spec,
             task,
             options.out / "answers",
-            workers=options.workers,
-            scheduler=options.scheduler,
+            force=options.workforce,
             reporter=reporter,
         )
     if not answers:
@@ -171,7 +180,11 @@ def _tasks(
     wanted = Task(pixels, options.poses, options.per_pair, options.structured, options.directions, options.seed)
     out = []
     for spec in specs:
-        task = task_for(spec, wanted)
+        offers = offers_of(spec, options.workforce)
+        if offers.fault:
+            reporter.note(f"{spec.label} is left out: {offers.fault}")
+            continue
+        task = task_for(offers, wanted)
         if pixels and not task.pixels:
             reporter.note(f"{spec.label} does not match single pixels (it has no match())")
         if options.poses and not task.poses:
@@ -194,24 +207,29 @@ def _draw(
     if not options.feature_maps:
         return []
     places = places_of(dataset, pair_sets, options.feature_maps)
-    drawn = []
-    with reporter.stage("drawing features", len(specs) * len(places)) as advance:
-        for spec in specs:
-            tracker = spec.create()
-            if not shows_features(tracker):
-                reporter.note(f"{spec.label} shows no features (it has no features())")
-            for place in places if shows_features(tracker) else []:
-                drawn.append(write_feature_maps(place, tracker, spec.label, options.out))
-                advance(1)
-    return drawn
+    pictures = [Picture(spec, place, options.out) for spec in specs for place in places]
+    drawn: dict[int, Path] = {}
+    notes: dict[str, None] = {}
+    with reporter.stage("drawing features", len(pictures)) as advance:
+        force = options.workforce
+        made = run_limited(draw, pictures, workers=force.workers, limits=force.limits, on_loss=lost_picture)
+        for index, (path, note) in made:
+            if path is not None:
+                drawn[index] = path
+            if note:
+                notes.setdefault(note)
+            advance(1)
+    for note in sorted(notes):
+        reporter.note(note)
+    return [drawn[index] for index in sorted(drawn)]
 
 
 def _about(dataset: Dataset, options: ProbeOptions, tasks: Sequence[tuple[MethodSpec, Task]]) -> dict[str, Any]:
-    workers = options.workers or default_workers()
+    workers = options.workforce.workers
     return {
         "dataset": dataset.name,
         "fingerprint": dataset.fingerprint,
-        "options": json.loads(options.model_dump_json(exclude={"dataset", "out", "workers", "scheduler"})),
+        "options": json.loads(options.model_dump_json(exclude={"dataset", "out", *AskingOptions.model_fields})),
         "methods": [
             new_record(dataset, spec, workers, options.seed).model_dump(
                 include={"method", "target", "parameters", "versions"}

@@ -15,22 +15,25 @@ from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.pairfile import PairKey
 from relocbench.datasets.writer import versions
-from relocbench.errors import PredictionError
+from relocbench.errors import PredictionError, one_line
+from relocbench.evaluation.lost_pairs import LostPairs, Workforce, ask_all
+from relocbench.evaluation.offers import Offers
 from relocbench.evaluation.probe.pixels import probe_pixels, with_structure
-from relocbench.evaluation.probe.poses import probe_poses
+from relocbench.evaluation.probe.poses import OFFSETS, probe_poses
 from relocbench.evaluation.probe.tally import Tally
 from relocbench.evaluation.worker import (
     Unit,
     journal_entries,
     open_journal,
     prepared,
+    query_of,
     tracker_of,
     traversal_of,
     units_of,
 )
-from relocbench.execution import default_workers, run_units
+from relocbench.execution import MANY_TIMES, step
 from relocbench.files import alone_in, sha256_file
-from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version, method_class
+from relocbench.methods import MethodSpec, distribution_version
 from relocbench.progress import Reporter
 
 Asked = Sequence[tuple[PairSet, Sequence[PairKey]]]
@@ -49,14 +52,10 @@ class Task:
 
 
 @dataclass(frozen=True)
-class ProbeUnit:
+class ProbeUnit(Unit):
     """Some pairs of one reference, for one worker."""
 
-    unit: Unit
     task: Task
-
-    def __str__(self) -> str:
-        return str(self.unit)
 
 
 @dataclass(frozen=True)
@@ -68,14 +67,9 @@ class Answered:
     """how the method broke; empty if it did not"""
 
 
-def task_for(spec: MethodSpec, wanted: Task) -> Task:
-    """What of the wanted a method can be asked: pixels where it has ``match``, poses where it starts from a prior.
-
-    Raises:
-        MethodError: no such method.
-    """
-    can_match, can_start = _offers(spec)
-    return replace(wanted, pixels=wanted.pixels and can_match, poses=wanted.poses and can_start)
+def task_for(offers: Offers, wanted: Task) -> Task:
+    """What of the wanted a method can be asked: pixels where it has ``match``, poses where it starts from a prior."""
+    return replace(wanted, pixels=wanted.pixels and offers.match, poses=wanted.poses and offers.prior)
 
 
 def ask_pairs(
@@ -85,8 +79,7 @@ def ask_pairs(
     task: Task,
     folder: Path,
     *,
-    workers: int | None,
-    scheduler: str | None,
+    force: Workforce,
     reporter: Reporter,
 ) -> dict[tuple[str, PairKey], Answered]:
     """By pair set and pair. What ``folder`` knows of the same method, dataset and task is not asked again.
@@ -99,35 +92,25 @@ def ask_pairs(
     journals = {pair_set.name: root / pair_set.name for pair_set, _ in asked}
     for journal in journals.values():
         journal.mkdir(parents=True, exist_ok=True)
+
+    def open_units() -> list[ProbeUnit]:
+        return [
+            ProbeUnit(**vars(unit), task=task)
+            for pair_set, keys in asked
+            for unit in units_of(dataset, pair_set, spec, journals[pair_set.name], _open(keys, journals[pair_set.name]))
+        ]
+
     with (
         alone_in(root, PredictionError),
         reporter.stage(f"{spec.label} on {dataset.name}", _left(asked, journals)) as advance,
     ):
-        while _left(asked, journals):
-            units = [
-                ProbeUnit(unit, task)
-                for pair_set, keys in asked
-                for unit in units_of(
-                    dataset, pair_set, spec, journals[pair_set.name], _open(keys, journals[pair_set.name])
-                )
-            ]
-            count = default_workers() if workers is None else workers
-            for _, done in run_units(_probe_unit, units, workers=count, scheduler=scheduler, on_lost=_lose_one):
-                advance(done)
+        ask_all(_probe_unit, open_units, LostPairs(_write_broken), force, advance)
     return {
         (pair_set.name, entry["key"]): Answered(tuple(map(Tally.from_dict, entry["tallies"])), entry["message"])
         for pair_set, keys in asked
         for entry in journal_entries(journals[pair_set.name])
         if entry["key"] in set(keys)
     }
-
-
-def _offers(spec: MethodSpec) -> tuple[bool, bool]:
-    """Whether a method has ``match``, and whether it starts from a prior."""
-    target: Any = method_class(spec.target)
-    if spec.target.startswith(SUBPROCESS) or not isinstance(target, type):
-        target = spec.create()
-    return callable(getattr(target, "match", None)), bool(getattr(target, "uses_prior", False))
 
 
 def _digest(dataset: Dataset, spec: MethodSpec, task: Task) -> str:
@@ -155,21 +138,21 @@ def _left(asked: Asked, journals: dict[str, Path]) -> int:
     return sum(len(_open(keys, journals[pair_set.name])) for pair_set, keys in asked)
 
 
-def _probe_unit(work: ProbeUnit) -> int:
+def _probe_unit(unit: ProbeUnit) -> int:
     """Ask about the pairs of a unit; returns how many. Runs in a worker."""
-    tracker = tracker_of(work.unit.spec)
-    reference, broke = prepared(work.unit, tracker)
-    with open_journal(work.unit.journal) as stream:
-        for key in work.unit.keys:
-            answered = _ask(work, key, tracker, None if broke else reference)
+    tracker = tracker_of(unit.spec)
+    reference, broke = prepared(unit, tracker)
+    with open_journal(unit.journal) as stream:
+        for key in unit.keys:
+            answered = _ask(unit, key, tracker, None if broke else reference)
             stream.write(json.dumps(_entry(key, answered[0], broke or answered[1])) + "\n")
             stream.flush()
-    return len(work.unit.keys)
+    return len(unit.keys)
 
 
-def _ask(work: ProbeUnit, key: PairKey, tracker: Any, reference: Any) -> tuple[list[Tally], str]:
-    unit, task = work.unit, work.task
-    query = traversal_of(unit.dataset, unit.query).query(unit.camera, key[1])
+def _ask(unit: ProbeUnit, key: PairKey, tracker: Any, reference: Any) -> tuple[list[Tally], str]:
+    task = unit.task
+    query = query_of(unit, key)
     name = pair_set_name(unit.reference, unit.query, unit.camera)
     tallies: list[Tally] = []
     messages: list[str] = []
@@ -177,12 +160,14 @@ def _ask(work: ProbeUnit, key: PairKey, tracker: Any, reference: Any) -> tuple[l
     if task.pixels and correspondences.exists():
         image = traversal_of(unit.dataset, unit.reference).image(unit.camera, key[0])
         known = with_structure(read_correspondences(correspondences, key), image, task.structured)
-        found, message = probe_pixels(tracker, reference, query, known, key, task.per_pair, task.seed)
+        with step("", (key,), MANY_TIMES):  # one question for the pixels of all offsets, one for each level
+            found, message = probe_pixels(tracker, reference, query, known, key, task.per_pair, task.seed)
         tallies, messages = tallies + found, [*messages, message]
     if task.poses:
         truth = _pair_set(unit.dataset, name).by_key[key].T_query_ref
         assert truth is not None
-        found, message = probe_poses(tracker, reference, query, truth, key, task.directions, task.seed)
+        with step("", (key,), task.directions * sum(map(len, OFFSETS.values()))):
+            found, message = probe_poses(tracker, reference, query, truth, key, task.directions, task.seed)
         tallies, messages = tallies + found, [*messages, message]
     return tallies, next(filter(None, messages), "")
 
@@ -193,14 +178,10 @@ def _pair_set(dataset: Path, name: str) -> PairSet:
 
 
 def _entry(key: PairKey, tallies: list[Tally], message: str) -> dict[str, Any]:
-    return {"key": list(key), "tallies": [t.to_dict() for t in tallies], "message": " ".join(message.split())[:500]}
+    return {"key": list(key), "tallies": [t.to_dict() for t in tallies], "message": one_line(message)}
 
 
-def _lose_one(work: ProbeUnit) -> int:
-    """A worker died twice on this unit: its first pair without a result is the one that kills."""
-    done = {entry["key"] for entry in journal_entries(work.unit.journal)}
-    culprit = next(key for key in work.unit.keys if key not in done)
-    message = "the worker process died twice on this pair (out of memory, or a crash in native code)"
-    with open_journal(work.unit.journal) as stream:
-        stream.write(json.dumps(_entry(culprit, _ask(work, culprit, None, None)[0], message)) + "\n")
-    return 1
+def _write_broken(unit: ProbeUnit, key: PairKey, message: str) -> None:
+    """A pair that is lost, and how."""
+    with open_journal(unit.journal) as stream:
+        stream.write(json.dumps(_entry(key, _ask(unit, key, None, None)[0], message)) + "\n")

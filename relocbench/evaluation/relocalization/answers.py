@@ -13,7 +13,7 @@ import numpy as np
 
 from relocbench.errors import PredictionError
 from relocbench.evaluation.results import STATUSES
-from relocbench.files import atomic_write, parse_floats, parse_timestamp, read_text
+from relocbench.files import atomic_write, parse_count, parse_floats, parse_timestamp, read_table
 from relocbench.metrics import PoseErrors
 
 Outcome = Literal["right", "choice", "unreachable", "retrieval", "tracking"]
@@ -91,13 +91,8 @@ def read_chain(path: Path) -> list[ChainAnswer]:
     Raises:
         PredictionError: with file and line: wrong columns, an impossible status, outcome or number, a query twice.
     """
-    rows = csv.reader(read_text(path, f"a table ({','.join(COLUMNS)})", PredictionError).splitlines())
-    if tuple(next(rows, [])) != COLUMNS:
-        raise PredictionError(f"expected the header {','.join(COLUMNS)}", path, 1)
     out: dict[int, ChainAnswer] = {}
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(COLUMNS):
-            raise PredictionError(f"expected {len(COLUMNS)} columns, found {len(row)}", path, number)
+    for number, row in read_table(path, COLUMNS, error=PredictionError):
         answer = _answer(dict(zip(COLUMNS, row, strict=True)), path, number)
         if answer.query_timestamp_ns in out:
             raise PredictionError(f"query {answer.query_timestamp_ns} occurs again", path, number)
@@ -113,9 +108,7 @@ def _answer(field: dict[str, str], path: Path, line: int) -> ChainAnswer:
         raise PredictionError(f"outcome is '{field['outcome']}', expected {', '.join(OUTCOMES)}", path, line)
     counts: dict[str, int | None] = {}
     for name in _INTEGERS:
-        if field[name] and not field[name].isdigit():
-            raise PredictionError(f"{name} is '{field[name]}', expected a whole number", path, line)
-        counts[name] = int(field[name]) if field[name] else None
+        counts[name] = parse_count(field[name], name, path, line, PredictionError) if field[name] else None
 
     def value(name: str) -> float | None:
         return parse_floats([field[name]], path, line, name, PredictionError)[0] if field[name] else None
@@ -123,6 +116,8 @@ def _answer(field: dict[str, str], path: Path, line: int) -> ChainAnswer:
     errors = {n: math.inf if field[n] == "inf" else value(n) for n in COLUMNS if "_error_" in n}
     if None in errors.values():
         raise PredictionError("an error is blank, expected a number or inf", path, line)
+    if any(error is not None and error < 0 for error in errors.values()):
+        raise PredictionError("an error is negative, expected at least 0, or inf", path, line)
     ref = field["ref_timestamp_ns"]
     return ChainAnswer(
         query_timestamp_ns=parse_timestamp(field["query_timestamp_ns"], path, line, PredictionError),

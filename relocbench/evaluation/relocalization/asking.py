@@ -13,6 +13,7 @@ from relocbench.evaluation.results import DatasetResults, MethodResults, read_an
 from relocbench.evaluation.run import Overwrite, run_method
 from relocbench.evaluation.score import read_predictions
 from relocbench.evaluation.worker import journal_entries
+from relocbench.execution import Limits, Scheduler
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 
@@ -37,7 +38,8 @@ def track(
     *,
     overwrite: Overwrite,
     workers: int | None,
-    scheduler: str | None,
+    scheduler: Scheduler | None,
+    limits: Limits,
     seed: int,
     reporter: Reporter,
 ) -> MethodResults:
@@ -63,6 +65,7 @@ def track(
         overwrite=overwrite,
         workers=workers,
         scheduler=scheduler,
+        limits=limits,
         seed=seed,
         reporter=reporter,
     )

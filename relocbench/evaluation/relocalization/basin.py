@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from relocbench.errors import PredictionError
-from relocbench.files import parse_floats, read_text
+from relocbench.files import parse_floats, read_csv
 
 Source = Literal["pairs", "given", "probe"]
 SAID: dict[Source, str] = {
@@ -80,16 +79,20 @@ def read_basins(folder: Path) -> dict[tuple[str, str, str], float]:
         PredictionError: no such table, other columns, a radius that is no number, no whole pose in it.
     """
     path = folder / "radii.csv" if folder.is_dir() else folder
-    rows = csv.DictReader(read_text(path, "radii of `relocbench probe`", PredictionError).splitlines())
+    rows = read_csv(path, "radii of `relocbench probe`", PredictionError)
+    header = next(rows, (1, []))[1]
     wanted = {"method", "what", "conditions", "radius"}
-    if not wanted <= set(rows.fieldnames or ()):
+    if not wanted <= set(header):
         raise PredictionError(
             f"expected columns {', '.join(sorted(wanted))} as `relocbench probe` writes them", path, 1
         )
     out = {}
-    for number, row in enumerate(rows, start=2):
+    for number, fields in rows:
+        if len(fields) != len(header):
+            raise PredictionError(f"expected {len(header)} columns, found {len(fields)}", path, number)
+        row = dict(zip(header, fields, strict=True))
         if row["what"] in ("translation", "rotation"):
-            (radius,) = parse_floats([row["radius"] or ""], path, number, "radius", PredictionError)
+            (radius,) = parse_floats([row["radius"]], path, number, "radius", PredictionError)
             if radius > 0:
                 out[row["method"], row["what"], row["conditions"]] = radius
     if not out:

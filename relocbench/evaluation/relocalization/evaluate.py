@@ -10,8 +10,9 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from relocbench.datasets.dataset import Dataset
 from relocbench.datasets.pairfile import PairKey
-from relocbench.datasets.schema import Strict
+from relocbench.evaluation.asking_options import AskingOptions
 from relocbench.evaluation.opening import opened
 from relocbench.evaluation.relocalization.asking import track, tracked
 from relocbench.evaluation.relocalization.basin import Basins, given_basin, read_basins
@@ -38,13 +39,14 @@ from relocbench.evaluation.retrieval.evaluate import KEEP
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.records import set_results
 from relocbench.evaluation.run import Overwrite
+from relocbench.execution import kept_workers
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 
 TOP = 3
 
 
-class RelocalizationOptions(Strict):
+class RelocalizationOptions(AskingOptions):
     """Fields are options of ``relocbench evaluate --task relocalization`` and keys of its YAML file."""
 
     task: Literal["relocalization"] = "relocalization"
@@ -67,8 +69,6 @@ class RelocalizationOptions(Strict):
     probe: Path | None = None
     """results of ``relocbench probe``, for each tracker's own basin"""
     seed: int = Field(0, ge=0)
-    workers: int | None = Field(None, ge=1)
-    scheduler: str | None = None
 
     @model_validator(mode="after")
     def _something_to_do(self) -> Self:
@@ -138,11 +138,25 @@ def evaluate_chains(options: RelocalizationOptions, reporter: Reporter) -> Reloc
     dataset = opened(options.dataset, options.out)
     places = SetOptions(options.split, options.pair_sets, positives="pairs")
     tasks = chain_tasks(dataset, open_set(options.dataset, options.out, places, reporter), reporter)
+    with kept_workers():
+        return _evaluate(options, dataset, tasks, retrievers, trackers, basins, reporter)
+
+
+def _evaluate(
+    options: RelocalizationOptions,
+    dataset: Dataset,
+    tasks: ChainTasks,
+    retrievers: Sequence[MethodSpec | str],
+    trackers: Sequence[MethodSpec],
+    basins: Basins,
+    reporter: Reporter,
+) -> RelocalizationReport:
     ranked = retrieve(
         tasks.asked,
         retrievers,
         set_results(options.out, tasks.asked),
         overwrite=options.overwrite,
+        force=options.workforce,
         seed=options.seed,
         reporter=reporter,
     )
@@ -158,7 +172,8 @@ def evaluate_chains(options: RelocalizationOptions, reporter: Reporter) -> Reloc
             results.trackers,
             overwrite=options.overwrite,
             workers=options.workers,
-            scheduler=options.scheduler,
+            scheduler=options.scheduler and options.scheduler.sharing(options.out, options.dataset),
+            limits=options.limits,
             seed=options.seed,
             reporter=reporter,
         )

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from relocbench.datasets.schema import check_name
 from relocbench.errors import ConfigError
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
 from relocbench.evaluation.relocalization.retrieving import label_of
 from relocbench.evaluation.retrieval.external import PREDICTIONS
+from relocbench.files import check_name
 from relocbench.methods import RETRIEVERS, TRACKERS, MethodSpec
 from relocbench.methods.discovery import parse_method
 

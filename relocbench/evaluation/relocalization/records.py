@@ -16,7 +16,7 @@ from typing import Literal
 from pydantic import Field
 
 from relocbench.datasets.fingerprint import SHORT
-from relocbench.datasets.schema import Strict
+from relocbench.datasets.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
 from relocbench.evaluation.relocalization.basin import Source
 from relocbench.evaluation.results import AnswerFolder, DatasetResults, RunRecord, write_record
@@ -58,23 +58,23 @@ class ChainTask(Strict):
 class ChainSet(Strict):
     """``relocalization.yaml``."""
 
-    name: str
-    dataset: str
-    dataset_fingerprint: str
-    fingerprint: str
-    splits: dict[str, tuple[str, ...]] = Field(default_factory=dict)
-    tasks: dict[str, ChainTask]
+    name: FolderName
+    dataset: FolderName
+    dataset_fingerprint: Fingerprint
+    fingerprint: Fingerprint
+    splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
+    tasks: dict[JoinedName, ChainTask]
 
 
 class ChainRun(Strict):
     """``run.yaml`` of a chain: how both halves were made."""
 
     task: Literal["relocalization"] = "relocalization"
-    retriever: str
-    tracker: str
+    retriever: Name
+    tracker: Name
     top: int
-    dataset: str
-    fingerprint: str
+    dataset: FolderName
+    fingerprint: Fingerprint
     """of the set"""
     retriever_run: RetrievalRun | None = None
     """None for the oracle"""
@@ -94,7 +94,7 @@ class ChainScores(Strict):
     """``scores.yaml`` of a chain."""
 
     relocbench: str
-    answers: dict[str, str]
+    answers: dict[JoinedName, str]
     """task -> SHA-256 of its table"""
     basins: dict[str, ChainBasin]
     tasks: dict[str, dict[str, float | int | None]]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from relocbench.evaluation.lost_pairs import Workforce
 from relocbench.evaluation.relocalization.chain import Retrieved
 from relocbench.evaluation.relocalization.records import ORACLE
 from relocbench.evaluation.relocalization.truth import MapTruth
@@ -81,6 +82,7 @@ def retrieve(
     results: SetResults,
     *,
     overwrite: Overwrite,
+    force: Workforce,
     seed: int,
     reporter: Reporter,
 ) -> list[Ranked]:
@@ -110,6 +112,7 @@ def retrieve(
                 results,
                 keep=KEEP,
                 overwrite=overwrite,
+                force=force,
                 seed=seed,
                 reporter=reporter,
             )

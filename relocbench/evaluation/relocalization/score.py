@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from relocbench.errors import ConfigError
 from relocbench.evaluation.relocalization.answers import OUTCOMES, ChainAnswer, errors_of
 from relocbench.evaluation.retrieval.score import generator
+from relocbench.files import plain_file
 from relocbench.metrics import METRICS, bootstrap_interval, metric_named, summarize
 
 Array = NDArray[np.float64]
@@ -88,4 +89,4 @@ def summary(place: str, answers: Sequence[ChainAnswer], top: int, seed: int = 0)
 
 def table_hash(path: Path) -> str:
     """SHA-256 of a table: scores of another one are stale."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(plain_file(path, "answers").read_bytes()).hexdigest()

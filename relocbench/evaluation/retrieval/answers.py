@@ -11,9 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
-from relocbench.errors import PredictionError
+from relocbench.errors import PredictionError, quoted
 from relocbench.evaluation.results import STATUSES
-from relocbench.files import atomic_write, parse_floats, read_text
+from relocbench.files import (
+    atomic_write,
+    lines_of,
+    parse_count,
+    parse_floats,
+    plain_file,
+    read_table,
+    read_text,
+    whole_number,
+)
 from relocbench.metrics import NEVER, Ranking
 
 COLUMNS = ("query", "group", "status", "positives", "ranks", "seconds", "message")
@@ -54,23 +63,19 @@ def read_answers(path: Path) -> list[QueryAnswer]:
     Raises:
         PredictionError: with file and line: wrong columns, an impossible status or rank, a query that occurs twice.
     """
-    rows = csv.reader(read_text(path, f"a table ({','.join(COLUMNS)})", PredictionError).splitlines())
-    if tuple(next(rows, [])) != COLUMNS:
-        raise PredictionError(f"expected the header {','.join(COLUMNS)}", path, 1)
     out: dict[str, QueryAnswer] = {}
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(COLUMNS):
-            raise PredictionError(f"expected {len(COLUMNS)} columns, found {len(row)}", path, number)
+    for number, row in read_table(path, COLUMNS, error=PredictionError):
         query, group, status, positives, ranks, seconds, message = row
         if query in out:
             raise PredictionError(f"query '{query}' occurs again", path, number)
         if status not in STATUSES:
             raise PredictionError(f"status is '{status}', expected {', '.join(STATUSES)}", path, number)
         places = _ranks(ranks, path, number)
-        if not positives.isdigit() or int(positives) < len(places):
-            raise PredictionError(f"{len(places)} ranks of '{positives}' positives", path, number)
+        count = parse_count(positives, "positives", path, number, PredictionError)
+        if count < len(places):
+            raise PredictionError(f"{len(places)} ranks of '{count}' positives", path, number)
         took = parse_floats([seconds], path, number, "seconds", PredictionError)[0] if seconds else None
-        out[query] = QueryAnswer(query, group, status, int(positives), places, took, message)
+        out[query] = QueryAnswer(query, group, status, count, places, took, message)
     return list(out.values())
 
 
@@ -104,7 +109,7 @@ def read_lists(path: Path, queries: Mapping[str, int], gallery: Mapping[str, int
     lists: dict[str, list[int]] = {key: [] for key in queries}
     seen: set[tuple[str, int]] = set()
     text = read_text(path, "retrieved images, a line 'query db' each", PredictionError)
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(lines_of(text), start=1):
         words = line.split()
         if not words or line.startswith("#"):
             continue
@@ -125,14 +130,14 @@ def read_lists(path: Path, queries: Mapping[str, int], gallery: Mapping[str, int
 
 def answers_hash(path: Path) -> str:
     """SHA-256 of a table: scores of another one are stale."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(plain_file(path, "answers").read_bytes()).hexdigest()
 
 
 def _ranks(text: str, path: Path, line: int) -> tuple[int, ...]:
     words = text.split()
-    if not all(w.isdigit() and int(w) > 0 for w in words):
-        raise PredictionError(f"ranks are '{text[:60]}', expected positive integers", path, line)
-    ranks = tuple(map(int, words))
+    ranks = tuple(rank for word in words if (rank := whole_number(word)))
+    if len(ranks) < len(words):
+        raise PredictionError(f"ranks are {quoted(text, 60)}, expected positive integers", path, line)
     if any(b <= a for a, b in pairwise(ranks)):
         raise PredictionError("ranks do not increase", path, line)
     return ranks

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.evaluation.check import Finding
-from relocbench.evaluation.retrieval.describe import fault_of
+from relocbench.evaluation.guard import guarded, offers
+from relocbench.evaluation.retrieval.checked import checked_descriptors, checked_scores, rerank_top_of
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
-from relocbench.evaluation.worker import guarded
 from relocbench.execution import messages_to_stderr
 from relocbench.methods import MethodSpec
 from relocbench.progress import Silent
@@ -34,10 +34,10 @@ def check_retriever(spec: MethodSpec, dataset: Path | None = None) -> list[Findi
     if problem:
         return [Finding("is constructed", False, problem)]
     findings = [Finding("is constructed", True, ", ".join(f"{k}={v}" for k, v in spec.parameters.items()))]
-    if not isinstance(made, Retriever):
+    if not offers(made, Retriever):
         return [*findings, Finding("has describe()", False, f"{type(made).__name__} has none")]
     images = [*_made_up(), *(_from_dataset(dataset) if dataset else [])]
-    if isinstance(made, FittingRetriever):
+    if offers(made, FittingRetriever):
         findings.append(_fits(made, images))
         if not findings[-1].passed:
             return findings
@@ -51,7 +51,7 @@ def check_retriever(spec: MethodSpec, dataset: Path | None = None) -> list[Findi
         findings.append(_repeatable(spec, images, values))
         findings.append(_tells_apart(values))
     findings.append(_leaves_input_alone(made, images[0]))
-    if isinstance(made, RerankingRetriever) and problem is None:
+    if problem is None and guarded(lambda: callable(getattr(made, "rerank", None)))[0] is True:
         findings.append(_reranks(made, values))
     return findings
 
@@ -60,7 +60,8 @@ def _describe(made: Any, images: Sequence[ImageView]) -> tuple[Any, str | None]:
     fresh = [ImageView(image.key, image.view, image.read) for image in images]
     with messages_to_stderr():
         values, problem = guarded(lambda: made.describe(fresh))
-    return values, (problem and f"raised {problem} (a row of NaN says: not described)") or fault_of(values, len(images))
+    told = problem and f"raised {problem} (a row of NaN says: not described)"
+    return checked_descriptors(values, told, len(images))
 
 
 def _fits(made: FittingRetriever, images: Sequence[ImageView]) -> Finding:
@@ -81,9 +82,11 @@ def _alone_as_together(made: Any, images: Sequence[ImageView], values: NDArray[A
 
 def _repeatable(spec: MethodSpec, images: Sequence[ImageView], values: NDArray[Any]) -> Finding:
     name = "describes the same again, constructed anew"
-    fresh = spec.create()
-    if isinstance(fresh, FittingRetriever):
-        fresh.fit(images, 0)
+    fresh, problem = guarded(spec.create)
+    if problem is None and offers(fresh, FittingRetriever):
+        _, problem = guarded(lambda: fresh.fit(images, 0))
+    if problem is not None:
+        return Finding(name, False, f"constructed again, it raised {problem}")
     again, problem = _describe(fresh, images)
     same = problem is None and all(_same(a, b, _EQUAL) for a, b in zip(again, values, strict=True))
     return Finding(name, same, "" if same else problem or "another descriptor than the first time")
@@ -105,19 +108,19 @@ def _leaves_input_alone(made: Any, image: ImageView) -> Finding:
 
 
 def _reranks(made: RerankingRetriever, values: NDArray[Any]) -> Finding:
-    name = f"orders the first {made.rerank_top} anew"
-    if made.rerank_top <= 0:
+    top, fault = rerank_top_of(made)
+    name = f"orders the first {top} anew"
+    if fault is not None:
+        return Finding(name, False, fault)
+    if top == 0:
         return Finding(name, True, "not asked to")
     known = values[np.isfinite(values).all(axis=1)]
     if not len(known):
         return Finding(name, False, "no image has a descriptor")
-    for count in dict.fromkeys((min(len(known), made.rerank_top), 1)):
+    for count in dict.fromkeys((min(len(known), top), 1)):
         with messages_to_stderr():
-            scores, problem = guarded(lambda k=count: made.rerank(known[0], known[:k]))  # type: ignore[misc]
-        if problem is None and (not isinstance(scores, np.ndarray) or scores.shape != (count,)):
-            problem = f"returned {getattr(scores, 'shape', type(scores).__name__)} for {count} candidates"
-        if problem is None and not np.isfinite(scores).all():
-            problem = "returned scores that are not finite"
+            scores, broke = guarded(lambda k=count: made.rerank(known[0], known[:k]))  # type: ignore[misc]
+        _, problem = checked_scores(scores, broke, count)
         if problem:
             return Finding(name, False, problem)
     return Finding(name, True)

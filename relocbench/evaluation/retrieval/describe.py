@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.errors import RelocbenchError
-from relocbench.evaluation.worker import guarded
-from relocbench.execution import chunks, messages_to_stderr
-from relocbench.retrieval import Descriptors, ImageView, RetrievalTask, Retriever
+from relocbench.errors import one_line
+from relocbench.evaluation.retrieval.asked import Asked, InThisProcess, InWorker
+from relocbench.evaluation.retrieval.checked import fault_of
+from relocbench.evaluation.worker import read_only
+from relocbench.execution import chunks
+from relocbench.retrieval import Descriptors, Image, ImageView, RetrievalTask, Retriever
 
 BATCH = 32
 _HOPELESS = 64
@@ -53,16 +55,15 @@ class Describer:
     """Asks one retriever, and remembers what it will be asked again.
 
     Args:
-        retriever: as constructed, and fitted where it fits.
+        retriever: as constructed, and fitted where it fits, or what asks one in another process.
         shared: identities of images whose descriptors are kept for a later call.
     """
 
-    def __init__(self, retriever: Retriever, shared: frozenset[str] = frozenset()) -> None:
-        self.retriever = retriever
+    def __init__(self, retriever: Retriever | Asked, shared: frozenset[str] = frozenset()) -> None:
+        self.asked: Asked = retriever if isinstance(retriever, InThisProcess | InWorker) else _asked_here(retriever)
         self._shared = shared
         self._known: dict[str, _One] = {}
         self._dimensions: int | None = None
-        self._warm = False
         self._broken = 0
 
     def __call__(self, images: Sequence[ImageView], advance: Callable[[int], None]) -> Described:
@@ -89,11 +90,6 @@ class Describer:
         if not images:
             return []
         views = list(anonymous(images))
-        for view in views:
-            view.image  # noqa: B018  read before the clock starts
-        if not self._warm:  # compilation and first allocations are not the method's speed
-            self._warm = True
-            self._ask(views[:1])
         values, seconds, broke = self._ask(views)
         if broke and len(views) > 1 and (self._broken < _HOPELESS or self._dimensions is not None):
             return [one for view in views for one in self._single(view)]
@@ -111,44 +107,12 @@ class Describer:
 
     def _ask(self, views: list[ImageView]) -> tuple[Any, float, str]:
         """Descriptors, the seconds they took, and how the method broke."""
-        start = time.perf_counter()
-        with messages_to_stderr():
-            values, broke = of_method(lambda: self.retriever.describe(views))
-        seconds = time.perf_counter() - start
-        return values, seconds, one_line(broke or fault_of(values, len(views), self._dimensions) or "")
+        values, seconds, broke = self.asked.describe(views)
+        return values, seconds, broke or fault_of(values, len(views), self._dimensions) or ""
 
 
-def of_method(call: Callable[[], Any]) -> tuple[Any, str | None]:
-    """As :func:`guarded`, but a bad image or a method that cannot go on ends the run."""
-    raised: list[RelocbenchError] = []
-
-    def kept() -> Any:
-        try:
-            return call()
-        except RelocbenchError as bad:
-            raised.append(bad)
-            raise
-
-    value, broke = guarded(kept)
-    if raised:
-        raise raised[0]
-    return value, broke
-
-
-def fault_of(values: object, count: int, dimensions: int | None = None) -> str | None:
-    """What keeps ``values`` from being descriptors of ``count`` images, or None if nothing does.
-
-    Args:
-        dimensions: of the descriptors so far.
-    """
-    if not isinstance(values, np.ndarray) or not np.issubdtype(values.dtype, np.floating):
-        kind = f"an array of {values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
-        return f"describe returned {kind}, expected an array of floats"
-    if values.ndim != 2 or len(values) != count or values.shape[1] == 0:
-        return f"describe returned shape {values.shape} for {count} images, expected ({count}, D)"
-    if dimensions is not None and values.shape[1] != dimensions:
-        return f"describe returned {values.shape[1]} numbers an image, {dimensions} before"
-    return None
+def _asked_here(retriever: Any) -> Asked:
+    return InThisProcess(retriever)
 
 
 def anonymous(images: Iterable[ImageView]) -> Iterator[ImageView]:
@@ -157,7 +121,12 @@ def anonymous(images: Iterable[ImageView]) -> Iterator[ImageView]:
     They are new, so that an image is let go of with its view.
     """
     for image in images:
-        yield ImageView(hashlib.blake2s(image.key.encode(), digest_size=8).hexdigest(), image.view, image.read)
+        name = hashlib.blake2s(image.key.encode(), digest_size=8).hexdigest()
+        yield ImageView(name, image.view, partial(_read_only, image.read))
+
+
+def _read_only(read: Callable[[], Image]) -> Image:
+    return read_only(read())
 
 
 class AnonymousViews(Sequence[ImageView]):
@@ -201,12 +170,6 @@ def descriptor_variance(*described: Described) -> float | None:
             total = total + (values[kept] / norms[kept]).sum(axis=0)
             count += int(kept.sum())
     return max(0.0, 1.0 - float(np.sum((total / count) ** 2))) if count else None
-
-
-def one_line(message: object) -> str:
-    """A message as a table can hold it."""
-    words = " ".join(str(message).split())[:500]
-    return "".join(c if c.isprintable() else "?" for c in words)
 
 
 def nothing(count: int, message: str) -> Described:

@@ -8,9 +8,10 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from relocbench.datasets.schema import Strict, check_name
 from relocbench.datasets.street_places import Positives
 from relocbench.errors import ConfigError
+from relocbench.evaluation.asking_options import LimitOptions
+from relocbench.evaluation.lost_pairs import Workforce
 from relocbench.evaluation.retrieval.answers import read_answers
 from relocbench.evaluation.retrieval.external import take_lists
 from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
@@ -18,13 +19,15 @@ from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord,
 from relocbench.evaluation.retrieval.run import BROKEN, run_retriever
 from relocbench.evaluation.retrieval.score import Values, score_retriever, suspicion
 from relocbench.evaluation.run import Overwrite
+from relocbench.execution import kept_workers
+from relocbench.files import check_name
 from relocbench.methods import RETRIEVERS, parse_methods
 from relocbench.progress import Reporter
 
 KEEP = 100
 
 
-class RetrievalOptions(Strict):
+class RetrievalOptions(LimitOptions):
     """Fields are options of ``relocbench evaluate --task retrieval`` and keys of its YAML file."""
 
     task: Literal["retrieval"] = "retrieval"
@@ -46,6 +49,18 @@ class RetrievalOptions(Strict):
     positives: Positives | None = None
     by_condition: bool = False
     seed: int = Field(0, ge=0)
+    workers: int | None = Field(None, ge=0)
+    """None: a process for the method; 0: this process, without limits"""
+
+    @property
+    def workforce(self) -> Workforce:
+        return Workforce(1 if self.workers is None else self.workers, None, self.limits)
+
+    @model_validator(mode="after")
+    def _one_process(self) -> Self:
+        if self.workers:
+            raise ValueError("--workers means nothing with --task retrieval")
+        return self
 
     @model_validator(mode="after")
     def _something_to_do(self) -> Self:
@@ -103,19 +118,21 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
         folders = [take_lists(asked, asked.chosen, options.predictions, label, results)]
         write_set_record(results, asked, asked.chosen)
     else:
-        folders = [
-            run_retriever(
-                asked,
-                asked.chosen,
-                spec,
-                results,
-                keep=options.keep,
-                overwrite=options.overwrite,
-                seed=options.seed,
-                reporter=reporter,
-            )
-            for spec in specs
-        ]
+        with kept_workers():
+            folders = [
+                run_retriever(
+                    asked,
+                    asked.chosen,
+                    spec,
+                    results,
+                    keep=options.keep,
+                    overwrite=options.overwrite,
+                    force=options.workforce,
+                    seed=options.seed,
+                    reporter=reporter,
+                )
+                for spec in specs
+            ]
         write_set_record(results, asked, asked.chosen)
     record = results.record
     for folder in folders:

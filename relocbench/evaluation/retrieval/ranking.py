@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -10,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.evaluation.retrieval.answers import QueryAnswer
-from relocbench.evaluation.retrieval.describe import Described, of_method, one_line
-from relocbench.execution import messages_to_stderr
+from relocbench.evaluation.retrieval.asked import Asked
+from relocbench.evaluation.retrieval.describe import Described
 from relocbench.metrics import NEVER, count_at_least, exact_scores, ranks_of_positives, sorted_finite
-from relocbench.retrieval import Descriptors, RerankingRetriever, RetrievalTask, Retriever
+from relocbench.retrieval import Descriptors, RetrievalTask
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -37,7 +36,7 @@ def rank_task(
     task: RetrievalTask,
     queries: Described,
     gallery: Described,
-    retriever: Retriever | None,
+    retriever: Asked | None,
     keep: int | None,
     advance: Callable[[int], None] = lambda count: None,
 ) -> Iterator[tuple[QueryAnswer, list[str]]]:
@@ -58,13 +57,17 @@ def rank_task(
         of_queries = queries.values
     place = np.full(len(gallery), -1)
     place[live] = np.arange(len(live))
-    again = retriever if isinstance(retriever, RerankingRetriever) and retriever.rerank_top > 0 else None
+    again = retriever if retriever is not None and retriever.rerank_top > 0 else None
+    fault = "" if retriever is None else retriever.rerank_fault
     count = len(live) if keep is None else min(keep, len(live))
     block = int(np.clip(_BLOCK_BYTES // (8 * len(of_gallery)), 1, 1024))
     for rows, scores in exact_scores(of_queries, of_gallery, block=block):
         for offset, row in enumerate(scores):
             q = rows.start + offset
-            ranked = _ranked(row, place[task.relevance.of(q)], count, again, of_queries[q], of_gallery)
+            if fault:
+                ranked = Ranked(live[:0], (), broke=fault)
+            else:
+                ranked = _ranked(row, place[task.relevance.of(q)], count, again, of_queries[q], of_gallery)
             yield _answer(task, q, queries, ranked), [task.gallery[i].key for i in live[ranked.first]]
         advance(len(scores))
 
@@ -73,7 +76,7 @@ def _ranked(
     scores: Array,
     positives: Indices,
     count: int,
-    again: RerankingRetriever | None,
+    again: Asked | None,
     query: Descriptors,
     gallery: Descriptors,
 ) -> Ranked:
@@ -83,13 +86,9 @@ def _ranked(
     if again is None or first.size == 0:
         return Ranked(first[:count], _ranks(scores, positives))
     head = first[:top]
-    start = time.perf_counter()
-    with messages_to_stderr():
-        values, broke = of_method(lambda: again.rerank(query, gallery[head]))
-    seconds = time.perf_counter() - start
-    broke = broke or _fault_of(values, len(head))
+    values, seconds, broke = again.rerank(query, gallery[head])
     if broke:
-        return Ranked(first[:0], (), seconds, one_line(broke))
+        return Ranked(first[:0], (), seconds, broke)
     ordered = np.concatenate([head[np.argsort(-values, kind="stable")], first[top:]])
     # Two rankings behind one another: those handed over by their new scores, the rest by the old ones.
     new = np.full(len(scores), np.nan)
@@ -113,15 +112,6 @@ def _ranks(scores: Array, positives: Indices) -> tuple[int, ...]:
     of_positives = scores[positives]
     at_least = count_at_least(scores[np.isfinite(scores)], sorted_finite(of_positives))
     return tuple(int(r) + 1 for r in ranks_of_positives(of_positives, at_least) if r != NEVER)
-
-
-def _fault_of(values: object, count: int) -> str | None:
-    if not isinstance(values, np.ndarray) or values.shape != (count,):
-        shape = f"shape {values.shape}" if isinstance(values, np.ndarray) else type(values).__name__
-        return f"rerank returned {shape} for {count} candidates, expected ({count},)"
-    if not np.issubdtype(values.dtype, np.floating) or not np.isfinite(values).all():
-        return "rerank returned scores that are not finite floats"
-    return None
 
 
 def _answer(task: RetrievalTask, q: int, queries: Described, ranked: Ranked) -> QueryAnswer:

@@ -16,10 +16,10 @@ from typing import Any, Literal
 from pydantic import Field
 
 from relocbench.datasets.fingerprint import SHORT
-from relocbench.datasets.schema import Strict
+from relocbench.datasets.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
-from relocbench.evaluation.results import MethodResults, RunRecord, write_record
-from relocbench.files import load_yaml
+from relocbench.evaluation.results import Count, MethodResults, RunRecord, method_folders, write_record
+from relocbench.files import MAX_FOLDER_BYTES, check_joined_name, load_yaml
 from relocbench.metrics import chance_level
 from relocbench.retrieval import RetrievalSet, RetrievalTask
 
@@ -31,13 +31,13 @@ METRICS = ("R@1", "R@5", "R@10", "R@20", "R@top1%", "AP", "MRR")
 class TaskRecord(Strict):
     """What a leaderboard must know about a task when the images are not at hand."""
 
-    queries: int
-    gallery: int
+    queries: Count
+    gallery: Count
     """images, junk included"""
-    junk: int = 0
-    without_positives: int
+    junk: Count = 0
+    without_positives: Count
     """queries that no image of the gallery answers; they count as not found"""
-    most_positives: int
+    most_positives: Count
     """of one query"""
     view_query: str
     view_gallery: str
@@ -68,15 +68,15 @@ class TaskRecord(Strict):
 class SetRecord(Strict):
     """``RESULTS/SET@FINGERPRINT/retrieval.yaml``."""
 
-    name: str
-    fingerprint: str
+    name: FolderName
+    fingerprint: Fingerprint
     positives: str = ""
     """which images are right, in words"""
     options: dict[str, float | str] = Field(default_factory=dict)
     """of ``relocbench evaluate`` that make this set of its dataset"""
-    splits: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
     """split -> tasks"""
-    tasks: dict[str, TaskRecord]
+    tasks: dict[JoinedName, TaskRecord]
 
 
 class TaskRun(Strict):
@@ -109,7 +109,7 @@ class RetrievalScores(Strict):
     """``scores.yaml`` of a retriever."""
 
     relocbench: str
-    answers: dict[str, str]
+    answers: dict[JoinedName, str]
     """task -> SHA-256 of its table"""
     denominator: str
     tasks: dict[str, dict[str, float | int | None]]
@@ -145,12 +145,16 @@ class SetResults:
 
     def methods(self) -> list[RetrieverResults]:
         """Every method with a run record, by name."""
-        return [RetrieverResults(p.parent) for p in sorted(self.root.glob("*/run.yaml"))]
+        return [RetrieverResults(p.parent) for p in method_folders(self.root)]
 
 
 def set_results(results: Path, asked: RetrievalSet) -> SetResults:
     """The folder for a set's results; nothing is written."""
-    return SetResults(results / f"{asked.name}@{asked.fingerprint[:SHORT]}")
+    try:
+        name = check_joined_name(asked.name, "name of a retrieval set", most_bytes=MAX_FOLDER_BYTES)
+    except ValueError as bad:
+        raise PredictionError(str(bad)) from None
+    return SetResults(results / f"{name}@{asked.fingerprint[:SHORT]}")
 
 
 def write_set_record(folder: SetResults, asked: RetrievalSet, tasks: Sequence[RetrievalTask]) -> None:

@@ -5,21 +5,20 @@ A task is the unit: its two files appear whole when it is done, and a killed run
 
 from __future__ import annotations
 
-import json
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from relocbench.errors import DatasetError, MethodError, PredictionError
+from relocbench.errors import DatasetError, PredictionError
+from relocbench.evaluation.lost_pairs import Workforce
 from relocbench.evaluation.results import STATUSES, write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers, write_lists
+from relocbench.evaluation.retrieval.asked import Asked, asked_of
 from relocbench.evaluation.retrieval.describe import (
     AnonymousViews,
     Describer,
     descriptor_variance,
     nothing,
-    of_method,
     shared_images,
 )
 from relocbench.evaluation.retrieval.ranking import rank_task
@@ -31,11 +30,11 @@ from relocbench.evaluation.retrieval.records import (
     write_set_record,
 )
 from relocbench.evaluation.run import Overwrite, made_by, now, refuse_mixture
-from relocbench.execution import default_workers, messages_to_stderr
+from relocbench.execution import default_workers
 from relocbench.files import alone_in, remove_parts
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
-from relocbench.retrieval import FittingRetriever, RerankingRetriever, RetrievalSet, RetrievalTask, Retriever
+from relocbench.retrieval import RetrievalSet, RetrievalTask, Retriever
 
 BROKEN = STATUSES[2]
 
@@ -58,6 +57,7 @@ def run_retriever(
     *,
     keep: int | None,
     overwrite: Overwrite = "never",
+    force: Workforce | None = None,
     seed: int = 0,
     reporter: Reporter,
 ) -> RetrieverResults:
@@ -67,6 +67,7 @@ def run_retriever(
         keep: so many retrieved images of each query are kept; None for all.
         overwrite: ``never`` keeps every task there is, ``failed`` asks tasks again in which a query failed or broke,
             ``always`` starts anew.
+        force: where it is asked: a worker process, or with 0 workers this one; and its limits.
 
     Raises:
         MethodError: the retriever cannot be made, or says that it cannot go on.
@@ -76,15 +77,16 @@ def run_retriever(
     folder = results.method(spec.label)
     record = _new_record(asked, spec, seed, keep)
     todo = [task for task in tasks if overwrite == "always" or _open(folder, task, overwrite)]
+    where = Workforce(1) if force is None else force
     asking = None
     if overwrite == "always":
-        asking = Asking(lambda: created(spec), todo, seed)  # what cannot be made should not cost what is there
+        asking = Asking(lambda: asked_of(spec, where), todo, seed)  # what cannot be made should not cost what is there
         _clear(folder, tasks)
     refuse_mixture(folder, record, work_left=bool(todo))
     _refuse_other_lists(folder, record)
     if not todo:
         return folder
-    asking = asking or Asking(lambda: created(spec), todo, seed)  # nor leave a folder
+    asking = asking or Asking(lambda: asked_of(spec, where), todo, seed)  # nor leave a folder
     folder.root.mkdir(parents=True, exist_ok=True)
     write_set_record(results, asked, tasks)
     with alone_in(folder.root, PredictionError):
@@ -113,7 +115,7 @@ class Asking:
         seed: for ``fit``.
     """
 
-    def __init__(self, make: Callable[[], Retriever], tasks: Sequence[RetrievalTask], seed: int) -> None:
+    def __init__(self, make: Callable[[], Retriever | Asked], tasks: Sequence[RetrievalTask], seed: int) -> None:
         self._make = make
         self._seed = seed
         self._shared = shared_images(tasks)
@@ -124,8 +126,7 @@ class Asking:
     @property
     def info(self) -> dict[str, Any]:
         """What the retriever tells of itself by a mapping ``info``, as plain values; empty where it does not."""
-        told = getattr(self._describer.retriever, "info", None)
-        return dict(json.loads(json.dumps(dict(told), default=_plain))) if isinstance(told, Mapping) else {}
+        return self._describer.asked.info
 
     def _new(self) -> Describer:
         return Describer(self._make(), self._shared)
@@ -136,14 +137,13 @@ class Asking:
         """Fit if it fits, describe both sides, rank. Raises MethodError and DatasetError."""
         fit_seconds, broke = None, ""
         keys = [image.key for image in task.gallery]
-        if isinstance(self._describer.retriever, FittingRetriever) and self._fitted_on != keys:
+        if self._describer.asked.fits and self._fitted_on != keys:
             if self._fitted_on is not None:
                 self._describer = self._new()
-            retriever: Any = self._describer.retriever
-            fit_seconds, broke = _fit(retriever, task, self._seed)
+            _, seconds, broke = self._describer.asked.fit(AnonymousViews(task.gallery), self._seed)
+            fit_seconds, broke = round(seconds, 3), f"fit: {broke}" if broke else ""
             self._fitted_on = keys
         describer = self._describer
-        retriever = describer.retriever
         again = describer.knows(task.gallery)
         if broke:
             self._fitted_on = []  # another task is fitted to anew
@@ -152,36 +152,19 @@ class Asking:
         else:
             gallery = describer(task.gallery, advance)
             queries = describer(task.queries, advance)
-        rows = list(rank_task(task, queries, gallery, retriever, keep, advance))
+        rows = list(rank_task(task, queries, gallery, describer.asked, keep, advance))
         variance = descriptor_variance(queries, gallery)
         run = TaskRun(
             dimensions=None if variance is None else gallery.values.shape[1],
             queries_described=int(queries.finite.sum()),
             gallery_described=int(gallery.finite.sum()),
             descriptor_variance=None if variance is None else round(variance, 6),
-            rerank_top=int(retriever.rerank_top) if isinstance(retriever, RerankingRetriever) else 0,
+            rerank_top=describer.asked.rerank_top,
             gallery_seconds=None if again else round(float(gallery.seconds.sum()), 3),
             fit_seconds=fit_seconds,
         )
         answers = [_blamed(answer, gallery.messages) for answer, _ in rows]
         return TaskAnswers(answers, {answer.query: kept for answer, kept in rows}, run)
-
-
-def created(spec: MethodSpec) -> Retriever:
-    """The retriever, constructed. Raises MethodError."""
-    made: Any = spec.create()
-    if not isinstance(made, Retriever):
-        raise MethodError(f"retriever '{spec.label}': {spec.target} {_made(made)}, which has no describe()")
-    return made
-
-
-def _plain(value: Any) -> Any:
-    """NumPy numbers and arrays as plain values, anything else as words."""
-    return value.tolist() if hasattr(value, "tolist") else str(value)
-
-
-def _made(thing: object) -> str:
-    return f"made a thing of type {type(thing).__name__}"
 
 
 def check_task(task: RetrievalTask) -> None:
@@ -201,14 +184,6 @@ def check_task(task: RetrievalTask) -> None:
     sizes = (task.relevance.queries, task.relevance.gallery)
     if sizes != (len(task.queries), len(task.gallery)) or (task.groups and len(task.groups) != len(task.queries)):
         raise DatasetError(f"task '{task.name}': relevance or groups do not fit its {len(task.queries)} queries")
-
-
-def _fit(retriever: FittingRetriever, task: RetrievalTask, seed: int) -> tuple[float, str]:
-    """Seconds, and how it broke."""
-    start = time.perf_counter()
-    with messages_to_stderr():
-        _, broke = of_method(lambda: retriever.fit(AnonymousViews(task.gallery), seed))
-    return round(time.perf_counter() - start, 3), f"fit: {broke}" if broke else ""
 
 
 def _blamed(answer: QueryAnswer, of_gallery: Sequence[str]) -> QueryAnswer:

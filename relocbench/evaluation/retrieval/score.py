@@ -23,6 +23,8 @@ from relocbench.metrics import Denominator, Interval, bootstrap_interval, per_gr
 from relocbench.metrics.retrieval import RetrievalScores as QueryScores
 
 Values = dict[str, float | int | None]
+_MOST_POSITIVES = 100_000_000
+"""of all queries of a task: their positions take 8 bytes each"""
 
 
 def score_retriever(asked: SetRecord, folder: RetrieverResults, *, seed: int = 0) -> RetrievalScores:
@@ -58,6 +60,14 @@ def checked_answers(name: str, record: TaskRecord, folder: RetrieverResults) -> 
     answers = read_answers(path)
     if len(answers) != record.queries:
         raise PredictionError(f"{len(answers)} rows, expected one for each of {record.queries} queries", path)
+    for answer in answers:
+        if answer.positives > record.most_positives or answer.positives > record.gallery:
+            told = f"query '{answer.query[:60]}' has {answer.positives} positives, the task's record says that no query"
+            raise PredictionError(f"{told} has more than {min(record.most_positives, record.gallery)}", path)
+        if answer.ranks and answer.ranks[-1] > record.gallery:
+            raise PredictionError(f"rank {answer.ranks[-1]} in a gallery of {record.gallery} images", path)
+    if sum(answer.positives for answer in answers) > _MOST_POSITIVES:
+        raise PredictionError(f"more than {_MOST_POSITIVES} positives in all", path)
     return answers
 
 

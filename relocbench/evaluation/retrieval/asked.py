@@ -1,0 +1,222 @@
+"""A retriever as it is asked: what it returned, how long it took and how it broke, here or in a worker process."""
+
+from __future__ import annotations
+
+import json
+import time
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from relocbench.errors import MethodError, RelocbenchError
+from relocbench.evaluation.guard import guarded, offers
+from relocbench.evaluation.info_text import info_text
+from relocbench.evaluation.lost_pairs import Workforce, how_lost
+from relocbench.evaluation.retrieval.checked import checked_descriptors, checked_scores, rerank_top_of
+from relocbench.evaluation.worker import CONSTRUCTOR
+from relocbench.execution import MANY_TIMES, Loss, messages_to_stderr, run_limited, step
+from relocbench.methods import MethodSpec
+from relocbench.retrieval import (
+    Descriptors,
+    FittingRetriever,
+    ImageView,
+    Retriever,
+)
+
+Told = tuple[Any, float, str]
+"""what a call returned, its seconds, and how it broke: empty if it did not"""
+_HOPELESS = 3
+"""so many calls that ended the process, and none that did not: it is not asked again"""
+
+
+class Asked(Protocol):
+    """A retriever that can be asked."""
+
+    fits: bool
+    rerank_top: int
+    """0 where it does not order anew"""
+    rerank_fault: str
+    """what is wrong with what it says of ordering anew; empty if nothing is"""
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """What it tells of itself, as plain values."""
+        ...
+
+    def fit(self, gallery: Sequence[ImageView], seed: int) -> Told: ...
+    def describe(self, images: Sequence[ImageView]) -> Told: ...
+    def rerank(self, query: Descriptors, candidates: Descriptors) -> Told: ...
+
+
+class InThisProcess:
+    """A retriever that was made here; a bad image, or a method that says that it cannot go on, ends the run."""
+
+    def __init__(self, retriever: Retriever) -> None:
+        self._retriever: Any = retriever
+        self._warm = False
+        self.fits = offers(retriever, FittingRetriever)
+        self.rerank_top, fault = rerank_top_of(retriever)
+        self.rerank_fault = fault or ""
+
+    @property
+    def info(self) -> dict[str, Any]:
+        told, _ = guarded(lambda: getattr(self._retriever, "info", None))
+        return dict(json.loads(info_text(told))) if guarded(lambda: isinstance(told, Mapping))[0] is True else {}
+
+    def fit(self, gallery: Sequence[ImageView], seed: int) -> Told:
+        return _timed(lambda: self._retriever.fit(gallery, seed), MANY_TIMES)
+
+    def describe(self, images: Sequence[ImageView]) -> Told:
+        for view in images:
+            view.image  # noqa: B018  read before the clock starts
+        if not self._warm:  # compilation and first allocations are not the method's speed
+            self._warm = True
+            _timed(lambda: self._retriever.describe(images[:1]), MANY_TIMES)
+        values, seconds, broke = _timed(lambda: self._retriever.describe(images), min(float(len(images)), MANY_TIMES))
+        values, fault = checked_descriptors(values, broke or None, len(images))
+        return values, seconds, fault or ""
+
+    def rerank(self, query: Descriptors, candidates: Descriptors) -> Told:
+        values, seconds, broke = _timed(lambda: self._retriever.rerank(query, candidates), 1.0)
+        scores, fault = checked_scores(values, broke or None, len(candidates))
+        return scores, seconds, fault or ""
+
+
+@dataclass(frozen=True)
+class _About:
+    fits: bool
+    rerank_top: int
+    rerank_fault: str
+
+
+@dataclass(frozen=True)
+class _Request:
+    token: str
+    spec: MethodSpec
+    what: str
+    given: tuple[Any, ...] = ()
+    fitted: bool = False
+    """it means something only to a retriever that was fitted"""
+
+
+class InWorker:
+    """The same in a worker process. One that dies costs the call in hand; a fresh one takes its place, fitted anew.
+
+    Raises:
+        MethodError: the retriever's constructor raises.
+    """
+
+    def __init__(self, spec: MethodSpec, force: Workforce) -> None:
+        self._spec, self._force = spec, force
+        self._token = uuid.uuid4().hex
+        self._fitted_by: tuple[Any, ...] = ()
+        self._answered = False
+        self._losses = 0
+        self._gone = ""
+        about, _, broke = self._call("about", (), tries=2)
+        if broke:
+            self._gone = f"{CONSTRUCTOR}: {broke}"
+        self.fits = not broke and about.fits
+        self.rerank_top = 0 if broke else about.rerank_top
+        self.rerank_fault = "" if broke else about.rerank_fault
+
+    @property
+    def info(self) -> dict[str, Any]:
+        told, _, broke = self._call("info", (), tries=1)
+        return {} if broke else dict(told)
+
+    def fit(self, gallery: Sequence[ImageView], seed: int) -> Told:
+        self._fitted_by = ()
+        told = self._call("fit", (gallery, seed), tries=2)
+        self._fitted_by = (gallery, seed)
+        return told
+
+    def describe(self, images: Sequence[ImageView]) -> Told:
+        return self._call("describe", (images,), tries=2 if len(images) == 1 else 1)
+
+    def rerank(self, query: Descriptors, candidates: Descriptors) -> Told:
+        return self._call("rerank", (query, candidates), tries=2)
+
+    def _call(self, what: str, given: tuple[Any, ...], tries: int) -> Told:
+        if self._gone:
+            return None, 0.0, self._gone
+        told: Told | Loss | None = None
+        for _ in range(tries):
+            told = self._send(_Request(self._token, self._spec, what, given, bool(self._fitted_by)))
+            if told is None:  # a fresh process
+                fitted = self._send(_Request(self._token, self._spec, "fit", self._fitted_by))
+                again = _Request(self._token, self._spec, what, given, True)
+                told = fitted if isinstance(fitted, Loss) else self._send(again)
+            if not isinstance(told, Loss):
+                break
+            if told.kind == "time":
+                break
+        if isinstance(told, Loss):
+            message = how_lost(told, "")
+            self._losses += 1
+            if self._losses >= _HOPELESS and not self._answered:
+                self._gone = f"{message}; so on the first {_HOPELESS} calls, it was not asked again"
+            return None, 0.0, message
+        assert told is not None, "a process that was fitted a moment ago"
+        self._answered |= what == "describe" and not told[2]
+        return told
+
+    def _send(self, request: _Request) -> Told | Loss | None:
+        done = run_limited(_serve, [request], workers=1, limits=self._force.limits, on_loss=lambda request, loss: loss)
+        return next(told for _, told in done)
+
+
+def asked_of(spec: MethodSpec, force: Workforce) -> Asked:
+    """Where the workforce says. Raises MethodError."""
+    return InThisProcess(created(spec)) if force.workers == 0 else InWorker(spec, force)
+
+
+def created(spec: MethodSpec) -> Retriever:
+    """The retriever, constructed. Raises MethodError."""
+    made: Retriever = spec.create()
+    if not offers(made, Retriever):
+        made_of = f"made a thing of type {type(made).__name__}"
+        raise MethodError(f"retriever '{spec.label}': {spec.target} {made_of}, which has no describe()")
+    return made
+
+
+_retrievers: dict[str, InThisProcess] = {}
+"""of a worker process; the last that was asked"""
+
+
+def _serve(request: _Request) -> Any:
+    """Answer one call; None if the retriever is a new one that should have been fitted before."""
+    if request.token not in _retrievers:
+        if request.fitted:
+            return None
+        _retrievers.clear()
+        with step(CONSTRUCTOR, times=MANY_TIMES):
+            _retrievers[request.token] = InThisProcess(created(request.spec))
+    asked = _retrievers[request.token]
+    if request.what == "about":
+        return _About(asked.fits, asked.rerank_top, asked.rerank_fault), 0.0, ""
+    if request.what == "info":
+        with step(""):
+            return asked.info, 0.0, ""
+    return getattr(asked, request.what)(*request.given)
+
+
+def _timed(call: Callable[[], Any], times: float) -> Told:
+    """As :func:`~relocbench.evaluation.worker.guarded`, but a bad image or a method that cannot go on ends the run."""
+    raised: list[RelocbenchError] = []
+
+    def kept() -> Any:
+        try:
+            return call()
+        except RelocbenchError as bad:
+            raised.append(bad)
+            raise
+
+    start = time.perf_counter()
+    with messages_to_stderr(), step("", times=times):
+        value, broke = guarded(kept)
+    seconds = time.perf_counter() - start
+    if raised:
+        raise raised[0]
+    return value, seconds, broke or ""

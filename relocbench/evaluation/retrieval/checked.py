@@ -1,0 +1,76 @@
+"""Whatever a retriever returns, checked and copied to plain arrays before anything is made of it."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.evaluation.guard import guarded
+
+_MOST_RERANKED = 1_000_000
+
+
+def fault_of(values: object, count: int, dimensions: int | None = None) -> str | None:
+    """What keeps ``values`` from being descriptors of ``count`` images, or None if nothing does.
+
+    Args:
+        dimensions: of the descriptors so far.
+    """
+    if not isinstance(values, np.ndarray) or not _is_float(values):
+        kind = f"an array of {values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
+        return f"describe returned {kind}, expected an array of float32 or float64"
+    if values.ndim != 2 or len(values) != count or values.shape[1] == 0:
+        return f"describe returned shape {values.shape} for {count} images, expected ({count}, D)"
+    if dimensions is not None and values.shape[1] != dimensions:
+        return f"describe returned {values.shape[1]} numbers an image, {dimensions} before"
+    return None
+
+
+def _is_float(values: NDArray[Any]) -> bool:
+    return np.issubdtype(values.dtype, np.floating) and values.dtype.itemsize <= 8
+
+
+def checked_descriptors(
+    values: object, broke: str | None, count: int, dimensions: int | None = None
+) -> tuple[NDArray[np.floating] | None, str | None]:
+    """Whatever ``describe`` returned for ``count`` images as a plain array (N, D); or None and how the method broke."""
+    if broke is not None:
+        return None, broke
+    # Of a subclass of arrays the plain one, which cannot answer otherwise when it is looked at again.
+    plain, broke = guarded(lambda: np.asarray(values) if isinstance(values, np.ndarray) else values)
+    if broke is not None:
+        return None, f"what describe returned cannot be read: {broke}"
+    fault = fault_of(plain, count, dimensions)
+    return (None, fault) if fault else (plain, None)
+
+
+def rerank_top_of(retriever: object) -> tuple[int, str | None]:
+    """How many of the first a retriever orders anew, 0 for none; and what is wrong with what it says of that."""
+    if guarded(lambda: callable(getattr(retriever, "rerank", None)))[0] is not True:
+        return 0, None
+    top, broke = guarded(lambda: operator.index(getattr(retriever, "rerank_top", 0)))
+    if broke is not None or not 0 <= top <= _MOST_RERANKED:
+        told = broke or str(top)[:30]
+        return 0, f"its attribute 'rerank_top' is no whole number from 0 to {_MOST_RERANKED}: {told}"
+    return int(top), None
+
+
+def checked_scores(values: object, broke: str | None, count: int) -> tuple[NDArray[np.float64] | None, str | None]:
+    """Whatever ``rerank`` returned for ``count`` candidates as (K,) float64; or None and how the method broke."""
+    if broke is not None:
+        return None, broke
+    plain: Any
+    plain, broke = guarded(lambda: np.asarray(values) if isinstance(values, np.ndarray) else values)
+    if broke is not None:
+        return None, f"what rerank returned cannot be read: {broke}"
+    if not isinstance(plain, np.ndarray) or plain.shape != (count,):
+        shape = f"shape {plain.shape}" if isinstance(plain, np.ndarray) else type(plain).__name__
+        return None, f"rerank returned {shape} for {count} candidates, expected ({count},)"
+    if not np.issubdtype(plain.dtype, np.floating):
+        return None, f"rerank returned an array of {plain.dtype}, expected scores that are floats"
+    with np.errstate(over="ignore"):
+        scores = plain.astype(np.float64)
+    return (scores, None) if np.isfinite(scores).all() else (None, "rerank returned scores that are not finite floats")

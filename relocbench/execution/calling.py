@@ -1,0 +1,53 @@
+"""One call in a worker: its threads, and what it prints."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+from relocbench.execution.output import messages_to_stderr
+
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+
+_THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+)
+
+
+def pin_threads() -> None:
+    """One thread for each library that would start its own, so that N workers use N cores."""
+    if "cv2" in sys.modules:
+        sys.modules["cv2"].setNumThreads(1)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
+
+
+@contextmanager
+def single_threaded_children() -> Iterator[None]:
+    """Thread counts are read from the environment when a library is loaded: set it before a child starts."""
+    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def call(function: Callable[[Unit], Result], unit: Unit) -> Result:
+    with messages_to_stderr():
+        result = function(unit)
+    pin_threads()
+    return result

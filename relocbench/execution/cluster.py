@@ -1,0 +1,270 @@
+"""A Dask cluster: units are handed to its workers one by one, so that it is known which died on what.
+
+Dask would send a unit that kills its worker to four of them, and keep one that is waiting beside it from ever being
+run. Every unit is therefore bound to a worker here; one that vanishes costs the units it had in hand a try each.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import suppress
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any, Generic, TypeVar
+
+from relocbench.errors import ConfigError, RelocbenchError
+from relocbench.execution.calling import call
+from relocbench.execution.greeting import differences, greet, refuse, shown, versions_here
+from relocbench.execution.scheduler import Scheduler, connected, scheduler_is_gone
+
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+
+WORKER_TIMEOUT_S = 30.0
+"""how long a run waits with no worker at all"""
+ANSWER_TIMEOUT_S = 30.0
+"""how long a scheduler that has answered once may be silent"""
+IN_FLIGHT_PER_WORKER = 2
+_TRIES = 2
+_POLL_S = 0.5
+
+
+def run_on_cluster(
+    function: Callable[[Unit], Result],
+    units: Sequence[Unit],
+    scheduler: Scheduler,
+    on_lost: Callable[[Unit], Result] | None = None,
+) -> Iterator[tuple[int, Result]]:
+    """Run ``function`` on every unit and yield (index, result) as they finish.
+
+    Args:
+        on_lost: makes, in this process, the result of a unit on which two workers died.
+
+    Raises:
+        ConfigError: nothing answers, or a worker has other versions, several threads, or does not see the folders.
+        RelocbenchError: the scheduler went away, or no worker was left for :data:`WORKER_TIMEOUT_S`.
+        Exception: what ``function`` raises.
+    """
+    if not units:
+        return
+    with connected(scheduler) as client, shown(scheduler) as paths:
+        yield from _Dispatch(client, scheduler, function, units, on_lost, paths).results()
+
+
+class _Dispatch(Generic[Unit, Result]):
+    """Which unit is with which worker."""
+
+    def __init__(
+        self,
+        client: Any,
+        scheduler: Scheduler,
+        function: Callable[[Unit], Result],
+        units: Sequence[Unit],
+        on_lost: Callable[[Unit], Result] | None,
+        paths: list[Path],
+    ) -> None:
+        self.client, self.scheduler, self.paths = client, scheduler, paths
+        self.function, self.units, self.on_lost = function, units, on_lost
+        self.waiting = deque(range(len(units)))
+        self.suspects: deque[int] = deque()
+        """units whose worker died: they are tried again with a worker of their own, so that no other is blamed"""
+        self.lost: list[int] = []
+        self.deaths: Counter[int] = Counter()
+        self.done = 0
+        self.hands: dict[str, dict[str, int]] = {}
+        """worker -> key -> unit"""
+        self.alone: set[str] = set()
+        """workers that try a suspect"""
+        self.greeting: dict[str, tuple[str, int]] = {}
+        """key -> worker that has not answered yet, and its threads"""
+        self.futures: dict[str, Any] = {}
+        self.ended: SimpleQueue[str] = SimpleQueue()
+        self.looked = -_POLL_S
+        self.worker_seen = time.monotonic()
+
+    def results(self) -> Iterator[tuple[int, Result]]:
+        self._compare_scheduler()
+        while self.done < len(self.units):
+            self._look()
+            self._hand_out()
+            ended = list(dict.fromkeys(self._wait()))
+            for key in ended:
+                if key in self.greeting:
+                    self._welcome(key)
+            yield from self._take([key for key in ended if self._is_finished(key)])
+            while self.lost and self.hands:
+                yield self._give_up(self.lost.pop())
+
+    @property
+    def progress(self) -> str:
+        return f"{self.done} of {len(self.units)} units are done, the same command goes on where it stopped"
+
+    def _compare_scheduler(self) -> None:
+        there = self._ask(lambda: self.client.scheduler.versions)
+        here = {name: version for name, version in versions_here().items() if name in ("dask", "distributed")}
+        different = differences(here, there.get("packages", {}))
+        if different:
+            raise ConfigError(f"the scheduler at {self.scheduler} runs other versions: {different}")
+
+    def _look(self) -> None:
+        """See which workers have come and which have gone."""
+        now = time.monotonic()
+        if now - self.looked < _POLL_S:
+            return
+        self.looked = now
+        threads = self._workers()
+        known = {*self.hands, *(worker for worker, _ in self.greeting.values())}
+        for worker in known - threads.keys():
+            self._bury(worker)
+        for worker in threads.keys() - known:
+            future = self.client.submit(greet, self.paths, workers=[worker], pure=False, retries=0)
+            self.greeting[future.key] = worker, threads[worker]
+            self._follow(future)
+        if threads:
+            self.worker_seen = now
+        elif now - self.worker_seen > WORKER_TIMEOUT_S:
+            what = "is left" if self.done or self.deaths else "has joined"
+            raise RelocbenchError(
+                f"no worker of {self.scheduler} {what} within {WORKER_TIMEOUT_S:g} s; {self.progress}"
+            )
+
+    def _workers(self) -> dict[str, int]:
+        """Threads by worker, as the scheduler knows them now."""
+        threads: dict[str, int] = self._ask(lambda: self.client.scheduler.ncores)
+        return threads
+
+    def _ask(self, question: Callable[[], Callable[[], Any]]) -> dict[str, Any]:
+        """The scheduler's answer. Raises RelocbenchError where it is gone."""
+        try:
+            if self.client.status == "running":
+                answer: dict[str, Any] = self.client.sync(question(), callback_timeout=ANSWER_TIMEOUT_S)
+                return answer
+        except (OSError, RuntimeError, AttributeError):  # the last two where the client closed itself meanwhile
+            pass
+        raise scheduler_is_gone(self.scheduler, self.progress)
+
+    def _follow(self, future: Any) -> None:
+        self.futures[future.key] = future
+        future.add_done_callback(lambda ended: self.ended.put(ended.key))
+
+    def _hand_out(self) -> None:
+        for worker, hand in self.hands.items():
+            while self.waiting and len(hand) < IN_FLIGHT_PER_WORKER and worker not in self.alone:
+                self._send(self.waiting.popleft(), worker)
+            if self.suspects and not hand:
+                self.alone.add(worker)
+                self._send(self.suspects.popleft(), worker)
+
+    def _send(self, index: int, worker: str) -> None:
+        future = self.client.submit(call, self.function, self.units[index], workers=[worker], pure=False, retries=0)
+        self.hands[worker][future.key] = index
+        self._follow(future)
+
+    def _wait(self) -> list[str]:
+        """Keys that ended, after at most one interval."""
+        keys = []
+        with suppress(Empty):
+            keys.append(self.ended.get(timeout=_POLL_S))
+            while True:
+                keys.append(self.ended.get_nowait())
+        return keys
+
+    def _welcome(self, key: str) -> None:
+        worker, threads = self.greeting[key]
+        future = self.futures[key]
+        if future.status == "cancelled":
+            raise self._cancelled()
+        if future.status == "error":
+            reason = " ".join(str(future.exception()).split())[:200]
+            raise ConfigError(f"worker {worker} of {self.scheduler} cannot run relocbench ({reason})")
+        try:
+            greeting = future.result(timeout=ANSWER_TIMEOUT_S)
+        except OSError:
+            self._ask_again(key)
+            return
+        except CancelledError:
+            raise self._cancelled() from None
+        del self.greeting[key], self.futures[key]
+        refuse(worker, threads, greeting, self.scheduler)
+        self.hands[worker] = {}
+
+    def _is_finished(self, key: str) -> bool:
+        """Whether a unit ended with a result. Raises what it raised."""
+        from distributed.scheduler import KilledWorker
+
+        if key not in self.futures or key in self.greeting:
+            return False
+        future = self.futures[key]
+        if future.status == "cancelled":
+            raise self._cancelled()
+        if future.status != "error":
+            return True
+        if not isinstance(future.exception(), KilledWorker):
+            future.result()  # raises what the unit raised
+        self._blame(self._release(key))  # a worker came back under its address before it was missed
+        return False
+
+    def _take(self, keys: list[str]) -> Iterator[tuple[int, Result]]:
+        """The results of units that finished, in one message: each by itself would cost the way there and back."""
+        if not keys:
+            return
+        futures = [self.futures[key] for key in keys]
+        try:
+            results: list[Result] = self.client.sync(
+                lambda: self.client.gather(futures, asynchronous=True), callback_timeout=ANSWER_TIMEOUT_S
+            )
+        except OSError:  # a worker died with a result in hand, or the scheduler is gone
+            self._ask_again(*keys)
+            return
+        except CancelledError:
+            raise self._cancelled() from None
+        indices = [self._release(key) for key in keys]
+        self._hand_out()
+        for index, result in zip(indices, results, strict=True):
+            self.done += 1
+            yield index, result
+
+    def _ask_again(self, *keys: str) -> None:
+        """Later: the next look tells whether workers and scheduler are there."""
+        time.sleep(_POLL_S / 10)
+        for key in keys:
+            self.ended.put(key)
+
+    def _release(self, key: str) -> int:
+        worker = next(name for name, hand in self.hands.items() if key in hand)
+        self.futures.pop(key).release()
+        index = self.hands[worker].pop(key)
+        if not self.hands[worker]:
+            self.alone.discard(worker)
+        return index
+
+    def _bury(self, worker: str) -> None:
+        """Take back what a worker that is gone had in hand."""
+        for key in [key for key, (name, _) in self.greeting.items() if name == worker]:
+            del self.greeting[key]
+            self.futures.pop(key).release()
+        for key in list(self.hands.get(worker, {})):
+            self._blame(self._release(key))
+        self.hands.pop(worker, None)
+
+    def _blame(self, index: int) -> None:
+        self.deaths[index] += 1
+        (self.suspects if self.deaths[index] < _TRIES else self.lost).append(index)
+
+    def _give_up(self, index: int) -> tuple[int, Result]:
+        """Judged only where a worker lives: a cluster that is shut down blames no unit."""
+        unit = self.units[index]
+        if self.on_lost is None:
+            raise RelocbenchError(
+                f"a worker process died {_TRIES} times on unit {index} ({str(unit)[:200]}); "
+                "out of memory, or a crash in native code"
+            )
+        self.done += 1
+        return index, self.on_lost(unit)
+
+    def _cancelled(self) -> RelocbenchError:
+        self._workers()  # says so where the scheduler is gone
+        return RelocbenchError(f"the work was cancelled at {self.scheduler}, by a restart perhaps; {self.progress}")

@@ -1,0 +1,88 @@
+"""Resident memory of a process with its children, from ``/proc``."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+INTERVAL_S = 0.05
+"""between two looks at the memory; what is taken and given back in between is not seen"""
+_PROC = Path("/proc")
+
+
+def can_watch() -> bool:
+    """Whether this system tells what processes hold; macOS does not."""
+    return (_PROC / "self" / "statm").exists()
+
+
+def descendants(pid: int) -> list[int]:
+    """Children of a process, their children, and so on; those that have ended are left out."""
+    found: list[int] = []
+    left = [pid]
+    while left:
+        for path in _PROC.glob(f"{left.pop()}/task/*/children"):
+            try:
+                children = [int(word) for word in path.read_text().split()]
+            except OSError:
+                continue
+            found += children
+            left += children
+    return found
+
+
+def resident_bytes(pid: int) -> int:
+    """What a process and its descendants hold in memory, pages that they share counted once.
+
+    Where there are children the kernel's proportional count is taken (``smaps_rollup``), which takes milliseconds.
+    """
+    children = descendants(pid)
+    if not children:
+        return _resident(pid)
+    return sum(_proportional(each) for each in (pid, *children))
+
+
+def _resident(pid: int) -> int:
+    try:
+        return int((_PROC / str(pid) / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, IndexError):
+        return 0
+
+
+def _proportional(pid: int) -> int:
+    try:
+        lines = (_PROC / str(pid) / "smaps_rollup").read_text().splitlines()
+        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("Pss:"))
+    except (OSError, StopIteration):
+        return _resident(pid)
+
+
+class Watched(Protocol):
+    """A worker as the watch sees it."""
+
+    def check_memory(self, limit_bytes: int) -> None: ...
+
+
+@contextmanager
+def memory_watched(workers: Callable[[], Sequence[Watched]], limit_bytes: int | None) -> Iterator[None]:
+    """Within it a thread looks at workers' memory, while the program that waits for them may do something else."""
+    if limit_bytes is None:
+        yield
+        return
+    done = threading.Event()
+
+    def watch() -> None:
+        while not done.wait(INTERVAL_S):
+            for worker in workers():
+                worker.check_memory(limit_bytes)
+
+    thread = threading.Thread(target=watch, name="memory watch", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()

@@ -1,0 +1,192 @@
+"""Local worker processes."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from multiprocessing.connection import wait as wait_for
+from typing import Any, TypeVar
+
+from relocbench.errors import RelocbenchError
+from relocbench.execution.limits import Limits, Loss
+from relocbench.execution.memory import memory_watched
+from relocbench.execution.serving import Raised, RemoteTraceback
+from relocbench.execution.worker_process import WorkerProcess
+
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+
+_TRIES = 2
+_LOOK_S = 0.25
+"""how often workers are looked at of which nothing is heard"""
+_GRACE_S = 1.0
+"""for workers to end by themselves"""
+
+
+@contextmanager
+def kept_workers() -> Iterator[None]:
+    """Within it, worker processes are kept from one call of :func:`run_units` to the next, unless one died.
+
+    A process that has imported what it works with and built its method goes on at once; a fresh one takes seconds.
+    """
+    if _kept.get() is not None:
+        yield
+        return
+    pool = Pool()
+    token = _kept.set(pool)
+    try:
+        yield
+    finally:
+        _kept.reset(token)
+        pool.close()
+
+
+_kept: ContextVar[Pool | None] = ContextVar("_kept", default=None)
+
+
+def run_on_processes(
+    function: Callable[[Unit], Result],
+    units: Iterable[Unit],
+    workers: int,
+    on_lost: Callable[[Unit], Result] | None,
+) -> Iterator[tuple[int, Result]]:
+    """A worker that dies (it was killed, or crashed) costs the unit in hand one of its two tries."""
+    tries: dict[int, int] = {}
+
+    def again(index: int, unit: Unit, loss: Loss) -> Iterator[Result]:
+        tries[index] = tries.get(index, 0) + 1
+        if tries[index] >= _TRIES:
+            if on_lost is None:
+                raise RelocbenchError(
+                    f"a worker process died {_TRIES} times on unit {index} ({str(unit)[:200]}): {loss.words}; "
+                    "out of memory, or a crash in native code"
+                )
+            yield on_lost(unit)
+
+    with _pool_to_use() as pool:
+        yield from pool.run(function, units, workers, again, None)
+
+
+def run_with_limits(
+    function: Callable[[Unit], Result],
+    units: Iterable[Unit],
+    workers: int,
+    limits: Limits,
+    on_loss: Callable[[Unit, Loss], Result],
+) -> Iterator[tuple[int, Result]]:
+    """A worker that dies, or is ended for what it takes, costs the unit in hand: ``on_loss`` makes its result."""
+
+    def lost(index: int, unit: Unit, loss: Loss) -> Iterator[Result]:
+        yield on_loss(unit, loss)
+
+    with _pool_to_use() as pool:
+        yield from pool.run(function, units, workers, lost, limits)
+
+
+class Pool:
+    """Worker processes; each has one unit in hand, so that it is known what a death costs."""
+
+    def __init__(self) -> None:
+        self.workers: list[WorkerProcess] = []
+
+    def run(
+        self,
+        function: Callable[[Any], Any],
+        units: Iterable[Any],
+        workers: int,
+        on_loss: Callable[[int, Any, Loss], Iterator[Any]],
+        limits: Limits | None,
+    ) -> Iterator[tuple[int, Any]]:
+        """Yield (index, result) as units are done.
+
+        Units are taken when a worker is free for them, and one for which ``on_loss`` has no result is tried again.
+        """
+        self._let_go_of_what_was_dropped()
+        source = enumerate(units)
+        again: deque[tuple[int, Any]] = deque()
+        stillborn = 0
+        with memory_watched(lambda: list(self.workers), None if limits is None else limits.memory_bytes):
+            while busy := self._hand_out(function, source, again, workers):
+                for worker, index, unit, told in self._listen(busy, limits):
+                    if isinstance(told, Raised):
+                        raise told.exception from RemoteTraceback(told.traceback)
+                    if not isinstance(told, Loss):
+                        yield index, told.result
+                        continue
+                    self.workers.remove(worker)
+                    if not worker.ready:
+                        stillborn += 1
+                        if stillborn >= _TRIES:
+                            raise RelocbenchError(f"worker processes end while they start ({told.words})")
+                        again.append((index, unit))
+                        continue
+                    results = list(on_loss(index, unit, told))
+                    if not results:
+                        again.append((index, unit))
+                    for result in results:
+                        yield index, result
+
+    def close(self) -> None:
+        """Free workers end by themselves; what the others do is lost."""
+        for worker in self.workers:
+            if worker.work is None:
+                worker.dismiss()
+        until = time.monotonic() + _GRACE_S
+        while self.workers:
+            worker = self.workers.pop()
+            worker.bury(until - time.monotonic() if worker.work is None else 0.0)
+
+    def _hand_out(
+        self, function: Any, source: Iterator[tuple[int, Any]], again: deque[tuple[int, Any]], workers: int
+    ) -> list[WorkerProcess]:
+        """Give every free worker a unit, as long as there are any; returns who has one."""
+        for slot in range(workers):
+            if slot < len(self.workers) and self.workers[slot].work is not None:
+                continue
+            work = again.popleft() if again else next(source, None)
+            if work is None:
+                break
+            if slot >= len(self.workers):
+                self.workers.append(WorkerProcess())
+            self.workers[slot].give(function, *work)
+        return [worker for worker in self.workers if worker.work is not None]
+
+    def _listen(
+        self, busy: list[WorkerProcess], limits: Limits | None
+    ) -> Iterator[tuple[WorkerProcess, int, Any, Any]]:
+        """What has come of units."""
+        patience = max(0.0, min([_LOOK_S, *(worker.seconds_left() for worker in busy)]))
+        wait_for([worker.connection for worker in busy], patience)
+        for worker in busy:
+            assert worker.work is not None
+            index, unit = worker.work
+            if (told := worker.listen(limits)) is not None:
+                yield worker, index, unit, told
+
+    def _let_go_of_what_was_dropped(self) -> None:
+        """An earlier run that ended early has left units in hand, which nobody waits for any more."""
+        until = time.monotonic() + _GRACE_S
+        for worker in list(self.workers):
+            while worker.work is not None:
+                wait_for([worker.connection], max(0.0, until - time.monotonic()))
+                if isinstance(worker.listen(None), Loss) or (worker.work is not None and time.monotonic() > until):
+                    worker.bury()
+                    self.workers.remove(worker)
+                    break
+
+
+@contextmanager
+def _pool_to_use() -> Iterator[Pool]:
+    """The one that is kept, or one for this call alone."""
+    kept = _kept.get()
+    if kept is not None:
+        yield kept
+        return
+    pool = Pool()
+    try:
+        yield pool
+    finally:
+        pool.close()

@@ -1,0 +1,197 @@
+"""One worker process, as the process that started it sees it: what it is given, what it tells, how it is ended.
+
+A worker is the leader of a session of its own. A terminal's Ctrl-C does not reach it, and all that it has started is
+ended with it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing import get_context, resource_tracker
+from typing import Any
+
+from relocbench.execution.calling import single_threaded_children
+from relocbench.execution.limits import Limits, Loss, Step, size_text
+from relocbench.execution.memory import descendants, resident_bytes
+from relocbench.execution.serving import Done, Raised, Ready, serve
+
+_EXIT_GRACE_S = 1.0
+"""after which a worker that was told to end, or that has closed its pipe, is killed"""
+
+_live: set[WorkerProcess] = set()
+
+
+class WorkerProcess:
+    """A fresh interpreter: forking one that holds threads (OpenMP, Open3D, torch) can hang."""
+
+    def __init__(self) -> None:
+        context = get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        resource_tracker.ensure_running()  # it would unblock signals while it starts
+        with single_threaded_children(), _signals_held():
+            self.process = context.Process(target=serve, args=(theirs,))
+            self.process.start()
+            _live.add(self)
+        theirs.close()
+        self.ready = False
+        self.work: tuple[int, Any] | None = None
+        """index and unit in hand"""
+        self.step: Step | None = None
+        self._deadline: float | None = None
+        self._verdict: Loss | None = None
+        self._gone = False
+        self._lock = threading.Lock()
+
+    @property
+    def pid(self) -> int:
+        assert self.process.pid is not None
+        return self.process.pid
+
+    def give(self, function: Any, index: int, unit: Any) -> None:
+        """Let it call ``function`` on ``unit``."""
+        self.work = (index, unit)
+        with suppress(OSError):  # it has died: that is told when it is listened to
+            self.connection.send((function, unit))
+
+    def seconds_left(self) -> float:
+        """Until the step in hand must be over."""
+        return float("inf") if self._deadline is None else self._deadline - time.monotonic()
+
+    def listen(self, limits: Limits | None) -> Done | Raised | Loss | None:
+        """What has come of the unit in hand, if anything; a worker whose step takes too long is ended here."""
+        try:
+            while self.connection.poll():
+                told = self.connection.recv()
+                if isinstance(told, Done | Raised):
+                    self.work, self.step, self._deadline = None, None, None
+                    return told
+                if isinstance(told, Ready):
+                    self.ready = True
+                else:
+                    self._take_step(told, limits)
+        except (EOFError, OSError):
+            return self._obituary()
+        if limits is not None and self.seconds_left() <= 0:
+            self._end_for("time", _too_long(self.step, limits))
+        if self._verdict is not None or self._has_exited():
+            return self._obituary()
+        return None
+
+    def check_memory(self, limit_bytes: int) -> None:
+        """End the worker if a method is being called and more memory is held; called from another thread too."""
+        with self._lock:
+            doing = self.step
+            if doing is None or self._gone or self._verdict is not None or resident_bytes(self.pid) <= limit_bytes:
+                return
+            self._verdict = Loss(doing, "memory", f"took more memory than the limit of {size_text(limit_bytes)}")
+            self._kill()
+
+    def dismiss(self) -> None:
+        """Let it end by itself: without work it does so when nobody listens to it any more."""
+        self.connection.close()
+
+    def bury(self, patience_s: float = 0.0) -> None:
+        """End the process and all that it has started."""
+        until = time.monotonic() + patience_s
+        while time.monotonic() < until and not self._has_exited():
+            time.sleep(0.005)
+        with self._lock:
+            if not self._gone:
+                self._kill()
+                self._gone = True
+                self.process.join()
+        self.connection.close()
+        _live.discard(self)
+
+    def _take_step(self, told: Step | None, limits: Limits | None) -> None:
+        before, self.step = self.step, told
+        self._deadline = None
+        if limits is not None and told is not None:
+            self._deadline = time.monotonic() + told.times * limits.time_s
+        if limits is not None and limits.memory_bytes is not None and told is None and before is not None:
+            # A short call may lie between two looks of the watch; one that keeps what it took is seen here.
+            self.step = before
+            self.check_memory(limits.memory_bytes)
+            self.step = None
+
+    def _end_for(self, kind: Any, words: str) -> None:
+        with self._lock:
+            if self._verdict is None and not self._gone:
+                self._verdict = Loss(self.step, kind, words)
+                self._kill()
+
+    def _obituary(self) -> Loss:
+        """It has died, or has closed its pipe, which comes to the same."""
+        verdict, doing = self._verdict, self.step
+        self.bury(0.0 if verdict else _EXIT_GRACE_S)
+        return self._verdict or Loss(doing, "death", _how_it_ended(self.process.exitcode))
+
+    def _has_exited(self) -> bool:
+        """Without fetching its exit status: until then its number belongs to nobody else.
+
+        A pipe that children hold open does not tell that their parent has died.
+        """
+        if self._gone:
+            return True
+        if not hasattr(os, "waitid"):
+            return not self.process.is_alive()
+        try:
+            return os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+        except ChildProcessError:
+            return True
+
+    def _kill(self) -> None:
+        with suppress(OSError):
+            os.kill(self.pid, signal.SIGSTOP)  # so that it starts nothing else meanwhile
+        for child in descendants(self.pid):
+            with suppress(OSError):
+                os.kill(child, signal.SIGKILL)
+        with suppress(OSError):  # before it has a session of its own there is no such group
+            os.killpg(self.pid, signal.SIGKILL)
+        with suppress(OSError):
+            os.kill(self.pid, signal.SIGKILL)
+
+
+def end_workers() -> None:
+    """End every worker process that this process has started, at once."""
+    for worker in list(_live):
+        with suppress(OSError):
+            worker.bury()
+
+
+atexit.register(end_workers)  # before multiprocessing's own, which waits for processes without end
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """A process that is started inherits that Ctrl-C is held back, until it has a session of its own; here it comes
+    later, when the worker is known and can be ended."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _too_long(doing: Step | None, limits: Limits) -> str:
+    times = 1.0 if doing is None else doing.times
+    if times == 1:
+        return f"took longer than the time limit of {limits.time_s:g} s"
+    return f"took longer than {times * limits.time_s:g} s, {times:g} times the time limit"
+
+
+def _how_it_ended(code: int | None) -> str:
+    if code is None or code >= 0:
+        return f"exit status {code}"
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = str(-code)
+    hint = ": out of memory, or killed from outside" if name == "SIGKILL" else ""
+    return f"signal {name}{hint}"

@@ -1,0 +1,252 @@
+"""Work on a Dask cluster: who dies costs what, and every end is one clear line. Real processes on loopback."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from command_line import relocbench
+from dask_processes import DaskProcesses, kill
+from small_dataset import ACROSS, make_small_dataset
+from test_execution import die_once, square, user_error
+
+from relocbench.datasets.pairfile import read_pose_lines
+from relocbench.errors import ConfigError, DatasetError, RelocbenchError
+from relocbench.execution import Scheduler, cluster, run_units, scheduler
+
+pytest.importorskip("distributed")
+pytestmark = pytest.mark.slow
+TRACKERS = "trackers_for_tests"
+
+
+@pytest.fixture(scope="module")
+def module_cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskProcesses]:
+    processes = DaskProcesses(tmp_path_factory.mktemp("dask"))
+    yield processes
+    processes.close()
+
+
+@pytest.fixture
+def dask(module_cluster: DaskProcesses, monkeypatch: pytest.MonkeyPatch) -> Iterator[DaskProcesses]:
+    """A cluster without workers; a machine with much else to do takes long to start them."""
+    monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 120.0)
+    monkeypatch.setattr(scheduler, "SCHEDULER_TIMEOUT", "120s")
+    yield module_cluster
+    module_cluster.kill_workers()
+
+
+def die_at(unit: tuple[str, str]) -> str:
+    """Ends its process whenever it is asked about the one unit, and notes every start."""
+    name, folder = unit
+    with (Path(folder) / "started").open("a") as log:
+        log.write(f"{name}\n")
+    if name == "deadly":
+        kill(os.getpid())
+    return name
+
+
+def kill_once(unit: tuple[int, int, str]) -> int:
+    """Unit 3 kills a process that it is told of."""
+    index, pid, _ = unit
+    if index == 3:
+        kill(pid)
+    return index
+
+
+def where(dask: DaskProcesses) -> Scheduler:
+    return Scheduler(address=str(dask.file))
+
+
+def test_a_worker_that_dies_in_the_middle_of_a_unit_costs_a_retry(dask: DaskProcesses, tmp_path: Path) -> None:
+    dask.add_workers(2)
+    units = [str(tmp_path / name) for name in ("a", "die", "b", "c", "d", "e")]
+    results = dict(run_units(die_once, units, scheduler=where(dask)))
+    assert [results[i] for i in range(6)] == ["a", "die", "b", "c", "d", "e"]
+    assert dask.alive == 1
+    with pytest.raises(DatasetError, match=r"file\.txt:3: expected better"):
+        list(run_units(user_error, [3], scheduler=where(dask)))
+    assert dask.alive == 1
+
+
+def test_a_unit_that_kills_every_worker_is_lost_and_its_neighbours_are_not(dask: DaskProcesses, tmp_path: Path) -> None:
+    dask.add_workers(3)
+    units = [(name, str(tmp_path)) for name in ("a", "deadly", "b", "c", "d")]
+    given_up: list[str] = []
+
+    def give_up(unit: tuple[str, str]) -> str:
+        given_up.append(unit[0])
+        return "lost"
+
+    results = dict(run_units(die_at, units, scheduler=where(dask), on_lost=give_up))
+    assert [results[i] for i in range(5)] == ["a", "lost", "b", "c", "d"]
+    assert given_up == ["deadly"]
+    assert (tmp_path / "started").read_text().split().count("deadly") == 2
+    assert dask.alive == 1
+
+
+def test_with_no_worker_left_the_run_ends_and_says_how_to_go_on(
+    dask: DaskProcesses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 1.0)
+    with pytest.raises(
+        RelocbenchError, match=r"no worker of .* has joined within 1 s; 0 of 2 units are done, the same"
+    ):
+        list(run_units(square, [1, 2], scheduler=where(dask)))
+    monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 120.0)
+    dask.add_workers(1)
+    units = [(name, str(tmp_path)) for name in ("a", "b", "deadly", "c", "d")]
+    results = run_units(die_at, units, scheduler=where(dask))
+    assert next(results)[0] in (0, 1)
+    monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 1.0)
+    with pytest.raises(RelocbenchError, match=r"no worker of .* is left within 1 s; 2 of 5 units are done, the same"):
+        list(results)
+
+
+def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 120.0)
+    processes = DaskProcesses(tmp_path)
+    try:
+        processes.add_workers(1)
+        units = [(index, processes.scheduler, "") for index in range(8)]
+        with pytest.raises(
+            RelocbenchError, match=r"the Dask scheduler at .* is gone; \d of 8 units are done, the same"
+        ):
+            list(run_units(kill_once, units, scheduler=where(processes)))
+    finally:
+        processes.close()
+
+
+def test_a_worker_that_does_not_see_the_folders_is_refused(dask: DaskProcesses, tmp_path: Path) -> None:
+    """What a path below /proc/self means depends on the process, as a path of the same name on two machines."""
+    dask.add_workers(1, cwd=tmp_path)
+    mine = Path(f"/proc/self/task/{os.getpid()}")
+    with pytest.raises(ConfigError, match=rf"{mine}: not seen by worker .*; all workers must see the folders"):
+        list(run_units(square, [1, 2], scheduler=where(dask).sharing(tmp_path, mine)))
+    here = Path("/proc/self/cwd")
+    assert here.resolve() != tmp_path
+    before = sorted(here.iterdir())
+    with pytest.raises(ConfigError, match=f"{here}: not seen by worker"):
+        list(run_units(square, [1, 2], scheduler=where(dask).sharing(here)))
+    assert sorted(here.iterdir()) == before
+    results = dict(run_units(square, [1, 2], scheduler=where(dask).sharing(tmp_path, tmp_path)))
+    assert results == {0: 1, 1: 4}
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_worker_with_another_version_is_refused(dask: DaskProcesses, tmp_path: Path) -> None:
+    older = tmp_path / "older.py"
+    older.write_text("import relocbench\nrelocbench.__version__ = '0.0.1'\n")
+    dask.add_workers(1, preload=older)
+    with pytest.raises(ConfigError, match=r"worker .* runs other versions: relocbench 0\.0\.1 there, .* here"):
+        list(run_units(square, [1, 2], scheduler=where(dask)))
+
+
+def test_a_pair_that_kills_its_worker_costs_that_pair_as_it_does_locally(dask: DaskProcesses, tmp_path: Path) -> None:
+    made = make_small_dataset(tmp_path / "data")
+    deadly = made.pair_set(ACROSS).pairs[0].query_timestamp_ns
+    command = ["evaluate", "-d", made.root, "-m", f"m={TRACKERS}:Logging", "--set", f"log={tmp_path / 'log'}"]
+    command += ["--set", f"dies_at={deadly}", "--pair-set", ACROSS, "--quiet"]
+    assert [p.query_timestamp_ns for p in made.pair_set(ACROSS).pairs].count(deadly) == 1
+    dask.add_workers(3)
+    apart = relocbench(*command, "--out", tmp_path / "apart", "--scheduler", dask.file)
+    assert (apart.status, apart.err) == (0, "")
+    assert relocbench(*command, "--out", tmp_path / "local", "-j", 2).status == 0
+    found = [next((tmp_path / out).glob(f"*/m/{ACROSS}.txt")) for out in ("apart", "local")]
+    assert found[0].read_bytes() == found[1].read_bytes()
+    answered = {line.query_timestamp_ns for line in read_pose_lines(found[0])}
+    assert answered == {p.query_timestamp_ns for p in made.pair_set(ACROSS).pairs} - {deadly}
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """``ca.pem``, and ``cert.pem`` with ``key.pem`` that it signed."""
+    if shutil.which("openssl") is None:
+        pytest.skip("no openssl command to make certificates with")
+    folder = tmp_path_factory.mktemp("certificates")
+
+    def openssl(*arguments: str) -> None:
+        subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True)
+
+    new = ("-newkey", "rsa:2048", "-nodes", "-days", "2")
+    openssl("req", "-x509", *new, "-keyout", "ca.key", "-out", "ca.pem", "-subj", "/CN=authority of a test")
+    openssl("req", *new, "-keyout", "key.pem", "-out", "cert.csr", "-subj", "/CN=127.0.0.1")
+    signing = ("-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "2")
+    openssl("x509", "-req", "-in", "cert.csr", *signing, "-out", "cert.pem")
+    return folder
+
+
+def test_a_cluster_with_tls_takes_who_holds_a_certificate_and_no_other(
+    certificates: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 120.0)
+    files = {name: certificates / f"{name}.pem" for name in ("ca", "cert", "key")}
+    processes = DaskProcesses(tmp_path, certificates)
+    try:
+        assert processes.address.startswith("tls://")
+        processes.add_workers(1)
+        known = Scheduler(address=processes.address, **{f"tls_{name}": path for name, path in files.items()})
+        assert dict(run_units(square, [1, 2, 3], scheduler=known)) == {0: 1, 1: 4, 2: 9}
+        monkeypatch.setattr(scheduler, "SCHEDULER_TIMEOUT", "2s")
+        with pytest.raises(ConfigError, match="needs --scheduler-tls-ca"):
+            list(run_units(square, [1, 2], scheduler=Scheduler(address=processes.address)))
+        plain = processes.address.replace("tls://", "tcp://")
+        with pytest.raises(ConfigError, match="no Dask scheduler answers at"):
+            list(run_units(square, [1, 2], scheduler=Scheduler(address=plain)))
+        command = "openssl req -x509 -newkey rsa:2048 -nodes -keyout o.key -out o.pem -subj /CN=stranger"
+        subprocess.run(command.split(), cwd=tmp_path, check=True, capture_output=True)
+        other = {"tls_ca": files["ca"], "tls_cert": tmp_path / "o.pem", "tls_key": tmp_path / "o.key"}
+        with pytest.raises(ConfigError, match="no Dask scheduler answers at"):
+            list(run_units(square, [1, 2], scheduler=Scheduler(address=processes.address, **other)))
+    finally:
+        processes.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--scheduler-tls-ca", "ca.pem"], "--scheduler-tls-ca means nothing without --scheduler"),
+        (["--scheduler", "tcp://127.0.0.1:9", "--scheduler-tls-ca", "ca.pem"], "certificates are for a tls:// address"),
+        (["--scheduler", "tls://127.0.0.1:9"], "tls://127.0.0.1:9 needs --scheduler-tls-ca"),
+        (
+            ["--scheduler", "tls://127.0.0.1:9", "--scheduler-tls-ca", "none.pem"],
+            "none.pem: missing; expected a PEM file",
+        ),
+        (
+            ["--scheduler", "tls://h:9", "--scheduler-tls-ca", "words", "--scheduler-tls-cert", "words"],
+            "TLS takes no such certificates",
+        ),
+        (["--scheduler", "words"], "words: holds no address; expected the JSON file"),
+        (["--scheduler", "none.json"], "none.json: missing; expected the JSON file"),
+        (["--scheduler", "nowhere"], "no Dask scheduler answers at nowhere"),
+    ],
+)
+def test_what_is_wrong_with_the_options_of_a_scheduler_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], said: str
+) -> None:
+    monkeypatch.setattr(scheduler, "SCHEDULER_TIMEOUT", "1s")
+    monkeypatch.chdir(tmp_path)
+    make_small_dataset(tmp_path / "data")
+    (tmp_path / "words").write_text("words\n")
+    ended = relocbench("evaluate", "-d", "data", "-m", "identity", "--quiet", *options)
+    assert ended.status == 2
+    assert said in ended.complaint
+
+
+def test_a_configuration_file_says_where_work_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scheduler, "SCHEDULER_TIMEOUT", "1s")
+    make_small_dataset(tmp_path / "data")
+    written = tmp_path / "options.yaml"
+    written.write_text("methods: [identity]\nscheduler: {address: 'tls://h:1', tls_ca: none.pem}\n")
+    ended = relocbench("evaluate", "-d", tmp_path / "data", "--config", written, "--out", tmp_path / "results")
+    assert "none.pem: missing" in ended.complaint
+    written.write_text("workers: 2\nscheduler: tls://h:1\npreset: demo\n")
+    ended = relocbench("build-dataset", "synthetic", "--config", written, "--out", tmp_path / "town", "--quiet")
+    assert "tls://h:1 needs --scheduler-tls-ca" in ended.complaint
+    written.write_text("scheduler: {adress: 'tcp://h:1'}\n")
+    ended = relocbench("build-dataset", "synthetic", "--config", written, "--out", tmp_path / "other")
+    assert f"{written}:1: " in ended.complaint
+    assert not (tmp_path / "other").exists()
