@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import repeat
 from typing import Any
 
-from relocbench.evaluation.results import ERROR_COLUMNS
+from relocbench.evaluation.results import ERROR_COLUMNS, ErrorTable
+from relocbench.evaluation.table_file import CHUNK_ROWS
 from relocbench.leaderboard.model import TOTAL, Board, DatasetBoard, Row, Table
+from relocbench.leaderboard.text import Value, cell, json_text
 from relocbench.metrics import METRICS
 
-Value = str | int | float | None
 ERRORS_HEAD = ("dataset", "fingerprint", "pair_set", "method")
 
 
@@ -40,16 +42,24 @@ def seed_rows(board: Board) -> list[dict[str, Value]]:
     ]
 
 
-def error_rows(board: Board) -> Iterator[list[Value]]:
-    """Rows of ``errors.csv``, after its header: the errors of every pair and every method."""
+def error_rows(board: Board) -> Iterator[Sequence[Value]]:
+    """Rows of ``errors.csv``, its header first: the errors of every pair and every method, as texts that are safe."""
     yield [*ERRORS_HEAD, *ERROR_COLUMNS]
     for dataset in board.datasets:
         record = dataset.entry.record
         for name in dataset.entry.pair_sets:
             for method in dataset.entry.methods:
-                for row in method.errors.get(name, ()):
-                    values = [*row.key, *(getattr(row, column) for column in ERROR_COLUMNS[2:])]
-                    yield [record.name, record.fingerprint, name, method.label, *values]
+                if name in method.errors:
+                    place = (record.name, method.run.fingerprint, name, method.label)
+                    yield from _error_rows(place, method.errors[name])
+
+
+def _error_rows(place: tuple[str, ...], rows: ErrorTable) -> Iterator[Sequence[Value]]:
+    """Texts that are ready for :func:`relocbench.leaderboard.text.cell`'s readers: each name is looked at once."""
+    words = [repeat(cell(word)) for word in place]
+    named = replace(rows, group_names=tuple(str(cell(name)) for name in rows.group_names))
+    for start in range(0, len(rows), CHUNK_ROWS):
+        yield from zip(*words, *named[start : start + CHUNK_ROWS].texts(), strict=False)
 
 
 def _row(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[str, Value]:
@@ -80,8 +90,9 @@ def _row(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[st
     out["finer_than_truth"] = " ".join(finer)
     out |= {f"median_{name}": value for name, value in table.medians.items()}
     out |= {
+        "fingerprint": run.fingerprint,
         "target": run.target,
-        "parameters": json.dumps(run.parameters, sort_keys=True, ensure_ascii=False),
+        "parameters": json_text(run.parameters, sort_keys=True),
         "seed": row.method.seed,
         "version": run.versions.get("method"),
         "relocbench": run.versions.get("relocbench"),
@@ -98,6 +109,7 @@ def _place(dataset: DatasetBoard, table: Table) -> dict[str, Value]:
     return {
         "dataset": entry.record.name,
         "fingerprint": entry.record.fingerprint,
+        "question": entry.record.question,
         "pair_set": table.pair_set,
         "split": table.split,
         "group": table.group,

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
+import shlex
 from collections.abc import Sequence
 
 from relocbench.leaderboard.load import PREDICTIONS, Method, evaluate_command
 from relocbench.leaderboard.model import Board, DatasetBoard
-from relocbench.leaderboard.text import bullet, code, escaped, table_text
+from relocbench.leaderboard.text import bullet, code, escaped, fenced, json_text, table_text
 
 
 def methods_section(dataset: DatasetBoard) -> list[str]:
@@ -28,7 +28,7 @@ def methods_section(dataset: DatasetBoard) -> list[str]:
         "### Methods",
         table_text(["method", "what it is", "version", "relocbench", "seed", "machine of the seconds"], rows, left=6),
         *_machine_notes(methods),
-        bullet("Parameters:", [f"{code(m.label)}: {code(_json(m.settings))}" for m in methods if m.settings]),
+        bullet("Parameters:", [f"{code(m.label)}: {code(json_text(m.settings))}" for m in methods if m.settings]),
         *_differences(methods),
     ]
 
@@ -42,14 +42,10 @@ def reproduce_section(board: Board) -> list[str]:
     ]
     for dataset in board.datasets:
         commands = [evaluate_command(m.run, matching=bool(m.matching)) for m in dataset.entry.methods]
-        parts.append(f"{escaped(dataset.entry.title)}:\n\n" + _shell(commands))
+        parts.append(f"{escaped(dataset.entry.title)}:\n\n" + fenced(commands))
     ranking = f" --metric '{board.metric.name}' --seed {board.seed}"
-    split = f" --split {board.split}" if board.split else ""
-    return [*parts, "This page:\n\n" + _shell([f"relocbench leaderboard RESULTS --out DIR{ranking}{split}"])]
-
-
-def _shell(commands: Sequence[str]) -> str:
-    return "\n".join(["```sh", *commands, "```"])
+    split = f" --split {shlex.quote(board.split)}" if board.split else ""
+    return [*parts, "This page:\n\n" + fenced([f"relocbench leaderboard RESULTS --out DIR{ranking}{split}"])]
 
 
 def _machine_notes(methods: Sequence[Method]) -> list[str]:
@@ -67,12 +63,8 @@ def _differences(methods: Sequence[Method]) -> list[str]:
     for target in dict.fromkeys(m.run.target for m in methods):
         runs = [m for m in methods if m.run.target == target]
         names = list(dict.fromkeys(name for m in runs for name in m.run.parameters))
-        differing = [n for n in names if len({_json(m.run.parameters.get(n)) for m in runs}) > 1]
+        differing = [n for n in names if len({json_text(m.run.parameters.get(n)) for m in runs}) > 1]
         if differing:
-            rows = [[escaped(m.label), *(code(_json(m.run.parameters.get(n))) for n in differing)] for m in runs]
+            rows = [[escaped(m.label), *(code(json_text(m.run.parameters.get(n))) for n in differing)] for m in runs]
             parts += [f"Runs of {code(target)} differ in:", table_text(["method", *map(code, differing)], rows, left=1)]
     return parts
-
-
-def _json(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False)

@@ -8,7 +8,7 @@ from relocbench.evaluation.matching_table import ALL, OFFSETS_PX, Summary, summa
 from relocbench.evaluation.score import groups_of
 from relocbench.leaderboard.load import Method
 from relocbench.leaderboard.model import Board, DatasetBoard
-from relocbench.leaderboard.text import escaped, number, table_text
+from relocbench.leaderboard.text import Value, escaped, number, table_text
 
 
 def matching_lines(dataset: DatasetBoard, pair_set: str) -> list[tuple[Method, Summary]]:
@@ -47,7 +47,7 @@ def matching_section(dataset: DatasetBoard, pair_set: str, *, plots: bool) -> li
     return parts
 
 
-def matching_rows(board: Board) -> list[dict[str, str | int | float | None]]:
+def matching_rows(board: Board) -> list[dict[str, Value]]:
     """Rows of ``matching.csv``: one for each pair set, group, method and start offset; shares 0..1."""
     return [
         {

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import matplotlib as mpl
@@ -10,14 +12,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from relocbench.evaluation.matching_table import OFFSETS_PX
-from relocbench.evaluation.score import errors_of
 from relocbench.leaderboard.load import Method
 from relocbench.leaderboard.matching import matching_lines
 from relocbench.leaderboard.model import Board, DatasetBoard, Row, Table
-from relocbench.metrics import PoseErrors, cumulative_curve
+from relocbench.metrics import cumulative_curve
 from relocbench.metrics.registry import SIGMA_FACTOR
 
 Array = NDArray[np.float64]
@@ -30,51 +32,130 @@ STYLES: tuple[Style, ...] = ("-", (0, (1, 0.8)), (0, (4, 1, 1, 1)))
 FLOOR_COLOUR = "#767676"
 
 
-@dataclass(frozen=True)
-class _Line:
+LONGEST_LABEL = 60
+"""characters of a name in a picture; what is longer would leave no room for the curves"""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One method in the picture of a pair set."""
+
     label: str
-    errors: PoseErrors
+    translation_error_m: Array
+    """(M,) ascending, up to the limit of the picture"""
+    rotation_error_deg: Array
+    translation_share: Array
+    """(M,) of all pairs"""
+    rotation_share: Array
     colour: str
     style: Style
     width: float
 
 
-def curve_picture(board: Board, dataset: DatasetBoard, table: Table) -> bytes:
-    """PNG of a pair set's curves; a method keeps its colour on all pair sets of a dataset."""
-    lines = [_line(board, dataset, table, row) for row in table.rows if not row.missing]
-    with mpl.rc_context():
+@dataclass(frozen=True, eq=False)
+class CurvePicture:
+    """What the picture of a pair set's cumulative error curves shows."""
+
+    title: str
+    pairs: int
+    ranked_by: str
+    curves: tuple[Curve, ...]
+    sigma_m: float | None
+    sigma_deg: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class MatchingPicture:
+    """What the picture of matching quality shows: a line is a label, shares in percent by offset, colour and style."""
+
+    title: str
+    lines: tuple[tuple[str, tuple[float, ...], str, Style], ...]
+
+
+def curve_picture(board: Board, dataset: DatasetBoard, table: Table) -> CurvePicture:
+    """A pair set's curves; a method keeps its colour on all pair sets of a dataset."""
+    record = dataset.entry.pair_sets[table.pair_set]
+    conditions = f"{record.reference_condition} → {record.query_condition}"
+    return CurvePicture(
+        f"{_shown(f'{dataset.entry.record.name}: {table.pair_set}', 2)}\n{_shown(conditions, 2)}",
+        table.pairs,
+        board.metric.name,
+        tuple(_curve(board, dataset, table, row) for row in table.rows if not row.missing),
+        table.medians["sigma_translation_m"],
+        table.medians["sigma_rotation_deg"],
+    )
+
+
+def matching_picture(dataset: DatasetBoard, pair_set: str) -> MatchingPicture:
+    """The share of pixels found to 3 px against how far off the start was; colours as in the error curves."""
+    lines = []
+    for method, summary in matching_lines(dataset, pair_set):
+        shares = [summary[f"{offset}px"]["match@3px"] for offset in OFFSETS_PX]
+        percent = tuple(np.nan if share is None else 100 * share for share in shares)
+        lines.append((_shown(method.label), percent, *_look(dataset, method)))
+    return MatchingPicture(_shown(f"{dataset.entry.record.name}: {pair_set}", 2), tuple(lines))
+
+
+def draw(picture: CurvePicture | MatchingPicture) -> bytes:
+    """PNG of a picture, the same bytes in any process."""
+    with mpl.rc_context(), warnings.catch_warnings():
+        # Names may hold letters that the font does not have.
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         mpl.rcdefaults()  # the reader's own settings must not change the picture
         mpl.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
-        figure = Figure(figsize=(11, 4.2), dpi=130, layout="constrained")
-        FigureCanvasAgg(figure)
-        left, right = figure.subplots(1, 2, sharey=True)
-        sigma_m, sigma_deg = table.medians["sigma_translation_m"], table.medians["sigma_rotation_deg"]
-        _panel(left, [(line, line.errors.translation_error_m) for line in lines], LIMIT_M, sigma_m)
-        _panel(right, [(line, line.errors.rotation_error_deg) for line in lines], LIMIT_DEG, sigma_deg)
-        left.set_xlabel("translation error (m)")
-        right.set_xlabel("rotation error (°)")
-        left.set_ylabel(f"share of all {table.pairs} pairs")
-        record = dataset.entry.pair_sets[table.pair_set]
-        conditions = f"{record.reference_condition} → {record.query_condition}"
-        figure.suptitle(f"{dataset.entry.record.name}: {table.pair_set}\n{conditions}", fontsize=11)
-        handles, labels = left.get_legend_handles_labels()
-        figure.legend(
-            handles, labels, loc="outside right upper", title=board.metric.name, frameon=False, handlelength=3.2
-        )
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", metadata={"Software": None})
-    return picture.getvalue()
+        mpl.rcParams["text.parse_math"] = False  # a $ in a name is a letter
+        return _png(_curves(picture) if isinstance(picture, CurvePicture) else _matching(picture))
 
 
-def _line(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> _Line:
+def _png(figure: Figure) -> bytes:
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", metadata={"Software": None})
+    return stream.getvalue()
+
+
+def _curves(picture: CurvePicture) -> Figure:
+    figure = Figure(figsize=(11, 4.2), dpi=130, layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2, sharey=True)
+    metres = [(c, c.translation_error_m, c.translation_share) for c in picture.curves]
+    degrees = [(c, c.rotation_error_deg, c.rotation_share) for c in picture.curves]
+    handles = _panel(left, metres, LIMIT_M, picture.sigma_m)
+    _panel(right, degrees, LIMIT_DEG, picture.sigma_deg)
+    left.set_xlabel("translation error (m)")
+    right.set_xlabel("rotation error (°)")
+    left.set_ylabel(f"share of all {picture.pairs} pairs")
+    figure.suptitle(picture.title, fontsize=11)
+    # Given one by one: a label that begins with _ would be left out of a legend that is made from the axes.
+    labels = [curve.label for curve in picture.curves]
+    figure.legend(handles, labels, loc="outside right upper", title=picture.ranked_by, frameon=False, handlelength=3.2)
+    return figure
+
+
+def _curve(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> Curve:
     method = row.method
-    errors = errors_of(method.errors[table.pair_set])
+    errors = method.errors[table.pair_set].errors
     value = row.values[board.metric.name]
-    label = f"{method.label}  {100 * value:.1f} %" if value is not None else method.label
-    colour, style = _look(dataset, method)
-    return _Line(
-        f"{label} (floor)" if method.is_floor else label, errors, colour, style, 1.6 if method.is_floor else 1.8
-    )
+    name = _shown(method.label)
+    label = f"{name}  {100 * value:.1f} %" if value is not None else name
+    label = f"{label} (floor)" if method.is_floor else label
+    metres = _steps(errors.translation_error_m, LIMIT_M)
+    degrees = _steps(errors.rotation_error_deg, LIMIT_DEG)
+    look = _look(dataset, method)
+    return Curve(label, metres[0], degrees[0], metres[1], degrees[1], *look, 1.6 if method.is_floor else 1.8)
+
+
+def _steps(error: Array, limit: float) -> tuple[Array, Array]:
+    """Corners of a curve from 0 to the limit: errors, and shares of all pairs in percent."""
+    curve = cumulative_curve(error)
+    inside = curve.error <= limit
+    x = np.concatenate([[0.0], curve.error[inside], [limit]])
+    return x, 100 * np.concatenate([[0.0], curve.share[inside], [curve.at(limit)]])
+
+
+def _shown(name: str, times: int = 1) -> str:
+    """A name as a picture has room for it."""
+    plain = "".join(c if c.isprintable() else "\ufffd" for c in name)
+    return plain if len(plain) <= times * LONGEST_LABEL else f"{plain[: times * LONGEST_LABEL - 1]}…"
 
 
 def _look(dataset: DatasetBoard, method: Method) -> tuple[str, Style]:
@@ -85,48 +166,36 @@ def _look(dataset: DatasetBoard, method: Method) -> tuple[str, Style]:
     return COLOURS[place % len(COLOURS)], STYLES[place // len(COLOURS) % len(STYLES)]
 
 
-def matching_picture(dataset: DatasetBoard, pair_set: str) -> bytes:
-    """PNG of the share of pixels found to 3 px against how far off the start was; colours as in the error curves."""
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        mpl.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
-        figure = Figure(figsize=(6.5, 3.6), dpi=130, layout="constrained")
-        FigureCanvasAgg(figure)
-        axes = figure.subplots()
-        for method, summary in matching_lines(dataset, pair_set):
-            shares = [summary[f"{offset}px"]["match@3px"] for offset in OFFSETS_PX]
-            y = [np.nan if share is None else 100 * share for share in shares]
-            colour, style = _look(dataset, method)
-            axes.plot(OFFSETS_PX, y, color=colour, linestyle=style, linewidth=1.8, marker="o", label=method.label)
-        axes.set_xscale("log", base=2)
-        axes.set_xticks(OFFSETS_PX, [str(offset) for offset in OFFSETS_PX])
-        axes.set_xlabel("start off the true pixel by (px)")
-        axes.set_ylabel("found to 3 px")
-        axes.set_ylim(0, 101.5)
-        axes.yaxis.set_major_formatter("{x:.0f} %")
-        axes.grid(True, color="#dddddd", linewidth=0.6)
-        axes.set_title(f"{dataset.entry.record.name}: {pair_set}", fontsize=11)
-        axes.legend(frameon=False, handlelength=3.2)
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", metadata={"Software": None})
-    return picture.getvalue()
+def _matching(picture: MatchingPicture) -> Figure:
+    figure = Figure(figsize=(6.5, 3.6), dpi=130, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    handles = []
+    for _, y, colour, style in picture.lines:
+        handles += axes.plot(OFFSETS_PX, y, color=colour, linestyle=style, linewidth=1.8, marker="o")
+    axes.set_xscale("log", base=2)
+    axes.set_xticks(OFFSETS_PX, [str(offset) for offset in OFFSETS_PX])
+    axes.set_xlabel("start off the true pixel by (px)")
+    axes.set_ylabel("found to 3 px")
+    axes.set_ylim(0, 101.5)
+    axes.yaxis.set_major_formatter("{x:.0f} %")
+    axes.grid(True, color="#dddddd", linewidth=0.6)
+    axes.set_title(picture.title, fontsize=11)
+    axes.legend(handles, [label for label, *_ in picture.lines], frameon=False, handlelength=3.2)
+    return figure
 
 
-def _panel(axes: Axes, curves: list[tuple[_Line, Array]], limit: float, sigma: float | None) -> None:
-    for order, (line, error) in enumerate(curves):
-        curve = cumulative_curve(error)
-        inside = curve.error <= limit
-        x = np.concatenate([[0.0], curve.error[inside], [limit]])
-        y = 100 * np.concatenate([[0.0], curve.share[inside], [curve.at(limit)]])
+def _panel(axes: Axes, curves: Sequence[tuple[Curve, Array, Array]], limit: float, sigma: float | None) -> list[Line2D]:
+    lines: list[Line2D] = []
+    for order, (curve, x, y) in enumerate(curves):
         # The best is drawn last, so that it is not hidden where curves meet.
-        axes.step(
+        lines += axes.step(
             x,
             y,
             where="post",
-            color=line.colour,
-            linestyle=line.style,
-            linewidth=line.width,
-            label=line.label,
+            color=curve.colour,
+            linestyle=curve.style,
+            linewidth=curve.width,
             zorder=3 + len(curves) - order,
         )
     if sigma:
@@ -138,3 +207,4 @@ def _panel(axes: Axes, curves: list[tuple[_Line, Array]], limit: float, sigma: f
     axes.yaxis.set_major_formatter("{x:.0f} %")
     axes.grid(True, color="#dddddd", linewidth=0.6)
     axes.tick_params(labelleft=True)
+    return lines

@@ -13,6 +13,7 @@ from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.relocalization.answers import ChainAnswer, errors_of, read_chain
 from relocbench.evaluation.relocalization.records import (
     ORACLE,
+    SET_FILE,
     ChainBasin,
     ChainResults,
     ChainRun,
@@ -31,6 +32,7 @@ from relocbench.evaluation.relocalization.score import (
     table_hash,
 )
 from relocbench.evaluation.retrieval.score import generator
+from relocbench.leaderboard.intake import check_file_names, check_folder
 from relocbench.leaderboard.retrieval import holds_tracking
 from relocbench.metrics import Interval, bootstrap_interval, rank_with_ties
 
@@ -122,6 +124,10 @@ def load_chains(results: Path, *, metric: str = RANKING, split: str | None = Non
     if metric not in (*POSE_METRICS, *SHARES):
         raise ConfigError(f"chains cannot be ranked by '{metric}'; expected one of {', '.join(POSE_METRICS)}")
     there = all_chain_sets(results)
+    if there:
+        check_folder(results)
+    for folder in there:
+        check_file_names(folder.record.tasks, "the task", folder.root / SET_FILE)
     found = [s for s in there if split is None or split in s.record.splits]
     if there and not found and not holds_tracking(results):
         known = sorted({name for s in there for name in s.record.splits})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
 from collections.abc import Sequence
@@ -13,8 +12,9 @@ from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, Chain
 from relocbench.evaluation.relocalization.score import FAILURES, HIT, RANKING
 from relocbench.evaluation.results import RunRecord
 from relocbench.evaluation.retrieval.external import PREDICTIONS
+from relocbench.leaderboard.load import machine_words
 from relocbench.leaderboard.relocalization import Chain, ChainBoard, ChainRow, ChainSetBoard, ChainTable
-from relocbench.leaderboard.text import bullet, code, escaped, number, table_text
+from relocbench.leaderboard.text import bullet, code, escaped, fenced, json_text, number, table_text
 from relocbench.metrics.registry import SIGMA_FACTOR
 from relocbench.metrics.significance import LEVEL
 
@@ -95,7 +95,7 @@ def _basin_words(chain: Chain) -> list[str]:
 
 def _settings(name: str, half: RunRecord) -> list[str]:
     return [
-        f"{name}.{key}={value if isinstance(value, str) else json.dumps(value)}"
+        f"{name}.{key}={value if isinstance(value, str) else json_text(value, ascii_only=True)}"
         for key, value in half.parameters.items()
         if key != "seed" or value != half.seed
     ]
@@ -125,7 +125,7 @@ def _how_to_read(board: ChainBoard) -> list[str]:
 
 def _set(board: ChainBoard, asked: ChainSetBoard) -> list[str]:
     record = asked.record
-    parts = [f"## {escaped(record.dataset)}", f"Fingerprint `{record.dataset_fingerprint}`.", _tasks(asked)]
+    parts = [f"## {escaped(record.dataset)}", f"Fingerprint {code(record.dataset_fingerprint)}.", _tasks(asked)]
     for table in asked.tables:
         parts += [f"### {escaped(table.name)}", *_table(board, table)]
     missing = [
@@ -224,22 +224,24 @@ def _methods(asked: ChainSetBoard) -> list[str]:
     for chain in asked.chains:
         for part, (name, half) in zip(("retriever", "tracker"), _halves(chain.run), strict=True):
             if half is not None and not _same(halves.setdefault((part, name), half), half):
-                differ.append(f"{code(name)} in {code(chain.label)}: {code(json.dumps(half.parameters))}")
+                differ.append(
+                    f"{code(name)} in {code(chain.label)}: {code(json_text(half.parameters, ascii_only=True))}"
+                )
     rows = [
         [
             escaped(name),
             part,
             code(half.target),
             escaped(half.versions.get("method", "")),
-            " ".join(f"{escaped(key)} {value[:12]}" for key, value in half.files.items()),
-            escaped(f"{half.machine['cpu']}, {half.machine['cores']} cores" if "cpu" in half.machine else ""),
+            " ".join(f"{escaped(key)} {escaped(value[:12])}" for key, value in half.files.items()),
+            escaped(machine_words(half)),
         ]
         for (part, name), half in sorted(halves.items())
     ]
     if not rows:
         return []
     lines = [
-        f"{code(name)}: {code(json.dumps(half.parameters, ensure_ascii=False))}"
+        f"{code(name)}: {code(json_text(half.parameters))}"
         for (_, name), half in sorted(halves.items())
         if half.parameters
     ]
@@ -256,9 +258,9 @@ def _again(board: ChainBoard) -> list[str]:
     parts = ["## Again", "A run that was stopped goes on with the same command."]
     for asked in board.sets:
         commands = evaluate_commands(asked.chains)
-        parts.append(f"{escaped(asked.title)}:\n\n" + "\n".join(["```sh", *commands, "```"]))
-    split = f" --split {board.split}" if board.split else ""
+        parts.append(f"{escaped(asked.title)}:\n\n" + fenced(commands))
+    split = f" --split {shlex.quote(board.split)}" if board.split else ""
     page = (
         f"relocbench leaderboard RESULTS --out DIR --relocalization-metric '{board.metric}' --seed {board.seed}{split}"
     )
-    return [*parts, "This page:\n\n" + "\n".join(["```sh", page, "```"])]
+    return [*parts, "This page:\n\n" + fenced([page])]

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 from relocbench.evaluation.relocalization.score import POSE_METRICS, RANKING
-from relocbench.files import atomic_write, write_text
-from relocbench.leaderboard.long_form import Value
+from relocbench.files import remove_parts, write_text
 from relocbench.leaderboard.relocalization import (
     SHARES,
     WITH_INTERVAL,
@@ -18,6 +16,7 @@ from relocbench.leaderboard.relocalization import (
     load_chains,
 )
 from relocbench.leaderboard.relocalization_page import relocalization_page
+from relocbench.leaderboard.text import Value, write_table
 from relocbench.progress import Reporter
 
 
@@ -38,11 +37,8 @@ def write_relocalization_leaderboard(
             for name in (t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in chain.answers):
                 reporter.note(f"{asked.title}: {chain.label} has no result on {name}")
     rows = chain_rows(board)
-    with atomic_write(out / "relocalization.csv") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(list(rows[0]))
-        for row in rows:
-            table.writerow(["" if v is None else repr(v) if isinstance(v, float) else v for v in row.values()])
+    remove_parts(out, deep=False)
+    write_table(out / "relocalization.csv", [list(rows[0]), *(list(row.values()) for row in rows)] if rows else [])
     write_text(out / "relocalization.md", relocalization_page(board))
     return board
 

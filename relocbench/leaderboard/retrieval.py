@@ -13,6 +13,7 @@ from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.retrieval.answers import QueryAnswer, answers_hash
 from relocbench.evaluation.retrieval.records import (
     METRICS,
+    SET_FILE,
     RetrievalRun,
     RetrieverResults,
     SetRecord,
@@ -21,11 +22,13 @@ from relocbench.evaluation.retrieval.records import (
     all_sets,
 )
 from relocbench.evaluation.retrieval.score import checked_answers, generator, resampled, scores_of
+from relocbench.leaderboard.intake import check_file_names, check_folder
 from relocbench.metrics import Interval, bootstrap_interval, rank_with_ties, single_positive_fault
 
 Array = NDArray[np.float64]
 RANKING = "R@1"
 WITH_INTERVAL = ("R@1", "AP")
+_AGAIN = "run `relocbench evaluate --task retrieval` again to score"
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +130,9 @@ def load_retrieval(
     found = all_sets(results)
     if not found:
         return None
+    check_folder(results)
+    for folder in found:
+        check_file_names(folder.record.tasks, "the task", folder.root / SET_FILE)
     chosen = found if split is None else [s for s in found if split in s.record.splits]
     if not chosen and holds_tracking(results):
         return None  # the split is of those datasets
@@ -202,31 +208,31 @@ def _method(folder: RetrieverResults, asked: SetRecord, tasks: Mapping[str, Task
             f"{asked.name}@{asked.fingerprint[:12]}",
             folder.run_yaml,
         )
-    answers = {name: _answers(folder, name, record) for name, record in tasks.items() if folder.complete(name)}
+    done = {name: record for name, record in tasks.items() if folder.complete(name)}
+    if done and not folder.scores_yaml.exists():
+        raise PredictionError(f"missing: the answers are not scored; {_AGAIN}", folder.scores_yaml)
+    scored = folder.retrieval_scores().answers if done else {}
+    answers = {name: _answers(folder, name, record, scored) for name, record in done.items()}
     return Retriever(folder.label, run.model_copy(update={"method": folder.label}), answers)
 
 
-def _answers(folder: RetrieverResults, task: str, record: TaskRecord) -> list[QueryAnswer]:
-    again = "run `relocbench evaluate --task retrieval` again to score"
-    if not folder.scores_yaml.exists():
-        raise PredictionError(f"missing: the answers are not scored; {again}", folder.scores_yaml)
-    scored = folder.retrieval_scores().answers
+def _answers(folder: RetrieverResults, task: str, record: TaskRecord, scored: Mapping[str, str]) -> list[QueryAnswer]:
     if task not in scored:
-        raise PredictionError(f"holds no scores of '{task}', which was answered; {again}", folder.scores_yaml)
+        raise PredictionError(f"holds no scores of '{task}', which was answered; {_AGAIN}", folder.scores_yaml)
     if scored[task] != answers_hash(folder.answers(task)):
-        raise PredictionError(f"changed since it was scored; {again}", folder.answers(task))
+        raise PredictionError(f"changed since it was scored; {_AGAIN}", folder.answers(task))
     return checked_answers(task, record, folder)
 
 
 def _check_same_queries(folder: SetResults, methods: Sequence[Retriever]) -> None:
-    first: dict[str, tuple[str, list[tuple[str, int]]]] = {}
+    first: dict[str, tuple[str, list[tuple[str, int, str]]]] = {}
     for method in methods:
         for task, answers in method.answers.items():
-            asked = [(a.query, a.positives) for a in answers]
+            asked = [(a.query, a.positives, a.group) for a in answers]
             label, expected = first.setdefault(task, (method.label, asked))
             if asked != expected:
                 path = folder.method(method.label).answers(task)
-                raise PredictionError(f"holds other queries or positives than the table of '{label}'", path)
+                raise PredictionError(f"holds other queries, positives or groups than the table of '{label}'", path)
 
 
 def _table(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 
 from relocbench.evaluation.retrieval.external import PREDICTIONS
 from relocbench.evaluation.retrieval.records import RetrievalRun, SetRecord
+from relocbench.leaderboard.load import machine_words
 from relocbench.leaderboard.retrieval import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
-from relocbench.leaderboard.text import bullet, code, escaped, number, table_text
+from relocbench.leaderboard.text import bullet, code, escaped, fenced, json_text, number, table_text
 from relocbench.metrics import Interval
 from relocbench.metrics.significance import LEVEL
 
@@ -35,7 +35,7 @@ def evaluate_command(asked: SetRecord, run: RetrievalRun) -> str:
     words += ["--method", run.target if run.target == run.method else f"{run.method}={run.target}"]
     for key, value in run.parameters.items():
         if key != "seed" or value != run.seed:
-            text = value if isinstance(value, str) else json.dumps(value)
+            text = value if isinstance(value, str) else json_text(value, ascii_only=True)
             words += ["--set", f"{run.method}.{key}={text}"]
     words += ["--seed", str(run.seed)] if run.seed else []
     return shlex.join([*words, "--keep", str(run.keep)] if run.keep else words)
@@ -62,7 +62,7 @@ def _how_to_read(board: RetrievalBoard) -> list[str]:
 
 def _set(board: RetrievalBoard, asked: SetBoard) -> list[str]:
     record = asked.record
-    parts = [f"## {escaped(record.name)}", f"Fingerprint `{record.fingerprint}`."]
+    parts = [f"## {escaped(record.name)}", f"Fingerprint {code(record.fingerprint)}."]
     if record.positives:
         parts.append(f"Right are {escaped(record.positives)}.")
     parts.append(_tasks(asked))
@@ -71,9 +71,11 @@ def _set(board: RetrievalBoard, asked: SetBoard) -> list[str]:
     means = [table for table in asked.tables if len(table.tasks) > 1]
     for table in [*means, *(t for t in asked.tables if len(t.tasks) == 1)]:
         parts += [f"### {escaped(table.name)}", *_table(board, table)]
+    first = (means or asked.tables)[:1]  # there is none where no method has finished a task
     missing = [
         f"{code(row.method.label)} on {', '.join(map(code, row.missing))}"
-        for row in (means or asked.tables)[0].rows
+        for table in first
+        for row in table.rows
         if row.missing
     ]
     parts.append(bullet("**Missing results**, hence blank means and no rank:", missing))
@@ -143,9 +145,7 @@ def _methods(asked: SetBoard) -> list[str]:
     rows = []
     for m in asked.methods:
         sizes = sorted({t.dimensions for t in m.run.tasks.values() if t.dimensions})
-        machine = (
-            f"{m.run.machine['cpu']}, {m.run.machine['cores']} cores" if "cpu" in m.run.machine else "not recorded"
-        )
+        machine = machine_words(m.run) or "not recorded"
         versions = (m.run.versions.get("method", ""), m.run.versions.get("relocbench", ""))
         rows.append(
             [
@@ -156,12 +156,8 @@ def _methods(asked: SetBoard) -> list[str]:
                 escaped(machine),
             ]
         )
-    lines = [
-        f"{code(m.label)}: {code(json.dumps(m.run.parameters, ensure_ascii=False))}"
-        for m in asked.methods
-        if m.run.parameters
-    ]
-    told = [f"{code(m.label)}: {code(json.dumps(m.run.info, ensure_ascii=False))}" for m in asked.methods if m.run.info]
+    lines = [f"{code(m.label)}: {code(json_text(m.run.parameters))}" for m in asked.methods if m.run.parameters]
+    told = [f"{code(m.label)}: {code(json_text(m.run.info))}" for m in asked.methods if m.run.info]
     table = table_text(columns, rows, left=4)
     return ["### Methods", table, bullet("Parameters:", lines), bullet("What they tell of themselves:", told)]
 
@@ -170,7 +166,7 @@ def _again(board: RetrievalBoard) -> list[str]:
     parts = ["## Again", "A run that was stopped goes on with the same command."]
     for asked in board.sets:
         commands = [evaluate_command(asked.record, m.run) for m in asked.methods]
-        parts.append(f"{escaped(asked.title)}:\n\n" + "\n".join(["```sh", *commands, "```"]))
-    split = f" --split {board.split}" if board.split else ""
+        parts.append(f"{escaped(asked.title)}:\n\n" + fenced(commands))
+    split = f" --split {shlex.quote(board.split)}" if board.split else ""
     page = f"relocbench leaderboard RESULTS --out DIR --retrieval-metric '{board.metric}' --seed {board.seed}{split}"
-    return [*parts, "This page:\n\n" + "\n".join(["```sh", page, "```"])]
+    return [*parts, "This page:\n\n" + fenced([page])]

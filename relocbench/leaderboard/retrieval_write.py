@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
-from relocbench.files import atomic_write, write_text
-from relocbench.leaderboard.long_form import Value
+from relocbench.files import remove_parts, write_text
 from relocbench.leaderboard.retrieval import (
     RANKING,
     RetrievalBoard,
@@ -16,6 +14,7 @@ from relocbench.leaderboard.retrieval import (
     load_retrieval,
 )
 from relocbench.leaderboard.retrieval_page import CHANCE, retrieval_page
+from relocbench.leaderboard.text import Value, write_table
 from relocbench.progress import Reporter
 
 
@@ -37,11 +36,8 @@ def write_retrieval_leaderboard(
             for name in missing:
                 reporter.note(f"{asked.title}: {method.label} has no result on {name}")
     rows = retrieval_rows(board)
-    with atomic_write(out / "retrieval.csv") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(list(rows[0]) if rows else [])
-        for row in rows:
-            table.writerow(["" if v is None else repr(v) if isinstance(v, float) else v for v in row.values()])
+    remove_parts(out, deep=False)
+    write_table(out / "retrieval.csv", [list(rows[0]), *(list(row.values()) for row in rows)] if rows else [])
     write_text(out / "retrieval.md", retrieval_page(board))
     return board
 

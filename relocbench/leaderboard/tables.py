@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError
-from relocbench.evaluation.results import PairErrors
-from relocbench.evaluation.score import ALL, errors_of, summarize_rows
+from relocbench.evaluation.results import STATUSES, ErrorTable
+from relocbench.evaluation.score import ALL
 from relocbench.leaderboard.load import DatasetEntry, Method
 from relocbench.leaderboard.model import INTERVALS, TOTAL, Board, DatasetBoard, Row, SeedRow, Table
 from relocbench.metrics import (
@@ -102,7 +102,7 @@ def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) ->
     names, group, split = planned.names, planned.group, planned.split
     shown = names[0] if split is None else TOTAL
     place = f"{entry.record.fingerprint} {shown} {split or ''} {group}"
-    sets = {m.label: [_of_group(m.errors.get(name), group) for name in names] for m in entry.methods}
+    sets = {m.label: [_of_group(m, name, group) for name in names] for m in entry.methods}
     ranks: dict[str, int | None] = dict.fromkeys(sets)
     if group == ALL:
         ranks = rank_with_ties(
@@ -120,7 +120,7 @@ def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) ->
         group=group,
         pairs=sum(entry.pair_sets[n].pairs for n in names) if group == ALL else sum(map(len, asked)),
         rejected=sum(entry.pair_sets[n].rejected for n in names) if group == ALL else None,
-        medians=_medians([row for r in asked for row in r]),
+        medians=_medians(asked),
         grey=_grey(entry, names),
         rows=tuple(sorted(rows, key=lambda row: _order(row, metric))),
         seeds=tuple(_seed_rows(rows)),
@@ -129,20 +129,20 @@ def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) ->
 
 def _row(
     method: Method,
-    sets: Sequence[Sequence[PairErrors] | None],
+    sets: Sequence[ErrorTable | None],
     names: Sequence[str],
     rank: int | None,
-    floor: Sequence[Sequence[PairErrors] | None] | None,
+    floor: Sequence[ErrorTable | None] | None,
     metric: Metric,
     seed: int,
     place: str,
 ) -> Row:
     missing = tuple(name for name, rows in zip(names, sets, strict=True) if rows is None)
     there = [rows for rows in sets if rows is not None]
-    values = totals([None if rows is None else summarize_rows(rows) for rows in sets])
+    values = totals([None if rows is None else rows.summary for rows in sets])
     if missing:
         return Row(method, sum(map(len, there)), None, None, None, values, {}, rank, None, missing)
-    statuses = [row.status for rows in there for row in rows]
+    counts = {status: sum(rows.with_status(status) for rows in there) for status in STATUSES}
     intervals = {
         m.name: bootstrap_interval([_per_pair(m, rows) for rows in there], _generator(seed, place, m.name))
         for m in METRICS
@@ -157,10 +157,10 @@ def _row(
         )
     return Row(
         method=method,
-        pairs=len(statuses),
-        answered=statuses.count("ok"),
-        failed=statuses.count("failed"),
-        broke=statuses.count("error"),
+        pairs=sum(map(len, there)),
+        answered=counts["ok"],
+        failed=counts["failed"],
+        broke=counts["error"],
         values=values,
         intervals=intervals,
         rank=rank,
@@ -168,14 +168,15 @@ def _row(
     )
 
 
-def _of_group(rows: Sequence[PairErrors] | None, group: str) -> list[PairErrors] | None:
-    return None if rows is None else [row for row in rows if group in (ALL, row.group)]
+def _of_group(method: Method, pair_set: str, group: str) -> ErrorTable | None:
+    rows = method.errors.get(pair_set)
+    return None if rows is None else rows.of_group(group)
 
 
-def _per_pair(metric: Metric, rows: Sequence[PairErrors]) -> Array:
+def _per_pair(metric: Metric, rows: ErrorTable) -> Array:
     if metric.per_pair is None:
         raise ValueError(f"{metric.name} is no mean over pairs")
-    return metric.per_pair(errors_of(rows))
+    return metric.per_pair(rows.errors)
 
 
 def _generator(seed: int, place: str, metric: str) -> np.random.Generator:
@@ -191,16 +192,18 @@ def _order(row: Row, metric: Metric) -> tuple[bool, float, str]:
     return value is None, 0.0 if value is None else -_sign(metric) * value, row.method.label
 
 
-def _pairs_asked(sets: Mapping[str, Sequence[Sequence[PairErrors] | None]]) -> list[Sequence[PairErrors]]:
+def _pairs_asked(sets: Mapping[str, Sequence[ErrorTable | None]]) -> list[ErrorTable]:
     """The pairs of each set, from whichever method has it: all have the same."""
-    return [next((rows for rows in column if rows is not None), []) for column in zip(*sets.values(), strict=True)]
+    columns = zip(*sets.values(), strict=True)
+    return [rows for column in columns if (rows := next((r for r in column if r is not None), None)) is not None]
 
 
-def _medians(rows: Sequence[PairErrors]) -> dict[str, float | None]:
+def _medians(asked: Sequence[ErrorTable]) -> dict[str, float | None]:
     out: dict[str, float | None] = {}
     for name in ("distance_m", "angle_deg", "sigma_translation_m", "sigma_rotation_deg"):
-        known = [value for row in rows if (value := getattr(row, name)) is not None]
-        out[name] = float(np.median(known)) if known else None
+        values = np.concatenate([np.zeros(0), *(rows.column(name) for rows in asked)])
+        known = values[~np.isnan(values)]
+        out[name] = float(np.median(known)) if known.size else None
     return out
 
 

@@ -1,11 +1,29 @@
-"""Numbers and Markdown as people read them."""
+"""Numbers, Markdown and table cells as people read them.
+
+Names, messages and parameters come from whoever made the results. In Markdown all of them go through :func:`escaped`,
+:func:`code` or :func:`fenced`, in tables for spreadsheets through :func:`cell`: what they hold is shown, and nothing of
+it acts.
+"""
 
 from __future__ import annotations
 
+import csv
+import json
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
+from relocbench.files import atomic_write
+
+Value = str | int | float | None
 _DIGITS = {"m": 3, "deg": 3, "s": 3}
+_FORMULA = re.compile(r"[\s'\"\x00-\x20]*[=+\-@＝＋－＠]|[\t\r\n]")
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_STARTS_BLOCK = re.compile(r"(#{1,6}|[+-])(?= |$)|(- ?){2,}$|=+$|~~~|[0-9]{1,9}[.)](?= |$)")
+"""of a line that would be a heading, a list, a rule or code"""
+_DEEPEST = 20
 
 
 def number(value: float | None, unit: str) -> str:
@@ -18,16 +36,33 @@ def number(value: float | None, unit: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """Text that Markdown shows as it is, in a table too."""
+    """Text that Markdown shows as it is, in a table too and at the beginning of a line."""
+    plain = _one_line(text)
     for special in "\\`*_|<>[]":
-        text = text.replace(special, f"\\{special}")
-    return " ".join(text.split())
+        plain = plain.replace(special, f"\\{special}")
+    start = _STARTS_BLOCK.match(plain)
+    if start is None:
+        return plain
+    at = start.end() - 1 if plain[0].isdigit() else 0
+    return f"{plain[:at]}\\{plain[at:]}"
 
 
 def code(text: str) -> str:
-    """Text between backticks, in a table too."""
-    plain = " ".join(text.split()).replace("|", "\\|")
-    return f"``{plain}``" if "`" in plain else f"`{plain}`"
+    """Text between backticks, more of them than it holds itself, in a table too."""
+    plain = _one_line(text)
+    if "\\|" in plain or not plain:
+        # Markdown dialects differ on which of the two a backslash before the bar of a table escapes.
+        return f"<code>{''.join(c if c.isalnum() or c == ' ' else f'&#{ord(c)};' for c in plain)}</code>"
+    plain = plain.replace("|", "\\|")
+    ticks = "`" * (_longest_run(plain) + 1)
+    gap = " " if plain.startswith("`") or plain.endswith("`") else ""
+    return f"{ticks}{gap}{plain}{gap}{ticks}"
+
+
+def fenced(lines: Sequence[str], language: str = "sh") -> str:
+    """Lines as they are; the fence is longer than any run of backticks among them."""
+    fence = "`" * max(3, *(_longest_run(line) + 1 for line in lines), 3)
+    return "\n".join([f"{fence}{language}", *lines, fence])
 
 
 def bullet(head: str, lines: Sequence[str]) -> str:
@@ -39,3 +74,52 @@ def table_text(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: i
     """A Markdown table whose first ``left`` columns are aligned left, the others right."""
     rule = [":--" if i < left else "--:" for i in range(len(columns))]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in [columns, rule, *rows])
+
+
+def cell(value: Value) -> Value:
+    """A value of a table for spreadsheets: floats in full, blank without one, and text that none takes for a formula.
+
+    Text that begins with ``= + - @`` (behind blanks or quotes too), or with a tab or line end, gets a ``'`` in front,
+    which spreadsheets take for "this is text". Numbers stay numbers.
+    """
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return repr(value)
+    if isinstance(value, str) and _FORMULA.match(value) and not _NUMBER.fullmatch(value):
+        return f"'{value}"
+    return value
+
+
+def write_table(path: Path, rows: Iterable[Sequence[Value]]) -> None:
+    """A CSV file of :func:`cell` values, whole or not at all."""
+    with atomic_write(path) as stream:
+        csv.writer(stream, lineterminator="\n").writerows(list(map(cell, row)) for row in rows)
+
+
+def json_text(value: object, *, sort_keys: bool = False, ascii_only: bool = False) -> str:
+    """A value out of a YAML file as JSON; what JSON does not know, as a date, stands as text."""
+    return json.dumps(_plain(value, _DEEPEST), sort_keys=sort_keys, ensure_ascii=ascii_only)
+
+
+def _plain(value: Any, deepest: int) -> Any:
+    if value is None or isinstance(value, str | bool | float):
+        return value
+    if isinstance(value, int):
+        return value if value.bit_length() < 256 else hex(value)  # decimal digits of a huge one take minutes
+    if isinstance(value, Mapping | list | tuple) and deepest == 0:
+        return "..."
+    if isinstance(value, Mapping):
+        return {k if isinstance(k, str) else str(_plain(k, 0)): _plain(v, deepest - 1) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v, deepest - 1) for v in value]
+    return str(value)
+
+
+def _one_line(text: str) -> str:
+    """Blanks as single spaces; control characters, which a terminal or a reader would act on, as U+FFFD."""
+    return "".join(c if c.isprintable() else "\ufffd" for c in " ".join(text.split()))
+
+
+def _longest_run(text: str) -> int:
+    return max((len(run) for run in re.findall("`+", text)), default=0)

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from relocbench.files import atomic_write, write_bytes, write_text
+from relocbench.execution import default_workers, run_units
+from relocbench.files import atomic_write, remove_parts, write_bytes, write_text
 from relocbench.leaderboard.load import load_results
-from relocbench.leaderboard.long_form import Value, error_rows, leaderboard_rows, seed_rows
+from relocbench.leaderboard.long_form import error_rows, leaderboard_rows, seed_rows
 from relocbench.leaderboard.markdown import curve_file, drawn, markdown
 from relocbench.leaderboard.matching import matching_file, matching_lines, matching_rows
 from relocbench.leaderboard.model import Board
 from relocbench.leaderboard.tables import RANKING, make_board, ranking_metric
+from relocbench.leaderboard.text import write_table
 from relocbench.progress import Reporter, Silent
+
+_MANY_PICTURES = 24
+"""from so many on, they are drawn in processes, whose start takes as long as some pictures"""
 
 
 def write_leaderboard(
@@ -60,18 +64,21 @@ def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Report
 
     Each file appears whole or not at all; there are no dates in them. Returns the files.
     """
+    for folder in (out, out / "curves"):
+        remove_parts(folder, deep=False)
     rows = leaderboard_rows(board)
     paths = [out / "leaderboard.csv", out / "errors.csv"]
-    _write_table(paths[0], [list(rows[0]), *([row[c] for c in rows[0]] for row in rows)] if rows else [])
-    _write_table(paths[1], error_rows(board))
+    write_table(paths[0], [list(rows[0]), *([row[c] for c in rows[0]] for row in rows)] if rows else [])
+    with atomic_write(paths[1]) as stream:
+        csv.writer(stream, lineterminator="\n").writerows(error_rows(board))
     seeds = seed_rows(board)
     if seeds:
         paths.append(out / "seeds.csv")
-        _write_table(paths[-1], [list(seeds[0]), *(list(row.values()) for row in seeds)])
+        write_table(paths[-1], [list(seeds[0]), *(list(row.values()) for row in seeds)])
     matching = matching_rows(board)
     if matching:
         paths.append(out / "matching.csv")
-        _write_table(paths[-1], [list(matching[0]), *(list(row.values()) for row in matching)])
+        write_table(paths[-1], [list(matching[0]), *(list(row.values()) for row in matching)])
     if plots:
         paths += _write_plots(board, out, reporter)
     paths.append(out / "leaderboard.md")
@@ -80,23 +87,20 @@ def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Report
 
 
 def _write_plots(board: Board, out: Path, reporter: Reporter) -> list[Path]:
-    from relocbench.leaderboard.plots import curve_picture, matching_picture
+    from relocbench.leaderboard.plots import CurvePicture, MatchingPicture, curve_picture, draw, matching_picture
 
     tables = [(dataset, table) for dataset in board.datasets for table in dataset.pair_sets if drawn(table)]
-    paths = []
-    with reporter.stage("curves", len(tables)) as advance:
-        for dataset, table in tables:
-            paths.append(out / curve_file(dataset, table))
-            write_bytes(paths[-1], curve_picture(board, dataset, table))
-            if matching_lines(dataset, table.pair_set):
-                paths.append(out / matching_file(dataset, table.pair_set))
-                write_bytes(paths[-1], matching_picture(dataset, table.pair_set))
+    paths: list[Path] = []
+    pictures: list[CurvePicture | MatchingPicture] = []
+    for dataset, table in tables:
+        paths.append(out / curve_file(dataset, table))
+        pictures.append(curve_picture(board, dataset, table))
+        if matching_lines(dataset, table.pair_set):
+            paths.append(out / matching_file(dataset, table.pair_set))
+            pictures.append(matching_picture(dataset, table.pair_set))
+    workers = default_workers() if len(pictures) >= _MANY_PICTURES else 1
+    with reporter.stage("curves", len(pictures)) as advance:
+        for index, drawing in run_units(draw, pictures, workers=workers):
+            write_bytes(paths[index], drawing)
             advance(1)
     return paths
-
-
-def _write_table(path: Path, rows: Iterable[Sequence[Value]]) -> None:
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        for row in rows:
-            table.writerow(["" if v is None else repr(v) if isinstance(v, float) else v for v in row])

@@ -1,0 +1,241 @@
+"""Seconds and peak memory of ``relocbench leaderboard`` on many pair sets and many pairs, and of taking in answers.
+
+Three cases: 200 pair sets x 10 methods, one pair set of 100,000 pairs x 2 methods, and ``relocbench evaluate
+--predictions`` of 100,000 pairs. Results are made up: errors that wander along a drive, a share of failures. Every
+command runs in a process of its own, from its start to its end; its peak memory is what the system reports of that
+process and those that it waited for. The reference of each leaderboard's seconds is a plain ``pandas.read_csv`` of the
+same results' tables (``PAIRSET.csv`` and ``PAIRSET.errors.csv``) in the same run.
+
+    python benchmarks/leaderboard.py [--sets N] [--methods N] [--pairs N] [--no-plots]
+
+Prints one JSON line last.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from relocbench.datasets.pairfile import Pair, PoseLine, write_pose_lines
+from relocbench.datasets.schema import CameraEntry, TraversalFile
+from relocbench.datasets.writer import DatasetWriter
+from relocbench.evaluation.results import (
+    Answer,
+    DatasetRecord,
+    MethodResults,
+    PairErrors,
+    PairSetRecord,
+    RunRecord,
+    ScoreRecord,
+    write_answers,
+    write_errors,
+    write_record,
+)
+from relocbench.evaluation.score import groups_of, predictions_hash, summarize_rows
+from relocbench.geometry import Camera, make_transform, so3_exp
+
+Array = NDArray[np.float64]
+FINGERPRINT = "ab" * 32
+START_NS, STEP_NS = 1_600_000_000_000_000_000, 100_000_000
+PER_SET = 50
+"""pairs of each of the many pair sets"""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One command."""
+
+    seconds: float
+    peak_mib: float
+
+
+def make_results(root: Path, sets: int, methods: int, pairs: int, seed: int = 0) -> Path:
+    """A results folder of one dataset with ``sets`` pair sets of ``pairs`` pairs, answered by ``methods`` methods."""
+    folder = root / f"made@{FINGERPRINT[:12]}"
+    names = [f"summer__drive-{index:03d}__cam0" for index in range(sets)]
+    write_record(
+        folder / "dataset.yaml",
+        DatasetRecord(
+            name="made",
+            fingerprint=FINGERPRINT,
+            licence="CC0-1.0",
+            splits={"test": tuple(names)},
+            pair_sets={name: _record(name, pairs) for name in names},
+        ),
+    )
+    for number in range(methods):
+        label = "identity" if number == 0 else f"method-{number}"
+        _write_method(MethodResults(folder / label), names, pairs, np.random.default_rng([seed, number]), 0.1 + number)
+    return root
+
+
+def _write_method(folder: MethodResults, names: list[str], pairs: int, rng: np.random.Generator, scale: float) -> None:
+    versions = {"relocbench": "0", "method": "0"}
+    run = RunRecord(
+        method=folder.label, target=folder.label, seed=0, dataset="made", fingerprint=FINGERPRINT, versions=versions
+    )
+    write_record(folder.run_yaml, run)
+    pose = make_transform(so3_exp([0.0, 0.01, 0.0]), [0.1, 0.2, 0.3])
+    hashes, scores = {}, {}
+    for name in names:
+        rows = _rows(rng, pairs, scale)
+        write_pose_lines(folder.predictions(name), [PoseLine(*row.key, pose) for row in rows if row.status == "ok"])
+        write_answers(folder.answers(name), [Answer(row.key, row.status, row.seconds) for row in rows])
+        write_errors(folder.errors(name), rows)
+        hashes[name] = predictions_hash(folder, name)
+        scores[name] = {group: summarize_rows(rows, group).to_dict() for group in groups_of(rows)}
+    write_record(folder.scores_yaml, ScoreRecord(relocbench="0", predictions=hashes, pair_sets=scores))
+
+
+def _rows(rng: np.random.Generator, pairs: int, scale: float) -> list[PairErrors]:
+    """Errors whose logarithm wanders along the drive; a tenth fails."""
+    wander = np.zeros(pairs)
+    for index, step in enumerate(rng.normal(scale=0.3, size=pairs - 1)):
+        wander[index + 1] = 0.9 * wander[index] + step
+    metres = 0.1 * scale * np.exp(wander) * rng.rayleigh(size=pairs)
+    degrees = np.exp(wander) * rng.rayleigh(size=pairs)
+    metres[rng.random(pairs) < 0.1] = np.inf
+    rows = []
+    for index, (metre, degree) in enumerate(zip(metres.tolist(), degrees.tolist(), strict=True)):
+        answered = metre < np.inf
+        rows.append(
+            PairErrors(
+                key=(START_NS + STEP_NS * index, START_NS + 10**17 + STEP_NS * index),
+                group="",
+                status="ok" if answered else "failed",
+                rotation_error_deg=degree if answered else np.inf,
+                translation_error_m=metre,
+                mlad_translation_error_m=metre,
+                confidence=1.0 / (1.0 + metre) if answered else None,
+                seconds=0.05,
+                distance_m=0.8,
+                angle_deg=1.5,
+                sigma_translation_m=0.02,
+                sigma_rotation_deg=0.05,
+            )
+        )
+    return rows
+
+
+def _record(name: str, pairs: int) -> PairSetRecord:
+    reference, query, camera = name.split("__")
+    return PairSetRecord(
+        reference=reference,
+        query=query,
+        camera=camera,
+        reference_condition="clear, summer",
+        query_condition=query,
+        pairs=pairs,
+        rejected=0,
+        has_truth=True,
+        median_distance_m=0.8,
+        median_angle_deg=1.5,
+        median_sigma_translation_m=0.02,
+        median_sigma_rotation_deg=0.05,
+    )
+
+
+def make_dataset(root: Path, pairs: int) -> Path:
+    """A dataset of one pair set of ``pairs`` pairs and no images, for predictions made elsewhere."""
+    writer = DatasetWriter(root, "many", {"kind": "many-pairs", "count": pairs})
+    entry = CameraEntry.of(Camera("pinhole", 64, 48, 50.0, 50.0, 31.5, 23.5))
+    pose = make_transform(so3_exp([0.0, 0.02, 0.0]), [0.5, 0.0, 0.4])
+    for name in ("summer", "winter"):  # no image is needed to score
+        writer.traversal(TraversalFile(name=name, cameras={"cam0": entry}, source="made"), {})
+    made = [Pair(START_NS + STEP_NS * i, START_NS + 10**17 + STEP_NS * i, pose) for i in range(pairs)]
+    writer.pairs("summer", "winter", "cam0", made)
+    writer.finish({})
+    return root
+
+
+def make_predictions(folder: Path, dataset: Path) -> Path:
+    """The pairs of the dataset, answered by its ground truth."""
+    for pair_file in (dataset / "pairs").glob("*.txt"):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / pair_file.name).write_bytes(pair_file.read_bytes())
+    return folder
+
+
+def run(*words: str) -> Measured:
+    """Run ``relocbench`` in a process of its own."""
+    start = time.perf_counter()
+    process = subprocess.Popen([sys.executable, "-m", "relocbench", *words], stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise RuntimeError(f"relocbench {' '.join(words)} ended with {process.returncode}")
+    return Measured(time.perf_counter() - start, usage.ru_maxrss / 1024)
+
+
+def pandas_seconds(results: Path) -> float:
+    """A plain read of every table of a results folder."""
+    start = time.perf_counter()
+    for path in sorted(results.rglob("*.csv")):
+        pd.read_csv(path)
+    return time.perf_counter() - start
+
+
+def board(scratch: Path, name: str, sets: int, methods: int, pairs: int, plots: bool) -> dict[str, Any]:
+    """One leaderboard beside the plain read."""
+    results = make_results(scratch / name, sets, methods, pairs)
+    plain = pandas_seconds(results)
+    words = ["leaderboard", str(results), "--out", str(scratch / f"{name}-board"), "--quiet"]
+    taken = run(*words, *([] if plots else ["--no-plots"]))
+    print(
+        f"{name}, {sets} sets x {methods} methods x {pairs} pairs: {taken.seconds:.1f} s, {taken.peak_mib:.0f} MiB; "
+        f"a plain pandas read of the tables {plain:.2f} s",
+        flush=True,
+    )
+    return {
+        "sets": sets,
+        "methods": methods,
+        "pairs": pairs,
+        "plots": plots,
+        "seconds": round(taken.seconds, 2),
+        "peak_mib": round(taken.peak_mib),
+        "pandas_seconds": round(plain, 2),
+        "times_pandas": round(taken.seconds / plain, 2),
+    }
+
+
+def predictions(scratch: Path, pairs: int) -> dict[str, Any]:
+    """``evaluate --predictions``."""
+    dataset = make_dataset(scratch / "many", pairs)
+    answers = make_predictions(scratch / "answers", dataset)
+    words = ["evaluate", "--dataset", str(dataset), "--predictions", str(answers), "--out", str(scratch / "taken")]
+    taken = run(*words, "--method", "mine", "--quiet")
+    print(f"evaluate --predictions of {pairs} pairs: {taken.seconds:.1f} s, {taken.peak_mib:.0f} MiB", flush=True)
+    return {"pairs": pairs, "seconds": round(taken.seconds, 2), "peak_mib": round(taken.peak_mib)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sets", type=int, default=200)
+    parser.add_argument("--methods", type=int, default=10)
+    parser.add_argument("--pairs", type=int, default=100_000)
+    parser.add_argument("--plots", action=argparse.BooleanOptionalAction, default=True)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        scratch = Path(temporary)
+        results = {
+            "many_sets": board(scratch, "many_sets", options.sets, options.methods, PER_SET, options.plots),
+            "many_pairs": board(scratch, "many_pairs", 1, 2, options.pairs, options.plots),
+            "predictions": predictions(scratch, options.pairs),
+        }
+    print(json.dumps({"benchmark": "leaderboard", **results}))
+
+
+if __name__ == "__main__":
+    main()

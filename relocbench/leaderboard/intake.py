@@ -1,0 +1,69 @@
+"""What a results folder may come from a stranger with, and what is refused before anything of it is read.
+
+Everything that a leaderboard reads must lie in the folder: a link that leads out of it would publish other files of
+the reader's. What is neither a file nor a folder, as a pipe, would be waited for without end.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from relocbench.errors import PredictionError
+
+_LONGEST_NAME = 200
+"""bytes; file names of most systems hold 255, and pictures are named after a dataset and a pair set"""
+
+
+def check_folder(results: Path) -> None:
+    """Look at every entry below a results folder; the folder itself may be a link.
+
+    Raises:
+        PredictionError: a link leads out of the folder or in a circle, or an entry is neither a file nor a folder.
+    """
+    root = Path(os.path.realpath(results))
+    for path, mode in _entries(root):
+        if stat.S_ISLNK(mode):
+            target = Path(os.path.realpath(path))
+            if not target.is_relative_to(root):
+                raise PredictionError(
+                    "is a link that leads out of the results folder; expected the file itself in its place", path
+                )
+            mode = target.lstat().st_mode if target.exists() else mode
+            if stat.S_ISLNK(mode):
+                raise PredictionError("is a link that leads nowhere; expected a file or folder", path)
+            if stat.S_ISDIR(mode) and path.is_relative_to(target):
+                raise PredictionError("is a link to a folder that holds it; expected a file or folder", path)
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise PredictionError("is neither a file nor a folder; expected results of `relocbench evaluate`", path)
+
+
+def check_file_names(names: Iterable[str], what: str, path: Path) -> None:
+    """Names out of a record that become parts of file names. Raises PredictionError naming the record."""
+    for name in names:
+        plain = name.isprintable() and not name.startswith(".") and "/" not in name and "\\" not in name
+        if not name or not plain or len(name.encode(errors="replace")) > _LONGEST_NAME:
+            told = ascii(name[:60]).strip("'")
+            raise PredictionError(
+                f"{what} '{told}' cannot be part of a file's name; expected at most {_LONGEST_NAME} printable "
+                "characters without / that do not begin with a dot",
+                path,
+            )
+
+
+def _entries(folder: Path) -> Iterator[tuple[Path, int]]:
+    """Every entry below a folder with its mode, links not followed."""
+    folders = [folder]
+    while folders:
+        try:
+            with os.scandir(folders.pop()) as entries:
+                found = sorted(entries, key=lambda entry: entry.name)
+        except (NotADirectoryError, FileNotFoundError):
+            continue
+        for entry in found:
+            path = Path(entry.path)
+            yield path, entry.stat(follow_symlinks=False).st_mode
+            if entry.is_dir(follow_symlinks=False):
+                folders.append(path)

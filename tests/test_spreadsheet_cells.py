@@ -1,0 +1,102 @@
+"""What others wrote is shown in tables and pages, and nothing of it acts."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+import pytest
+from test_leaderboard import WINTER, MadeResults, made
+
+from relocbench.files import dump_yaml, load_yaml_values, write_text
+from relocbench.leaderboard import load_results, write_leaderboard
+from relocbench.leaderboard.plots import Curve, CurvePicture, draw
+from relocbench.leaderboard.text import cell, code, escaped, fenced, json_text
+
+FORMULAS = ["=1+1", "+1+1", "-1+1", "@SUM(A1)", "\t=1", "\r=1", "\n=1", " =1", "'=1", '"=1', "＝1", "-", "=HYPERLINK()"]
+EVIL = ["<script>alert(1)</script>", "[x](javascript:alert(1))", "a|b", "`a` ``b``", "a\nb", "\\|", "\x1b[31m", "*x*"]
+
+
+@pytest.mark.parametrize("text", FORMULAS)
+def test_a_cell_that_a_spreadsheet_would_compute_is_text(text: str) -> None:
+    assert cell(text) == f"'{text}"
+
+
+@pytest.mark.parametrize("text", ["-0.5", "+3", "1e-5", "-.5e3", "plain", "a=b", "x@y", "", "2-1"])
+def test_numbers_and_plain_text_stay_as_they_are(text: str) -> None:
+    assert cell(text) == text
+    assert [cell(-0.5), cell(-3), cell(None)] == ["-0.5", -3, ""]
+
+
+def test_no_table_of_a_board_holds_a_formula_of_somebody_else(tmp_path: Path) -> None:
+    results = MadeResults(tmp_path / "results", {WINTER: 12}, groups=("=1+1", "@x"))
+    results.write_dataset()
+    path = results.folder / "dataset.yaml"
+    values, _ = load_yaml_values(path, "a record")
+    values["pair_sets"][WINTER]["query_condition"] = '=HYPERLINK("http://x")'
+    write_text(path, dump_yaml(values))
+    for seed in (0, 1):
+        results.add(f"+cmd{seed}", {WINTER: made(seed, 12, 0.2)}, target="@evil", seed=seed, parameters={"seed": seed})
+    write_leaderboard(tmp_path / "results", tmp_path / "board", plots=False)
+    for name in ("leaderboard.csv", "errors.csv", "seeds.csv"):
+        with (tmp_path / "board" / name).open(newline="", encoding="utf-8") as stream:
+            cells = {text for line in csv.reader(stream) for text in line}
+        assert not [text for text in cells if text[:1] in "=+@\t" and text], name
+        assert "'=1+1" in cells
+    # The results themselves hold what was said, to the letter.
+    assert load_results(tmp_path / "results")[0].methods[0].errors[WINTER].group_names == ("=1+1", "@x")
+
+
+@pytest.mark.parametrize("text", EVIL)
+def test_markdown_of_a_foreign_name_keeps_its_row_and_acts_not(text: str) -> None:
+    for shown in (escaped(text), code(text)):
+        assert "\n" not in shown
+        assert "\x1b" not in shown
+        # Bars that are not escaped would end the cell.
+        assert not re.search(r"(?<!\\)(\\\\)*\|", shown)
+    bare = re.sub(r"\\[\\`*_|<>\[\]]", "", escaped(text))
+    assert not set("<>[]`*|") & set(bare)
+
+
+@pytest.mark.parametrize("text", ["plain", "a`b", "``", "`a", "a``b```c", "\\|`"])
+def test_code_spans_are_balanced(text: str) -> None:
+    shown = code(text)
+    if shown.startswith("<code>"):
+        assert re.fullmatch(r"<code>([\w ]|&#\d+;)*</code>", shown)
+        return
+    ticks = re.match("`+", shown)
+    assert ticks is not None
+    inside = shown[len(ticks[0]) : -len(ticks[0])]
+    assert shown.endswith(ticks[0])
+    assert len(ticks[0]) not in {len(run) for run in re.findall("`+", inside)}
+    assert inside.strip() == text
+
+
+def test_a_fence_is_longer_than_what_it_holds() -> None:
+    shown = fenced(["a", "'\n````\n<script>'"]).splitlines()
+    assert (shown[0], shown[-1]) == ("`````sh", "`````")
+
+
+@pytest.mark.parametrize("text", ["# x", "- x", "+ x", "1. x", "---", "===", "~~~sh"])
+def test_a_name_at_the_beginning_of_a_line_opens_no_block(text: str) -> None:
+    assert escaped(text).replace("\\", "", 1) == text
+    assert escaped(text) != text
+
+
+def test_what_json_does_not_know_stands_as_text() -> None:
+    import datetime
+
+    circle: list[object] = []
+    circle.append(circle)
+    shown = json_text({1: datetime.date(2024, 1, 2), "huge": 16**5000, None: float("nan"), "deep": circle})
+    assert '"1": "2024-01-02"' in shown
+    assert "..." in shown
+
+
+def test_a_picture_shows_names_that_would_be_formulas_or_hidden() -> None:
+    import numpy as np
+
+    line = np.array([0.0, 1.0])
+    curve = Curve("_$\\frac{$", line, line, line, line, "#000000", "-", 1.0)
+    assert draw(CurvePicture("$x_{$" * 20, 2, "t_auc@0.5m", (curve,), None, None)).startswith(b"\x89PNG")
