@@ -17,5 +17,8 @@ def write_whole(path: Path, data: bytes | str) -> None:
             stream.flush()
             os.fsync(stream.fileno())
         part.replace(path)
+    except OSError as bad:
+        bad.filename = bad.filename or str(path)  # a full disk does not say which file did not fit
+        raise
     finally:
         part.unlink(missing_ok=True)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
@@ -15,6 +15,9 @@ from baselines.files import write_whole
 from relocbench.errors import MethodError
 
 _VERSION = 1
+_MOST_HEADER_BYTES = 2**24
+"""of names, shapes and metadata; LPN's has 30 KB"""
+_MOST_QUOTED = 160
 
 
 def write_network(path: Path, kind: str, network: nn.Module, about: Mapping[str, Any]) -> None:
@@ -36,29 +39,59 @@ def read_network(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Tenso
     Raises:
         MethodError: the file is missing, damaged or of something else.
     """
-    if not path.is_file():
-        raise MethodError("no such file of weights", path)
-    try:
-        with safe_open(path, framework="pt", device="cpu") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
-    except (SafetensorError, OSError) as bad:
-        raise MethodError(f"not a readable safetensors file, damaged or cut short ({bad})", path) from bad
+    metadata, tensors = read_tensors(path)
     try:
         about = json.loads(metadata[kind])
-    except (KeyError, ValueError) as bad:
+    except (KeyError, ValueError, RecursionError) as bad:
         raise MethodError(f"a safetensors file, but not weights of {kind} (no '{kind}' in its metadata)", path) from bad
     if not isinstance(about, dict) or about.pop("version", None) != _VERSION:
         raise MethodError(f"weights of another version, expected version {_VERSION}", path)
     return about, tensors
 
 
+def read_tensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """Metadata and tensors of a safetensors file. The tensors lie in the file until their numbers are asked for.
+
+    Raises:
+        MethodError: the file is missing, damaged, or declares more than it holds.
+    """
+    if not path.is_file():
+        raise MethodError("no such file of weights", path)
+    fault = "not a readable safetensors file, damaged or cut short"
+    try:
+        with path.open("rb") as stream:
+            header_bytes = int.from_bytes(stream.read(8), "little")
+        if header_bytes > _MOST_HEADER_BYTES:
+            raise MethodError(f"{fault} (its header would be {header_bytes} bytes, at most {_MOST_HEADER_BYTES})", path)
+        with safe_open(path, framework="pt", device="cpu") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (not a mapping)
+            return dict(file.metadata() or {}), tensors
+    except MethodError:
+        raise
+    # Besides SafetensorError: a type of numbers that torch lacks raises as it likes.
+    except Exception as bad:
+        told = " ".join(str(bad).split())[:_MOST_QUOTED]
+        raise MethodError(f"{fault} ({told})", path) from bad
+
+
+def check_enough(tensors: Mapping[str, Tensor], least: int, path: Path) -> None:
+    """See that a file has as many numbers as the network that it describes, before that network is made.
+
+    Raises:
+        MethodError: it has fewer than ``least``.
+    """
+    there = sum(tensor.numel() for tensor in tensors.values())
+    if there < least:
+        raise MethodError(f"its metadata describe a network of {least} numbers or more; it holds {there}", path)
+
+
 def holds_network(path: Path, kind: str) -> bool:
     """Whether :func:`write_network` wrote a file for that kind of network; not if the file cannot be read at all."""
+    if not path.is_file():  # opening a pipe would wait for whoever writes to it
+        return False
     try:
-        with safe_open(path, framework="pt", device="cpu") as file:
-            return kind in (file.metadata() or {})
-    except (SafetensorError, OSError):
+        return path.is_file() and kind in read_tensors(path)[0]
+    except MethodError:
         return False
 
 

@@ -8,6 +8,9 @@ from typing import Literal
 from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
+_MOST_WIDTHS, _MOST_CHANNELS, _COARSEST = 12, 8192, 6
+"""far beyond any network that is trained; a file of weights that asks for more is not what it says"""
+
 
 @dataclass(frozen=True)
 class NetworkOptions:
@@ -38,8 +41,12 @@ class NetworkOptions:
     def __post_init__(self) -> None:
         if not self.widths or min(self.widths) < 1:
             raise ConfigError(f"widths is {self.widths}, expected at least one, all positive")
-        if self.finest < 0:
-            raise ConfigError(f"finest is {self.finest}, expected 0 or more")
+        if len(self.widths) > _MOST_WIDTHS or max(self.widths) > _MOST_CHANNELS:
+            raise ConfigError(f"widths are at most {_MOST_WIDTHS}, and none is above {_MOST_CHANNELS}")
+        if not 0 <= self.finest <= _COARSEST:
+            raise ConfigError(f"finest is {self.finest}, expected 0 to {_COARSEST}")
+        if self.dim > _MOST_CHANNELS:
+            raise ConfigError(f"dim is {self.dim}, expected {_MOST_CHANNELS} or less")
         if self.dim < 2:
             raise ConfigError(f"dim is {self.dim}, expected 2 or more: one channel cannot place a pixel both ways")
         if not 1 <= self.levels <= len(self.widths):
@@ -48,6 +55,12 @@ class NetworkOptions:
             raise ConfigError(f"norm is '{self.norm}', expected batch or none")
         if self.normalise not in ("none", "unit"):
             raise ConfigError(f"normalise is '{self.normalise}', expected none or unit")
+
+    @property
+    def least_parameters(self) -> int:
+        """Of the encoder's 3x3 convolutions alone."""
+        inputs = (3 << (2 * self.finest), *self.widths)
+        return sum(9 * (inside + outside) * outside for inside, outside in zip(inputs, self.widths, strict=False))
 
     @property
     def stride(self) -> int:

@@ -11,7 +11,7 @@ from torch import Tensor
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
 from baselines.options import options_from_dict, options_to_dict
-from baselines.weights_file import fill_network, read_network, write_network
+from baselines.weights_file import check_enough, fill_network, read_network, write_network
 from relocbench.errors import ConfigError, MethodError
 
 _KIND = "gn-net"
@@ -42,9 +42,11 @@ def load_weights(path: Path) -> FeatureNet:
     """
     about, tensors = _read(path)
     try:
-        net = FeatureNet(options_from_dict(NetworkOptions, about["options"]))
+        options = options_from_dict(NetworkOptions, about["options"])
     except ConfigError as bad:
         raise MethodError(f"the network's options are not understood ({bad})", path) from bad
+    check_enough(tensors, options.least_parameters, path)
+    net = FeatureNet(options)
     fill_network(net, tensors, path)
     return net.eval()
 

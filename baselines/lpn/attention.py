@@ -42,8 +42,8 @@ class AttentionOptions:
     def __post_init__(self) -> None:
         if len(set(self.after)) != len(self.after) or not set(self.after) <= {"layer3", "layer4"}:
             raise ConfigError(f"attention after {self.after}, expected layer3, layer4 or both")
-        if self.kernel < 1 or self.kernel % 2 == 0:
-            raise ConfigError(f"the attention's kernel is {self.kernel}, expected an odd number of pixels")
+        if not 1 <= self.kernel <= 255 or self.kernel % 2 == 0:
+            raise ConfigError(f"the attention's kernel is {self.kernel}, expected an odd number of pixels up to 255")
 
 
 class LocalAttention(nn.Module):

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
-import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor
 
 from baselines.lpn.backbone import Backbone
 from baselines.lpn.weights import are_weights, load_weights
+from baselines.torch_file import load_torch_file
+from baselines.weights_file import read_tensors
 from relocbench.errors import MethodError
 
 _CLASSIFIER = ("fc.weight", "fc.bias")
@@ -55,16 +53,16 @@ def _read(path: Path) -> Mapping[str, Tensor]:
     if are_weights(path):
         return load_weights(path)[0].branch("satellite").backbone.state_dict()
     if path.suffix == ".safetensors":
-        try:
-            return load_file(path)
-        except (SafetensorError, OSError) as bad:
-            raise MethodError(f"not a readable safetensors file, damaged or cut short ({bad})", path) from bad
+        return read_tensors(path)[1]
     try:
-        with warnings.catch_warnings(action="ignore"):  # of a file that is refused anyway
-            content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as bad:  # what unpickling raises on foreign bytes is not listed anywhere
+        content = load_torch_file(path)
+    except ValueError as bad:
         expected = "expected a state dict, saved by torch.save or as .safetensors"
-        raise MethodError(f"not a readable file of weights: {expected}", path) from bad
-    if not isinstance(content, Mapping) or not all(isinstance(value, Tensor) for value in content.values()):
+        raise MethodError(f"not a readable file of weights ({bad}): {expected}", path) from bad
+    if (
+        not isinstance(content, Mapping)
+        or not all(isinstance(value, Tensor) for value in content.values())
+        or not all(isinstance(name, str) for name in content)
+    ):
         raise MethodError("not a state dict: expected names and tensors, and nothing else", path)
     return content

@@ -47,6 +47,8 @@ class HeatmapOptions:
             raise ConfigError(f"heat is '{self.heat}', expected sum or mean")
         if self.hidden < 1 or self.kernel < 1 or self.kernel % 2 == 0:
             raise ConfigError("the heatmap needs at least one hidden channel and a kernel of an odd number of pixels")
+        if self.hidden > 4096 or self.kernel > 255:
+            raise ConfigError("the heatmap has at most 4096 hidden channels and a kernel of at most 255 pixels")
         if self.mean not in ("all", "mask"):
             raise ConfigError(f"mean of the heatmap's parts is '{self.mean}', expected all or mask")
 

@@ -15,6 +15,9 @@ from relocbench.errors import ConfigError
 BackboneName = Literal["resnet18", "resnet50"]
 Partition = Literal["rings", "soft", "heatmap"]
 
+_MOST_PARTS, _MOST_WIDTH = 256, 65536
+"""far beyond any network that is trained; a file of weights that asks for more is not what it says"""
+
 
 @dataclass(frozen=True)
 class NetworkOptions:
@@ -58,5 +61,12 @@ class NetworkOptions:
             raise ConfigError(f"ring_mean is '{self.ring_mean}', expected square or ring")
         if self.street not in ("none", "separate", "shared"):
             raise ConfigError(f"street is '{self.street}', expected none, separate or shared")
+        if self.parts > _MOST_PARTS or self.width > _MOST_WIDTH:
+            raise ConfigError(f"parts are at most {_MOST_PARTS}, width at most {_MOST_WIDTH}")
         if self.width < 1 or not 0 <= self.dropout < 1:
             raise ConfigError("width is at least 1, dropout is 0 or more and below 1")
+
+    @property
+    def least_parameters(self) -> int:
+        """Of the heads' first layers alone; the last map has 512 channels or more."""
+        return self.parts * self.width * 512

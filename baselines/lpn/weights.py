@@ -9,10 +9,12 @@ from pathlib import Path
 from baselines.lpn.network import LpnNetwork
 from baselines.lpn.options import NetworkOptions
 from baselines.options import options_from_dict, options_to_dict
-from baselines.weights_file import fill_network, holds_network, read_network, write_network
+from baselines.weights_file import check_enough, fill_network, holds_network, read_network, write_network
 from relocbench.errors import ConfigError, MethodError
 
 _KIND = "lpn"
+_MOST_SIDE = 4096
+"""pixels; networks of this kind are trained at 256 to 512"""
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,10 @@ class About:
     """of each ranking, so many are sorted anew by aligned parts"""
     card: Mapping[str, str] = field(default_factory=dict)
     """data, seed, steps, scores, versions"""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.size <= _MOST_SIDE or self.rerank_top < 0:
+            raise ConfigError(f"size is 1 to {_MOST_SIDE} pixels, rerank_top 0 or more")
 
 
 def save_weights(path: Path, network: LpnNetwork, about: About) -> None:
@@ -60,9 +66,14 @@ def load_weights(path: Path) -> tuple[LpnNetwork, About]:
     told, tensors = read_network(path, _KIND)
     try:
         options = options_from_dict(NetworkOptions, told.pop("network"))
-        network = LpnNetwork(int(told.pop("classes")), options)
+        classes = told.pop("classes")
+        if type(classes) is not int or classes < 1:
+            raise ConfigError("its number of classes is none")
         about = options_from_dict(About, told)
-    except (ConfigError, KeyError, ValueError) as bad:
-        raise MethodError(f"what it says of its network is not understood ({bad})", path) from bad
+    except (ConfigError, KeyError, ValueError, TypeError) as bad:
+        told_of = " ".join(str(bad).split())[:200]
+        raise MethodError(f"what it says of its network is not understood ({told_of})", path) from bad
+    check_enough(tensors, options.least_parameters + options.parts * options.width * classes, path)
+    network = LpnNetwork(classes, options)
     fill_network(network, tensors, path)
     return network.eval(), about

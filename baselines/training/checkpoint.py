@@ -6,7 +6,6 @@ Nothing random is kept: what a step draws is a function of the step and the seed
 from __future__ import annotations
 
 import io
-import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +15,8 @@ import torch
 from torch import Tensor, nn
 
 from baselines.files import write_whole
+from baselines.torch_file import load_torch_file
+from baselines.training.checkpoint_content import fault_of
 from relocbench.errors import MethodError
 from relocbench.training import ValidationScores
 
@@ -87,12 +88,17 @@ def load_checkpoint(path: Path, identity: Mapping[str, Any]) -> Checkpoint | Non
     """
     if not path.exists():
         return None
+    if not path.is_file():
+        raise MethodError("is no file; expected a checkpoint", path)
     try:
-        values = torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, pickle.UnpicklingError, EOFError, OSError, ValueError) as bad:
-        raise MethodError("not a whole checkpoint; remove it to train from the start", path) from bad
+        values = load_torch_file(path)
+    except ValueError as bad:
+        raise MethodError(f"not a whole checkpoint ({bad}); remove it to train from the start", path) from bad
     if not isinstance(values, dict) or values.pop("version", None) != _VERSION:
         raise MethodError(f"a checkpoint of another version, expected version {_VERSION}", path)
+    fault = fault_of(values)
+    if fault:
+        raise MethodError(f"not a checkpoint of this program: {fault}; remove it to train from the start", path)
     best = values.pop("best")
     found = Checkpoint(**values, best=None if best is None else Best(**best))
     changed = list(_differences(found.identity, identity))

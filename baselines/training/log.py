@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from baselines.files import write_whole
+from relocbench.errors import MethodError, quoted
 
+_STEP = "step"
+_MOST_DIGITS = 18
 TIMED = "seconds"
 """the one column that differs from one run to the next"""
 
@@ -21,14 +24,16 @@ class Table:
     Args:
         path: of the file.
         upto: rows of later steps, left by a training that was killed, are dropped.
+
+    Raises:
+        MethodError: with file and line: what lies there is no such table.
     """
 
     def __init__(self, path: Path, upto: int) -> None:
         self.path = path
         self.rows: list[Row] = []
         if path.exists() and upto:
-            with path.open(newline="", encoding="utf-8") as stream:
-                self.rows = [row for row in csv.DictReader(stream) if int(row["step"]) <= upto]
+            self.rows = [row for row in _rows_of(path) if int(row[_STEP]) <= upto]
 
     def add(self, *rows: Mapping[str, float | int | str]) -> None:
         """Append rows; a column that is new stays empty in the rows before."""
@@ -39,6 +44,32 @@ class Table:
         table.writeheader()
         table.writerows(self.rows)
         write_whole(self.path, text.getvalue())
+
+
+def _rows_of(path: Path) -> Iterator[Row]:
+    """The rows of a log, each with a step."""
+    lines = _lines_of(path)
+    columns = lines[0][1] if lines else []
+    if _STEP not in columns or len(set(columns)) != len(columns):
+        raise MethodError(f"expected a header with '{_STEP}', no column twice; remove it to begin a log anew", path, 1)
+    for line, fields in lines[1:]:
+        if len(fields) != len(columns):
+            raise MethodError(f"expected {len(columns)} columns, found {len(fields)}", path, line)
+        row = dict(zip(columns, fields, strict=True))
+        if not (row[_STEP].isascii() and row[_STEP].isdigit() and len(row[_STEP]) <= _MOST_DIGITS):
+            raise MethodError(f"step is {quoted(row[_STEP])}, expected a whole number", path, line)
+        yield row
+
+
+def _lines_of(path: Path) -> list[tuple[int, list[str]]]:
+    """1-based line and fields of each row."""
+    if not path.is_file():  # a pipe would never end
+        raise MethodError("is no file; expected the log of a training", path)
+    try:
+        rows = csv.reader(io.StringIO(path.read_bytes().decode("utf-8"), newline=""), strict=True)
+        return [(rows.line_num, row) for row in rows]
+    except (UnicodeDecodeError, csv.Error) as bad:
+        raise MethodError(f"no CSV table ({bad}); expected the log of a training", path) from None
 
 
 class Window:

@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from relocbench.datasets.correspondences import SIGMA, check_columns
+from relocbench.datasets.correspondences import SIGMA, key_of, open_correspondences, read_group
 from relocbench.datasets.pairfile import PairKey
 from relocbench.errors import DatasetError
 
@@ -25,14 +23,9 @@ class CorrespondenceIndex:
         if not path.exists():
             raise DatasetError("missing; expected correspondences (build-dataset --correspondences N)", path)
         self.path = path
-        try:
-            file = pq.ParquetFile(path)
-        except (pa.ArrowInvalid, OSError) as bad:
-            raise DatasetError(f"not a whole Parquet file ({bad}); expected correspondences", path) from None
-        check_columns(file.schema_arrow.names, path)
-        self._has_sigma = SIGMA.name in file.schema_arrow.names
-        self._groups = {self._key_of(file.metadata.row_group(g)): g for g in range(file.metadata.num_row_groups)}
-        file.close()
+        with open_correspondences(path) as file:
+            self._has_sigma = SIGMA.name in file.schema_arrow.names
+            self._groups = {key_of(file.metadata.row_group(g), path): g for g in range(file.metadata.num_row_groups)}
 
     def __contains__(self, key: PairKey) -> bool:
         return key in self._groups
@@ -44,17 +37,11 @@ class CorrespondenceIndex:
             DatasetError: the file was changed since.
         """
         columns = ["u_ref", "v_ref", "u_query", "v_query", "visible", *([SIGMA.name] if self._has_sigma else [])]
-        try:
-            with pq.ParquetFile(self.path) as file:
-                table = file.read_row_group(self._groups[key], columns=columns, use_threads=False)
-        except (pa.ArrowInvalid, OSError) as bad:
-            raise DatasetError(f"not a whole Parquet file ({bad}); expected correspondences", self.path) from None
+        with open_correspondences(self.path) as file:
+            if self._groups[key] >= file.num_row_groups:
+                raise DatasetError("has fewer row groups than when it was opened", self.path)
+            table = read_group(file, self._groups[key], self.path, columns)
         seen = table["visible"].to_numpy()
         value = {name: table[name].to_numpy()[seen] for name in columns if name != "visible"}
         u_ref, u_query = (np.column_stack([value[f"u_{side}"], value[f"v_{side}"]]) for side in ("ref", "query"))
         return u_ref, u_query, value.get(SIGMA.name)
-
-    @staticmethod
-    def _key_of(group: pq.RowGroupMetaData) -> PairKey:
-        """A row group holds one pair: its least time is its only one."""
-        return group.column(0).statistics.min, group.column(1).statistics.min

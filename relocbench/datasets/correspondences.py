@@ -6,6 +6,7 @@ How visibility is decided, and within which tolerances, stands in :mod:`relocben
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -50,6 +51,8 @@ SIGMA = pa.field("sigma_px", pa.float32())
 """a last column, in files of pairs whose truth is known with a sigma"""
 _CELLS = 24
 """samples are spread over cells, this many along the longer side of the image"""
+MOST_ROWS = 2**20
+"""of a pair: a keyframe of a million pixels, each with its own; files written here have at most 60,000"""
 _WORTH_WORKERS = 40
 """pairs: fewer are done before worker processes have started"""
 _OVERLAP_PIXELS = 60_000
@@ -238,10 +241,76 @@ def write_correspondences(
                 table.write_table(_table(key, found, schema), row_group_size=len(found))
 
 
-def check_columns(names: Sequence[str], path: Path) -> None:
-    """Raises DatasetError if these are not the columns of a correspondence file."""
-    if names not in (SCHEMA.names, [*SCHEMA.names, SIGMA.name]):
+@contextmanager
+def open_correspondences(path: Path) -> Iterator[pq.ParquetFile]:
+    """A correspondence file whose footer was read and checked.
+
+    Raises:
+        DatasetError: missing, not a Parquet file, other columns or types; and where reading from it fails later.
+    """
+    if not path.is_file():
+        raise DatasetError("missing; expected correspondences (Parquet)", path)
+    try:
+        with pq.ParquetFile(path) as file:
+            _check_schema(file.schema_arrow, path)
+            yield file
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as bad:
+        told = " ".join(str(bad).split())[:160]
+        raise DatasetError(f"not a whole Parquet file ({told}); expected correspondences", path) from None
+
+
+def _check_schema(schema: pa.Schema, path: Path) -> None:
+    if schema.names not in (SCHEMA.names, [*SCHEMA.names, SIGMA.name]):
         raise DatasetError(f"expected the columns {','.join(SCHEMA.names)} and perhaps {SIGMA.name}", path)
+    for wanted in [*SCHEMA, SIGMA][: len(schema)]:
+        found = schema.field(wanted.name).type
+        if wanted.name == "check":
+            values = found.value_type if pa.types.is_dictionary(found) else found
+            known = pa.types.is_string(values) or pa.types.is_large_string(values)
+        elif pa.types.is_floating(wanted.type):
+            known = found in (pa.float32(), pa.float64())
+        else:
+            known = found == wanted.type
+        if not known:
+            told = str(found).split("<")[0][:40]
+            raise DatasetError(f"column '{wanted.name}' is {told}, expected {wanted.type}", path)
+
+
+def read_group(file: pq.ParquetFile, group: int, path: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """The rows of one pair.
+
+    Raises:
+        DatasetError: they are more than a pair can have (a few bytes can stand for any number of equal rows), or lack
+            values.
+    """
+    check_rows(file, group, path)
+    table = file.read_row_group(group, columns=columns, use_threads=False)
+    for name in table.column_names:
+        if table[name].null_count:
+            raise DatasetError(f"column '{name}' has {table[name].null_count} rows without a value", path)
+    return table
+
+
+def check_rows(file: pq.ParquetFile, group: int, path: Path) -> None:
+    """Raises DatasetError where a row group has more rows than a pair can have."""
+    rows = file.metadata.row_group(group).num_rows
+    if not 0 <= rows <= MOST_ROWS:
+        raise DatasetError(f"row group {group} has {rows} rows; a pair has at most {MOST_ROWS}", path)
+
+
+def key_of(group: pq.RowGroupMetaData, path: Path) -> PairKey:
+    """A row group holds one pair: its least time is its only one.
+
+    Raises:
+        DatasetError: the file does not tell it.
+    """
+    times = []
+    for column in (0, 1):
+        known = group.column(column).statistics
+        if known is None or not known.has_min_max or not isinstance(known.min, int):
+            raise DatasetError("does not tell the pair of each row group (Parquet statistics of the timestamps)", path)
+        times.append(known.min)
+    return times[0], times[1]
 
 
 def read_correspondences(path: Path, key: PairKey | None = None) -> Correspondences:
@@ -250,16 +319,27 @@ def read_correspondences(path: Path, key: PairKey | None = None) -> Corresponden
     Raises:
         DatasetError: missing, not a Parquet file, or other columns.
     """
-    if not path.exists():
-        raise DatasetError("missing; expected correspondences (Parquet)", path)
-    try:
-        file = pq.ParquetFile(path)
-        names = file.schema_arrow.names
-        check_columns(names, path)
+    with open_correspondences(path) as file:
         groups = range(file.num_row_groups)
-        table = file.read_row_groups([g for g in groups if key is None or _key_of(file, g) == key])
-    except (pa.ArrowInvalid, OSError) as bad:
-        raise DatasetError(f"not a whole Parquet file ({bad}); expected correspondences", path) from None
+        wanted = [g for g in groups if key is None or key_of(file.metadata.row_group(g), path) == key]
+        tables = [read_group(file, group, path) for group in wanted]
+        empty = file.schema_arrow.empty_table()
+        return _as_arrays(pa.concat_tables([empty, *tables], promote_options="permissive"))
+
+
+def iterate_correspondences(path: Path) -> Iterator[Correspondences]:
+    """The rows of a correspondence file pair by pair, so that memory holds one.
+
+    Raises:
+        DatasetError: as :func:`read_correspondences`.
+    """
+    with open_correspondences(path) as file:
+        for group in range(file.num_row_groups):
+            yield _as_arrays(read_group(file, group, path))
+
+
+def _as_arrays(table: pa.Table) -> Correspondences:
+    names = table.column_names
     column: dict[str, Any] = {name: table[name].to_numpy() for name in names if name != "check"}
     return Correspondences(
         column["ref_timestamp_ns"],
@@ -288,12 +368,6 @@ def _table(key: PairKey, found: PairCorrespondences, schema: pa.Schema) -> pa.Ta
     return pa.Table.from_arrays([pa.array(c) if isinstance(c, np.ndarray) else c for c in columns], schema=schema)
 
 
-def _key_of(file: pq.ParquetFile, group: int) -> PairKey:
-    """A row group holds one pair: its least time is its only one."""
-    columns = file.metadata.row_group(group)
-    return columns.column(0).statistics.min, columns.column(1).statistics.min
-
-
 def _is_finished(writer: DatasetWriter, name: str, pairs: Sequence[Pair], count: int) -> bool:
     """Whether a former run wrote this set; the pair file comes after the correspondences."""
     layout = writer.layout
@@ -301,9 +375,10 @@ def _is_finished(writer: DatasetWriter, name: str, pairs: Sequence[Pair], count:
         return False
     try:
         if count:
-            pq.ParquetFile(layout.correspondence_file(name)).close()
+            with open_correspondences(layout.correspondence_file(name)):
+                pass
         known = pairfile.read_pairs(layout.pair_file(name), layout.pair_table(name))
-    except (pa.ArrowInvalid, OSError, DatasetError):
+    except DatasetError:
         return False
     return [p.key for p in known] == [p.key for p in pairs]
 

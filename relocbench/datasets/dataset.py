@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -11,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets import fingerprint, images, pairfile
+from relocbench.datasets import fingerprint, images, pairfile, question
 from relocbench.datasets.layout import DatasetLayout, TraversalLayout, pair_set_name
 from relocbench.datasets.pairfile import Pair, PairKey
 from relocbench.datasets.schema import Condition, DatasetFile, TraversalFile
 from relocbench.errors import DatasetError
-from relocbench.files import load_yaml, parse_timestamp, read_text
+from relocbench.files import load_yaml, parse_timestamp, read_table
 from relocbench.geometry import Camera, invert
 from relocbench.tracking import KeyframePoints, Neighbour, Query, Reference
 
@@ -77,18 +76,14 @@ class Traversal:
     def image(self, camera: str, timestamp_ns: int) -> NDArray[np.uint8]:
         """(H, W) grey or (H, W, 3) RGB. Raises DatasetError: missing, truncated, or not of the camera's size."""
         path = self.layout.find_image(camera, timestamp_ns) or self.layout.image(camera, timestamp_ns)
-        image = images.read_image(path)
-        self._check_size(image, camera, path)
-        return image
+        return images.read_image(path, lambda size: self._check_size(size, camera, path))
 
     def depth(self, camera: str, timestamp_ns: int) -> NDArray[np.float32] | None:
         """(H, W) metres, 0 where unknown; None where the keyframe has no dense depth."""
         path = self.layout.depth(camera, timestamp_ns)
         if not path.exists() and not path.is_symlink():
             return None
-        depth = images.read_depth(path)
-        self._check_size(depth, camera, path)
-        return depth
+        return images.read_depth(path, lambda size: self._check_size(size, camera, path))
 
     def points(self, camera: str, timestamp_ns: int) -> KeyframePoints | None:
         """Sparse points, or None where the keyframe has none."""
@@ -134,8 +129,7 @@ class Traversal:
             T_neighbour_ref = invert(self.T_world_cam(camera, t)) @ T_world_ref
             yield Neighbour(t, self.image(camera, t), self.camera(camera), T_neighbour_ref)
 
-    def _check_size(self, image: NDArray[Any], camera: str, path: Path) -> None:
-        size = (image.shape[1], image.shape[0])
+    def _check_size(self, size: tuple[int, int], camera: str, path: Path) -> None:
         if size != self.camera(camera).size:
             wanted = "x".join(map(str, self.camera(camera).size))
             raise DatasetError(f"image is {size[0]}x{size[1]}, camera '{camera}' is {wanted}", path)
@@ -204,6 +198,11 @@ class Dataset:
     def fingerprint(self) -> str:
         return self.file.fingerprint
 
+    @cached_property
+    def question(self) -> str:
+        """SHA-256 over what is asked, the same on every processor. Raises DatasetError."""
+        return question.question_of(self)
+
     @property
     def splits(self) -> Mapping[str, tuple[str, ...]]:
         return self.file.splits
@@ -269,13 +268,10 @@ def read_poses(path: Path) -> dict[int, Array]:
         DatasetError: with file and line: wrong header, a value that is not finite, a quaternion that is not of norm 1,
             times that do not increase.
     """
-    rows = csv.reader(read_text(path, "poses", DatasetError).splitlines())
-    if tuple(next(rows, [])) != POSE_COLUMNS:
-        raise DatasetError(f"expected the header {','.join(POSE_COLUMNS)}", path, 1)
     poses: dict[int, Array] = {}
     last: int | None = None
-    for number, row in enumerate(rows, start=2):
-        time = parse_timestamp(row[0] if row else "", path, number, DatasetError)
+    for number, row in read_table(path, POSE_COLUMNS, "poses", DatasetError):
+        time = parse_timestamp(row[0], path, number, DatasetError)
         if last is not None and time <= last:
             raise DatasetError(f"timestamp {time} does not come after {last}", path, number)
         poses[time] = pairfile.parse_pose(row[1:], path, number)

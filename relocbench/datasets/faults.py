@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -21,8 +20,8 @@ from relocbench.files import (
     load_yaml_values,
     parse_floats,
     parse_timestamp,
+    read_csv,
     read_rows,
-    read_text,
     yaml_line,
 )
 from relocbench.geometry import Camera
@@ -196,9 +195,9 @@ def read_pair_table(path: Path, found: Findings) -> dict[PairKey, TableRow]:
 def _pair_table(path: Path, found: Findings) -> Iterator[tuple[int, dict[str, str], str]]:
     """Line number, fields by column and what is wrong with their number of the rows after the header."""
     with found.catching():
-        rows = csv.reader(read_text(path, "the table of a pair set", DatasetError).splitlines())
-        columns = table_columns(next(rows, []), path)
-        for number, row in enumerate(rows, start=2):
+        rows = read_csv(path, "the table of a pair set", DatasetError)
+        columns = table_columns(next(rows, (1, []))[1], path)
+        for number, row in rows:
             fault = "" if len(row) == len(columns) else f"expected {len(columns)} columns, found {len(row)}"
             yield number, dict(zip(columns, row, strict=False)), fault
 
@@ -222,10 +221,10 @@ def check_points(path: Path, camera: Camera | None, found: Findings) -> int:
 def _table(path: Path, columns: tuple[str, ...], what: str, found: Findings) -> Iterator[tuple[int, list[str]]]:
     """Line number and fields of the rows after the header."""
     with found.catching():
-        rows = csv.reader(read_text(path, what, DatasetError).splitlines())
-        if tuple(next(rows, [])) != columns:
+        rows = read_csv(path, what, DatasetError)
+        if next(rows, (1, []))[1] != list(columns):
             raise DatasetError(f"expected the header {','.join(columns)}", path, 1)
-        yield from enumerate(rows, start=2)
+        yield from rows
 
 
 def _single_errors(bad: ValidationError) -> Iterator[ValidationError]:

@@ -11,8 +11,8 @@ from typing import Literal
 
 from relocbench.datasets.layout import DatasetLayout
 from relocbench.datasets.schema import DatasetFile
-from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, read_text, sha256_file
+from relocbench.errors import MOST_QUOTED, DatasetError, cut
+from relocbench.files import atomic_write, parse_count, read_bytes, read_table, sha256_file
 
 _COLUMNS = ("path", "bytes", "sha256")
 _TEXT = (".yaml", ".csv", ".txt")
@@ -39,19 +39,16 @@ def write_manifest(layout: DatasetLayout) -> None:
 def compute(layout: DatasetLayout, format_version: int, splits: dict[str, tuple[str, ...]]) -> str:
     """SHA-256 over the manifest, the splits and the format's version."""
     head = json.dumps({"format_version": format_version, "splits": splits}, sort_keys=True)
-    return hashlib.sha256(head.encode() + b"\n" + layout.manifest.read_bytes()).hexdigest()
+    return hashlib.sha256(head.encode() + b"\n" + read_bytes(layout.manifest, "the manifest", DatasetError)).hexdigest()
 
 
 def read_manifest(layout: DatasetLayout) -> dict[str, tuple[int, str]]:
     """path -> (bytes, sha256). Raises DatasetError with file and line."""
-    rows = csv.reader(read_text(layout.manifest, "the dataset's manifest", DatasetError).splitlines())
-    if tuple(next(rows, [])) != _COLUMNS:
-        raise DatasetError(f"expected the header {','.join(_COLUMNS)}", layout.manifest, 1)
-    out = {}
-    for number, row in enumerate(rows, start=2):
-        if len(row) != 3 or not row[1].isdigit() or len(row[2]) != 64:
-            raise DatasetError("expected path, size in bytes, SHA-256", layout.manifest, number)
-        out[row[0]] = (int(row[1]), row[2])
+    path, out = layout.manifest, {}
+    for number, (name, size, digest) in read_table(path, _COLUMNS, "the dataset's manifest", DatasetError):
+        if len(digest) != 64:
+            raise DatasetError("expected path, size in bytes, SHA-256", path, number)
+        out[name] = parse_count(size, "bytes", path, number, DatasetError), digest
     return out
 
 
@@ -77,7 +74,8 @@ def faults(layout: DatasetLayout, content: Literal["text", "all"] = "all") -> It
     for name, (size, digest) in listed.items():
         path = present.get(name)
         if path is None:
-            yield DatasetError("missing; it stands in manifest.csv", layout.root / name)
+            told = cut(name, MOST_QUOTED)  # a message shows a path whole, and this one is whatever the table says
+            yield DatasetError("missing; it stands in manifest.csv", layout.root / told)
         elif not path.exists():
             yield DatasetError("a link to a file that is gone", path)
         elif path.stat().st_size != size:

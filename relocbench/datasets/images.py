@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,20 +10,39 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.image_header import (
+    JPEG_START,
+    MOST_FILE_BYTES,
+    PNG_END,
+    PNG_START,
+    check_affordable,
+    check_content,
+    read_header,
+)
+from relocbench.datasets.regular_file import read_regular
 from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, parse_floats, read_text, write_bytes
+from relocbench.files import atomic_write, lines_of, parse_floats, read_text, write_bytes
 from relocbench.tracking import KeyframePoints
 
 DEPTH_SCALE = 256.0
 """a stored depth of 256 is one metre"""
 _POINT_HEADER = "u,v,inverse_depth,sigma"
-_PNG_START = b"\x89PNG\r\n\x1a\n"
-_PNG_END = b"IEND\xaeB`\x82"
+
+SizeCheck = Callable[[tuple[int, int]], None]
+"""raises where an image of that size, (width, height), is not the one expected"""
 
 
-def read_image(path: Path) -> NDArray[np.uint8]:
-    """An 8-bit image, (H, W) grey or (H, W, 3) RGB. Raises DatasetError naming the file."""
-    image = _decode(path, cv2.IMREAD_UNCHANGED)
+def read_image(path: Path, check_size: SizeCheck | None = None) -> NDArray[np.uint8]:
+    """An 8-bit image, (H, W) grey or (H, W, 3) RGB, as it is stored: an orientation that it tells is not followed.
+
+    Args:
+        check_size: called before anything is decoded, where the size is known.
+
+    Raises:
+        DatasetError: naming the file: it is missing, neither PNG nor JPEG, damaged, or too large
+            (:mod:`relocbench.datasets.image_header` has the limits); or as ``check_size`` does.
+    """
+    image = _decode(path, check_size)
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
     if image.dtype != np.uint8:
@@ -39,14 +59,14 @@ def write_image(path: Path, image: NDArray[np.uint8]) -> None:
     write_bytes(path, _encode(cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image))
 
 
-def read_depth(path: Path) -> NDArray[np.float32]:
-    """Depth along z in metres, (H, W), 0 where unknown. Raises DatasetError naming the file."""
-    return read_raw_depth(path, 1.0 / DEPTH_SCALE)
+def read_depth(path: Path, check_size: SizeCheck | None = None) -> NDArray[np.float32]:
+    """Depth along z in metres, (H, W), 0 where unknown. Raises DatasetError as :func:`read_image`."""
+    return read_raw_depth(path, 1.0 / DEPTH_SCALE, check_size)
 
 
-def read_raw_depth(path: Path, metres_per_unit: float) -> NDArray[np.float32]:
-    """A 16-bit PNG times ``metres_per_unit``. Raises DatasetError naming the file."""
-    stored = _decode(path, cv2.IMREAD_UNCHANGED)
+def read_raw_depth(path: Path, metres_per_unit: float, check_size: SizeCheck | None = None) -> NDArray[np.float32]:
+    """A 16-bit PNG times ``metres_per_unit``. Raises DatasetError as :func:`read_image`."""
+    stored = _decode(path, check_size)
     if stored.dtype != np.uint16 or stored.ndim != 2:
         raise DatasetError(f"pixels are {stored.dtype} x {stored.ndim - 1}, expected a 16-bit depth PNG", path)
     return stored.astype(np.float32) * np.float32(metres_per_unit)
@@ -61,7 +81,7 @@ def write_depth(path: Path, depth: NDArray[np.floating]) -> None:
 
 def read_points(path: Path) -> KeyframePoints:
     """Sparse keyframe points. Raises DatasetError with file and line."""
-    lines = read_text(path, f"keyframe points ({_POINT_HEADER})", DatasetError).splitlines()
+    lines = lines_of(read_text(path, f"keyframe points ({_POINT_HEADER})", DatasetError))
     if not lines or lines[0] != _POINT_HEADER:
         raise DatasetError(f"expected the header {_POINT_HEADER}", path, 1)
     names = _POINT_HEADER.replace(",", " ")
@@ -85,30 +105,33 @@ def write_points(path: Path, points: KeyframePoints) -> None:
 
 def is_whole(path: Path) -> bool:
     """Whether an image file has its end (cheap: nothing is decoded). Existence is not integrity."""
+    if not path.is_file():
+        return False
     try:
+        if not path.is_file():  # opening a pipe would wait for whoever writes to it
+            return False
         with path.open("rb") as stream:
             start = stream.read(8)
-            if start != _PNG_START:
-                return path.suffix.lower() != ".png" and len(start) == 8
-            stream.seek(-len(_PNG_END), 2)
-            return stream.read() == _PNG_END
+            if start != PNG_START:
+                return path.suffix.lower() != ".png" and len(start) == 8 and start.startswith(JPEG_START)
+            stream.seek(-len(PNG_END), 2)
+            return stream.read() == PNG_END
     except OSError:
         return False
 
 
-def _decode(path: Path, flags: int) -> NDArray[Any]:
+def _decode(path: Path, check_size: SizeCheck | None) -> NDArray[Any]:
+    data = read_regular(path, "an image", MOST_FILE_BYTES)
+    header = read_header(data, path)
+    if check_size is not None:
+        check_size(header.size)
+    check_affordable(header, path)
+    check_content(data, header, path)
     try:
-        data = np.fromfile(path, dtype=np.uint8)
-    except FileNotFoundError:
-        link = " (a link to a file that is gone)" if path.is_symlink() else ""
-        raise DatasetError(f"missing{link}; expected an image", path) from None
-    except OSError as bad:
-        raise DatasetError(f"cannot be read ({bad.strerror}); expected an image", path) from None
-    # Decoders fill the rest of a truncated PNG with grey and say nothing.
-    if data.size == 0 or not is_whole(path):
-        raise DatasetError("truncated or not an image; expected a whole PNG or JPEG", path)
-    image = cv2.imdecode(data, flags)
-    if image is None:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None or image.shape[1::-1] != header.size:
         raise DatasetError("cannot be decoded; expected a PNG or JPEG", path)
     return np.asarray(image)
 

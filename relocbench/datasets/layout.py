@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from relocbench.errors import DatasetError
+from relocbench.files import check_joined_name, check_name, whole_number
+
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
@@ -41,16 +44,16 @@ class DatasetLayout:
         return self.root / "correspondences"
 
     def traversal(self, name: str) -> TraversalLayout:
-        return TraversalLayout(self.traversals / name)
+        return TraversalLayout(self.traversals / _part(name))
 
     def pair_file(self, pair_set: str) -> Path:
-        return self.pairs / f"{pair_set}.txt"
+        return self.pairs / f"{_joined(pair_set)}.txt"
 
     def pair_table(self, pair_set: str) -> Path:
-        return self.pairs / f"{pair_set}.csv"
+        return self.pairs / f"{_joined(pair_set)}.csv"
 
     def correspondence_file(self, pair_set: str) -> Path:
-        return self.correspondences / f"{pair_set}.parquet"
+        return self.correspondences / f"{_joined(pair_set)}.parquet"
 
 
 @dataclass(frozen=True)
@@ -90,9 +93,24 @@ class TraversalLayout:
         if not folder.is_dir():
             return []
         suffixes = IMAGE_SUFFIXES if kind == "images" else (".png", ".csv")
-        return sorted(int(p.stem) for p in folder.iterdir() if p.suffix.lower() in suffixes and p.stem.isdigit())
+        times = (whole_number(p.stem) for p in folder.iterdir() if p.suffix.lower() in suffixes)
+        return sorted(time for time in times if time is not None)
 
 
 def pair_set_name(reference: str, query: str, camera: str) -> str:
     """``REF__QUERY__CAM``."""
     return f"{reference}__{query}__{camera}"
+
+
+def _part(name: str) -> str:
+    try:
+        return check_name(name, "traversal name")
+    except ValueError as bad:
+        raise DatasetError(str(bad)) from None
+
+
+def _joined(name: str) -> str:
+    try:
+        return check_joined_name(name, "name of a pair set")
+    except ValueError as bad:
+        raise DatasetError(str(bad)) from None

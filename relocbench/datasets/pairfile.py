@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import DatasetError, RelocbenchError
-from relocbench.files import atomic_write, parse_floats, parse_timestamp, read_rows, read_text, write_text
+from relocbench.files import atomic_write, parse_floats, parse_timestamp, read_csv, read_rows, write_text
 from relocbench.geometry import rotation_angle, transform_from_tq, transform_to_tq
 
 Array = NDArray[np.float64]
@@ -26,6 +26,8 @@ PairKey = tuple[int, int]
 """(reference timestamp, query timestamp), nanoseconds"""
 
 QUATERNION_TOLERANCE = 1e-3
+TRUTH_DECIMALS = 9
+"""of metres and quaternion components in files of true poses"""
 _POSE_COLUMNS = "tx ty tz qx qy qz qw"
 TABLE_COLUMNS = (
     "ref_timestamp_ns",
@@ -172,14 +174,24 @@ def pose_fields(transform: Array) -> list[str]:
     return number_fields([*translation.tolist(), *quaternion.tolist()])
 
 
+def truth_fields(transform: Array) -> list[str]:
+    """As :func:`pose_fields`, to a nanometre and a billionth: what true poses are written with.
+
+    Products and decompositions of matrices differ between processors by some 1e-16; written so, truth is the same text
+    on all of them, but for the rare number that lies between two roundings.
+    """
+    translation, quaternion = transform_to_tq(transform)
+    return number_fields([round(value, TRUTH_DECIMALS) for value in (*translation.tolist(), *quaternion.tolist())])
+
+
 def number_fields(pose: Sequence[float]) -> list[str]:
-    """Seven numbers as text, in the fewest digits that read back to the same numbers; -0 is written as 0."""
+    """Numbers as text, in the fewest digits that read back to the same numbers; -0 is written as 0."""
     return [repr(value + 0.0) for value in pose]
 
 
 def write_pose_lines(path: Path, lines: Sequence[PoseLine]) -> None:
     """Write a pair or prediction file in the order given."""
-    write_text(path, "".join(" ".join(pose_line_fields(line)) + "\n" for line in lines))
+    write_text(path, _pose_text([line.key for line in lines], [line.T_query_ref for line in lines]))
 
 
 def pose_line_fields(line: PoseLine) -> list[str]:
@@ -212,7 +224,24 @@ def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> Non
                 ]
             )
     accepted = [p for p in pairs if p.accepted]
-    write_pose_lines(pair_file, [PoseLine(p.ref_timestamp_ns, p.query_timestamp_ns, p.T_query_ref) for p in accepted])
+    write_text(pair_file, _pose_text([p.key for p in accepted], [p.T_query_ref for p in accepted], TRUTH_DECIMALS))
+
+
+def pose_numbers(transforms: Sequence[Array | None]) -> Array:
+    """(M, 7) ``tx ty tz qx qy qz qw`` of the M poses that are known, much faster at once than one by one."""
+    known = [T for T in transforms if T is not None]
+    return np.concatenate(transform_to_tq(np.array(known, dtype=np.float64).reshape(-1, 4, 4)), axis=1)
+
+
+def _pose_text(keys: Sequence[PairKey], transforms: Sequence[Array | None], decimals: int | None = None) -> str:
+    """Lines of two or nine columns; the numbers in the fewest digits that read back, or rounded to ``decimals``."""
+    poses = iter(pose_numbers(transforms).tolist())
+    lines = []
+    for (ref, query), T_query_ref in zip(keys, transforms, strict=True):
+        pose: Sequence[float] = () if T_query_ref is None else next(poses)
+        numbers = pose if decimals is None else [round(value, decimals) for value in pose]
+        lines.append(" ".join([str(ref), str(query), *number_fields(numbers)]))
+    return "".join(f"{line}\n" for line in lines)
 
 
 def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
@@ -226,11 +255,11 @@ def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
     lines = {line.key: line for line in read_pose_lines(pair_file)}
     if not pair_table.exists():
         return [Pair(*key, line.T_query_ref) for key, line in lines.items()]
-    rows = csv.reader(read_text(pair_table, "the table of a pair set", DatasetError).splitlines())
-    columns = table_columns(next(rows, []), pair_table)
+    rows = read_csv(pair_table, "the table of a pair set", DatasetError)
+    columns = table_columns(next(rows, (1, []))[1], pair_table)
     pairs: list[Pair] = []
     seen: set[PairKey] = set()
-    for number, row in enumerate(rows, start=2):
+    for number, row in rows:
         if len(row) != len(columns):
             raise DatasetError(f"expected {len(columns)} columns, found {len(row)}", pair_table, number)
         field = dict.fromkeys(AXIS_COLUMNS, "") | dict(zip(columns, row, strict=True))
@@ -279,7 +308,8 @@ def table_columns(header: Sequence[str], pair_table: Path) -> tuple[str, ...]:
 
 
 def _any_non_finite(fields: list[str]) -> bool:
-    return any(f.lower().lstrip("+-") in ("nan", "inf", "infinity") for f in fields)
+    # All three words have an n, which no number has: hardly any line is looked at field by field.
+    return "n" in "".join(fields).lower() and any(f.lower().lstrip("+-") in ("nan", "inf", "infinity") for f in fields)
 
 
 def _number(value: float | None) -> str:

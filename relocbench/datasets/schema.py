@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
 
+from relocbench.files import MAX_FOLDER_BYTES, check_distinct, check_joined_name, check_name
 from relocbench.geometry import Camera, camera_from_dict, transform_from_tq, transform_to_tq
 
 FORMAT_VERSION = 1
+
+Name = Annotated[str, AfterValidator(lambda name: check_name(name, "name"))]
+"""of a traversal, a camera, a method or a split: it becomes part of a path"""
+JoinedName = Annotated[str, AfterValidator(lambda name: check_joined_name(name, "name"))]
+"""of a pair set, a task or a dataset"""
+FolderName = Annotated[str, AfterValidator(lambda name: check_joined_name(name, "name", most_bytes=MAX_FOLDER_BYTES))]
+"""of a dataset, with what its results are called by behind it"""
+Fingerprint = Annotated[str, StringConstraints(pattern=r"^[0-9A-Za-z]{1,128}$")]
 
 
 class Strict(BaseModel):
@@ -21,6 +30,8 @@ class Strict(BaseModel):
 
 class Transform(Strict):
     """A rigid transform as people read it."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
 
     translation_m: tuple[float, float, float]
     quaternion_xyzw: tuple[float, float, float, float]
@@ -114,6 +125,7 @@ class TraversalFile(Strict):
     def _plain_cameras(cls, cameras: dict[str, CameraEntry]) -> dict[str, CameraEntry]:
         for name in cameras:
             check_name(name, "camera name")
+        check_distinct(cameras, "camera names")
         return cameras
 
 
@@ -121,13 +133,13 @@ class DatasetFile(Strict):
     """``dataset.yaml``."""
 
     format_version: int
-    name: str
+    name: JoinedName
     licence: str = "unknown"
     made_by: dict[str, Any] = {}
     """command, configuration, seed, versions"""
-    splits: dict[str, tuple[str, ...]] = {}
+    splits: dict[Name, tuple[JoinedName, ...]] = {}
     """split name -> pair sets"""
-    fingerprint: str
+    fingerprint: Fingerprint
     """SHA-256 over everything that can change a score"""
 
     @field_validator("format_version")
@@ -136,13 +148,3 @@ class DatasetFile(Strict):
         if version != FORMAT_VERSION:
             raise ValueError(f"format_version {version} is not understood, expected {FORMAT_VERSION}")
         return version
-
-
-def check_name(name: str, what: str) -> str:
-    """A name that can be part of a file name and of ``REF__QUERY__CAM``. Raises ValueError."""
-    allowed = name and all(c.isalnum() or c in "._+-" for c in name.replace("_", ""))
-    if not allowed or name.startswith((".", "-", "_")) or name.endswith("_") or "__" in name:
-        raise ValueError(
-            f"{what} '{name}' must be letters, digits and . _ + - only, without '__', not starting with . - or _"
-        )
-    return name

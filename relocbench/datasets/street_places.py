@@ -10,13 +10,15 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, partial
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.dataset import Dataset, PairSet, Traversal
+from relocbench.datasets.layout import TraversalLayout
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import invert
 from relocbench.metrics import Relevance, relevance_from_lists, relevance_within
@@ -189,8 +191,15 @@ def _view(traversal: Traversal, camera: str, time: int) -> ImageView:
     path = traversal.layout.find_image(camera, time) or traversal.layout.image(camera, time)
     key = path.relative_to(traversal.layout.root.parent.parent).as_posix()
 
-    def read() -> Image:
-        image = traversal.image(camera, time)
-        return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    return ImageView(key, VIEW, partial(_read, traversal.layout.root, camera, time))
 
-    return ImageView(key, VIEW, read)
+
+def _read(root: Path, camera: str, time: int) -> Image:
+    image = _traversal(root).image(camera, time)
+    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+
+
+@cache
+def _traversal(root: Path) -> Traversal:
+    """One a process: views are sent to others."""
+    return Traversal(TraversalLayout(root))

@@ -8,11 +8,9 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from relocbench.datasets import fingerprint, images
-from relocbench.datasets.correspondences import check_columns, read_correspondences
+from relocbench.datasets.correspondences import check_rows, iterate_correspondences, open_correspondences
 from relocbench.datasets.faults import (
     Findings,
     check_points,
@@ -25,7 +23,8 @@ from relocbench.datasets.pairfile import PairKey, PoseLine
 from relocbench.datasets.schema import DatasetFile, TraversalFile
 from relocbench.errors import DatasetError, RelocbenchError
 from relocbench.execution import default_workers
-from relocbench.files import load_yaml_values, sha256_file, yaml_line
+from relocbench.files import load_yaml_values, sha256_file, whole_number, yaml_line
+from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
 
@@ -104,7 +103,7 @@ def _check_content(
 def _listed_time(drive: Drive, kind: str, path: Path, found: Findings) -> bool:
     """Whether a file stands where the format expects one of its kind; it is then entered in the drive's times."""
     suffixes = {"images": IMAGE_SUFFIXES, "depth": (".png",), "points": (".csv",)}[kind]
-    if path.suffix not in suffixes or not path.stem.isdigit():
+    if path.suffix not in suffixes or whole_number(path.stem) is None:
         found.fault(f"expected a file TIMESTAMP{' or '.join(suffixes)}, the timestamp in nanoseconds", path)
         return False
     camera, time = path.parent.name, int(path.stem)
@@ -135,16 +134,18 @@ def _check_file(drive: Drive, kind: str, path: Path, digest: str) -> Findings:
         if kind == "points":
             depths = check_points(path, camera, found)
         else:
-            image = images.read_image(path) if kind == "images" else images.read_depth(path)
-            depths = int(np.count_nonzero(image))
-            size = image.shape[1], image.shape[0]
-            if camera is not None and size != camera.size:
-                wanted = "x".join(map(str, camera.size))
-                found.fault(f"image is {size[0]}x{size[1]}, camera '{path.parent.name}' is {wanted}", path)
+            read = images.read_image if kind == "images" else images.read_depth
+            depths = int(np.count_nonzero(read(path, None if camera is None else partial(_check_size, camera, path))))
         if kind != "images" and depths == 0:
             drive.without_depth.add((path.parent.name, int(path.stem)))
         _check_digest(path, digest, found)
     return found
+
+
+def _check_size(camera: Camera, path: Path, size: tuple[int, int]) -> None:
+    if size != camera.size:
+        wanted = "x".join(map(str, camera.size))
+        raise DatasetError(f"image is {size[0]}x{size[1]}, camera '{path.parent.name}' is {wanted}", path)
 
 
 def _check_digest(path: Path, digest: str, found: Findings) -> None:
@@ -177,23 +178,26 @@ def _check_correspondences(
 
 
 def _check_parquet_columns(path: Path) -> None:
-    try:
-        names = pq.ParquetFile(path).schema_arrow.names
-    except (pa.ArrowInvalid, OSError) as bad:
-        raise DatasetError(f"not a whole Parquet file ({bad}); expected correspondences", path) from None
-    check_columns(names, path)
+    with open_correspondences(path) as file:
+        for group in range(file.num_row_groups):
+            check_rows(file, group, path)
 
 
 def _check_rows(path: Path, lines: dict[PairKey, PoseLine], found: Findings) -> None:
-    rows = read_correspondences(path)
-    keys = np.unique(np.column_stack([rows.ref_timestamp_ns, rows.query_timestamp_ns]), axis=0)
-    for ref, query in keys.tolist():
-        if (ref, query) not in lines:
-            found.fault(f"holds pair {ref} {query}, which is not in the pair set", path)
-    finite = np.isfinite(rows.uv_ref).all(axis=1) & np.isfinite(rows.uv_query).all(axis=1)
-    bad = np.nonzero(~(finite & (rows.depth_ref > 0)))[0]
-    if bad.size:
-        found.fault(f"{bad.size} rows hold no finite pixels and positive depth; the first is row {bad[0]}", path)
+    unknown: set[PairKey] = set()
+    wrong, first, before = 0, -1, 0
+    for rows in iterate_correspondences(path):
+        keys = np.unique(np.column_stack([rows.ref_timestamp_ns, rows.query_timestamp_ns]), axis=0)
+        unknown |= {(ref, query) for ref, query in keys.tolist()} - lines.keys()
+        finite = np.isfinite(rows.uv_ref).all(axis=1) & np.isfinite(rows.uv_query).all(axis=1)
+        bad = np.nonzero(~(finite & (rows.depth_ref > 0)))[0]
+        if bad.size and first < 0:
+            first = before + int(bad[0])
+        wrong, before = wrong + bad.size, before + len(rows)
+    for ref, query in sorted(unknown):
+        found.fault(f"holds pair {ref} {query}, which is not in the pair set", path)
+    if wrong:
+        found.fault(f"{wrong} rows hold no finite pixels and positive depth; the first is row {first}", path)
 
 
 def _check_splits(

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from relocbench.datasets import fingerprint, images, pairfile
@@ -18,8 +17,18 @@ from relocbench.datasets.dataset import POSE_COLUMNS, Dataset
 from relocbench.datasets.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.pairfile import Pair
 from relocbench.datasets.schema import FORMAT_VERSION, DatasetFile, TraversalFile
-from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, dump_yaml, link_file, remove_parts, write_text
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.files import (
+    YamlFault,
+    atomic_write,
+    check_joined_name,
+    dump_yaml,
+    link_file,
+    load_yaml_values,
+    parse_yaml,
+    remove_parts,
+    write_text,
+)
 from relocbench.tracking import KeyframePoints
 
 Array = NDArray[np.float64]
@@ -44,7 +53,13 @@ class DatasetWriter:
         self.layout = DatasetLayout(out)
         self.name = name
         self.licence = licence
-        self.configuration = yaml.safe_load(dump_yaml(dict(configuration)))
+        try:
+            check_joined_name(name, "dataset name")
+            self.configuration = parse_yaml(dump_yaml(dict(configuration)))
+        except YamlFault as bad:
+            raise ConfigError(f"the options cannot be kept: {bad}") from None
+        except ValueError as bad:
+            raise ConfigError(f"{bad}; --name gives another") from None
         self._claim_folder()
 
     @property
@@ -60,7 +75,7 @@ class DatasetWriter:
             table = csv.writer(stream, lineterminator="\n")
             table.writerow(POSE_COLUMNS)
             for time in sorted(poses):
-                table.writerow([time, *pairfile.pose_fields(poses[time])])
+                table.writerow([time, *pairfile.truth_fields(poses[time])])
 
     def link_image(self, traversal: str, camera: str, timestamp_ns: int, source: Path, *, copy: bool) -> None:
         """Take an image of the user's recording as it is: by a symbolic link, or copied when asked."""
@@ -137,10 +152,12 @@ class DatasetWriter:
             raise DatasetError("holds something else; --out must be new, empty, or an unfinished build", root)
         # A build that failed before it wrote anything binds nobody to its options.
         if mark.exists() and any(p != mark for p in root.iterdir()):
-            before = yaml.safe_load(mark.read_text(encoding="utf-8"))
+            before, _ = load_yaml_values(mark, "the configuration of a build", DatasetError)
             if before != self.configuration:
                 changed = sorted(
-                    k for k in before.keys() | self.configuration.keys() if before.get(k) != self.configuration.get(k)
+                    str(k)
+                    for k in before.keys() | self.configuration.keys()
+                    if before.get(k) != self.configuration.get(k)
                 )
                 raise DatasetError(
                     f"holds a dataset made with other options ({', '.join(changed)} differ); choose another --out",

@@ -24,10 +24,12 @@ from baselines.gn_net.training.options import TrainOptions
 from baselines.gn_net.weights import save_weights
 from baselines.options import options_to_dict
 from baselines.training.checkpoint import Best, Checkpoint, load_checkpoint, save_checkpoint
+from baselines.training.checkpoint_content import check_state, restore_network, restore_optimiser
 from baselines.training.device import half_precision
 from baselines.training.loading import batches_in_order
 from baselines.training.log import TIMED, Table, Window
 from baselines.training.step import descend
+from relocbench.errors import MethodError
 from relocbench.training import TrainingData, TrainingReport, TrainingRun, Validate
 
 _FIRST_WEIGHTS, _LOSS = range(2)
@@ -190,10 +192,15 @@ class Training:
         found = load_checkpoint(self._checkpoint, self._identity)
         if found is None:
             return
-        self.net.load_state_dict(found.net)
-        self.optimiser.load_state_dict(found.optimiser)
+        path = self._checkpoint
+        if found.step > self.options.steps:
+            raise MethodError(f"a checkpoint after step {found.step} of {self.options.steps}", path)
+        restore_network(self.net, found.net, path)
+        restore_optimiser(self.optimiser, found.optimiser, path)
         if self.mean and found.mean_net:
-            self.mean.net.load_state_dict(found.mean_net)
+            restore_network(self.mean.net, found.mean_net, path)
+        if found.best is not None:
+            check_state(self.net, found.best.weights, path)
         self.step, self.seconds, self.best = found.step, found.seconds, found.best
         self.window = Window(found.window, found.window_steps)
 

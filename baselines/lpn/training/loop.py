@@ -26,10 +26,12 @@ from baselines.lpn.training.schedule import Schedule
 from baselines.lpn.weights import About, save_weights
 from baselines.options import plain
 from baselines.training.checkpoint import Best, Checkpoint, load_checkpoint, save_checkpoint
+from baselines.training.checkpoint_content import check_state, restore_network, restore_optimiser
 from baselines.training.device import half_precision
 from baselines.training.loading import batches_in_order
 from baselines.training.log import TIMED, Table, Window
 from baselines.training.step import descend
+from relocbench.errors import MethodError
 from relocbench.retrieval import PlaceData
 from relocbench.training import TrainingReport, TrainingRun, ValidateRetriever
 
@@ -211,16 +213,21 @@ class Training:
         save_checkpoint(self._checkpoint, checkpoint)
 
     def _resume(self) -> None:
-        found = load_checkpoint(self._checkpoint, self._identity)
+        path = self._checkpoint
+        found = load_checkpoint(path, self._identity)
+        if found and found.step > self.schedule.steps:
+            raise MethodError(f"a checkpoint after step {found.step} of {self.schedule.steps}", path)
         number = self.schedule.at(found.step) if found else 0
         stage = self.schedule.stretches[number].stage
         if found is None:
             self._enter_stage(0, first_network(self.options, stage, self._data.places))
             return
         network = fresh_network(self.options, stage, number, self._data.places)
-        network.load_state_dict(found.net)
+        restore_network(network, found.net, path)
+        if found.best is not None:
+            check_state(network, found.best.weights, path)
         self._enter_stage(number, network)
-        self.optimiser.load_state_dict(found.optimiser)
+        restore_optimiser(self.optimiser, found.optimiser, path)
         self.step, self.seconds, self.best = found.step, found.seconds, found.best
         self.window = Window(found.window, found.window_steps)
 

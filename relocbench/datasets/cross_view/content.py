@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from relocbench.datasets.schema import Strict
 from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, read_text, sha256_file
+from relocbench.files import atomic_write, check_name, parse_count, read_csv, read_table, sha256_file
 
 DATASET_FILE, BUILD_FILE, MANIFEST_FILE, POSES_FILE = "dataset.yaml", "build.yaml", "manifest.csv", "poses.csv"
 FORMAT_VERSION = 1
@@ -64,14 +64,11 @@ def write_manifest(root: Path, rows: Sequence[Row]) -> None:
 def read_manifest(root: Path) -> list[Row]:
     """Raises DatasetError with file and line."""
     path = root / MANIFEST_FILE
-    lines = csv.reader(read_text(path, "the set's manifest", DatasetError).splitlines())
-    if tuple(next(lines, [])) != _COLUMNS:
-        raise DatasetError(f"expected the header {','.join(_COLUMNS)}", path, 1)
     rows = []
-    for number, row in enumerate(lines, start=2):
-        if len(row) != 3 or not row[1].isdigit() or len(row[2]) != 64:
+    for number, (key, size, digest) in read_table(path, _COLUMNS, "the set's manifest", DatasetError):
+        if len(digest) != 64:
             raise DatasetError("expected path, size in bytes, SHA-256", path, number)
-        rows.append((row[0], int(row[1]), row[2]))
+        rows.append((key, parse_count(size, "bytes", path, number, DatasetError), digest))
     return rows
 
 
@@ -94,14 +91,19 @@ def read_conditions(root: Path) -> dict[str, str]:
     path = root / POSES_FILE
     if not path.exists():
         return {}
-    table = csv.reader(read_text(path, "poses of the images", DatasetError).splitlines())
-    header = next(table, [])
+    table = read_csv(path, "poses of the images", DatasetError)
+    header = next(table, (1, []))[1]
     if "image" not in header or "condition" not in header:
         raise DatasetError("expected a header with image and condition", path, 1)
     image, condition = header.index("image"), header.index("condition")
     found = {}
-    for number, row in enumerate(table, start=2):
+    for number, row in table:
         if len(row) != len(header):
             raise DatasetError(f"expected {len(header)} columns, got {len(row)}", path, number)
+        if row[condition]:
+            try:
+                check_name(row[condition], "condition")  # tasks are called by it
+            except ValueError as bad:
+                raise DatasetError(str(bad), path, number) from None
         found[row[image]] = row[condition]
     return found

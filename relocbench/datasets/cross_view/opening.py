@@ -21,7 +21,7 @@ from relocbench.datasets.cross_view.layout import (
     read_layout,
 )
 from relocbench.errors import DatasetError
-from relocbench.files import load_yaml
+from relocbench.files import load_yaml, plain_name
 from relocbench.progress import Reporter, Silent
 
 _EXPECTED = (
@@ -72,10 +72,18 @@ def _refuse(path: Path) -> None:
 def _foreign(path: Path, layout: Layout) -> CrossViewSet:
     return _set(
         path,
-        path.resolve().name,
+        _plain(path),
         layout,
         lambda: content.fingerprint_of(content.rows_of(path, layout.keys)),
     )
+
+
+def _plain(path: Path) -> str:
+    """A name for the set, after its folder."""
+    try:
+        return plain_name(path.resolve().name, "name of a set")
+    except ValueError:
+        raise DatasetError("the folder's name cannot name a set; rename or link it", path) from None
 
 
 def _made_here(path: Path, layout: Layout) -> CrossViewSet:

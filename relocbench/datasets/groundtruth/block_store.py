@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
@@ -20,6 +19,8 @@ from relocbench.datasets.groundtruth.blocks import Block, Nodes
 from relocbench.datasets.groundtruth.nodes import Way, way_along
 from relocbench.datasets.groundtruth.recording import FieldRecording
 from relocbench.datasets.importers import Run
+from relocbench.datasets.npy import parse_npz
+from relocbench.datasets.regular_file import read_regular
 from relocbench.errors import DatasetError
 from relocbench.execution import chunks, run_units
 from relocbench.files import atomic_write, dump_yaml, load_yaml_values, remove_parts, write_text
@@ -27,6 +28,8 @@ from relocbench.progress import Reporter, Silent
 
 _FORMAT = 1
 _NODES_A_UNIT = 32
+_MOST_BYTES = 2**28
+"""of a block: 5 million points; it has some thousand"""
 """the scans of ``reach`` nodes at both ends of a unit are read by the next one as well"""
 _TYPES = {"points": (np.float32, 3), "normals": (np.float32, 3), "origins": (np.float32, 3),
           "surface": (np.uint8, 0), "steady": (np.float32, 0)}  # fmt: skip
@@ -129,14 +132,12 @@ def write_block(path: Path, block: Block) -> None:
 
 def read_block(path: Path) -> Block:
     """Raises DatasetError with the file if it is missing or no whole block."""
+    data = read_regular(path, "a block of points", _MOST_BYTES)
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in _TYPES}
-    except FileNotFoundError:
-        raise DatasetError("missing; expected a block of points", path) from None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as bad:
-        raise DatasetError(f"no whole block of points ({bad})", path) from None
-    count = len(arrays["points"])
+        arrays = parse_npz(data, _TYPES, path)
+    except DatasetError as bad:
+        raise DatasetError(f"no whole block of points ({bad.expected})", path) from None
+    count = len(arrays["points"]) if arrays["points"].ndim else 0
     for name, (kind, width) in _TYPES.items():
         if arrays[name].dtype != kind or arrays[name].shape != ((count, width) if width else (count,)):
             raise DatasetError(f"'{name}' is {arrays[name].dtype} {arrays[name].shape}", path)

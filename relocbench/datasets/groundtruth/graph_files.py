@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.groundtruth.blocks import Nodes
 from relocbench.datasets.pairfile import parse_pose
 from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, parse_timestamp
+from relocbench.files import atomic_write, parse_timestamp, read_csv
 from relocbench.geometry import interpolate, transform_to_tq
 
 Array = NDArray[np.float64]
@@ -108,15 +108,11 @@ def read_graph(path: Path, reference: str, query: str) -> tuple[PlacedDrive, Pla
     Raises:
         DatasetError: with the line, where it is not such a table, or not of these drives.
     """
-    try:
-        with path.open(encoding="utf-8", newline="") as stream:
-            rows = list(csv.reader(stream))
-    except FileNotFoundError:
-        raise DatasetError("missing; expected where the pose graph puts the nodes", path) from None
-    if not rows or tuple(rows[0]) != GRAPH_COLUMNS:
+    rows = read_csv(path, "where the pose graph puts the nodes", DatasetError)
+    if next(rows, (1, []))[1] != list(GRAPH_COLUMNS):
         raise DatasetError("expected a table of a pose graph; remove it and build again", path, 1)
     lines: dict[str, list[tuple[int, dict[str, str]]]] = {reference: [], query: []}
-    for number, row in enumerate(rows[1:], start=2):
+    for number, row in rows:
         if len(row) != len(GRAPH_COLUMNS) or row[0] not in lines:
             raise DatasetError(f"expected a node of {reference} or {query}", path, number)
         lines[row[0]].append((number, dict(zip(GRAPH_COLUMNS, row, strict=True))))

@@ -19,6 +19,7 @@ import numpy as np
 
 from relocbench.datasets.groundtruth.evidence import Evidence, Registration
 from relocbench.datasets.groundtruth.hypotheses import Outcome
+from relocbench.files import parse_json, read_bytes
 from relocbench.progress import Advance
 
 _POLL_S = 0.5
@@ -33,9 +34,9 @@ class Journal:
         self._known: deque[tuple[str, bytes, Outcome]] = deque()
         for line in lines:
             try:
-                asked, outcome = json.loads(line)
+                asked, outcome = parse_json(line)
                 self._known.append((asked, line, _outcome(outcome)))
-            except (ValueError, TypeError, KeyError):
+            except (ValueError, TypeError, KeyError, AttributeError, OverflowError):
                 break
         path.parent.mkdir(parents=True, exist_ok=True)
         self._used = 0
@@ -56,8 +57,12 @@ class Journal:
             self._stream.seek(self._used)
             self._stream.truncate()
         outcome = work()
-        self._stream.write((json.dumps([asked, _plain(outcome)], default=float) + "\n").encode())
-        self._stream.flush()
+        try:
+            self._stream.write((json.dumps([asked, _plain(outcome)], default=float) + "\n").encode())
+            self._stream.flush()
+        except OSError as bad:
+            bad.filename = bad.filename or str(self._path)  # a full disk does not say which file did not fit
+            raise
         return outcome
 
     def close(self) -> None:
@@ -96,11 +101,9 @@ def followed(journals: Sequence[Path], totals: Sequence[int], advance: Advance) 
 
 def _whole_lines(path: Path) -> list[bytes]:
     """Lines that end; one that a kill tore is none."""
-    try:
-        lines = path.read_bytes().splitlines(keepends=True)
-    except FileNotFoundError:
+    if not path.exists():
         return []
-    return [line for line in lines if line.endswith(b"\n")]
+    return [line + b"\n" for line in read_bytes(path, "a journal").split(b"\n")[:-1]]
 
 
 def _plain(outcome: Outcome) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.groundtruth.blocks import Nodes
 from relocbench.datasets.groundtruth.evidence import Evidence, Registration
 from relocbench.errors import DatasetError
-from relocbench.files import atomic_write
+from relocbench.files import atomic_write, read_csv
 
 Array = NDArray[np.float64]
 
@@ -59,15 +59,11 @@ def read_registrations(path: Path) -> list[Registration]:
     Raises:
         DatasetError: with the line, where it is not such a table.
     """
-    try:
-        with path.open(encoding="utf-8", newline="") as stream:
-            rows = list(csv.reader(stream))
-    except FileNotFoundError:
-        raise DatasetError("missing; expected registrations", path) from None
-    if not rows or tuple(rows[0]) != COLUMNS:
+    rows = read_csv(path, "registrations", DatasetError)
+    if next(rows, (1, []))[1] != list(COLUMNS):
         raise DatasetError("expected a table of registrations; remove it and build again", path, 1)
     out = []
-    for number, row in enumerate(rows[1:], start=2):
+    for number, row in rows:
         try:
             out.append(_read(dict(zip(COLUMNS, row, strict=True))))
         except ValueError as bad:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from relocbench.datasets.importers.options import ImportOptions
     from relocbench.datasets.recording import RecordingFolder
     from relocbench.datasets.schema import Strict
+    from relocbench.execution import Scheduler
     from relocbench.progress import Reporter
 
 KINDS: dict[str, str] = {
@@ -39,7 +40,7 @@ class Run:
     """Where the work of an import runs."""
 
     workers: int = 1
-    scheduler: str | None = None
+    scheduler: Scheduler | None = None
 
 
 class Importer(Protocol):

@@ -46,6 +46,7 @@ from relocbench.datasets.schema import CameraEntry, TraversalFile
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import DatasetError
 from relocbench.execution import run_units
+from relocbench.files import fitting_name
 from relocbench.geometry import Camera, apply, invert
 from relocbench.progress import Reporter
 
@@ -85,7 +86,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     check_conditions(options, names)
     writer = DatasetWriter(
         out,
-        options.name or "four-seasons-" + "-".join(names),
+        options.name or fitting_name("four-seasons-" + "-".join(names)),
         configuration("four-seasons", sources, options),
         options.licence,
     )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.importers.sources import parse_time
 from relocbench.datasets.pairfile import parse_pose
 from relocbench.errors import DatasetError
-from relocbench.files import parse_floats, parse_timestamp, read_rows, read_text
+from relocbench.files import lines_of, parse_floats, parse_timestamp, read_rows, read_text
 from relocbench.geometry import Camera, invert
 from relocbench.tracking import KeyframePoints
 
@@ -231,10 +231,7 @@ def read_poses(path: Path) -> dict[int, Array]:
     for line, fields in read_rows(path, "poses (timestamp tx ty tz qx qy qz qw)", DatasetError):
         if len(fields) != 8:
             raise DatasetError(f"expected 8 columns (timestamp tx ty tz qx qy qz qw), found {len(fields)}", path, line)
-        try:
-            time = parse_time(fields[0])
-        except ValueError as bad:
-            raise DatasetError(str(bad), path, line) from None
+        time = _parse_time(fields[0], path, line)
         if time in poses:
             raise DatasetError(f"timestamp {fields[0]} occurs again", path, line)
         poses[time] = parse_pose(fields[1:], path, line)
@@ -251,7 +248,7 @@ def read_times(path: Path) -> dict[int, float]:
     for line, fields in read_rows(path, "frame times (timestamp_ns seconds exposure_ms)", DatasetError):
         time = parse_timestamp(fields[0], path, line, DatasetError)
         _, exposure = parse_floats(fields[1:], path, line, "seconds exposure_ms", DatasetError)
-        if abs(parse_time(fields[1]) - time) >= 1000:
+        if abs(_parse_time(fields[1], path, line) - time) >= 1000:
             raise DatasetError(f"{fields[0]} ns and {fields[1]} s are not the same time", path, line)
         times[time] = exposure
     return times
@@ -263,7 +260,7 @@ def read_transformations(path: Path) -> Transformations:
     Raises:
         DatasetError: with file and line: a part is missing, or stands out of the fixed order.
     """
-    lines = read_text(path, "the transformations of a recording", DatasetError).splitlines()
+    lines = lines_of(read_text(path, "the transformations of a recording", DatasetError))
     rows = list(read_rows(path, "the transformations of a recording", DatasetError))
     if len(rows) != len(_TRANSFORMATIONS):
         raise DatasetError(f"holds {len(rows)} parts, expected {', '.join(_TRANSFORMATIONS)} in this order", path)
@@ -276,6 +273,13 @@ def read_transformations(path: Path) -> Transformations:
     if len(fields) != 1:
         raise DatasetError(f"expected the scale alone, found {len(fields)} numbers", path, line)
     return Transformations(S_AS, TS_cam_imu, w_gpsw, gps_imu, e_gpsw, _parse_scale(fields[0], path, line))
+
+
+def _parse_time(text: str, path: Path, line: int) -> int:
+    try:
+        return parse_time(text)
+    except ValueError as bad:
+        raise DatasetError(str(bad), path, line) from None
 
 
 def _parse_scale(text: str, path: Path, line: int) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import DatasetError
-from relocbench.files import seconds_to_ns
+from relocbench.files import lines_of, read_bytes, seconds_to_ns
 
 Array = NDArray[np.float64]
 
@@ -64,11 +64,15 @@ def read_gga(path: Path) -> list[GgaFix]:
     Raises:
         DatasetError: missing, or without any fix.
     """
-    try:
-        text = path.read_text(encoding="ascii", errors="replace")
-    except OSError as bad:
-        raise DatasetError(f"cannot be read ({bad.strerror}); expected an NMEA log", path) from None
-    fixes = [fix for line in text.splitlines() if (fix := _parse_gga(line)) is not None]
+    data = read_bytes(path, "an NMEA log", DatasetError)
+    fixes = []
+    for number, line in enumerate(lines_of(data.decode("ascii", "replace").replace("\r", "\n")), start=1):
+        try:
+            fix = _parse_gga(line)
+        except ValueError:
+            raise DatasetError("a GGA sentence with a right checksum and wrong fields", path, number) from None
+        if fix is not None:
+            fixes.append(fix)
     if not fixes:
         raise DatasetError("holds no GGA sentence with a fix", path)
     return fixes

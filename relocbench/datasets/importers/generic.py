@@ -5,9 +5,8 @@ What lies in it is described in ``docs/file-formats.md``. One folder is one trav
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -22,11 +21,11 @@ from relocbench.datasets.importers import Run
 from relocbench.datasets.importers.assembly import check_conditions, configuration, write_pairs
 from relocbench.datasets.importers.options import ImportOptions
 from relocbench.datasets.importers.sources import read_trajectory, timed_files, traversal_names
-from relocbench.datasets.schema import CameraEntry, Condition, Strict, Transform, TraversalFile, check_name
+from relocbench.datasets.schema import CameraEntry, Condition, Strict, Transform, TraversalFile
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import DatasetError
 from relocbench.execution import run_units
-from relocbench.files import load_yaml, read_text
+from relocbench.files import check_distinct, check_name, fitting_name, load_yaml, load_yaml_values
 from relocbench.geometry import Camera, interpolate_trajectory
 from relocbench.progress import Reporter
 from relocbench.tracking import KeyframePoints
@@ -74,6 +73,7 @@ class RigFile(Strict):
     def _plain_names(self) -> Self:
         for name in self.cameras:
             check_name(name, "camera name")
+        check_distinct(self.cameras, "camera names")
         return self
 
 
@@ -117,7 +117,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     check_conditions(options, names)
     writer = DatasetWriter(
         out,
-        options.name or "generic-" + "-".join(names),
+        options.name or fitting_name("generic-" + "-".join(names)),
         configuration("generic", sources, options),
         options.licence,
     )
@@ -156,8 +156,7 @@ def read_folder(root: Path, name: str, need_poses: bool = True) -> GenericFolder
         DatasetError: with file and line.
     """
     file = root / CAMERA_FILE
-    text = read_text(file, "the camera or cameras of the folder", DatasetError)
-    single = not re.search(r"^cameras\s*:", text, re.MULTILINE)
+    single = "cameras" not in load_yaml_values(file, "the camera or cameras of the folder", DatasetError)[0]
     model: type[SingleCameraFile] | type[RigFile] = SingleCameraFile if single else RigFile
     header = load_yaml(file, model, "a camera description", DatasetError)
     cameras = header.cameras if isinstance(header, RigFile) else {_ONLY_CAMERA: header}
@@ -266,15 +265,14 @@ def _write_frame(unit: _FrameUnit) -> None:
     camera, writer = unit.camera.camera, unit.writer
     distorted = camera.model != "pinhole"
     if not distorted:
-        _check_size(images.read_image(unit.image), camera, unit.image)
+        images.read_image(unit.image, partial(check_size, camera, unit.image))
         writer.link_image(*where, unit.image, copy=unit.options.copy_images)
     elif writer.needs_image(*where):
-        image = _check_size(images.read_image(unit.image), camera, unit.image)
+        image = images.read_image(unit.image, partial(check_size, camera, unit.image))
         writer.image(*where, undistort(image, camera))
     if unit.depth is not None and writer.needs_depth(*where):
         assert unit.camera.depth_scale is not None
-        depth = images.read_raw_depth(unit.depth, unit.camera.depth_scale)
-        _check_size(depth, camera, unit.depth)
+        depth = images.read_raw_depth(unit.depth, unit.camera.depth_scale, partial(check_size, camera, unit.depth))
         writer.depth(*where, undistort(depth, camera, nearest=True) if distorted else depth)
     if unit.points is not None:
         points = images.read_points(unit.points)
@@ -309,11 +307,11 @@ def _undistorted_entry(camera: GenericCamera) -> CameraEntry:
     return CameraEntry.of(camera.camera.pinhole(), camera.T_rig_cam.matrix, camera.depth_sigma)
 
 
-def _check_size(image: NDArray[Any], camera: Camera, path: Path) -> NDArray[Any]:
-    height, width = image.shape[:2]
-    if (width, height) != camera.size:
-        raise DatasetError(f"is {width}x{height}, {CAMERA_FILE} says {camera.width}x{camera.height}", path)
-    return image
+def check_size(camera: Camera, path: Path, size: tuple[int, int]) -> None:
+    """Raises DatasetError where an image of that size, (width, height), is not the camera's."""
+    if size != camera.size:
+        told = f"is {size[0]}x{size[1]}, {CAMERA_FILE} says {camera.width}x{camera.height}"
+        raise DatasetError(told, path)
 
 
 def _why_no_pose(folder: GenericFolder) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -12,7 +13,14 @@ from numpy.typing import NDArray
 from relocbench.datasets import images
 from relocbench.datasets.groundtruth.lidar_odometry import FromLidar, lidar_odometry
 from relocbench.datasets.groundtruth.recording import CameraStream, FieldRecording, LidarStream, Trajectory
-from relocbench.datasets.importers.generic import CAMERA_FILE, POSE_FILE, CameraFolder, read_folder, undistort
+from relocbench.datasets.importers.generic import (
+    CAMERA_FILE,
+    POSE_FILE,
+    CameraFolder,
+    check_size,
+    read_folder,
+    undistort,
+)
 from relocbench.datasets.importers.generic_scans import LIDAR_FILE, read_lidar_file, read_lidars
 from relocbench.datasets.importers.sources import read_trajectory, traversal_names
 from relocbench.datasets.schema import Condition
@@ -48,11 +56,8 @@ class GenericCameraStream:
 
     def read(self, index: int) -> NDArray[np.uint8]:
         """(H, W) or (H, W, 3) RGB, undistorted. Raises DatasetError with the file."""
-        image = images.read_image(self.files[index])
-        height, width = image.shape[:2]
-        if (width, height) != self.distorted.size:
-            wanted = f"{self.distorted.width}x{self.distorted.height}"
-            raise DatasetError(f"is {width}x{height}, {CAMERA_FILE} says {wanted}", self.files[index])
+        path = self.files[index]
+        image = images.read_image(path, partial(check_size, self.distorted, path))
         return image if self.distorted.model == "pinhole" else undistort(image, self.distorted)
 
     def file(self, index: int) -> Path | None:

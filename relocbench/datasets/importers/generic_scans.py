@@ -13,15 +13,20 @@ from pydantic import Field, model_validator
 from relocbench.datasets.groundtruth.recording import Scan
 from relocbench.datasets.importers.point_clouds import read_point_cloud
 from relocbench.datasets.importers.sources import timed_files
-from relocbench.datasets.schema import Strict, Transform, check_name
+from relocbench.datasets.npy import parse_npy
+from relocbench.datasets.regular_file import MOST_SCAN_BYTES, read_regular
+from relocbench.datasets.schema import Strict, Transform
 from relocbench.errors import DatasetError
-from relocbench.files import load_yaml
+from relocbench.files import check_distinct, check_name, load_yaml
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 LIDAR_FILE = "lidar.yaml"
 SUFFIXES = (".ply", ".pcd", ".bin", ".npy")
+_FAR_NS = 1_000_000_000
+_FLOAT_NS = 4096
+"""a float's step at the largest times, and more"""
 _NS: dict[str, float] = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 
 
@@ -67,6 +72,7 @@ class LidarFile(Strict):
     def _plain_names(self) -> Self:
         for name in self.lidars:
             check_name(name, "lidar name")
+        check_distinct(self.lidars, "lidar names")
         return self
 
 
@@ -102,7 +108,8 @@ class GenericLidarStream:
             raise DatasetError(f"has no {', '.join(missing)}; it holds {', '.join(fields) or 'nothing'}", path)
         points = np.column_stack([np.asarray(fields[axis], dtype=np.float64) for axis in "xyz"])
         times = np.full(len(points), self.times_ns[index], dtype=np.int64)
-        distance = np.sqrt(np.sum(points**2, axis=1))
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is left out
+            distance = np.sqrt(np.sum(points**2, axis=1))
         kept = np.isfinite(distance) & (distance >= settings.min_range) & (distance <= settings.max_range)
         if settings.time is not None:
             times = _point_times(fields[settings.time], kept, int(self.times_ns[index]), settings, path)
@@ -140,35 +147,40 @@ def _point_times(
     if not np.all(np.isfinite(np.asarray(values[kept], dtype=np.float64))):
         raise DatasetError(f"{settings.time} holds a time that is not finite", path)
     factor = _NS[settings.time_unit]
+    # Held against the scan's time as floats first: as 64-bit integers, times far off would come round to near ones.
+    with np.errstate(over="ignore"):
+        away = values[kept].astype(np.float64) * factor - (scan_ns if settings.time_from == "epoch" else 0)
+    if np.any(np.abs(away) > _FAR_NS + _FLOAT_NS):
+        raise _far(settings, path)
+    values = np.where(kept, values, values.dtype.type(0))
     if values.dtype.kind in "iu":
         ns = values.astype(np.int64) * int(factor)
     else:
         # Seconds since 1970 as float64 are good to a quarter of a microsecond, which no lidar needs.
-        ns = np.rint(np.where(kept, values, 0.0).astype(np.float64) * factor).astype(np.int64)
+        ns = np.rint(values.astype(np.float64) * factor).astype(np.int64)
     times = ns if settings.time_from == "epoch" else ns + scan_ns
-    far = np.abs(times[kept] - scan_ns) > 1_000_000_000
-    if far.any():
-        raise DatasetError(
-            f"{settings.time} lies more than a second from the scan's time; check time_unit and time_from", path
-        )
+    if np.any(np.abs(times[kept] - scan_ns) > _FAR_NS):
+        raise _far(settings, path)
     return np.asarray(times, dtype=np.int64)
+
+
+def _far(settings: GenericLidar, path: Path) -> DatasetError:
+    told = f"{settings.time} lies more than a second from the scan's time; check time_unit and time_from"
+    return DatasetError(told, path)
 
 
 def _fields(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
     """Name -> (N,) of a scan, whatever its format."""
     suffix = path.suffix.lower()
-    try:
-        if suffix == ".bin":
-            return _columns(_binary(path, settings), settings.columns, path)
-        if suffix == ".npy":
-            return _numpy(path, settings)
-    except OSError as bad:
-        raise DatasetError(f"cannot be read ({bad.strerror or bad}); expected a lidar scan", path) from None
+    if suffix == ".bin":
+        return _columns(_binary(path, settings), settings.columns, path)
+    if suffix == ".npy":
+        return _numpy(path, settings)
     return read_point_cloud(path)
 
 
 def _binary(path: Path, settings: GenericLidar) -> NDArray[Any]:
-    data = path.read_bytes()
+    data = read_regular(path, "a lidar scan", MOST_SCAN_BYTES)
     width = np.dtype(settings.dtype).itemsize * len(settings.columns)
     if len(data) % width:
         what = f"{settings.dtype} {' '.join(settings.columns)}"
@@ -177,12 +189,9 @@ def _binary(path: Path, settings: GenericLidar) -> NDArray[Any]:
 
 
 def _numpy(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
-    try:
-        values = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError):
-        raise DatasetError("cannot be read as a NumPy array", path) from None
+    values = parse_npy(read_regular(path, "a lidar scan", MOST_SCAN_BYTES), path)
     if values.dtype.names:
-        return {name: np.ravel(values[name]) for name in values.dtype.names}
+        return {name: np.ravel(values[name]) for name in values.dtype.names if values.dtype[name].shape == ()}
     if values.ndim != 2:
         raise DatasetError(f"is an array of shape {values.shape}, expected (points, {len(settings.columns)})", path)
     return _columns(values, settings.columns, path)

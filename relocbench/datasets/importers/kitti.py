@@ -106,9 +106,13 @@ def _compute_depth(unit: _StereoUnit | _LidarUnit) -> None:
     if isinstance(unit, _LidarUnit):
         depth = project_scan(read_scan(unit.scan), unit.camera, unit.T_cam_lidar, unit.max_depth)
     else:
-        left, right = images.read_image(unit.left), images.read_image(unit.right)
-        if left.shape[:2] != right.shape[:2]:
-            raise DatasetError(f"size differs from that of the left image {unit.left}", unit.right)
+        left = images.read_image(unit.left)
+
+        def check_size(size: tuple[int, int]) -> None:
+            if size != left.shape[1::-1]:
+                raise DatasetError(f"size differs from that of the left image {unit.left}", unit.right)
+
+        right = images.read_image(unit.right, check_size)
         depth = stereo_depth(left, right, unit.geometry)
     images.write_depth(unit.depth, depth)
 

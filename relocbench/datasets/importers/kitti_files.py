@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import DatasetError
-from relocbench.files import parse_floats, read_rows, read_text, seconds_to_ns
+from relocbench.files import parse_floats, parse_seconds, read_rows, read_text, whole_number
 from relocbench.geometry import is_rotation, make_transform, project_to_rotation
 from relocbench.progress import Reporter
 
@@ -91,7 +91,7 @@ class Sequence:
     def frames(self, folder: str, suffix: str) -> dict[int, Path]:
         """Frame number -> file, of a folder that may be absent."""
         found = (self.folder / folder).glob(f"*{suffix}")
-        return {int(p.stem): p for p in sorted(found) if p.stem.isdigit()}
+        return {number: p for p in sorted(found) if (number := whole_number(p.stem)) is not None}
 
     def poses(self) -> list[Array]:
         """``T_world_cam0`` of frame 0, 1, 2, ... Raises DatasetError with file and line."""
@@ -113,8 +113,7 @@ class Sequence:
             return [round(i * 1e9 / rate_hz) for i in range(frames)]
         times: list[int] = []
         for number, line in enumerate(read_text(path, "times in seconds", DatasetError).split(), start=1):
-            parse_floats([line], path, number, "seconds", DatasetError)
-            times.append(seconds_to_ns(line))
+            times.append(parse_seconds(line, path, number, DatasetError))
             if len(times) > 1 and times[-1] <= times[-2]:
                 raise DatasetError(f"time {line} does not come after the one before", path, number)
         return times

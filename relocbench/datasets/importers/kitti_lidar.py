@@ -13,6 +13,7 @@ from relocbench.datasets.importers.assembly import check_conditions, check_folde
 from relocbench.datasets.importers.options import ImportOptions
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import ConfigError
+from relocbench.files import fitting_name
 from relocbench.progress import Reporter
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         check_folder(sources[0] / "sequences" / sequence, "a sequence of KITTI odometry")
     names = [f"kitti_{sequence}" for sequence in options.sequence]
     check_conditions(options, names)
-    name = options.name or f"kitti_lidar_{'_'.join(options.sequence)}"
+    name = options.name or fitting_name(f"kitti_lidar_{'_'.join(options.sequence)}")
     writer = DatasetWriter(out, name, configuration("kitti-lidar", sources, options), options.licence)
     recordings = [
         read_kitti(

@@ -87,12 +87,14 @@ class RectifiedCamera:
 
     def read(self, index: int) -> NDArray[np.uint8]:
         """(H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
-        image = images.read_image(self.files[index])
-        height, width = image.shape[:2]
-        if (width, height) != self.camera.size:
-            wanted = f"{self.camera.width}x{self.camera.height}"
-            raise DatasetError(f"is {width}x{height}, the first image of {self.name} {wanted}", self.files[index])
-        return image
+        path = self.files[index]
+
+        def check_size(size: tuple[int, int]) -> None:
+            if size != self.camera.size:
+                wanted = f"{self.camera.width}x{self.camera.height}"
+                raise DatasetError(f"is {size[0]}x{size[1]}, the first image of {self.name} {wanted}", path)
+
+        return images.read_image(path, check_size)
 
     def file(self, index: int) -> Path | None:
         return self.files[index]

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from relocbench.datasets.schema import Condition
-from relocbench.errors import DatasetError
-from relocbench.files import parse_floats, read_rows, read_text
+from relocbench.errors import DatasetError, quoted
+from relocbench.files import lines_of, load_yaml_value, parse_floats, read_rows, read_text
 from relocbench.geometry import is_rotation, make_transform, project_to_rotation
 
 Array = NDArray[np.float64]
@@ -48,7 +47,7 @@ def transform_from_xyzrpy(values: ArrayLike) -> Array:
 def parse_microseconds(text: str, path: Path, line: int | None = None) -> int:
     """Nanoseconds of a time in microseconds since 1970. Raises DatasetError with file and line."""
     if not re.fullmatch(r"[0-9]{1,19}", text) or int(text) > _MOST_US:
-        raise DatasetError(f"'{text[:30]}' is not a time in integer microseconds", path, line)
+        raise DatasetError(f"{quoted(text, 30)} is not a time in integer microseconds", path, line)
     return int(text) * 1000
 
 
@@ -187,11 +186,7 @@ def read_lens_model(path: Path) -> LensModel:
 
 def read_tags(path: Path) -> tuple[str, ...]:
     """``tags/TRAVERSAL.yaml``: a list of words. Raises DatasetError naming the file."""
-    text = read_text(path, "a list of tags", DatasetError)
-    try:
-        found = yaml.safe_load(text)
-    except yaml.YAMLError:
-        raise DatasetError("not valid YAML; expected a list of tags", path) from None
+    found = load_yaml_value(path, "a list of tags", DatasetError)
     if found is None:
         return ()
     if not isinstance(found, list) or not all(isinstance(tag, str) for tag in found):
@@ -219,7 +214,7 @@ def condition_of(tags: Sequence[str], month: int | None = None) -> Condition:
 
 def _read_table(path: Path, columns: Sequence[str], what: str) -> Iterator[tuple[int, list[str]]]:
     """Line number and the fields of ``columns``, in that order, of a CSV file with a header."""
-    lines = read_text(path, f"{what} ({','.join(columns)})", DatasetError).splitlines()
+    lines = lines_of(read_text(path, f"{what} ({','.join(columns)})", DatasetError))
     header = [name.strip() for name in lines[0].split(",")] if lines else []
     missing = [name for name in columns if name not in header]
     if missing:

@@ -7,7 +7,6 @@ and in the two folders above it. LD-MRS scans are not read.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,6 +28,7 @@ from relocbench.datasets.importers.robotcar_track import (
 from relocbench.datasets.importers.sources import traversal_names
 from relocbench.datasets.schema import Condition
 from relocbench.errors import ConfigError, DatasetError
+from relocbench.files import read_csv
 from relocbench.geometry import Camera, invert, make_transform
 from relocbench.progress import Reporter, Silent
 
@@ -287,8 +287,10 @@ def _condition(folder: Path, tags: Sequence[str]) -> Condition:
     path = folder.resolve()
     table = next((p / "drives.csv" for p in (path.parent, path.parent.parent) if (p / "drives.csv").is_file()), None)
     if table is not None:
-        with table.open(encoding="utf-8", newline="") as stream:
-            named = [row["condition"] for row in csv.DictReader(stream) if row.get("name") == path.name]
+        rows = read_csv(table, "which drive is which", DatasetError)
+        header = next(rows, (1, []))[1]
+        drives = [dict(zip(header, row, strict=False)) for _, row in rows]
+        named = [drive.get("condition", "") for drive in drives if drive.get("name") == path.name]
         return files.condition_of([*tags, *named])
     date = _NAME.fullmatch(path.name)
     month = int(date[2]) if date and 1 <= int(date[2]) <= 12 else None

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from relocbench.datasets import images
 from relocbench.datasets.groundtruth.recording import Scan
+from relocbench.datasets.image_header import MOST_PIXELS
 from relocbench.datasets.importers.robotcar_files import parse_microseconds, read_timestamps
+from relocbench.datasets.regular_file import MOST_SCAN_BYTES, read_regular
 from relocbench.errors import DatasetError
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
@@ -54,10 +56,7 @@ class LmsStream:
             DatasetError: the file is missing, is no whole number of points, or holds a value that is not finite.
         """
         path = self.folder / f"{int(self.times_ns[index]) // 1000}.bin"
-        try:
-            data = path.read_bytes()
-        except OSError as bad:
-            raise DatasetError(f"cannot be read ({bad.strerror}); expected a lidar scan", path) from None
+        data = read_regular(path, "a lidar scan", MOST_SCAN_BYTES)
         check_scan_size(path, len(data))
         values = np.frombuffer(data, dtype="<f8").reshape(-1, 3)
         if not np.isfinite(values).all():
@@ -99,16 +98,18 @@ class RobotCarCamera:
     def read(self, index: int) -> NDArray[np.uint8]:
         """(H, W, 3) RGB, black where the lens did not look. Raises DatasetError with the file."""
         path = self.folder / f"{int(self.times_ns[index]) // 1000}.png"
-        image = images.read_image(path)
-        height, width = image.shape[:2]
-        if (width, height) != self.camera.size:
-            wanted = f"{self.camera.width}x{self.camera.height}"
-            raise DatasetError(f"is {width}x{height}, the first image of this camera {wanted}", path)
+
+        def check_size(size: tuple[int, int]) -> None:
+            if size != self.camera.size:
+                wanted = f"{self.camera.width}x{self.camera.height}"
+                raise DatasetError(f"is {size[0]}x{size[1]}, the first image of this camera {wanted}", path)
+
+        image = images.read_image(path, check_size)
         # Converted copies of the data set hold colour images already.
         colour = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, self._CODES[self.bayer]), dtype=np.uint8)
         if self.look_up_table is None:
             return colour
-        u, v = read_look_up_table(self.look_up_table, width, height)
+        u, v = read_look_up_table(self.look_up_table, *self.camera.size)
         return np.asarray(cv2.remap(colour, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
 
     def file(self, index: int) -> Path | None:
@@ -125,10 +126,7 @@ def read_look_up_table(path: Path, width: int, height: int) -> tuple[NDArray[np.
     Raises:
         DatasetError: missing, of an image of another size, or with values that are not finite.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as bad:
-        raise DatasetError(f"cannot be read ({bad.strerror}); expected a look-up table", path) from None
+    data = read_regular(path, "a look-up table", 16 * MOST_PIXELS)
     if len(data) != 16 * width * height:
         raise DatasetError(f"{len(data)} bytes are no look-up table of images of {width}x{height}", path)
     table = np.frombuffer(data, dtype="<f8").astype(np.float32)
@@ -155,6 +153,8 @@ def present_times(folder: Path, timestamps: Path, suffix: str, what: str, report
                 continue
             found.add(parse_microseconds(path.stem, path))
             if suffix == ".bin":
+                if not path.exists():
+                    raise DatasetError("a link to a file that is gone; expected a scan", path)
                 check_scan_size(path, entry.stat().st_size)
     if not timestamps.exists():
         if found:

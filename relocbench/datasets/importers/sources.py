@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.layout import IMAGE_SUFFIXES
 from relocbench.datasets.pairfile import parse_pose
-from relocbench.datasets.schema import check_name
-from relocbench.errors import DatasetError, RelocbenchError
-from relocbench.files import read_rows, seconds_to_ns
+from relocbench.errors import DatasetError, RelocbenchError, quoted
+from relocbench.files import check_distinct, plain_name, read_rows, seconds_to_ns
 
 Array = NDArray[np.float64]
 QuaternionOrder = Literal["xyzw", "wxyz"]
@@ -32,15 +31,17 @@ def traversal_names(sources: Sequence[Path]) -> list[str]:
     for source in sources:
         if not source.is_dir():
             raise DatasetError("no such folder; expected a recording", source)
-        plain = re.sub(r"[^0-9A-Za-z._+-]", "-", source.resolve().name)
-        plain = re.sub(r"_{2,}", "_", plain).lstrip("._-").rstrip("_")
         try:
-            name = check_name(plain, "traversal name")
+            name = plain_name(source.resolve().name, "traversal name")
         except ValueError:
             raise DatasetError("the folder's name cannot name a traversal; rename or link it", source) from None
         if name in names:
             raise DatasetError(f"is the second recording called '{name}' (first: {names[name]})", source)
         names[name] = source
+    try:
+        check_distinct(names, "recordings")
+    except ValueError as bad:
+        raise DatasetError(str(bad)) from None
     return list(names)
 
 
@@ -52,11 +53,11 @@ def parse_time(text: str) -> int:
     """
     if re.fullmatch(r"[+-]?[0-9]+", text):
         if len(text) > 30 or abs(int(text)) >= 2**63:
-            raise ValueError(f"'{text[:30]}' is out of range: integer nanoseconds must fit 64 bits")
+            raise ValueError(f"{quoted(text, 30)} is out of range: integer nanoseconds must fit 64 bits")
         return int(text)
     if re.fullmatch(r"[+-]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(\.[0-9]*)?[eE][+-]?[0-9]+)", text):
         return seconds_to_ns(text)
-    raise ValueError(f"'{text}' is not a time: integer nanoseconds, or seconds with a decimal point")
+    raise ValueError(f"{quoted(text)} is not a time: integer nanoseconds, or seconds with a decimal point")
 
 
 def timed_files(folder: Path, suffixes: Sequence[str] = IMAGE_SUFFIXES) -> dict[int, Path]:

@@ -161,6 +161,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     from relocbench.datasets.synthetic.pair_sets import write_pair_sets
     from relocbench.datasets.synthetic.pairs import DistanceSpread
     from relocbench.datasets.synthetic.plan import make_plans
+    from relocbench.datasets.synthetic.revision import RENDERER_REVISION
     from relocbench.datasets.synthetic.rig import rig_named
     from relocbench.datasets.synthetic.work import render_all
     from relocbench.datasets.writer import DatasetWriter
@@ -174,6 +175,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     # Pictures that no score depends on can be asked for later.
     for name in ("extras", "recording", *_OF_RECORDINGS):
         del record["options"][name]
+    record["renderer"] = RENDERER_REVISION
     record["factors"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
     licence = "CC0-1.0" if options.licence == "unknown" else options.licence
     writer = DatasetWriter(out, options.name or f"synthetic-{options.preset}", record, licence)

@@ -7,7 +7,7 @@ camera, so that both share its intrinsics. Images and depth are undistorted to a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -32,7 +32,7 @@ from relocbench.datasets.schema import CameraEntry, TraversalFile
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import run_units
-from relocbench.files import read_rows, seconds_to_ns
+from relocbench.files import fitting_name, parse_seconds, read_rows
 from relocbench.geometry import Camera, interpolate_trajectory
 from relocbench.progress import Reporter
 
@@ -104,12 +104,10 @@ class _Unit:
 def _convert(unit: _Unit) -> None:
     """Undistort to the pinhole camera; depth without interpolation, which would invent surfaces between two."""
     if unit.metres_per_unit is None:
-        image = images.read_image(unit.source)
-        _check_size(image, unit)
+        image = images.read_image(unit.source, partial(_check_size, unit))
         images.write_image(unit.target, _undistort(image, unit.camera, cv2.INTER_LINEAR))
     else:
-        depth = images.read_raw_depth(unit.source, unit.metres_per_unit)
-        _check_size(depth, unit)
+        depth = images.read_raw_depth(unit.source, unit.metres_per_unit, partial(_check_size, unit))
         images.write_depth(unit.target, _undistort(depth, unit.camera, cv2.INTER_NEAREST))
 
 
@@ -125,8 +123,7 @@ def _undistortion_map(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.f
     return camera.undistortion_map()
 
 
-def _check_size(image: NDArray[Any], unit: _Unit) -> None:
-    size = (image.shape[1], image.shape[0])
+def _check_size(unit: _Unit, size: tuple[int, int]) -> None:
     if size != unit.camera.size:
         raise DatasetError(
             f"image is {size[0]}x{size[1]}, expected {unit.camera.width}x{unit.camera.height}", unit.source
@@ -151,7 +148,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     names = traversal_names(sources)
     check_conditions(options, names)
     settings = configuration("tum-rgbd", sources, options)
-    writer = DatasetWriter(out, options.name or "__".join(names).replace("__", "_to_"), settings, options.licence)
+    writer = DatasetWriter(out, options.name or fitting_name("_to_".join(names)), settings, options.licence)
     for index, (source, name) in enumerate(zip(sources, names, strict=True)):
         _write_traversal(writer, source, name, index, options, reporter, run)
     write_pairs(
@@ -238,10 +235,7 @@ def _listed(path: Path) -> dict[int, Path]:
     for line, fields in read_rows(path, "a list of images (seconds path)", DatasetError):
         if len(fields) != 2:
             raise DatasetError(f"expected 2 columns (seconds path), found {len(fields)}", path, line)
-        try:
-            time = seconds_to_ns(fields[0])
-        except ValueError:
-            raise DatasetError(f"'{fields[0]}' is not a time in seconds", path, line) from None
+        time = parse_seconds(fields[0], path, line, DatasetError)
         if time in files:
             raise DatasetError(f"time {fields[0]} occurs again", path, line)
         files[time] = path.parent / fields[1]

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from relocbench.datasets.importers import Run
 from relocbench.datasets.recording import RecordedDrive, RecordingFolder
@@ -26,7 +25,7 @@ from relocbench.datasets.synthetic.recording_work import town_compose, town_rend
 from relocbench.datasets.synthetic.routes import RouteName, route
 from relocbench.datasets.synthetic.town import District, make_district
 from relocbench.errors import DatasetError
-from relocbench.files import alone_in, atomic_write, dump_yaml, write_text
+from relocbench.files import alone_writing_to, atomic_write, dump_yaml, load_yaml_values, parse_yaml, write_text
 from relocbench.progress import Reporter
 
 _CONFIGURATION = "recording.yaml"
@@ -96,9 +95,9 @@ def record_all(
         DatasetError: the folder holds something else, or another process is at it.
     """
     options.target(out)  # complains before anything is written
-    check_folder(out, configuration)
-    write_text(out / _CONFIGURATION, _text(configuration))
-    with alone_in(out, DatasetError):
+    with alone_writing_to(out, DatasetError):
+        check_folder(out, configuration)
+        write_text(out / _CONFIGURATION, _text(configuration))
         jobs: list[DriveJob] = []
         rows: list[RecordedDrive] = []
         with reporter.stage("planning drives", len(drives)) as advance:
@@ -142,9 +141,10 @@ def check_folder(out: Path, configuration: Mapping[str, Any]) -> None:
         return
     if not mark.exists():
         raise DatasetError("holds something else; --out must be new, empty, or an unfinished recording", out)
-    before, wanted = (yaml.safe_load(text) for text in (mark.read_text(encoding="utf-8"), _text(configuration)))
+    before, _ = load_yaml_values(mark, "what a recording was asked for", DatasetError)
+    wanted = parse_yaml(_text(configuration))
     if before != wanted:
-        changed = sorted(k for k in before.keys() | wanted.keys() if before.get(k) != wanted.get(k))
+        changed = sorted(str(k) for k in before.keys() | wanted.keys() if before.get(k) != wanted.get(k))
         raise DatasetError(
             f"holds drives recorded with other options ({', '.join(changed)} differ); choose another --out", out
         )

@@ -32,7 +32,7 @@ from relocbench.datasets.synthetic.recording_jobs import DriveJob, carry_out
 from relocbench.datasets.synthetic.recording_work import Composer, RendererFactory, Town, town_compose, town_renderer
 from relocbench.datasets.synthetic.traffic import moving_cars
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.files import atomic_write, dump_yaml, remove_parts, write_text
+from relocbench.files import atomic_write, dump_yaml, read_bytes, remove_parts, write_text
 from relocbench.geometry import make_transform, transform_to_tq
 from relocbench.progress import Reporter, Silent
 
@@ -232,7 +232,7 @@ def _missing(layout: Layout, sensors: Iterable[str]) -> list[tuple[str, int]]:
 def _claim(path: Path, settings: Mapping[str, Any]) -> None:
     """A folder with another recording of this name is refused. Raises DatasetError."""
     text = dump_yaml(dict(settings))
-    if path.exists() and path.read_text(encoding="utf-8") != text:
+    if path.exists() and read_bytes(path, "settings of a recording", DatasetError) != text.encode():
         raise DatasetError("another recording of this name lies here; choose another folder or number", path)
     write_text(path, text)
 

@@ -23,7 +23,7 @@ from relocbench.datasets.synthetic import lidar, odometry, robotcar_odometry
 from relocbench.datasets.synthetic.condition import Factors
 from relocbench.datasets.synthetic.recorded import CameraMount, FieldsOnly, LidarMount, Trajectory
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.files import write_bytes, write_text
+from relocbench.files import plain_file, write_bytes, write_text
 from relocbench.geometry import Camera, invert, make_transform
 
 Array = NDArray[np.float64]
@@ -194,7 +194,7 @@ class RobotCarLayout(FieldsOnly):
             path = self.root / name
             if not path.exists():
                 write_bytes(path, data)
-            elif path.read_bytes() != data:
+            elif plain_file(path, "a table").read_bytes() != data:
                 raise DatasetError("belongs to recordings of another size; choose another folder", path)
 
     def _look_up_table(self, model: str) -> bytes:

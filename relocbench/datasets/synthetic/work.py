@@ -188,9 +188,14 @@ def estimate(spent: Sequence[Spent], rest: Sequence[RenderUnit], workers: int) -
     scenes = len({(unit.place, unit.factors) for unit in rest})
     seconds = left * per_image / workers + scenes * float(np.median([s.setup_s for s in spent]))
     return (
-        f"{left} images are left to render: about {duration(seconds)} at {workers / per_image:.1f} images/s with "
+        f"{left} images are left to render: about {duration(seconds)} at {rate(workers, per_image)} with "
         f"{workers} worker{'s' if workers != 1 else ''}, {size / 1e9:.1f} GB (measured on {measured} images)"
     )
+
+
+def rate(workers: int, per_image_s: float) -> str:
+    """Images a second; a clock that stands still measures nothing."""
+    return f"{workers / per_image_s:.1f} images/s" if per_image_s > 0 else "an unknown rate"
 
 
 def duration(seconds: float) -> str:

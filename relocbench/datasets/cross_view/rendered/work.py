@@ -19,7 +19,7 @@ from relocbench.datasets.synthetic.sky import make_sky
 from relocbench.datasets.synthetic.skylight import Skylight
 from relocbench.datasets.synthetic.stage import Place as Town
 from relocbench.datasets.synthetic.town import District, compose
-from relocbench.datasets.synthetic.work import duration
+from relocbench.datasets.synthetic.work import duration, rate
 from relocbench.execution import chunks, run_units
 from relocbench.progress import Reporter
 
@@ -129,5 +129,5 @@ def _estimate(spent: Sequence[Spent], total: int, units: int, workers: int) -> s
     seconds = (left * per_image + (units - len(spent)) * setup) / workers
     return (
         f"{left} images are left to render: about {duration(seconds)} with {workers} worker{'s' * (workers != 1)}, "
-        f"{1 / per_image:.1f} images/s each once a town is ready, which takes {duration(setup)}"
+        f"{rate(1, per_image)} each once a town is ready, which takes {duration(setup)}"
     )

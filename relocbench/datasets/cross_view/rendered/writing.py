@@ -53,7 +53,7 @@ def write_poses(root: Path, photos: Sequence[Photo]) -> None:
         table.writerow(_POSES)
         for key, photo in sorted(((k, p) for p in photos for k in p.keys), key=lambda row: row[0]):
             town = f"{photo.town.split}-{photo.town.seed}"
-            fields = pairfile.pose_fields(photo.T_world_cam)
+            fields = pairfile.truth_fields(photo.T_world_cam)
             table.writerow([key, photo.label, photo.view, photo.condition, town, *fields])
 
 

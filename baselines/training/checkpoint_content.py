@@ -1,0 +1,92 @@
+"""Whether what a checkpoint holds fits the training that goes on from it; checked before anything is changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from relocbench.errors import MethodError
+
+
+def fault_of(values: Mapping[str, Any]) -> str | None:
+    """What is wrong with a checkpoint's entries, in words."""
+    for key, kinds in _KINDS.items():
+        if key not in values:
+            return f"it has no '{key}'"
+        if not isinstance(values[key], kinds) or isinstance(values[key], bool):
+            return f"its '{key}' is a {type(values[key]).__name__}"
+    others = sorted(map(str, values.keys() - _KINDS.keys()))
+    if others:
+        return f"it has '{others[0][:40]}'"
+    if min(values["step"], values["window_steps"], values["seconds"]) < 0:
+        return "a count of it is negative"
+    if not all(isinstance(value, int | float) for value in values["window"].values()):
+        return "its 'window' holds no numbers"
+    states = [values["net"], values["mean_net"] or {}]
+    if values["best"] is not None:
+        if values["best"].keys() != {"step", "score", "weights", "scores"}:
+            return "its 'best' has other entries"
+        if not isinstance(values["best"]["weights"], dict) or not _are_scores(values["best"]["scores"]):
+            return "its 'best' has other entries"
+        if not all(isinstance(values["best"][key], int | float) for key in ("step", "score")):
+            return "its 'best' has other entries"
+        states.append(values["best"]["weights"])
+    if not all(isinstance(tensor, Tensor) for state in states for tensor in state.values()):
+        return "its weights are no tensors"
+    return None
+
+
+_KINDS: dict[str, type | tuple[type, ...]] = {
+    "identity": dict, "step": int, "net": dict, "optimiser": dict, "mean_net": (dict, type(None)), "window": dict,
+    "window_steps": int, "seconds": (int, float), "best": (dict, type(None)), "messages": list,
+}  # fmt: skip
+
+
+def _are_scores(scores: Any) -> bool:
+    known = {"together", "by_conditions", "pairs", "messages"}
+    return isinstance(scores, dict) and (not scores or known - {"messages"} <= scores.keys() <= known)
+
+
+def restore_network(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
+    """Give a network the weights of a checkpoint. Raises MethodError where they are another network's."""
+    check_state(network, state, path)
+    network.load_state_dict(dict(state))
+
+
+def check_state(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
+    """Raises MethodError where weights are not this network's, by name, shape and type."""
+    expected = network.state_dict()
+    for name in sorted(expected.keys() | set(map(str, state))):
+        if name not in state or name not in expected:
+            what = "is missing" if name in expected else "is not part of it"
+            raise MethodError(f"a checkpoint of another network: '{name[:80]}' {what}", path)
+        found, wanted = state[name], expected[name]
+        if found.shape != wanted.shape or found.dtype != wanted.dtype:
+            told = f"{tuple(found.shape)} {found.dtype}, expected {tuple(wanted.shape)} {wanted.dtype}"
+            raise MethodError(f"a checkpoint of another network: '{name}' is {told}", path)
+
+
+def restore_optimiser(optimiser: torch.optim.Optimizer, state: Mapping[str, Any], path: Path) -> None:
+    """Give an optimiser the state of a checkpoint. Raises MethodError where it is another optimiser's."""
+    fault = MethodError("a checkpoint of another optimiser; remove it to train from the start", path)
+    now = optimiser.state_dict()
+    groups, of_parameters = state.get("param_groups"), state.get("state")
+    if not isinstance(groups, list) or not isinstance(of_parameters, dict) or len(groups) != len(now["param_groups"]):
+        raise fault
+    for found, wanted in zip(groups, now["param_groups"], strict=True):
+        if not isinstance(found, dict) or found.keys() != wanted.keys() or found["params"] != wanted["params"]:
+            raise fault
+        if any(type(found[key]) is not type(wanted[key]) for key in wanted):
+            raise fault
+    parameters = [parameter for group in optimiser.param_groups for parameter in group["params"]]
+    for index, values in of_parameters.items():
+        if not isinstance(index, int) or not 0 <= index < len(parameters) or not isinstance(values, dict):
+            raise fault
+        shapes = {parameters[index].shape, torch.Size()}
+        if any(isinstance(value, Tensor) and value.shape not in shapes for value in values.values()):
+            raise fault
+    optimiser.load_state_dict(dict(state))

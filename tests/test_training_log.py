@@ -1,0 +1,36 @@
+"""The log of a training is taken up again, or refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from baselines.training.log import Table
+from relocbench.errors import MethodError
+
+
+def test_rows_up_to_the_checkpoint_are_kept(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    table = Table(path, 0)
+    for step in (1, 2, 3):
+        table.add({"step": step, "loss": 0.5 * step})
+    assert Table(path, 2).rows == [{"step": "1", "loss": "0.5"}, {"step": "2", "loss": "1"}]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"loss,seconds\n1,2\n", r"log.csv:1: expected a header with 'step'"),
+        (b"", r"log.csv:1: expected a header with 'step'"),
+        (b"step,loss\n1,2\n2\n", r"log.csv:3: expected 2 columns, found 1"),
+        ("step,loss\n²²,2\n".encode(), r"log.csv:2: step is '²²', expected a whole number"),
+        (b"step,loss\n\xff,2\n", r"log.csv: no CSV table"),
+        (b'step,loss\n"1,2\n', r"log.csv: no CSV table"),
+    ],
+)
+def test_a_log_that_is_none_is_refused_in_one_line(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(content)
+    with pytest.raises(MethodError, match=message):
+        Table(path, 10)
