@@ -54,7 +54,7 @@ from relocbench.datasets.synthetic.rig import rig_named
 from relocbench.datasets.synthetic.stage import Place
 from relocbench.datasets.synthetic.town import compose
 from relocbench.datasets.synthetic.work import FrameWork, RenderUnit, StepWork, render_unit
-from relocbench.execution import pin_threads
+from relocbench.execution.calling import pin_threads
 from relocbench.geometry import Camera
 
 Array = NDArray[np.float64]

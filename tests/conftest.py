@@ -7,6 +7,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+# The same examples on every machine, whatever it was that failed there before and however long one takes.
+settings.register_profile(
+    "everywhere",
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile("everywhere")
 
 REAL_DATA = Path(os.environ.get("RELOCBENCH_REAL_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
 
@@ -24,6 +35,25 @@ def real_data() -> Callable[[str], Path]:
     return find
 
 
+LONGEST = (
+    "test_importer_robotcar.py",
+    "test_synthetic_field.py",
+    "test_synthetic_build.py",
+    "test_field_recording.py",
+    "test_metrics_significance.py",
+    "test_inspect.py",
+    "test_gn_net_tracker.py",
+    "test_synthetic_recording.py",
+    "test_evaluation.py",
+    "test_feature_alignment_kernel.py",
+    "test_probe.py",
+)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Quick tests first."""
-    items.sort(key=lambda item: item.get_closest_marker("slow") is not None)
+    """Quick tests first; beside other processes the files that take longest first, so that none is left alone with one
+    at the end."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
+    else:
+        items.sort(key=lambda item: item.get_closest_marker("slow") is not None)

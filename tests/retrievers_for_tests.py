@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -100,7 +101,7 @@ class Reversing(Thumbnail):
 
 
 class Ends(Thumbnail):
-    """Kills the run at the n-th call, as a power cut does."""
+    """Interrupts the run at the n-th call, as its user does."""
 
     def __init__(self, log: str = "", calls: int = 1) -> None:
         super().__init__(log=log)
@@ -109,7 +110,7 @@ class Ends(Thumbnail):
     def describe(self, images: Sequence[ImageView]) -> Descriptors:
         out = super().describe(images)
         if len(Path(self.log).read_text().splitlines()) >= self.calls:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)  # an exception alone would be the method's own fault
         return out
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -117,11 +116,3 @@ class SolidTexture:
         noise = np.random.default_rng(frame_seed).normal(size=grey.shape)
         rgb = np.clip(grey + noise, 0, 255).astype(np.uint8).reshape(camera.height, camera.width, 3)
         return SimpleNamespace(rgb=rgb, depth=np.where(met, z, 0).reshape(camera.height, camera.width))
-
-
-class Slowly(SolidTexture):
-    """Gives a test time to kill it."""
-
-    def render(self, camera: Camera, T_world_cam: Array, frame_seed: int, /) -> SimpleNamespace:
-        time.sleep(0.05)
-        return super().render(camera, T_world_cam, frame_seed)

@@ -6,12 +6,13 @@ import hashlib
 import json
 import subprocess
 import sys
-import time
 import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import relocbench
+from killing import Fault, run_until_killed
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 
 from relocbench.datasets.dataset import Dataset
@@ -31,7 +32,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 def evaluate(dataset: Dataset, out: Path, *methods: str, settings: tuple[str, ...] = (), **options: object) -> Report:
-    chosen = {"workers": 1, **options}
+    chosen = {"workers": 0, **options}
     return evaluate_methods(
         EvaluateOptions(dataset=dataset.root, methods=methods, set=settings, out=out, **chosen),  # type: ignore[arg-type]
         Silent(),
@@ -194,7 +195,7 @@ class T:
     for workers in ("1", "2"):
         command = [sys.executable, "-m", "relocbench", "evaluate", "-d", str(dataset.root), "-m", f"w{workers}=loud:T"]
         command += ["--json", "--out", "results", "-j", workers]
-        ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=True)
+        ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
         assert set(json.loads(ended.stdout)["methods"]) == {f"w{workers}"}
         assert {"imported", "made", "asked", "from a library"} <= set(ended.stderr.splitlines())
 
@@ -297,22 +298,16 @@ def test_a_mistyped_method_leaves_no_folder(dataset: Dataset, tmp_path: Path) ->
 @pytest.mark.slow
 def test_a_killed_run_resumes_and_ends_with_the_same_bytes(dataset: Dataset, tmp_path: Path) -> None:
     log, out = tmp_path / "log", tmp_path / "out"
-    command = [
-        *(sys.executable, "-m", "relocbench", "evaluate", "-d", str(dataset.root), "-m", f"m={HERE}:Logging"),
-        *("--set", f"log={log}", "--set", "sleep_s=0.3", "--out", str(out), "-j", "1", "--pair-set", ACROSS, "-q"),
-    ]
-    process = subprocess.Popen(command, cwd=Path(__file__).parent)
-    while len(questions(log)) < 4:
-        time.sleep(0.05)
-        assert process.poll() is None, "ended before it could be killed"
-    process.kill()
-    process.wait()
+    arguments = ["evaluate", "-d", dataset.root, "-m", f"m={HERE}:Logging", "--set", f"log={log}"]
+    arguments += ["--out", out, "-j", 1, "--pair-set", ACROSS, "-q"]
+    third = Fault(r"\.jsonl$", 3, ("append",))
+    run_until_killed(["python", "-m", "relocbench", *arguments], third, tmp_path / "trace")
     folder = next(out.glob("*@*/m"))
     assert not list(folder.glob("*.txt"))
     answered = [e for p in folder.rglob("*.jsonl") for e in read_journal(p)]
-    assert answered
+    assert len(answered) == 3
     log.unlink()
-    subprocess.run(command, cwd=Path(__file__).parent, check=True)
+    assert relocbench(*arguments).status == 0
     pairs = len(dataset.pair_set(ACROSS).pairs)
     assert len(questions(log)) == pairs - len(answered) + 1  # one call to warm up
     whole = tmp_path / "whole"

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relocbench import execution
 from relocbench.errors import ConfigError, DatasetError, RelocbenchError
-from relocbench.execution import chunks, kept_workers, run_units
+from relocbench.execution import Scheduler, chunks, kept_workers, run_units, scheduler
 
 
 def square(value: int) -> int:
@@ -78,7 +77,7 @@ def test_kept_workers_serve_call_after_call_until_one_dies(tmp_path: Path) -> No
         units = [str(tmp_path / name) for name in ("a", "die", "b")]
         assert sorted(run_units(die_once, units, workers=2)) == [(0, "a"), (1, "die"), (2, "b")]
         second = processes()
-        assert not second & first
+        assert len(first - second) <= 1, "only the one that died is replaced"
         with pytest.raises(DatasetError, match="expected better"):
             list(run_units(user_error, range(3), workers=2))
         assert processes() <= second
@@ -95,13 +94,13 @@ def test_workers_end_with_a_job_that_is_killed(tmp_path: Path) -> None:
     script = tmp_path / "job.py"
     script.write_text(program)
     job = subprocess.Popen([sys.executable, str(script), str(tmp_path)], env=environment)
-    until = time.monotonic() + 60
+    until = time.monotonic() + 600
     while len(told := [int(path.name) for path in tmp_path.glob("[0-9]*")]) < 2:
         assert time.monotonic() < until
         time.sleep(0.05)
     job.kill()
     job.wait()
-    until = time.monotonic() + 30
+    until = time.monotonic() + 600
     while any(is_running(pid) for pid in told):
         assert time.monotonic() < until, "workers outlive their job"
         time.sleep(0.05)
@@ -110,7 +109,7 @@ def test_workers_end_with_a_job_that_is_killed(tmp_path: Path) -> None:
 def tell_and_sleep(folder: str) -> None:
     """A file named by the process, then nothing for long."""
     (Path(folder) / str(os.getpid())).touch()
-    time.sleep(100)
+    time.sleep(3600)
 
 
 def is_running(pid: int) -> bool:
@@ -145,9 +144,9 @@ def test_only_a_bounded_number_of_units_is_in_flight(tmp_path: Path) -> None:
 
 
 def test_no_scheduler_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(execution, "SCHEDULER_TIMEOUT", "1s")
+    monkeypatch.setattr(scheduler, "SCHEDULER_TIMEOUT", "1s")
     with pytest.raises(ConfigError, match="no Dask scheduler answers at"):
-        list(run_units(square, [1, 2], scheduler="tcp://127.0.0.1:9"))
+        list(run_units(square, [1, 2], scheduler=Scheduler(address="tcp://127.0.0.1:9")))
 
 
 @pytest.mark.slow
@@ -156,7 +155,7 @@ def test_a_dask_cluster_gives_the_same_results() -> None:
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
     ) as cluster:
-        results = dict(run_units(square, list(range(9)), scheduler=cluster.scheduler_address))
+        results = dict(run_units(square, list(range(9)), scheduler=Scheduler(address=cluster.scheduler_address)))
     assert results == {i: i * i for i in range(9)}
 
 
@@ -167,7 +166,7 @@ def test_workers_with_several_threads_are_refused() -> None:
         distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as cluster,
         pytest.raises(ConfigError, match="--nthreads 1"),
     ):
-        list(run_units(square, [1, 2], scheduler=cluster.scheduler_address))
+        list(run_units(square, [1, 2], scheduler=Scheduler(address=cluster.scheduler_address)))
 
 
 def test_chunks_keep_order_and_size() -> None:

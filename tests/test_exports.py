@@ -53,7 +53,7 @@ def test_absolute_poses_of_the_truth_are_the_poses_of_the_query_traversal(datase
     poses = query_poses(dataset, ACROSS, truth_lines(dataset, ACROSS))
     assert [p.query_timestamp_ns for p in poses] == sorted(truth)
     for pose in poses:
-        np.testing.assert_allclose(pose.T_world_query, truth[pose.query_timestamp_ns], atol=1e-12)
+        np.testing.assert_allclose(pose.T_world_query, truth[pose.query_timestamp_ns], atol=2e-8)
 
 
 def test_an_error_of_the_prediction_appears_in_the_querys_own_frame(dataset: Dataset) -> None:
@@ -62,7 +62,7 @@ def test_an_error_of_the_prediction_appears_in_the_querys_own_frame(dataset: Dat
     lines = truth_lines(dataset, ACROSS)
     fault = make_transform(so3_exp([0.0, 0.03, 0.0]), [0.05, 0.0, 0.0])
     for pose in query_poses(dataset, ACROSS, disturbed(lines)):
-        np.testing.assert_allclose(pose.T_world_query, truth[pose.query_timestamp_ns] @ invert(fault), atol=1e-12)
+        np.testing.assert_allclose(pose.T_world_query, truth[pose.query_timestamp_ns] @ invert(fault), atol=2e-8)
 
 
 def test_of_several_answers_for_one_query_the_nearest_keyframes_is_taken(dataset: Dataset) -> None:
@@ -82,7 +82,7 @@ def test_evo_reads_the_tum_file_back_to_the_same_trajectory(dataset: Dataset, tm
     trajectory = file_interface.read_tum_trajectory_file(str(tmp_path / "t.txt"))
     np.testing.assert_allclose(trajectory.timestamps, np.array(sorted(truth)) * 1e-9, atol=3e-7)
     for pose, time in zip(trajectory.poses_se3, sorted(truth), strict=True):
-        np.testing.assert_allclose(pose, truth[time], atol=1e-12)
+        np.testing.assert_allclose(pose, truth[time], atol=2e-8)
 
 
 def test_tum_times_are_exact_to_the_nanosecond(dataset: Dataset, tmp_path: Path) -> None:
@@ -97,7 +97,7 @@ def test_evo_reads_the_kitti_file_back_and_its_times_lie_beside_it(dataset: Data
     export_kitti(dataset, ACROSS, truth_lines(dataset, ACROSS), tmp_path / "k.txt")
     path = file_interface.read_kitti_poses_file(str(tmp_path / "k.txt"))
     for pose, time in zip(path.poses_se3, sorted(truth), strict=True):
-        np.testing.assert_allclose(pose, truth[time], atol=1e-12)
+        np.testing.assert_allclose(pose, truth[time], atol=2e-8)
     assert len((tmp_path / "k.times.txt").read_text().splitlines()) == len(truth)
 
 
@@ -247,7 +247,7 @@ def test_nothing_is_exported_from_no_pose(dataset: Dataset, tmp_path: Path) -> N
 
 def test_ground_truth_and_predictions_are_exported_by_name(dataset: Dataset, tmp_path: Path) -> None:
     results = tmp_path / "results"
-    options = EvaluateOptions(dataset=dataset.root, methods=("s=trackers_for_tests:Shift",), out=results, workers=1)
+    options = EvaluateOptions(dataset=dataset.root, methods=("s=trackers_for_tests:Shift",), out=results, workers=0)
     report = evaluate_methods(options, Silent())
     written = export_poses(dataset, [ACROSS, WITHIN], "tum", tmp_path / "truth", results, None)
     assert [p.name for p in written] == [f"{ACROSS}.txt", f"{WITHIN}.txt"]

@@ -60,7 +60,7 @@ def test_a_full_disk_leaves_no_part_behind(tmp_path: Path, monkeypatch: pytest.M
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("relocbench.files.os.fsync", full)
+    monkeypatch.setattr("relocbench.files.writing.os.fsync", full)
     with pytest.raises(OSError, match="No space left") as raised:
         write_bytes(tmp_path / "image.png", b"1234")
     assert raised.value.filename == str(tmp_path / "image.png")
@@ -74,6 +74,14 @@ def test_parts_of_killed_writers_are_removed_and_only_they(tmp_path: Path) -> No
     (tmp_path / ".pairs.1a2b3c4d.part.txt").write_text("ha")
     remove_parts(tmp_path)
     assert [p for p in tmp_path.rglob("*") if p.is_file()] == [keep]
+
+
+def test_a_part_that_a_living_writer_holds_is_not_removed(tmp_path: Path) -> None:
+    with atomic_write(tmp_path / "table.csv") as stream:
+        stream.write("1")
+        remove_parts(tmp_path)
+    assert (tmp_path / "table.csv").read_text() == "1"
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_text_has_the_same_bytes_everywhere(tmp_path: Path) -> None:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from kitti_wall import BASELINE, CALIBRATION, FOCAL, write_kitti_recording
 
 from relocbench.datasets import images
 from relocbench.datasets.correspondences import read_correspondences
@@ -24,11 +22,6 @@ from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import Camera, invert, rotation_angle
 from relocbench.progress import Silent
 
-WIDTH, HEIGHT, FOCAL, BASELINE = 160, 96, 100.0, 0.5
-CALIBRATION = (
-    "P0: 100 0 80 0  0 100 48 0  0 0 1 0\nP1: 100 0 80 -50  0 100 48 0  0 0 1 0\nTr: 0 -1 0 0  0 0 -1 0  1 0 0 0\n"
-)
-
 
 class Notes(Silent):
     """A reporter that keeps what it was told."""
@@ -40,33 +33,10 @@ class Notes(Silent):
         self.notes.append(message)
 
 
-def wall_image(x: float, depth: float) -> NDArray[np.uint8]:
-    """A textured wall at ``depth`` seen by a camera at (x, 0, 0)."""
-    texture = np.random.default_rng(5).integers(0, 255, size=(HEIGHT // 2, 400)).astype(np.uint8)
-    texture = cv2.GaussianBlur(cv2.resize(texture, (800, HEIGHT)), (0, 0), 1.0)
-    u, v = np.meshgrid(np.arange(WIDTH, dtype=np.float32), np.arange(HEIGHT, dtype=np.float32))
-    return np.asarray(cv2.remap(texture, u + np.float32(300 + FOCAL * x / depth), v, cv2.INTER_LINEAR))
-
-
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    """Sequence 03 of a made-up recording: frames 2, 3, 4, 6 move 0.2 m to the right each; a wall at 5 m.
-
-    Frame 6 has no right image; frame 9 has no pose.
-    """
-    root = tmp_path / "recording"
-    folder = root / "sequences" / "03"
-    for number in (2, 3, 4, 6, 9):
-        images.write_image(folder / "image_0" / f"{number:06d}.png", wall_image(0.2 * number, 5.0))
-        if number < 6:
-            right = wall_image(0.2 * number + BASELINE, 5.0)
-            images.write_image(folder / "image_1" / f"{number:06d}.png", right)
-    (folder / "calib.txt").write_text(CALIBRATION)
-    (folder / "times.txt").write_text("".join(f"{0.1 * i:.6e}\n" for i in range(10)))
-    (root / "poses").mkdir()
-    lines = [f"1 0 0 {0.2 * i!r} 0 1 0 0 0 0 1 0\n" for i in range(8)]
-    (root / "poses" / "03.txt").write_text("".join(lines))
-    return root
+    """Frames 2, 3, 4, 6 of sequence 03 move along the wall, frame 6 has no right image; frame 9 has no pose."""
+    return write_kitti_recording(tmp_path / "recording")
 
 
 def build(root: Path, out: Path, notes: Notes | None = None, workers: int = 1, **options: object) -> Dataset:
@@ -85,7 +55,7 @@ def test_frames_keep_their_numbers_times_and_poses(recording: Path, tmp_path: Pa
     assert tenths == [(2, 3, "step_1"), (2, 4, "step_2"), (3, 4, "step_1"), (4, 6, "step_2")]
     for pair, step in zip(pairs, (1, 2, 1, 2), strict=True):
         assert pair.T_query_ref is not None
-        np.testing.assert_allclose(pair.T_query_ref[:3, 3], [-0.2 * step, 0, 0], atol=1e-12)
+        np.testing.assert_allclose(pair.T_query_ref[:3, 3], [-0.2 * step, 0, 0], atol=2e-9)
     assert any("1 images left out" in note for note in notes.notes)
     assert any("1 of 4 frames are no keyframes" in note for note in notes.notes)
 
@@ -138,30 +108,6 @@ def test_a_build_that_was_interrupted_ends_with_the_same_bytes(recording: Path, 
     assert build(recording, torn).fingerprint == fingerprint
     assert kept.stat().st_mtime_ns == before
     assert not list(torn.rglob(".*.part*"))
-
-
-@pytest.mark.slow
-def test_a_killed_build_resumes_to_the_same_bytes(recording: Path, tmp_path: Path) -> None:
-    code = (
-        "import os, sys; from pathlib import Path\n"
-        "from relocbench.datasets import images\n"
-        "from relocbench.datasets.importers import Run, kitti\n"
-        "from relocbench.progress import Silent\n"
-        "write, left = images.write_depth, [2]\n"
-        "def write_then_die(path, depth):\n"
-        "    if not left[0]: os.kill(os.getpid(), 9)\n"
-        "    left[0] -= 1; write(path, depth)\n"
-        "images.write_depth = write_then_die\n"
-        "options = kitti.Options(correspondences=100, max_disparity=64)\n"
-        "kitti.build([Path(sys.argv[1])], options, Path(sys.argv[2]), Silent(), Run(1))\n"
-    )
-    out = tmp_path / "out"
-    killed = subprocess.run([sys.executable, "-c", code, str(recording), str(out)], check=False, cwd=Path.cwd())
-    assert killed.returncode == -9
-    assert len(list(out.rglob("depth/image_0/*.png"))) == 2
-    with pytest.raises(DatasetError, match="not finished"):
-        Dataset(out)
-    assert build(recording, out).fingerprint == build(recording, tmp_path / "whole").fingerprint
 
 
 def test_a_folder_with_something_else_is_left_alone(recording: Path, tmp_path: Path) -> None:

@@ -5,10 +5,6 @@ from __future__ import annotations
 import csv
 import re
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +13,7 @@ import numpy as np
 import pytest
 from command_line import Outcome, relocbench
 from fenced_street import fenced_street_mesh
+from killing import Fault, run_until_killed
 from numpy.typing import NDArray
 from recording_reading import Truth, hashes
 from small_street import SolidTexture, StraightRoad, Street
@@ -232,36 +229,17 @@ def test_a_recording_is_not_written_to(drives: Drives, built: Built) -> None:
     assert all(p.stat().st_mtime_ns < started for p in everything)
 
 
-KILLED = (
-    "import sys\nif __name__ == '__main__':\n"
-    "    from relocbench.cli import main\n"
-    "    sys.argv = ['relocbench', *sys.argv[1:]]\n    main()\n"
-)
-
-
 def test_a_build_killed_twice_and_for_two_workers_ends_with_the_same_bytes(
     drives: Drives, built: Built, tmp_path: Path
 ) -> None:
     out = tmp_path / "dataset"
-    script = tmp_path / "killed.py"
-    script.write_text(KILLED)
     sources = (drives.reference.folder, drives.query.folder)
     arguments = ["build-dataset", "robotcar", *sources, *SMALL, "--out", out, "-j", 2, "-q"]
 
-    def registrations() -> bool:
-        return any(p.read_bytes().count(b"\n") >= 2 for p in out.glob("groundtruth/registrations/*.journal"))
-
-    def depth() -> bool:
-        return len(list(out.glob("traversals/*/depth/*/*.png"))) >= 2
-
-    for stage in (registrations, depth):  # within the submaps: test_groundtruth_submaps
-        with subprocess.Popen([sys.executable, str(script), *map(str, arguments)], start_new_session=True) as process:
-            for _ in range(4000):
-                if stage() or process.poll() is not None:
-                    break
-                time.sleep(0.02)
-            assert process.poll() is None, stage.__name__
-            process.send_signal(signal.SIGKILL)
+    registrations = Fault(r"groundtruth/registrations/.*\.journal$", 2, ("append",), "main")
+    depth = Fault(r"traversals/[^/]+/depth/.*\.png$", 3, ("rename",), "main")
+    for number, stage in enumerate((registrations, depth)):  # within the submaps: test_groundtruth_submaps
+        run_until_killed(["python", "-m", "relocbench", *arguments], stage, tmp_path / f"trace{number}")
         assert not (out / "dataset.yaml").exists()
     journals = list(out.glob("groundtruth/registrations/*"))
     assert journals

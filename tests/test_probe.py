@@ -46,7 +46,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def options(dataset: Dataset, out: Path, *methods: str, **more: object) -> ProbeOptions:
-    given = {"workers": 1, "pairs": 3, "per_pair": 20, "directions": 1, **more}
+    given = {"workers": 0, "pairs": 3, "per_pair": 20, "directions": 1, **more}
     return ProbeOptions(dataset=dataset.root, methods=methods, out=out, **given)  # type: ignore[arg-type]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 def run(dataset: Dataset, out: Path, retriever: Any, *trackers: str, **options: Any) -> RelocalizationReport:
     retrievers = (retriever,) if isinstance(retriever, str) else tuple(retriever)
-    given = {"top": 2, "workers": 1, **options}
+    given = {"top": 2, "workers": 0, **options}
     return evaluate_chains(
         RelocalizationOptions(dataset=dataset.root, out=out, retriever=retrievers, methods=trackers, **given), Silent()
     )
@@ -67,7 +68,7 @@ def test_the_oracle_with_one_keyframe_scores_what_the_tracker_scores_on_its_pair
     chain = run(made, tmp_path / "r", "oracle", *off, top=1, set=settings)
     own = evaluate_methods(
         EvaluateOptions(
-            dataset=made.root, out=tmp_path / "own", methods=off, set=settings, pair_sets=(ACROSS,), workers=1
+            dataset=made.root, out=tmp_path / "own", methods=off, set=settings, pair_sets=(ACROSS,), workers=0
         ),
         Silent(),
     )
@@ -183,7 +184,9 @@ def test_an_answer_that_cannot_be_judged_is_wrong(tmp_path: Path) -> None:
     times = again.traversal("winter").timestamps(CAMERA), again.traversal("summer").timestamps(CAMERA)
     truth = MapTruth(again, again.pair_set(ACROSS), *times)
     keys = [(times[1][k], times[0][q]) for q in range(4) for k in range(4)]
-    tracked = Tracked({key: Answer(key, "ok") for key in keys}, {key: np.eye(4) for key in keys})
+    off = np.eye(4)
+    off[0, 3] = 1.0  # far from any threshold: the identity is 0.25 m wrong to the last digit
+    tracked = Tracked({key: Answer(key, "ok") for key in keys}, dict.fromkeys(keys, off))
     found = [Retrieved([3]), Retrieved([0]), Retrieved([0, 2]), Retrieved([])]
     got, _ = chained(truth, found, tracked, 2, Basin(9.0, 9.0, "given"))
     assert [r.outcome for r in got] == ["unreachable", "tracking", "unreachable", "retrieval"]
@@ -223,7 +226,7 @@ def test_a_killed_run_goes_on(dataset: Dataset, tmp_path: Path, monkeypatch: pyt
 
     def killed(self: Any, reference: Any, query: Any, prior: Any = None) -> Any:
         if log.exists() and len(log.read_text().splitlines()) == 6:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
         return track(self, reference, query, prior)
 
     with monkeypatch.context() as patched:

@@ -43,7 +43,9 @@ def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(views: Path, out: Path, *methods: str, **options: Any) -> RetrievalReport:
-    return evaluate_retrievers(RetrievalOptions(dataset=views, out=out, methods=methods, **options), Silent())
+    return evaluate_retrievers(
+        RetrievalOptions(dataset=views, out=out, methods=methods, **{"workers": 0, **options}), Silent()
+    )
 
 
 def digest(key: str) -> str:

@@ -19,6 +19,7 @@ from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_
 from relocbench.evaluation.retrieval.records import METRICS, TaskRecord, all_sets
 from relocbench.leaderboard.retrieval import RetrievalBoard, RetrievalRow, load_retrieval, mean_tables, plausible
 from relocbench.leaderboard.retrieval_page import evaluate_command
+from relocbench.leaderboard.retrieval_write import write_retrieval_leaderboard
 from relocbench.progress import Silent
 
 HERE = "retrievers_for_tests"
@@ -35,7 +36,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(dataset: Path, out: Path, *methods: str, **options: Any) -> None:
-    evaluate_retrievers(RetrievalOptions(dataset=dataset, out=out, methods=methods, **options), Silent())
+    evaluate_retrievers(RetrievalOptions(dataset=dataset, out=out, methods=methods, workers=0, **options), Silent())
 
 
 @cache
@@ -182,3 +183,17 @@ def test_an_average_precision_that_one_positive_does_not_allow_is_refused(result
 
 def test_a_folder_without_retrieval_has_no_board(tmp_path: Path) -> None:
     assert load_retrieval(tmp_path) is None
+
+
+def test_a_set_on_which_no_method_has_finished_a_task_has_a_page_without_tables(tmp_path: Path) -> None:
+    views = make_small_views(tmp_path / "town", places=3)
+    run(views, tmp_path / "results", f"t={HERE}:Thumbnail")
+    folder = all_sets(tmp_path / "results")[0].method("t")
+    for task in (D2S, S2D):
+        folder.answers(task).unlink()
+    board = write_retrieval_leaderboard(
+        tmp_path / "results", tmp_path / "board", metric="R@1", split=None, seed=0, reporter=Silent()
+    )
+    assert board is not None
+    assert board.sets[0].tables == ()
+    assert f"No method has been run on `{D2S}`, `{S2D}`." in (tmp_path / "board" / "retrieval.md").read_text()

@@ -10,9 +10,11 @@ import pytest
 
 from relocbench.datasets.groundtruth.recording import Trajectory
 from relocbench.datasets.importers import robotcar_files as files
+from relocbench.datasets.importers.robotcar_sensors import present_times
 from relocbench.datasets.importers.robotcar_track import MapOrigin, map_trajectory, visual_trajectory
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, interpolate_trajectory, invert, make_transform
+from relocbench.progress import Silent
 
 VO_HEADER = "source_timestamp,destination_timestamp,x,y,z,roll,pitch,yaw"
 INS_HEADER = (
@@ -213,3 +215,10 @@ def test_interpolation_agrees_with_the_chain_at_every_step(tmp_path: Path) -> No
         pose = pose @ files.transform_from_xyzrpy(row)
         at = interpolate_trajectory(track.times_ns, track.T_odom_rig, np.array([(i + 1) * 62_500_000]))[0]
         np.testing.assert_allclose(at, flip @ pose @ flip, atol=1e-9)
+
+
+def test_a_scan_that_is_a_link_to_nowhere_is_named(tmp_path: Path) -> None:
+    (tmp_path / "lms").mkdir()
+    (tmp_path / "lms" / "1416316800100000.bin").symlink_to("nowhere")
+    with pytest.raises(DatasetError, match=r"1416316800100000\.bin: a link to a file that is gone; expected a scan"):
+        present_times(tmp_path / "lms", tmp_path / "lms.timestamps", ".bin", "scans", Silent())

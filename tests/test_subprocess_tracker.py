@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +26,8 @@ from relocbench.progress import Silent
 from relocbench.tracking import TrackResult
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "examples" / "constant_velocity.py"
+LONG_S = 600.0
+"""only a hang takes longer, on whatever machine"""
 PROGRAM = """
 import json, sys, time
 n = 0
@@ -32,14 +36,15 @@ for line in sys.stdin:
     if m["type"] in ("start", "reference"):
         if m["type"] == "reference":
             open({log!r}, "a").write(line)
-        print(json.dumps({{"type": "ready"}}), flush=True)
+        print(json.dumps({{"type": "ready", "id": m["id"]}}), flush=True)
         continue
     if m["type"] == "stop":
         open({log!r}, "a").write("stopped\\n")
         break
     open({log!r}, "a").write(line)
     n += 1
-    good = json.dumps({{"type": "result", "pose": [0, 0, n, 0, 0, 0, 1], "confidence": 2, "info": {{"n": n}}}})
+    answer = {{"type": "result", "id": m["id"], "pose": [0, 0, n, 0, 0, 0, 1], "confidence": 2, "info": {{"n": n}}}}
+    good = json.dumps(answer)
     {body}
 """
 
@@ -49,20 +54,27 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return make_small_dataset(tmp_path_factory.mktemp("data") / "small")
 
 
-def ask(
-    tmp_path: Path, dataset: Dataset, body: str, questions: int = 1, limit_s: float = 20.0
-) -> tuple[list[TrackResult], list[str], SubprocessTracker]:
-    log = tmp_path / "log"
+def program(tmp_path: Path, body: str) -> SubprocessTracker:
     script = tmp_path / "program.py"
-    script.write_text(PROGRAM.format(log=str(log), body=body))
-    tracker = SubprocessTracker(f"{sys.executable} {script}", time_limit_s=limit_s)
+    script.write_text(PROGRAM.format(log=str(tmp_path / "log"), body=body))
+    return SubprocessTracker(f"{sys.executable} {script}", time_limit_s=LONG_S, start_limit_s=LONG_S)
+
+
+def ask(
+    tmp_path: Path, dataset: Dataset, body: str, questions: int = 1, limit_s: float = LONG_S
+) -> tuple[list[TrackResult], list[str], SubprocessTracker]:
+    tracker, log = program(tmp_path, body), tmp_path / "log"
+    tracker.time_limit_s = limit_s
     pair_set = dataset.pair_set(ACROSS)
     prepared = tracker.prepare(dataset.reference(pair_set, pair_set.pairs[0]))
     results = [tracker.track(prepared, dataset.query(pair_set, pair_set.pairs[0])) for _ in range(questions)]
     return results, log.read_text().splitlines() if log.exists() else [], tracker
 
 
-def test_an_answer_comes_back_and_the_reference_is_sent_once(tmp_path: Path, dataset: Dataset) -> None:
+def test_an_answer_comes_back_and_the_reference_is_sent_once(
+    tmp_path: Path, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("relocbench.methods.program._STOP_GRACE_S", LONG_S)
     results, log, tracker = ask(tmp_path, dataset, "print(good, flush=True)", questions=3)
     assert [r.T_query_ref[2, 3] for r in results if r.T_query_ref is not None] == [1, 2, 3]
     assert results[0].confidence == 2
@@ -103,7 +115,20 @@ def test_sparse_keyframes_come_as_points(tmp_path: Path) -> None:
         ("sys.exit('no weights')", r"ended \(exit status 1\) when asked 'query': no weights"),
         ("print(good.replace('1]', '2]'), flush=True)", "quaternion qx qy qz qw has norm 2"),
         ("print(good.replace(' 0,', '', 1), flush=True)", "expected seven finite numbers"),
-        ("print(good.replace('[0', '[NaN'), flush=True)", "expected seven finite numbers"),
+        ("print(good.replace('[0', '[1e999'), flush=True)", "expected seven finite numbers"),
+        ("print(good.replace('[0', '[NaN'), flush=True)", "answered 'query' with NaN, which is no number in JSON"),
+        ("print(good.replace('2,', '-Infinity,', 1), flush=True)", "with -Infinity, which is no number in JSON"),
+        ("print(good.replace('2,', '9' * 5000 + ',', 1), flush=True)", "with an integer of 5000 digits"),
+        ("print(good.replace('2,', 'true,', 1), flush=True)", "'confidence' a number or null"),
+        ("print(good.replace('{', '{\"pose\": null, ', 1), flush=True)", "has the key 'pose' twice"),
+        ("print(good.replace('{\"n\"', '[' * 100_000 + '{\"n\"'), flush=True)", "JSON that is nested too deep"),
+        ("sys.stdout.buffer.write(good.encode()[:9] + bytes([255, 10])); sys.stdout.flush()", "not UTF-8"),
+        ("print(good.replace('n', chr(0)), flush=True)", "expected a JSON object"),
+        ("print(good.replace('\"id\"', '\"no\"'), flush=True)", "without an id, expected the id of the question, 3"),
+        (
+            "print(json.dumps({**answer, 'id': True}), flush=True)",
+            "with the id true, expected the id of",
+        ),
     ],
 )
 def test_nonsense_costs_the_pair_and_says_why(tmp_path: Path, dataset: Dataset, body: str, words: str) -> None:
@@ -116,22 +141,25 @@ def test_nonsense_costs_the_pair_and_says_why(tmp_path: Path, dataset: Dataset, 
 
 
 def test_a_program_that_is_too_slow_is_killed_and_started_again(tmp_path: Path, dataset: Dataset) -> None:
-    start = time.monotonic()
-    mark = tmp_path / "log2"
-    body = (
-        f"import os; first = not os.path.exists({str(mark)!r}); open({str(mark)!r}, 'a').close(); "
-        "time.sleep(60 * first); print(good, flush=True)"
-    )
-    results, log, tracker = ask(tmp_path, dataset, body, questions=2, limit_s=1.0)
-    assert time.monotonic() - start < 30
-    assert results[0].message == "no answer to 'query' within 1 s"
-    assert results[1].answered
-    assert [json.loads(line)["type"] for line in log].count("reference") == 2
+    """It hangs at the second query it gets. What it must answer has limits that only a hang reaches."""
+    body = "time.sleep(3600 * (n == 2)); print(good, flush=True)"
+    tracker = program(tmp_path, body)
+    pair_set = dataset.pair_set(ACROSS)
+    prepared = tracker.prepare(dataset.reference(pair_set, pair_set.pairs[0]))
+    results = []
+    for limit_s in (LONG_S, 1.0, LONG_S):
+        tracker.time_limit_s = limit_s
+        results.append(tracker.track(prepared, dataset.query(pair_set, pair_set.pairs[0])))
+    assert results[0].answered
+    assert results[1].message == "no answer to 'query' within 1 s"
+    assert results[2].answered
+    log = (tmp_path / "log").read_text().splitlines()
     tracker.close()
+    assert [json.loads(line)["type"] for line in log] == ["reference", "query", "query", "reference", "query"]
 
 
 def test_a_stated_failure_is_no_error(tmp_path: Path, dataset: Dataset) -> None:
-    body = """print(json.dumps({"type": "result", "pose": None, "message": "too dark"}), flush=True)"""
+    body = """print(json.dumps({**answer, "pose": None, "info": None, "message": "too dark"}), flush=True)"""
     results, _, tracker = ask(tmp_path, dataset, body)
     assert (results[0].answered, results[0].message) == (False, "too dark")
     assert "status" not in results[0].info
@@ -150,3 +178,131 @@ def test_the_documented_example_keeps_the_contract_and_is_scored(tmp_path: Path,
 def test_a_program_that_is_not_there_is_a_users_mistake() -> None:
     with pytest.raises(MethodError, match="no program"):
         SubprocessTracker("/no/such/program --flag")
+
+
+def test_a_late_answer_is_never_taken_for_the_next_queries(tmp_path: Path, dataset: Dataset) -> None:
+    """The program answers twice: what it says of the first query a second time comes when the second is asked."""
+    results, _, tracker = ask(tmp_path, dataset, "print(good, flush=True); print(good, flush=True)", questions=2)
+    tracker.close()
+    assert results[0].answered
+    assert results[1].message == "answered 'query' with the id 3, expected the id of the question, 4"
+    assert results[1].info["status"] == "error"
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("while True: os.write(1, b'x' * 65536)", "more than 1048576 bytes without an end of line"),
+        ("print(good[:-1] + ', \"more\": \"' + 'x' * 2**21 + '\"}', flush=True)", "1048576 bytes"),
+        ("while True: os.write(2, b'x' * 65536)", "no answer to 'query' within 5 s"),
+    ],
+)
+def test_a_stream_without_an_end_of_line_costs_the_pair_and_bounded_memory(
+    tmp_path: Path, dataset: Dataset, body: str, words: str
+) -> None:
+    tracemalloc.start()
+    try:
+        results, _, tracker = ask(tmp_path, dataset, f"import os; exec({body!r})", limit_s=5.0)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    tracker.close()
+    assert words in results[0].message
+    assert most < 64 * 2**20
+
+
+def test_lines_that_nobody_asked_for_stay_in_the_pipe(tmp_path: Path, dataset: Dataset) -> None:
+    body = "print(good, flush=True); exec('while True: os.write(1, b\"{}\\\\n\" * 9999)')"
+    results, _, tracker = ask(tmp_path, dataset, f"import os; {body}", questions=2)
+    tracker.close()
+    assert results[0].answered
+    assert results[1].message == "answered 'query' with {}, expected an object of type 'result'"
+
+
+def test_what_a_program_says_on_standard_error_is_kept_to_its_end_only(tmp_path: Path, dataset: Dataset) -> None:
+    body = "sys.stderr.write('x' * 10**6 + ' the cause'); sys.stderr.flush(); sys.exit(4)"
+    results, _, tracker = ask(tmp_path, dataset, body)
+    tracker.close()
+    assert re.fullmatch(r"the program ended \(exit status 4\) when asked 'query': x+ the cause", results[0].message)
+
+
+FORKING = """
+import os
+def forked():
+    if os.fork():
+        return
+    {detach}
+    with open({pids!r}, "a") as stream:
+        stream.write(str(os.getpid()) + "\\n")
+    while True:
+        time.sleep(60)
+forked()
+while not os.path.exists({pids!r}) or not open({pids!r}).read().endswith("\\n"):
+    time.sleep(0.01)
+{then}
+"""
+
+
+def forking(pids: Path, then: str, detach: str = "os.setsid(); os.fork() and os._exit(0)") -> str:
+    """What a program does at a query: it forks a child that never ends, waits until it has told its number, goes on."""
+    return f"exec({FORKING.format(pids=str(pids), detach=detach, then=then)!r})"
+
+
+def gone(pids: Path) -> bool:
+    """Whether all processes of a list end; waits for it for long, as a safety net."""
+    until = time.monotonic() + 60
+    while any(running(int(pid)) for pid in pids.read_text().split()):
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+def running(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere a child with a session of its own escapes")
+@pytest.mark.parametrize("detach", ["pass", "os.setsid(); os.fork() and os._exit(0)"], ids=["forked", "daemon"])
+@pytest.mark.parametrize(
+    "then", ["print(good, flush=True)", "os._exit(3)", "os.kill(os.getpid(), 9)"],
+    ids=["answers", "ends", "is killed"],
+)  # fmt: skip
+def test_a_child_that_a_program_forked_ends_with_it(tmp_path: Path, dataset: Dataset, then: str, detach: str) -> None:
+    pids = tmp_path / "pids"
+    results, _, tracker = ask(tmp_path, dataset, forking(pids, then, detach), limit_s=60.0)
+    assert results[0].answered == (then == "print(good, flush=True)"), results[0].message
+    if then == "os.kill(os.getpid(), 9)":
+        assert "the program ended (exit status -9)" in results[0].message
+    tracker.close()
+    assert pids.read_text().strip()
+    assert gone(pids)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere a child with a session of its own escapes")
+def test_what_a_program_started_ends_when_the_process_that_asks_is_killed(tmp_path: Path, dataset: Dataset) -> None:
+    pids = tmp_path / "pids"
+    script = tmp_path / "program.py"
+    then = f'open({str(pids)!r}, "a").write(str(os.getpid()) + chr(10)); os.kill(os.getppid(), 0); time.sleep(600)'
+    script.write_text(PROGRAM.format(log=str(tmp_path / "log"), body=forking(pids, then)))
+    asking = f"""
+import sys
+from relocbench.datasets.dataset import Dataset
+from relocbench.methods.subprocess_tracker import SubprocessTracker
+dataset = Dataset(__import__("pathlib").Path({str(dataset.root)!r}))
+pairs = dataset.pair_set({ACROSS!r})
+tracker = SubprocessTracker({f"{sys.executable} {script}"!r})
+tracker.track(tracker.prepare(dataset.reference(pairs, pairs.pairs[0])), dataset.query(pairs, pairs.pairs[0]))
+"""
+    process = subprocess.Popen([sys.executable, "-c", asking])
+    until = time.monotonic() + 120
+    while not pids.exists() or pids.read_text().count("\n") < 2:
+        assert process.poll() is None
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    assert gone(pids)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +12,7 @@ import pytest
 from command_line import relocbench
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from killing import Fault, run_until_killed
 
 from relocbench.datasets import images
 from relocbench.datasets.correspondences import read_correspondences
@@ -146,7 +144,7 @@ def test_the_smoke_preset_is_a_sound_dataset_with_labelled_conditions(town: Data
     assert np.diff(times).tolist() == [100_000_000] * 3
 
 
-def test_pairs_agree_with_the_poses_to_the_last_digits(town: Dataset) -> None:
+def test_pairs_agree_with_the_poses_to_their_last_digits(town: Dataset) -> None:
     for pair_set in town.pair_sets():
         reference, query = town.traversal(pair_set.reference), town.traversal(pair_set.query)
         for pair in pair_set.pairs:
@@ -154,8 +152,8 @@ def test_pairs_agree_with_the_poses_to_the_last_digits(town: Dataset) -> None:
             T_world_query = query.T_world_cam("front", pair.query_timestamp_ns)
             assert pair.T_query_ref is not None
             rest = invert(T_world_query) @ T_world_ref @ invert(pair.T_query_ref)
-            assert np.linalg.norm(rest[:3, 3]) < 1e-12
-            assert rotation_angle(rest[:3, :3]) < 1e-12
+            assert np.linalg.norm(rest[:3, 3]) < 2e-8  # both are written to a nanometre and a billionth
+            assert rotation_angle(rest[:3, :3]) < 2e-8
 
 
 def nearest_hit(mesh: Mesh, origin: np.ndarray, direction: np.ndarray) -> float:
@@ -306,16 +304,13 @@ def test_a_build_renders_one_missing_frame_alone_to_the_same_bytes(town: Dataset
 
 
 def test_a_killed_build_resumes_to_the_same_bytes(town: Dataset, tmp_path: Path) -> None:
-    """The command and all its workers are killed at once, with the first image on disk."""
+    """The command and all its workers are killed at once, with the first images on disk."""
     out = tmp_path / "out"
     options = ["build-dataset", "synthetic", "--preset", "smoke", "--workers", "2", "--quiet"]
     extras = ["--extras", "changed,instance,semantic,normals", "--out", str(out)]
-    job = subprocess.Popen([sys.executable, "-m", "relocbench", *options, *extras], start_new_session=True)
-    deadline = time.monotonic() + 300
-    while not list(out.rglob("images/front/*.png")) and job.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.005)
-    os.killpg(job.pid, signal.SIGKILL)
-    assert job.wait() == -signal.SIGKILL
+    # Of two workers one may be about to rename the image that it counted.
+    third = Fault(r"images/front/\d+\.png$", 3)
+    run_until_killed(["python", "-m", "relocbench", *options, *extras], third, tmp_path / "trace")
     assert 0 < len(list(out.rglob("images/front/*.png"))) < 8
     with pytest.raises(DatasetError, match="not finished"):
         Dataset(out)

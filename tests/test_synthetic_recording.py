@@ -5,10 +5,6 @@ from __future__ import annotations
 import csv
 import math
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +15,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from killing import Fault, run_until_killed
 from numpy.typing import NDArray
 from recording_reading import RobotCarReading, Truth, hashes, matrix_of, read_vo
 from small_street import SolidTexture, StraightRoad, Street, street_mesh
@@ -518,35 +515,27 @@ def test_seeds_change_the_drive_and_numbers_the_day(tmp_path: Path) -> None:
     assert another.folder.parent == paths[0].folder.parent
 
 
-KILLED = """
+DRIVEN = """
 import sys
 from pathlib import Path
-sys.path.insert(0, sys.argv[1])
-import test_synthetic_recording as t
-from small_street import Slowly
+from test_synthetic_recording import drive
 if __name__ == "__main__":
-    t.drive(Path(sys.argv[2]), cameras=("stereo/left",), frames=24, renderer_factory=Slowly)
+    drive(Path(sys.argv[1]), cameras=("stereo/left",), frames=8)
 """
 
 
 def test_a_killed_recording_is_finished_with_the_same_bytes(tmp_path: Path) -> None:
-    whole = drive(tmp_path / "whole", cameras=("stereo/left",), frames=24)
+    whole = drive(tmp_path / "whole", cameras=("stereo/left",), frames=8)
     out = tmp_path / "killed"
-    tests = str(Path(__file__).parent)
-    with subprocess.Popen([sys.executable, "-c", KILLED, tests, str(out)]) as process:
-        for _ in range(600):
-            images = list(out.glob("*/stereo/left/[0-9]*.png"))
-            if len(images) >= 3 or process.poll() is not None:
-                break
-            time.sleep(0.05)
-        process.send_signal(signal.SIGKILL)
-    assert 3 <= len(images) < 24
+    run_until_killed(["python", "-c", DRIVEN, out], Fault(r"stereo/left/\d+\.png$", 4), tmp_path / "trace")
+    images = list(out.glob("*/stereo/left/[0-9]*.png"))
+    assert len(images) == 3
     # Files from elsewhere that end too soon are noticed as well.
     kept = out / images[0].relative_to(out)
     kept.write_bytes(kept.read_bytes()[:-20])
     scan = next((out / whole.name / "lms_front").glob("*.bin"))
     scan.write_bytes(scan.read_bytes()[:-8])
-    drive(out, cameras=("stereo/left",), frames=24)
+    drive(out, cameras=("stereo/left",), frames=8)
     assert hashes(out) == hashes(tmp_path / "whole")
 
 

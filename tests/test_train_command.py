@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from command_line import relocbench
+from killing import Fault, run_until_killed
 from made_pairs import TINY
 from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset
 
@@ -182,7 +178,7 @@ def test_a_dataset_becomes_weights_that_evaluate_runs(tmp_path: Path, dataset: D
 
 @pytest.mark.slow
 def test_a_training_killed_outright_ends_with_the_bytes_of_one_that_was_not(tmp_path: Path, dataset: Dataset) -> None:
-    more = ("--validation-pairs", 4, "--set", "steps=20", "--set", "validate_every=10", "--set", "checkpoint_every=1")
+    more = ("--validation-pairs", 4, "--set", "steps=8", "--set", "validate_every=4", "--set", "checkpoint_every=1")
     command = [
         "train",
         "gn-net",
@@ -197,14 +193,9 @@ def test_a_training_killed_outright_ends_with_the_bytes_of_one_that_was_not(tmp_
         *SETTINGS,
         *more,
     ]
-    running = subprocess.Popen([sys.executable, "-m", "relocbench", *map(str, command)], stderr=subprocess.DEVNULL)
-    checkpoint = tmp_path / "cut" / "checkpoint.pt"
-    until = time.monotonic() + 120
-    while not checkpoint.exists() and running.poll() is None and time.monotonic() < until:
-        time.sleep(0.01)
-    os.kill(running.pid, signal.SIGKILL)
-    running.wait()
-    assert checkpoint.exists()
+    third = Fault(r"checkpoint\.pt$", 3)
+    run_until_killed(["python", "-m", "relocbench", *command], third, tmp_path / "trace")
+    assert (tmp_path / "cut" / "checkpoint.pt").exists()
     assert not (tmp_path / "cut" / "MODEL_CARD.md").exists()  # it was not done
     assert train(dataset.root, tmp_path / "cut", *more).status == 0
     assert train(dataset.root, tmp_path / "whole", *more).status == 0

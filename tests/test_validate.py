@@ -266,7 +266,7 @@ def test_a_run_that_was_killed_is_unfinished_and_its_command_ends_it(
     def killed(*_: object) -> None:
         raise KeyboardInterrupt
 
-    options = EvaluateOptions(dataset=dataset.root, methods=(IDENTITY,), out=tmp_path / "R", workers=1)
+    options = EvaluateOptions(dataset=dataset.root, methods=(IDENTITY,), out=tmp_path / "R", workers=0)
     with monkeypatch.context() as patch:
         patch.setattr(run_module, "_collect", killed)
         with pytest.raises(KeyboardInterrupt):

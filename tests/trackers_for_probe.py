@@ -29,9 +29,7 @@ class Basin:
     def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
         self._note("track", query)
         assert prior is not None
-        pose = prior.copy()
-        prior[:] = 0  # what a method does to its input is its own affair
-        return TrackResult(pose)
+        return TrackResult(prior.copy())
 
     def match(self, reference: Reference, query: Query, uv_ref: Any, uv_start: Any) -> Any:
         self._note("match", query)

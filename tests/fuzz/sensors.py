@@ -1,0 +1,165 @@
+"""Readers of point clouds, lidar scans and what is kept of lidar."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from fuzz.asking import write
+from fuzz.parser import Parser, Place
+
+_NAMES = ("x", "y", "z", "intensity")
+
+
+def points(count: int = 12) -> np.ndarray:
+    """(count, 4) x, y, z, intensity: eighths of metres, which every format holds exactly."""
+    rng = np.random.default_rng(1)
+    return rng.integers(8, 160, (count, 4)) / 8
+
+
+def write_clouds(root: Path) -> None:
+    """The same points in every format that is read."""
+    folder = root / "clouds"
+    folder.mkdir()
+    cloud = points()
+    text = "".join(" ".join(f"{v:g}" for v in row) + "\n" for row in cloud)
+    binary = cloud.astype("<f4").tobytes()
+    properties = "".join(f"property float {name}\n" for name in _NAMES)
+    for kind, body in (
+        ("ascii", text.encode()),
+        ("binary_little_endian", binary),
+        ("binary_big_endian", cloud.astype(">f4").tobytes()),
+    ):
+        head = f"ply\nformat {kind} 1.0\ncomment made up\nelement vertex {len(cloud)}\n{properties}end_header\n"
+        (folder / f"{kind}.ply").write_bytes(head.encode() + body)
+    faces = "property list uchar int vertex_indices"
+    faces = f"ply\nformat ascii 1.0\nelement vertex {len(cloud)}\n{properties}element face 1\n{faces}\nend_header\n"
+    (folder / "faces.ply").write_text(f"{faces}{text}3 0 1 2\n")
+    head = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\n"
+        f"COUNT 1 1 1 1\nWIDTH {len(cloud)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(cloud)}\nDATA "
+    )
+    (folder / "ascii.pcd").write_text(f"{head}ascii\n{text}")
+    (folder / "binary.pcd").write_bytes(f"{head}binary\n".encode() + binary)
+    (folder / "packed.pcd").write_bytes(
+        f"{head}binary_compressed\n".encode() + _packed(cloud.astype("<f4").T.tobytes())
+    )
+
+
+def _packed(data: bytes) -> bytes:
+    """LZF that only quotes: runs of up to 32 literal bytes, each after its length less one."""
+    runs = b"".join(bytes([len(part) - 1]) + part for part in (data[i : i + 32] for i in range(0, len(data), 32)))
+    return len(runs).to_bytes(4, "little") + len(data).to_bytes(4, "little") + runs
+
+
+def write_lidar_folder(root: Path) -> None:
+    """A generic folder whose one lidar has a scan in each format."""
+    cloud = points()
+    write_clouds(root)
+    folder = root / "drive" / "lidar" / "top"
+    folder.mkdir(parents=True)
+    for number, name in enumerate(("binary_little_endian.ply", "binary.pcd")):
+        (folder / f"{number}00000000{Path(name).suffix}").write_bytes((root / "clouds" / name).read_bytes())
+    cloud.astype("<f4").tofile(folder / "200000000.bin")
+    np.save(folder / "300000000.npy", cloud.astype(np.float32))
+    columns = [(name, "<f4") for name in _NAMES]
+    np.save(folder / "400000000.npy", np.array([tuple(row) for row in cloud], dtype=columns))
+    write(
+        root / "drive" / "lidar.yaml",
+        "lidars:",
+        "  top: {pattern: spinning, max_range: 80, min_range: 0.5, sigma: 0.02, columns: [x, y, z, intensity]}",
+        "rig_axes: forward-left-up",
+    )
+    write(root / "drive" / "poses.txt", *(f"{i}.5 {i} 0 0 0 0 0 1" for i in range(3)))
+
+
+def write_kept(root: Path) -> None:
+    """What a build of ground truth keeps: blocks, registrations, graphs, its journal."""
+    from relocbench.datasets.groundtruth.block_store import write_block
+    from relocbench.datasets.groundtruth.blocks import Block, Nodes
+    from relocbench.datasets.groundtruth.evidence import Evidence, Registration
+    from relocbench.datasets.groundtruth.graph_files import PlacedDrive, write_graph
+    from relocbench.datasets.groundtruth.hypotheses import Outcome
+    from relocbench.datasets.groundtruth.journal import Journal
+    from relocbench.datasets.groundtruth.track_files import write_registrations
+
+    folder = root / "kept"
+    folder.mkdir()
+    cloud = points()[:, :3].astype(np.float32)
+    flat = np.zeros(len(cloud))
+    block = Block(cloud, cloud, cloud, flat.astype(np.uint8), flat.astype(np.float32))
+    write_block(folder / "000000.npz", block)
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, 0, 3] = range(3)
+    times = np.arange(3, dtype=np.int64) * 10**9
+    nodes = Nodes(times, poses, np.arange(3.0))
+    evidence = Evidence(0.5, 0.5, 0.25, 0.25, 0.0, 0.0, 0.5, (1.0, 0.0, 0.0), 0.5)
+    found = [Registration(i, i, poses[i], np.eye(6), evidence, "too few points agree" if i else "") for i in range(3)]
+    write_registrations(folder / "a__b.csv", found, nodes, nodes)
+    ways = np.tile([1.0, np.inf], (3, 1))
+    drives = [PlacedDrive(name, times, poses, ways, {1: "", 2: "far"}) for name in ("a", "b")]
+    write_graph(folder / "graph.csv", drives[0], drives[1])
+    journal = Journal(folder / "journal.jsonl")
+    for i in range(2):
+        journal.remember(f"pair {i}", lambda i=i: Outcome(found[i]))  # type: ignore[misc]
+    journal.close()
+
+
+def _cloud(place: Place) -> None:
+    from relocbench.datasets.importers.point_clouds import read_point_cloud
+
+    read_point_cloud(place.target)
+
+
+def _velodyne(place: Place) -> None:
+    from relocbench.datasets.importers.velodyne import read_scan
+
+    read_scan(place.target)
+
+
+def _lidar_folder(place: Place) -> None:
+    from relocbench.datasets.importers.generic_recording import read_generic
+
+    recording = read_generic(place.root / "drive", odometry="poses")
+    for lidar in recording.lidars:
+        for index in range(len(lidar.times_ns)):
+            lidar.read(index)
+
+
+def _block(place: Place) -> None:
+    from relocbench.datasets.groundtruth.block_store import read_block
+
+    read_block(place.target)
+
+
+def _registrations(place: Place) -> None:
+    from relocbench.datasets.groundtruth.track_files import read_registrations
+
+    read_registrations(place.target)
+
+
+def _graph(place: Place) -> None:
+    from relocbench.datasets.groundtruth.graph_files import read_graph
+
+    read_graph(place.target, "a", "b")
+
+
+def _journal(place: Place) -> None:
+    from relocbench.datasets.groundtruth.journal import Journal
+
+    Journal(place.target).close()
+
+
+SEEDS = {"clouds": write_clouds, "lidar-folder": write_lidar_folder, "kept": write_kept}
+PARSERS = (
+    Parser("ply", "clouds", ("clouds/*.ply",), _cloud),
+    Parser("pcd", "clouds", ("clouds/*.pcd",), _cloud),
+    Parser("velodyne", "lidar-folder", ("drive/lidar/top/*.bin",), _velodyne),
+    Parser("scans", "lidar-folder", ("drive/lidar/top/*",), _lidar_folder, names=True),
+    Parser("lidar.yaml", "lidar-folder", ("drive/lidar.yaml",), _lidar_folder, text=True),
+    Parser("blocks", "kept", ("kept/*.npz",), _block, brief=False),
+    Parser("registrations", "kept", ("kept/a__b.csv",), _registrations, text=True, brief=False),
+    Parser("graph", "kept", ("kept/graph.csv",), _graph, text=True, brief=False),
+    Parser("registration-journal", "kept", ("kept/journal.jsonl",), _journal, text=True, resumes=True, brief=False),
+)
