@@ -2,7 +2,7 @@ VENV ?= .venv
 RUN := $(VENV)/bin
 RECORDINGS ?= ../shared/data
 
-.PHONY: help setup test lint format demo bench docs constraints clean
+.PHONY: help setup test test-busy test-processors kills fuzz lint format demo bench docs constraints clean
 .PHONY: leaderboard leaderboard-weather leaderboard-retrieval leaderboard-relocalization
 
 help:            ## list the targets
@@ -13,8 +13,24 @@ setup: $(VENV)/.ready ## virtual environment, pinned packages, the one system li
 $(VENV)/.ready: tools/setup.sh constraints.txt pyproject.toml
 	VENV=$(VENV) tools/setup.sh
 
-test: setup      ## the test suite, quick ones first
-	OMP_NUM_THREADS=1 $(RUN)/python -m pytest -q -n 2 --dist loadfile
+PYTEST := OMP_NUM_THREADS=1 $(RUN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=20
+
+test: setup      ## the test suite on two cores, the files that take longest first
+	$(PYTEST)
+
+test-busy: setup ## the test suite with eight busy loops beside it
+	tools/beside_busy_loops.sh 8 $(PYTEST)
+
+test-processors: setup ## the tests as other processors would run them, a table of what failed (TESTS=files)
+	VENV=$(VENV) tools/test_processors.sh $(TESTS)
+
+kills: setup     ## kill each kind of job twenty times in the middle of its work and compare what it leaves
+	$(RUN)/python benchmarks/kills.py
+
+fuzz: setup      ## damaged files for every reader (INPUTS=20000 SECONDS= SEED=0 JOBS=2 ONLY=part,of,names KEEP=folder)
+	PYTHONPATH=.:tests OMP_NUM_THREADS=1 $(RUN)/python -m fuzz --seed $(or $(SEED),0) --jobs $(or $(JOBS),2) \
+	  --keep $(or $(KEEP),fuzz-failures) $(if $(SECONDS),--seconds $(SECONDS),--inputs $(or $(INPUTS),20000)) \
+	  $(if $(ONLY),--only $(ONLY))
 
 lint: setup      ## style, types, import rules
 	$(RUN)/ruff check .
@@ -53,4 +69,4 @@ constraints: setup ## pin the newest versions that fit
 	  --no-annotate --no-header --python-version 3.11 -o constraints.txt
 
 clean:           ## remove what was generated
-	rm -rf build dist site demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf build dist site demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache fuzz-failures

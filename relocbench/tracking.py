@@ -15,6 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.errors import one_line, raised
 from relocbench.geometry import Camera
 
 Array = NDArray[np.float64]
@@ -84,7 +85,10 @@ class Reference:
         z = self.depth[v, u].astype(np.float64)
         a, b, c = self.depth_sigma
         sigma_z = a + b * z + c * z * z
-        return KeyframePoints(np.stack([u, v], axis=-1).astype(np.float64), 1.0 / z, sigma_z / (z * z))
+        points = (np.stack([u, v], axis=-1).astype(np.float64), 1.0 / z, sigma_z / (z * z))
+        for array in points:
+            array.flags.writeable = False  # they are kept, for whoever asks next
+        return KeyframePoints(*points)
 
     @cached_property
     def inverse_depth_map(self) -> NDArray[np.float32]:
@@ -93,11 +97,13 @@ class Reference:
         if self.depth is not None:
             known = self.depth > 0
             out[known] = 1.0 / self.depth[known]
+            out.flags.writeable = False
             return out
         points = self.points
         u, v = np.rint(points.uv).astype(int).T
         inside = (u >= 0) & (v >= 0) & (u < out.shape[1]) & (v < out.shape[0])
         np.maximum.at(out, (v[inside], u[inside]), points.inverse_depth[inside].astype(np.float32))
+        out.flags.writeable = False
         return out
 
 
@@ -123,7 +129,7 @@ class TrackResult:
     message: str = ""
     """why it failed, or a remark"""
     info: Mapping[str, Any] = field(default_factory=dict)
-    """free-form numbers and words: inliers, energy, iterations, ..."""
+    """free-form numbers and words: inliers, energy, iterations, ...; up to 8192 characters of JSON are kept"""
 
     @classmethod
     def failure(cls, message: str, **info: Any) -> TrackResult:
@@ -218,41 +224,103 @@ class SupportsFeatures(Protocol):
     def features(self, image: NDArray[np.uint8], camera: Camera) -> FeatureMaps: ...
 
 
-def match_fault_of(ends: object, count: int) -> str | None:
-    """What keeps ``ends`` from being the answer to ``count`` pixels, or None if nothing does."""
+class ContractFault(Exception):
+    """An answer is none in the sense of the contract; the message says why."""
+
+
+def plain_pixels(ends: object, count: int) -> Array:
+    """A copy (N, 2) float64 of the answer to ``count`` pixels, NaN where there is none. Raises ContractFault."""
     if not isinstance(ends, np.ndarray) or not np.issubdtype(ends.dtype, np.floating):
         kind = f"an array of {ends.dtype}" if isinstance(ends, np.ndarray) else type(ends).__name__
-        return f"match returned {kind}, expected an array of floats"
-    if ends.shape != (count, 2):
-        return f"match returned shape {ends.shape}, expected ({count}, 2)"
-    if np.isinf(ends).any():
-        return "match returned an infinite pixel; no answer is NaN"
+        raise ContractFault(f"match returned {kind}, expected an array of floats")
+    found = np.asarray(ends)  # of no subclass, which could answer otherwise when it is looked at again
+    if found.shape != (count, 2):
+        raise ContractFault(f"match returned shape {found.shape}, expected ({count}, 2)")
+    with np.errstate(over="ignore"):
+        found = np.array(found, dtype=np.float64)
+    if np.isinf(found).any():
+        raise ContractFault("match returned an infinite pixel; no answer is NaN")
+    return found
+
+
+def match_fault_of(ends: object, count: int) -> str | None:
+    """What keeps ``ends`` from being the answer to ``count`` pixels, or None if nothing does."""
+    try:
+        plain_pixels(ends, count)
+    except ContractFault as fault:
+        return str(fault)
     return None
 
 
-def _is_finite(value: object) -> bool:
-    try:
-        return math.isfinite(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        return False
+def plain_result(result: object) -> TrackResult:
+    """A copy of an answer, the pose as (4, 4) float64 and the confidence as float; message and info as they are.
+
+    Each field is looked at once, so that what was checked is what is used.
+
+    Raises:
+        ContractFault: it is no answer in the sense of the contract.
+        Exception: whatever an object that the method made raises when it is looked at.
+    """
+    if not isinstance(result, TrackResult):
+        raise ContractFault(f"returned {type(result).__name__}, expected TrackResult")
+    pose, confidence, message, info = result.T_query_ref, result.confidence, result.message, result.info
+    return TrackResult(
+        None if pose is None else _plain_pose(pose),
+        None if confidence is None else _plain_confidence(confidence),
+        message,
+        info,
+    )
 
 
 def fault_of(result: object) -> str | None:
     """What keeps ``result`` from being an answer in the sense of the contract, or None if nothing does."""
-    if not isinstance(result, TrackResult):
-        return f"returned {type(result).__name__}, expected TrackResult"
-    if result.confidence is not None and not _is_finite(result.confidence):
-        return f"confidence is {result.confidence!r}, expected a finite number or None"
-    if result.T_query_ref is None:
-        return None
-    pose = np.asarray(result.T_query_ref)
-    if pose.shape != (4, 4):
-        return f"T_query_ref has shape {pose.shape}, expected (4, 4)"
-    if not np.issubdtype(pose.dtype, np.floating) or not np.all(np.isfinite(pose)):
-        return "T_query_ref is not finite"
-    rotation = pose[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
-        return "T_query_ref is not a rigid transform (its rotation is off SO(3) by more than 1e-3)"
-    if np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-9:
-        return "the last row of T_query_ref is not 0 0 0 1"
+    try:
+        plain_result(result)
+    except ContractFault as fault:
+        return str(fault)
+    except Exception as bad:  # noqa: BLE001  the boundary to code that is not ours
+        return f"the answer cannot be read: {raised(bad)}"
     return None
+
+
+def _plain_confidence(value: Any) -> float:
+    """Numbers of all kinds, NumPy's and PyTorch's scalars too. Raises ContractFault."""
+    if getattr(value, "shape", ()) != ():
+        raise ContractFault(
+            f"confidence is an array of shape {one_line(value.shape, 60)}, expected a finite number or None"
+        )
+    if isinstance(value, str | bytes):
+        raise ContractFault(f"confidence is '{one_line(value, 60)}', expected a finite number or None")
+    if not hasattr(value, "__float__"):
+        raise ContractFault(f"confidence is a {type(value).__name__}, expected a finite number or None")
+    try:
+        number = float.__float__(float(value))
+    except OverflowError:
+        raise ContractFault("confidence is too large for a float, expected a finite number or None") from None
+    if not math.isfinite(number):
+        raise ContractFault(f"confidence is {number!r}, expected a finite number or None")
+    return number
+
+
+def _plain_pose(value: Any) -> Array:
+    """(4, 4) float64 of floats or integers. Raises ContractFault."""
+    try:
+        given = np.asarray(value)
+    except ValueError as bad:
+        raise ContractFault(f"T_query_ref is no array: {raised(bad)}") from None
+    if given.shape != (4, 4):
+        raise ContractFault(f"T_query_ref has shape {given.shape}, expected (4, 4)")
+    if not (np.issubdtype(given.dtype, np.floating) or np.issubdtype(given.dtype, np.integer)):
+        raise ContractFault(f"T_query_ref is an array of {one_line(given.dtype, 60)}, expected floats")
+    with np.errstate(all="ignore"):
+        pose = np.array(given, dtype=np.float64)
+        if not np.all(np.isfinite(pose)):
+            raise ContractFault("T_query_ref is not finite")
+        rotation = pose[:3, :3]
+        # Huge numbers overflow to NaN, which must not pass: "not at most" rather than "more than".
+        off = not np.abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-3
+        if off or np.linalg.det(rotation) < 0:
+            raise ContractFault("T_query_ref is not a rigid transform (its rotation is off SO(3) by more than 1e-3)")
+    if np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-9:
+        raise ContractFault("the last row of T_query_ref is not 0 0 0 1")
+    return pose

@@ -1,4 +1,4 @@
-"""Check that every link in README.md and docs/ leads somewhere and every command shown there exists as shown."""
+"""Check that links in README.md and docs/ lead somewhere, and that commands and tests named there exist as shown."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from relocbench.cli.app import app
 
 ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+_TEST = re.compile(r"`([\w/]+\.py)::(test_\w+)`")
 _FENCE = re.compile(r"^```(\w*)\s*$")
 
 
@@ -68,14 +69,23 @@ def unknown_words(command: str) -> Iterator[str]:
             yield f"'{context.name}' has no option {word}"
 
 
+def unknown_tests(page: Path) -> Iterator[str]:
+    """Tests named as ``file.py::test_name`` that are not in ``tests/``."""
+    for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
+        for file, name in _TEST.findall(line):
+            path = ROOT / "tests" / file
+            if not path.exists() or f"def {name}(" not in path.read_text(encoding="utf-8"):
+                yield f"{page.relative_to(ROOT)}:{number}: test '{file}::{name}', which is not there"
+
+
 def main() -> int:
-    faults = [fault for page in pages() for fault in dead_links(page)]
+    faults = [fault for page in pages() for fault in (*dead_links(page), *unknown_tests(page))]
     shown = 0
     for page in pages():
         for number, command in commands(page):
             shown += 1
             faults += [f"{page.relative_to(ROOT)}:{number}: {fault}" for fault in unknown_words(command)]
-    print("\n".join(faults) or f"{len(pages())} pages, {shown} commands: all links and commands hold")
+    print("\n".join(faults) or f"{len(pages())} pages, {shown} commands: all links, commands and named tests hold")
     return 1 if faults else 0
 
 

@@ -22,10 +22,11 @@ def main() -> None:
             break
         if message["type"] in ("start", "reference"):
             # A real tracker loads message["image"], and message["depth"] or message["points"], here.
-            answer = {"type": "ready"}
+            answer = {"type": "ready", "id": message["id"]}
         else:
             # T_query_ref as tx ty tz qx qy qz qw: a query that is ahead sees the keyframe's points nearer by as much.
-            answer = {"type": "result", "pose": [0, 0, -forward, 0, 0, 0, 1], "confidence": 1.0}
+            pose = [0, 0, -forward, 0, 0, 0, 1]
+            answer = {"type": "result", "id": message["id"], "pose": pose, "confidence": 1.0}
         print(json.dumps(answer), flush=True)
 
 

@@ -6,29 +6,39 @@ import errno
 import os
 import sys
 
-from relocbench.errors import RelocbenchError
+from relocbench.cli.interruption import INTERRUPTED, interruptible, leave, tell_once
+from relocbench.errors import RelocbenchError, printable
 
 USER_ERROR = 2
-INTERRUPTED = 130
 _SURROUNDINGS = {
     getattr(errno, name)
-    for name in ("EACCES", "EDQUOT", "EIO", "EISDIR", "ELOOP", "ENAMETOOLONG", "ENOSPC", "ENOTDIR", "EPERM", "EROFS")
+    for name in (
+        *("EACCES", "EDQUOT", "EFBIG", "EIO", "EISDIR", "ELOOP", "EMFILE", "ENAMETOOLONG", "ENFILE", "ENODEV"),
+        *("ENOSPC", "ENOTDIR", "ENXIO", "EPERM", "EROFS", "ESTALE", "ETXTBSY"),
+    )
 }
 """what the system refuses: no mistake of the program"""
+_SYMLINK_LOOP = "Symlink loop from "
+"""what Python before 3.13 raises for ELOOP where a path is resolved"""
 
 
 def main() -> None:
     """Run the command line; a user's mistake is one line and exit status 2, a bug is a traceback."""
-    from relocbench.cli.app import app
-
     try:
-        app(prog_name="relocbench", standalone_mode=True)
+        with interruptible():
+            from relocbench.cli.app import app
+
+            app(prog_name="relocbench", standalone_mode=True)
+    except KeyboardInterrupt:
+        tell_once()
+        leave()
     except RelocbenchError as bad:
         print(f"relocbench: {bad}", file=sys.stderr)
         sys.exit(USER_ERROR)
     except SystemExit as done:
         if done.code == INTERRUPTED:  # what typer makes of Ctrl-C
-            print("relocbench: interrupted; the same command goes on where it stopped", file=sys.stderr)
+            tell_once()
+            leave()
         raise
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -37,5 +47,10 @@ def main() -> None:
         if bad.errno not in _SURROUNDINGS:
             raise
         place = f"{bad.filename}: " if bad.filename else ""
-        print(f"relocbench: {place}{bad.strerror}", file=sys.stderr)
+        print(f"relocbench: {printable(f'{place}{bad.strerror}')}", file=sys.stderr)
+        sys.exit(USER_ERROR)
+    except RuntimeError as bad:
+        if not str(bad).startswith(_SYMLINK_LOOP):
+            raise
+        print(f"relocbench: {bad}", file=sys.stderr)
         sys.exit(USER_ERROR)

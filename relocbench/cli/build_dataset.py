@@ -4,18 +4,30 @@ from __future__ import annotations
 
 import inspect
 import typing
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from relocbench.cli.options import Json, Quiet, Scheduler, Workers
+from relocbench.cli.options import (
+    Json,
+    Quiet,
+    Scheduler,
+    SchedulerTlsCa,
+    SchedulerTlsCert,
+    SchedulerTlsKey,
+    Workers,
+    scheduler_values,
+)
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
     from relocbench.datasets.cross_view import CrossViewSet
+    from relocbench.datasets.importers import Run
     from relocbench.datasets.recording import RecordingFolder
     from relocbench.datasets.schema import Strict
 
@@ -101,6 +113,9 @@ def _common(kind: str) -> dict[str, Any]:
         "config": Annotated[Path | None, typer.Option(help="YAML file with any of these options (pair_step: [1, 2]).")],
         "workers": Workers,
         "scheduler": Scheduler,
+        "scheduler_tls_ca": SchedulerTlsCa,
+        "scheduler_tls_cert": SchedulerTlsCert,
+        "scheduler_tls_key": SchedulerTlsKey,
         "quiet": Quiet,
         "json": Json,
     }
@@ -137,17 +152,36 @@ def _metavar(annotation: Any) -> str:
 
 
 def _build(kind: str, options: type[Strict], given: dict[str, Any]) -> None:
-    from relocbench.cli.configuration import merged
-    from relocbench.cli.console import print_json, reporter
-    from relocbench.cli.inspect import print_summary
-    from relocbench.datasets.importers import Run, importer, place_importer, recorder
-    from relocbench.datasets.importers.options import ImportOptions
+    from relocbench.cli.configuration import Where, merged
+    from relocbench.datasets.importers import Run
+    from relocbench.errors import DatasetError
     from relocbench.execution import default_workers
+    from relocbench.files import alone_writing_to
 
     sources, out = given.pop("sources", []), given.pop("out")
     config, quiet, as_json = given.pop("config"), given.pop("quiet"), given.pop("json")
-    run = Run(given.pop("workers") or default_workers(), given.pop("scheduler"))
-    chosen = merged(options, config, {name: value for name, value in given.items() if value is not None})
+    tls = (given.pop(f"scheduler_tls_{name}") for name in ("ca", "cert", "key"))
+    place = {"workers": given.pop("workers"), "scheduler": scheduler_values(given.pop("scheduler"), *tls)}
+    where = merged(Where, config, {name: value for name, value in place.items() if value is not None}, options)
+    chosen = merged(options, config, {name: value for name, value in given.items() if value is not None}, Where)
+    run = Run(where.workers or default_workers())
+    if where.scheduler is not None:
+        # Workers of a cluster start in folders of their own.
+        sources, out = [source.absolute() for source in sources], out.absolute()
+        run = replace(run, scheduler=where.scheduler.sharing(out, *sources))
+    for source in sources:
+        if out.resolve().is_relative_to(source.resolve()):  # not even a folder is made there
+            raise DatasetError(f"lies inside the recording {source}, which is never written to", out)
+    with alone_writing_to(out):
+        _make(kind, chosen, sources, out, run, quiet, as_json)
+
+
+def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Run, quiet: bool, as_json: bool) -> None:
+    from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.inspect import print_summary
+    from relocbench.datasets.importers import importer, place_importer, recorder
+    from relocbench.datasets.importers.options import ImportOptions
+
     places = place_importer(kind)
     if places is not None:
         made = places.build_places(list(sources), chosen, out, reporter(quiet), run)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from relocbench.cli.options import Json, Settings
+
+if TYPE_CHECKING:
+    from relocbench.evaluation.check import Finding
+    from relocbench.execution import Loss
+    from relocbench.methods import MethodSpec
 
 
 def check_method(
@@ -24,13 +29,13 @@ def check_method(
     Example: relocbench check-method mypackage.trackers:MyTracker
     """
     from relocbench.cli.console import print_json, print_table
-    from relocbench.evaluation.check import check
-    from relocbench.evaluation.retrieval.check import check_retriever
-    from relocbench.methods import RETRIEVERS, kind_of, parse_method, target_of
+    from relocbench.execution import Limits, run_limited
+    from relocbench.methods import kind_of, parse_method, target_of
 
-    kind = kind_of(target_of(method))
-    spec = parse_method(method, settings, kind=kind)
-    findings = check_retriever(spec, dataset) if kind is RETRIEVERS else check(spec, dataset)
+    spec = parse_method(method, settings, kind=kind_of(target_of(method)))
+    # In a process of its own, as it is evaluated: what it does to it is a finding, and Ctrl-C ends it.
+    asked = [(spec, dataset)]
+    findings = next(f for _, f in run_limited(_checked, asked, workers=1, limits=Limits(), on_loss=_lost))
     if json:
         print_json([{"check": f.check, "passed": f.passed, "detail": f.detail} for f in findings])
     else:
@@ -38,3 +43,19 @@ def check_method(
         print_table("", ["check", "", "detail"], rows)
     if not all(f.passed for f in findings):
         raise typer.Exit(2)
+
+
+def _checked(asked: tuple[MethodSpec, Path | None]) -> list[Finding]:
+    """Runs in a worker."""
+    from relocbench.evaluation.check import check
+    from relocbench.evaluation.retrieval.check import check_retriever
+    from relocbench.methods import RETRIEVERS
+
+    spec, dataset = asked
+    return check_retriever(spec, dataset) if spec.kind == RETRIEVERS else check(spec, dataset)
+
+
+def _lost(asked: tuple[MethodSpec, Path | None], loss: Loss) -> list[Finding]:
+    from relocbench.evaluation.check import Finding
+
+    return [Finding("leaves its process alive", False, f"it ended ({loss.words})")]

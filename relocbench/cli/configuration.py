@@ -6,16 +6,31 @@ import typing
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from relocbench.errors import ConfigError
+from relocbench.execution import Scheduler
 from relocbench.files import first_fault, load_yaml_values, yaml_line
 
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def merged(model: type[Model], config: Path | None, given: dict[str, Any]) -> Model:
+class Where(BaseModel):
+    """Where a command's work runs, for commands whose own options decide what is made and nothing else."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    workers: int | None = Field(None, ge=1)
+    scheduler: Scheduler | None = None
+
+
+def merged(
+    model: type[Model], config: Path | None, given: dict[str, Any], beside: type[BaseModel] | None = None
+) -> Model:
     """The model filled from ``config`` and then from ``given``, which wins.
+
+    Args:
+        beside: another model, whose keys stand in the same file and are passed over.
 
     Raises:
         ConfigError: naming the option, or the file, line and key.
@@ -24,6 +39,8 @@ def merged(model: type[Model], config: Path | None, given: dict[str, Any]) -> Mo
     node = None
     if config is not None:
         values, node = load_yaml_values(config, "options with their values", ConfigError)
+        elsewhere = set() if beside is None else beside.model_fields.keys() - model.model_fields.keys()
+        values = {name: value for name, value in values.items() if name not in elsewhere}
     chosen = {**values, **{name: _parts(model, name, value) for name, value in given.items()}}
     try:
         return model.model_validate(chosen)

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from relocbench.errors import printable
 from relocbench.progress import Advance, Reporter, Silent
 
 _PLAIN_INTERVAL_S = 10.0
@@ -39,7 +40,7 @@ class ConsoleReporter:
             plain.finish()
 
     def note(self, message: str) -> None:
-        self.console.print(f"note: {message}", style="dim", markup=False, soft_wrap=True)
+        self.console.print(f"note: {printable(message)}", style="dim", markup=False, soft_wrap=True)
 
     def _bars(self) -> Progress:
         return Progress(
@@ -86,7 +87,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
     for index, name in enumerate(columns):
         table.add_column(name, justify="left" if index == 0 else "right", overflow="fold")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(printable, row))
     # Piped into a file or a pager a table keeps its width instead of being squeezed into 80 columns.
     console = Console(highlight=False, markup=False)
     if not console.is_terminal:

@@ -29,16 +29,18 @@ def demo(
     from relocbench.datasets.importers import Run, importer
     from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
     from relocbench.execution import default_workers
+    from relocbench.files import alone_writing_to
     from relocbench.leaderboard import write_leaderboard
 
     report = reporter(quiet)
-    town = importer("synthetic")
-    options = town.Options.model_validate({"preset": "demo", "seed": seed})
-    dataset = town.build([], options, out / "dataset", report, Run(workers or default_workers()))
-    evaluate_methods(
-        EvaluateOptions(dataset=dataset.root, methods=_METHODS, out=out / "results", workers=workers), report
-    )
-    board = write_leaderboard(out / "results", out / "leaderboard", reporter=report)
+    with alone_writing_to(out):
+        town = importer("synthetic")
+        options = town.Options.model_validate({"preset": "demo", "seed": seed})
+        dataset = town.build([], options, out / "dataset", report, Run(workers or default_workers()))
+        evaluate_methods(
+            EvaluateOptions(dataset=dataset.root, methods=_METHODS, out=out / "results", workers=workers), report
+        )
+        board = write_leaderboard(out / "results", out / "leaderboard", reporter=report)
     print_leaderboard(board)
     if not quiet:
         typer.echo(f"\nlook at: {out / 'leaderboard' / 'leaderboard.md'}", err=True)

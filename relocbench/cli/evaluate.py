@@ -8,7 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from relocbench.cli.options import Json, Methods, Quiet, Scheduler, Settings, Workers
+from relocbench.cli.options import (
+    AskingWorkers,
+    Json,
+    MemoryLimit,
+    Methods,
+    Quiet,
+    Scheduler,
+    SchedulerTlsCa,
+    SchedulerTlsCert,
+    SchedulerTlsKey,
+    Settings,
+    TimeLimit,
+    scheduler_values,
+)
 
 if TYPE_CHECKING:
     from relocbench.datasets.dataset import Dataset, PairSet
@@ -101,8 +114,13 @@ def evaluate(
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed for methods that have one [default: 0].")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with any of these options.")] = None,
-    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
+    workers: AskingWorkers = None,
     scheduler: Scheduler = None,
+    scheduler_tls_ca: SchedulerTlsCa = None,
+    scheduler_tls_cert: SchedulerTlsCert = None,
+    scheduler_tls_key: SchedulerTlsKey = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -135,8 +153,10 @@ def evaluate(
         "positives": positives,
         "by_condition": by_condition,
         "seed": seed,
+        "time_limit": time_limit,
+        "memory_limit": memory_limit,
         "workers": workers,
-        "scheduler": scheduler,
+        "scheduler": scheduler_values(scheduler, scheduler_tls_ca, scheduler_tls_cert, scheduler_tls_key),
     }
     chosen = {name: value for name, value in given.items() if value is not None}
     asked = task or _task_of(config)

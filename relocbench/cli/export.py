@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -34,10 +35,13 @@ def export(
     """
     from relocbench.datasets.dataset import Dataset
     from relocbench.evaluation.exports import export_poses
+    from relocbench.files import alone_writing_to
 
     opened = Dataset(dataset)
     names = [opened.pair_set(name).name for name in pair_set] or opened.pair_set_names
-    written = export_poses(opened, names, format, out, results, method, relocalization_file)
+    # The zip appears whole in one step: nothing is shared with whoever writes beside it.
+    with nullcontext() if format == "mlad" else alone_writing_to(out):
+        written = export_poses(opened, names, format, out, results, method, relocalization_file)
     if not quiet:
         for path in written:
             typer.echo(str(path))

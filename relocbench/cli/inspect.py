@@ -45,6 +45,7 @@ def inspect(
     from relocbench.datasets.cross_view import is_cross_view
     from relocbench.datasets.dataset import Dataset
     from relocbench.datasets.inspection import take_inventory
+    from relocbench.files import alone_writing_to
 
     if is_cross_view(dataset):
         _inspect_places(dataset, [pictures, ground_truth, *pair_set], json)
@@ -57,12 +58,14 @@ def inspect(
     if pictures is not None:
         from relocbench.datasets.overlay import write_pictures
 
-        drawn = write_pictures(opened, chosen, pictures, pairs, seed, reporter(quiet))
+        with alone_writing_to(pictures):
+            drawn = write_pictures(opened, chosen, pictures, pairs, seed, reporter(quiet))
     page: Path | None = None
     if ground_truth is not None:
         from relocbench.datasets.groundtruth.pictures import write_ground_truth
 
-        page = write_ground_truth(opened, chosen, ground_truth, pairs, seed, reporter(quiet))
+        with alone_writing_to(ground_truth):
+            page = write_ground_truth(opened, chosen, ground_truth, pairs, seed, reporter(quiet))
     if json:
         print_json({**take_inventory(opened).to_dict(), "pictures": [p.to_dict() for p in drawn]})
     elif pictures is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -37,20 +37,20 @@ def leaderboard(
     Example: relocbench leaderboard results --out leaderboard
     """
     from relocbench.cli.console import print_json, reporter
+    from relocbench.files import alone_writing_to
     from relocbench.leaderboard import write_leaderboard
     from relocbench.leaderboard.long_form import leaderboard_rows
     from relocbench.leaderboard.relocalization_write import chain_rows, write_relocalization_leaderboard
     from relocbench.leaderboard.retrieval import holds_tracking
     from relocbench.leaderboard.retrieval_write import retrieval_rows, write_retrieval_leaderboard
 
-    reports = reporter(quiet)
-    found = write_retrieval_leaderboard(results, out, metric=retrieval_metric, split=split, seed=seed, reporter=reports)
-    chains = write_relocalization_leaderboard(
-        results, out, metric=relocalization_metric, split=split, seed=seed, reporter=reports
-    )
-    board = None
-    if (found is None and chains is None) or holds_tracking(results):
-        board = write_leaderboard(results, out, metric=metric, split=split, seed=seed, plots=plots, reporter=reports)
+    asked: dict[str, Any] = {"split": split, "seed": seed, "reporter": reporter(quiet)}
+    with alone_writing_to(out):
+        found = write_retrieval_leaderboard(results, out, metric=retrieval_metric, **asked)
+        chains = write_relocalization_leaderboard(results, out, metric=relocalization_metric, **asked)
+        board = None
+        if (found is None and chains is None) or holds_tracking(results):
+            board = write_leaderboard(results, out, metric=metric, plots=plots, **asked)
     if json:
         retrieval = {} if found is None else {"retrieval_metric": found.metric, "retrieval": retrieval_rows(found)}
         if chains is not None:

@@ -7,7 +7,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from relocbench.cli.options import Json, Methods, Quiet, Scheduler, Settings, Workers
+from relocbench.cli.options import (
+    AskingWorkers,
+    Json,
+    MemoryLimit,
+    Methods,
+    Quiet,
+    Scheduler,
+    SchedulerTlsCa,
+    SchedulerTlsCert,
+    SchedulerTlsKey,
+    Settings,
+    TimeLimit,
+    scheduler_values,
+)
 
 if TYPE_CHECKING:
     from relocbench.evaluation.probe import ProbeReport
@@ -42,8 +55,13 @@ def probe(
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the starts, and of methods [default: 0].")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with any of these options.")] = None,
-    workers: Workers = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
+    workers: AskingWorkers = None,
     scheduler: Scheduler = None,
+    scheduler_tls_ca: SchedulerTlsCa = None,
+    scheduler_tls_cert: SchedulerTlsCert = None,
+    scheduler_tls_key: SchedulerTlsKey = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -56,6 +74,7 @@ def probe(
     from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.probe import ProbeOptions, probe_methods
+    from relocbench.files import alone_writing_to
 
     given: dict[str, Any] = {
         "dataset": dataset,
@@ -72,11 +91,14 @@ def probe(
         "directions": directions,
         "feature_maps": feature_maps,
         "seed": seed,
+        "time_limit": time_limit,
+        "memory_limit": memory_limit,
         "workers": workers,
-        "scheduler": scheduler,
+        "scheduler": scheduler_values(scheduler, scheduler_tls_ca, scheduler_tls_cert, scheduler_tls_key),
     }
     options = merged(ProbeOptions, config, {k: v for k, v in given.items() if v is not None})
-    report = probe_methods(options, reporter(quiet))
+    with alone_writing_to(options.out):
+        report = probe_methods(options, reporter(quiet))
     if json:
         print_json(report.to_dict())
     elif not quiet:

@@ -82,7 +82,7 @@ def train(
     Example: relocbench train lpn -d university --config lpn-rpp --backbone-weights resnet50.pth -o trained
     """
     from relocbench.errors import ConfigError, MethodError
-    from relocbench.files import alone_in, dump_yaml
+    from relocbench.files import alone_writing_to, dump_yaml
     from relocbench.methods.trainers import chosen_options, trainer_named
     from relocbench.training import PlaceTrainer
 
@@ -114,17 +114,12 @@ def train(
     words += ["--no-validation" if no_validation else asked]
     command = shlex.join(["relocbench", *words, f"--device={place}"])
     run = TrainingRun(out, name, command, 1 if workers is None else workers, place, reporter(quiet))
-    if isinstance(trainer, PlaceTrainer):
-        share = 0.0 if no_validation else validation_places
-        data, retrieves = _places(dataset, split, share, options, run.reporter)
-    else:
-        pairs, tracks = _pairs(dataset, split, 0 if no_validation else validation_pairs)
-    out.mkdir(parents=True, exist_ok=True)
-    with alone_in(out, MethodError):
+    with alone_writing_to(out, MethodError):
         if isinstance(trainer, PlaceTrainer):
-            report = trainer.train_places(data, retrieves, options, run)
+            share = 0.0 if no_validation else validation_places
+            report = trainer.train_places(*_places(dataset, split, share, options, run.reporter), options, run)
         else:
-            report = trainer.train(pairs, tracks, options, run)
+            report = trainer.train(*_pairs(dataset, split, 0 if no_validation else validation_pairs), options, run)
     if json:
         print_json(_plain(report))
     elif not quiet:

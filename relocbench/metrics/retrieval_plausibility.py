@@ -71,7 +71,11 @@ def check_single_positive_tables(
     """
     wanted = (_names(recall_column, _RECALL_NAMES), _names(ap_column, _AP_NAMES))
     checks = []
-    for table in read_tables(text):
+    try:
+        tables = read_tables(text)
+    except ValueError as bad:
+        raise RelocbenchError(f"{bad}; expected a table of results", path) from None
+    for table in tables:
         recall, ap = (_column(table, names, path) for names in wanted)
         if recall is not None and ap is not None:
             checks.append(_checked(table, recall, ap, path))

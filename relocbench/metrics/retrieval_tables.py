@@ -40,8 +40,11 @@ def read_tables(text: str) -> tuple[Table, ...]:
 
     Returns:
         empty where there is no table.
+
+    Raises:
+        ValueError: a cell of a CSV file is longer than ``csv.field_size_limit()``.
     """
-    lines = text.removeprefix("\ufeff").splitlines()
+    lines = text.removeprefix("\ufeff").replace("\r\n", "\n").split("\n")
     tables = tuple(_markdown_tables(lines))
     return tables or _csv_table(lines)
 
@@ -85,6 +88,12 @@ def _csv_table(lines: Sequence[str]) -> tuple[Table, ...]:
     delimiter = max(_DELIMITERS, key=header.count)
     reader = csv.reader((line + "\n" for _, line in filled), delimiter=delimiter, skipinitialspace=True)
     rows = []
-    for cells in reader:  # a quoted cell may go over several lines: a row stands where it ends
-        rows.append(TableRow(filled[reader.line_num - 1][0], tuple(" ".join(cell.split()) for cell in cells)))
+    try:
+        for cells in reader:  # a quoted cell may go over several lines: a row stands where it ends
+            rows.append(TableRow(filled[reader.line_num - 1][0], tuple(" ".join(cell.split()) for cell in cells)))
+    except csv.Error:
+        most = csv.field_size_limit()
+        raise ValueError(
+            f"a cell above line {filled[reader.line_num - 1][0]} has more than {most:,} characters"
+        ) from None
     return (Table(rows[0].line, rows[0].cells, tuple(rows[1:])),)

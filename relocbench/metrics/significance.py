@@ -33,6 +33,9 @@ MIN_BLOCKS = 6
 """With fewer independent blocks nothing is significant at 5 %: even when all b of them speak for A, chance
 does the same with probability 2 * 2^-b, which is 0.06 for b = 5 and 0.03 for b = 6."""
 
+_DRAWN_AT_ONCE = 2**15
+"""block starts that are held at a time; drawn one after another, they are the same numbers whatever this is"""
+
 
 @dataclass(frozen=True)
 class Interval:
@@ -212,10 +215,19 @@ def _resampled_means(values: Array, block_length: int, rng: np.random.Generator,
     """
     n = values.shape[1]
     whole, rest = divmod(n, block_length)
-    starts = rng.integers(n, size=(resamples, whole + (rest > 0)))
-    total = _circular_window_sums(values, block_length)[:, starts[:, :whole]].sum(axis=-1)
-    if rest:
-        total += _circular_window_sums(values, rest)[:, starts[:, whole]]
+    drawn = whole + (rest > 0)
+    sums = _circular_window_sums(values, block_length)
+    ends = _circular_window_sums(values, rest) if rest else None
+    total = np.empty((len(values), resamples))
+    # Some resamples at a time: together they would take 8 bytes for every pair of every resample.
+    step = max(1, _DRAWN_AT_ONCE // drawn)
+    for first in range(0, resamples, step):
+        span = slice(first, min(first + step, resamples))
+        starts = rng.integers(n, size=(span.stop - first, drawn))
+        for k, of_method in enumerate(sums):
+            total[k, span] = of_method.take(starts[:, :whole]).sum(axis=-1)
+            if ends is not None:
+                total[k, span] += ends[k].take(starts[:, whole])
     return total / n
 
 
