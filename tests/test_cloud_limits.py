@@ -131,7 +131,7 @@ def test_a_folder_a_device_and_a_missing_file_are_refused_by_name(tmp_path: Path
     folder, device, missing = (tmp_path / f"{n}.{suffix}" for n in range(3))
     folder.mkdir()
     device.symlink_to("/dev/zero")
-    for path, words in ((folder, "is a folder"), (device, "is no plain file"), (missing, "missing")):
+    for path, words in ((folder, "is a folder"), (device, "is a pipe, a socket or a device"), (missing, "missing")):
         with pytest.raises(DatasetError, match=f"{path.name}: {words}; expected a"):
             stream(path).read(0)
         with pytest.raises(DatasetError, match=f"{path.name}: {words}; expected a lidar scan"):

@@ -205,8 +205,8 @@ def a_sparse_file(path: Path) -> None:
     ("make", "words"),
     [
         (a_folder, "is a folder; expected an image"),
-        (a_pipe, "is no plain file; expected an image"),
-        (a_device, "is no plain file; expected an image"),
+        (a_pipe, "is a pipe, a socket or a device; expected an image"),
+        (a_device, "is a pipe, a socket or a device; expected an image"),
         (a_loop, "cannot be read"),
         (a_dead_link, "missing (a link to a file that is gone); expected an image"),
         (a_sparse_file, "holds 1099511627776 bytes; of an image at most"),

@@ -54,6 +54,7 @@ def test_each_configuration_trains_and_is_evaluated(
         set=(f"lpn.weights={report.weights}",),
         out=tmp_path / "results",
         pair_sets=DIRECTIONS,
+        workers=0,  # of another process the network would be whole
     )
     found = evaluate_retrievers(asked, Silent())
     (folder,) = found.folders

@@ -282,7 +282,7 @@ def test_descriptors_that_overflow_retrieve_nothing_or_something_but_end_nothing
     for value in (1e300, np.inf, np.nan):
         describer = Describer(Describing(lambda n, value=value: np.full((n, 3), value)))
         queries, gallery = (describer(side, lambda count: None) for side in (task().queries, task().gallery))
-        rows = list(rank_task(task(), queries, gallery, describer.retriever, None))
+        rows = list(rank_task(task(), queries, gallery, describer.asked, None))
         assert len(rows) == 2
 
 
@@ -299,7 +299,7 @@ def test_a_field_that_is_too_long_to_read_is_one_line_with_file_and_place(kind: 
     read, header, columns = READERS[kind]
     path = tmp_path / "table.csv"
     path.write_text(f"{header}\n" + "," * (columns - 1) + "x" * (csv.field_size_limit() + 1) + "\n")
-    with pytest.raises(PredictionError, match=r"table\.csv:2: a field of more than 131072 characters"):
+    with pytest.raises(PredictionError, match=r"table\.csv:2: a field has more than 131,072 characters"):
         read(path)
 
 

@@ -26,7 +26,7 @@ from relocbench.datasets.visibility import CHECKS, DepthView, ReferencePoints, s
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import DatasetError
 from relocbench.execution import run_units
-from relocbench.files import atomic_write
+from relocbench.files import atomic_write, plain_file
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 from relocbench.tracking import Reference
@@ -248,7 +248,7 @@ def open_correspondences(path: Path) -> Iterator[pq.ParquetFile]:
     Raises:
         DatasetError: missing, not a Parquet file, other columns or types; and where reading from it fails later.
     """
-    if not path.is_file():
+    if not plain_file(path, "correspondences (Parquet)", DatasetError).is_file():
         raise DatasetError("missing; expected correspondences (Parquet)", path)
     try:
         with pq.ParquetFile(path) as file:

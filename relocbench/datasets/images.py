@@ -19,9 +19,8 @@ from relocbench.datasets.image_header import (
     check_content,
     read_header,
 )
-from relocbench.datasets.regular_file import read_regular
 from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, lines_of, parse_floats, read_text, write_bytes
+from relocbench.files import atomic_write, lines_of, parse_floats, read_bytes, read_text, write_bytes
 from relocbench.tracking import KeyframePoints
 
 DEPTH_SCALE = 256.0
@@ -121,7 +120,7 @@ def is_whole(path: Path) -> bool:
 
 
 def _decode(path: Path, check_size: SizeCheck | None) -> NDArray[Any]:
-    data = read_regular(path, "an image", MOST_FILE_BYTES)
+    data = read_bytes(path, "an image", DatasetError, MOST_FILE_BYTES)
     header = read_header(data, path)
     if check_size is not None:
         check_size(header.size)

@@ -20,10 +20,9 @@ from relocbench.datasets.groundtruth.nodes import Way, way_along
 from relocbench.datasets.groundtruth.recording import FieldRecording
 from relocbench.datasets.importers import Run
 from relocbench.datasets.npy import parse_npz
-from relocbench.datasets.regular_file import read_regular
 from relocbench.errors import DatasetError
 from relocbench.execution import chunks, run_units
-from relocbench.files import atomic_write, dump_yaml, load_yaml_values, remove_parts, write_text
+from relocbench.files import atomic_write, dump_yaml, load_yaml_values, read_bytes, remove_parts, write_text
 from relocbench.progress import Reporter, Silent
 
 _FORMAT = 1
@@ -132,7 +131,7 @@ def write_block(path: Path, block: Block) -> None:
 
 def read_block(path: Path) -> Block:
     """Raises DatasetError with the file if it is missing or no whole block."""
-    data = read_regular(path, "a block of points", _MOST_BYTES)
+    data = read_bytes(path, "a block of points", DatasetError, _MOST_BYTES)
     try:
         arrays = parse_npz(data, _TYPES, path)
     except DatasetError as bad:

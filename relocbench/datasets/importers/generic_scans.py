@@ -12,12 +12,12 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.groundtruth.recording import Scan
 from relocbench.datasets.importers.point_clouds import read_point_cloud
+from relocbench.datasets.importers.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.importers.sources import timed_files
 from relocbench.datasets.npy import parse_npy
-from relocbench.datasets.regular_file import MOST_SCAN_BYTES, read_regular
 from relocbench.datasets.schema import Strict, Transform
 from relocbench.errors import DatasetError
-from relocbench.files import check_distinct, check_name, load_yaml
+from relocbench.files import check_distinct, check_name, load_yaml, read_bytes
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -180,7 +180,7 @@ def _fields(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
 
 
 def _binary(path: Path, settings: GenericLidar) -> NDArray[Any]:
-    data = read_regular(path, "a lidar scan", MOST_SCAN_BYTES)
+    data = read_bytes(path, "a lidar scan", DatasetError, MOST_SCAN_BYTES)
     width = np.dtype(settings.dtype).itemsize * len(settings.columns)
     if len(data) % width:
         what = f"{settings.dtype} {' '.join(settings.columns)}"
@@ -189,7 +189,7 @@ def _binary(path: Path, settings: GenericLidar) -> NDArray[Any]:
 
 
 def _numpy(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
-    values = parse_npy(read_regular(path, "a lidar scan", MOST_SCAN_BYTES), path)
+    values = parse_npy(read_bytes(path, "a lidar scan", DatasetError, MOST_SCAN_BYTES), path)
     if values.dtype.names:
         return {name: np.ravel(values[name]) for name in values.dtype.names if values.dtype[name].shape == ()}
     if values.ndim != 2:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.importers.pcd import parse_pcd
 from relocbench.datasets.importers.ply import parse_ply
-from relocbench.datasets.regular_file import MOST_SCAN_BYTES, read_regular
+from relocbench.datasets.importers.point_table import MOST_SCAN_BYTES
 from relocbench.errors import DatasetError
+from relocbench.files import read_bytes
 
 
 def read_point_cloud(path: Path) -> dict[str, NDArray[Any]]:
@@ -25,7 +26,7 @@ def read_point_cloud(path: Path) -> dict[str, NDArray[Any]]:
         DatasetError: missing, no PLY or PCD, cut off, damaged, or without x, y, z.
     """
     kind = path.suffix[1:].upper()
-    data = read_regular(path, f"a {kind}", MOST_SCAN_BYTES)
+    data = read_bytes(path, f"a {kind}", DatasetError, MOST_SCAN_BYTES)
     fields = parse_ply(data, path) if kind == "PLY" else parse_pcd(data, path)
     if fields and all(len(values) == 0 for values in fields.values()):
         return {axis: np.empty(0) for axis in "xyz"}

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from relocbench.errors import DatasetError
 
+MOST_SCAN_BYTES = 2**27
+"""of a file with a lidar scan: 5 million points of 24 bytes; a scan has some 100,000"""
 _MOST_DIGITS = 18
 _MOST_LINE = 65536
 """characters of a line of text"""

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from relocbench.datasets import images
 from relocbench.datasets.groundtruth.recording import Scan
 from relocbench.datasets.image_header import MOST_PIXELS
+from relocbench.datasets.importers.point_table import MOST_SCAN_BYTES
 from relocbench.datasets.importers.robotcar_files import parse_microseconds, read_timestamps
-from relocbench.datasets.regular_file import MOST_SCAN_BYTES, read_regular
 from relocbench.errors import DatasetError
+from relocbench.files import read_bytes
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
@@ -56,7 +57,7 @@ class LmsStream:
             DatasetError: the file is missing, is no whole number of points, or holds a value that is not finite.
         """
         path = self.folder / f"{int(self.times_ns[index]) // 1000}.bin"
-        data = read_regular(path, "a lidar scan", MOST_SCAN_BYTES)
+        data = read_bytes(path, "a lidar scan", DatasetError, MOST_SCAN_BYTES)
         check_scan_size(path, len(data))
         values = np.frombuffer(data, dtype="<f8").reshape(-1, 3)
         if not np.isfinite(values).all():
@@ -126,7 +127,7 @@ def read_look_up_table(path: Path, width: int, height: int) -> tuple[NDArray[np.
     Raises:
         DatasetError: missing, of an image of another size, or with values that are not finite.
     """
-    data = read_regular(path, "a look-up table", 16 * MOST_PIXELS)
+    data = read_bytes(path, "a look-up table", DatasetError, 16 * MOST_PIXELS)
     if len(data) != 16 * width * height:
         raise DatasetError(f"{len(data)} bytes are no look-up table of images of {width}x{height}", path)
     table = np.frombuffer(data, dtype="<f8").astype(np.float32)

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.regular_file import MOST_SCAN_BYTES, read_regular
+from relocbench.datasets.importers.point_table import MOST_SCAN_BYTES
 from relocbench.errors import DatasetError
+from relocbench.files import read_bytes
 from relocbench.geometry import Camera, apply
 
 Array = NDArray[np.float64]
@@ -28,7 +29,7 @@ def read_scan(path: Path) -> Array:
     Raises:
         DatasetError: missing, or not a whole number of points.
     """
-    data = read_regular(path, "a lidar scan (float32 x y z reflectance)", MOST_SCAN_BYTES)
+    data = read_bytes(path, "a lidar scan (float32 x y z reflectance)", DatasetError, MOST_SCAN_BYTES)
     if len(data) == 0 or len(data) % 16:
         raise DatasetError(f"{len(data)} bytes are no whole number of points (float32 x y z reflectance)", path)
     points = np.frombuffer(data, dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float64)
