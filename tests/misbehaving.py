@@ -124,10 +124,10 @@ class InConstructor(Misbehaves):
 
 
 class InPrepare(Misbehaves):
-    """Does it for every keyframe, or for that of ``at``; a line in ``mark`` for each time."""
+    """Does it for every keyframe, or for those of ``at`` (parted by commas); a line in ``mark`` for each time."""
 
     def prepare(self, reference: Reference) -> Reference:
-        if self.at in ("", f"keyframe {reference.timestamp_ns}"):
+        if self.at == "" or f"keyframe {reference.timestamp_ns}" in self.at.split(","):
             with Path(self.mark).open("a") as stream:
                 stream.write(f"{reference.timestamp_ns}\n")
             DEEDS[self.deed]()

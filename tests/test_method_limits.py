@@ -141,11 +141,23 @@ def test_prepare_that_does_not_return_costs_its_keyframe(dataset: Dataset, tmp_p
 def test_prepare_that_always_ends_the_process_is_not_tried_on_every_keyframe(dataset: Dataset, tmp_path: Path) -> None:
     mark = tmp_path / "mark"
     settings = ("bad.deed=leave", f"bad.mark={mark}")
-    report = evaluate(dataset, tmp_path / "out", f"bad={HERE}:InPrepare", settings=settings)
+    report = evaluate(dataset, tmp_path / "out", f"bad={HERE}:InPrepare", settings=settings, workers=1)
     assert {a.status for a in answers(report).values()} == {"error"}
     tried = mark.read_text().splitlines()
     assert len(tried) == 6, "three keyframes, each twice"
     assert len({p.ref_timestamp_ns for p in dataset.pair_set(ACROSS).pairs}) > 3
+
+
+def test_a_method_that_prepares_some_keyframes_is_tried_on_all(tmp_path: Path) -> None:
+    dataset = make_small_dataset(tmp_path / "data", frames=6)
+    first, *others = sorted({p.ref_timestamp_ns for p in dataset.pair_set(ACROSS).pairs})
+    settings = ("bad.deed=leave", f"bad.mark={tmp_path / 'mark'}")
+    settings = (*settings, f"bad.at={','.join(f'keyframe {at}' for at in others)}")
+    report = evaluate(dataset, tmp_path / "out", f"bad={HERE}:InPrepare", settings=settings)
+    assert {pair.split()[0] for pair, answer in answers(report).items() if answer.status == "ok"} == {str(first)}
+    tried = (tmp_path / "mark").read_text().splitlines()
+    assert sorted(tried) == sorted(2 * [str(at) for at in others])
+    assert len(others) > 3
 
 
 def test_what_a_method_leaves_behind_ends_with_the_run(
@@ -349,12 +361,12 @@ def test_one_ctrl_c_ends_a_command_whose_worker_starts_up(dataset: Dataset, tmp_
 def test_one_ctrl_c_ends_a_program_that_does_not_answer(dataset: Dataset, tmp_path: Path) -> None:
     program = tmp_path / "program.py"
     program.write_text(
-        "import pathlib, sys, time\n"
+        "import json, pathlib, sys, time\n"
         "for line in sys.stdin:\n"
         "    if '\"query\"' in line:\n"
         "        pathlib.Path('mark').touch()\n"
         "        time.sleep(1000)\n"
-        '    print(\'{"type": "ready"}\', flush=True)\n'
+        "    print(json.dumps({'type': 'ready', 'id': json.loads(line)['id']}), flush=True)\n"
     )
     method = f"p=subprocess:{sys.executable} {program}"
     command = [sys.executable, "-m", "relocbench", "evaluate", "-d", str(dataset.root), "-m", method, "-j", "2"]

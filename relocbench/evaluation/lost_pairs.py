@@ -53,6 +53,7 @@ def ask_all(
             on_loss=lost.take,
         )
         for _, done in asked:
+            lost.hear(done)
             advance(done)
 
 
@@ -70,24 +71,43 @@ class LostPairs(Generic[U]):
         """pairs that were lost together with others"""
         self._keyframes: dict[Hashable, str] = {}
         """on which ``prepare`` was lost, and how"""
+        self._doubtful: set[Hashable] = set()
+        """on which ``prepare`` was lost at least once"""
         self._prepared = False
+        self._was_lost = False
+        """the unit whose end is heard next"""
         self._given_up = ""
 
     def still_asked(self, units: Iterable[U], advance: Callable[[int], None]) -> Iterator[U]:
-        """The units to ask, one that holds a suspect parted; pairs that are given up get their entry here."""
+        """The units to ask, one that holds a suspect parted; pairs that are given up get their entry here.
+
+        Where ``prepare`` was lost on the first keyframes, the others wait until it is known what is to be done of those.
+        """
         for unit in units:
             message = self._given_up or self._keyframes.get(_keyframe(unit))
             if message:
                 self._write_all(unit, unit.keys, message)
                 advance(len(unit.keys))
                 continue
+            if self._hopeless and _keyframe(unit) not in self._doubtful:
+                continue
             together = tuple(key for key in unit.keys if _pair(unit, key) not in self._alone)
             yield from (replace(unit, keys=(key,)) for key in unit.keys if key not in together)
             if together:
                 yield replace(unit, keys=together)
 
+    @property
+    def _hopeless(self) -> bool:
+        return len(self._doubtful) >= _HOPELESS and not self._prepared
+
+    def hear(self, done: int) -> None:
+        """A unit has ended, with so many pairs done by the method, or by :meth:`take` just before."""
+        self._prepared |= done > 0 and not self._was_lost
+        self._was_lost = False
+
     def take(self, unit: U, loss: Loss) -> int:
         """Enter what is lost of a unit for good; returns how many of its pairs have an entry now."""
+        self._was_lost = True
         done = {entry["key"] for entry in journal_entries(unit.journal)}
         left = [key for key in unit.keys if key not in done]
         name = loss.step.name if loss.step is not None else ""
@@ -96,6 +116,8 @@ class LostPairs(Generic[U]):
             return len(unit.keys) - len(left) + self._take_pairs(unit, loss, left)
         self._prepared |= len(left) < len(unit.keys)
         what: Hashable = name if name == CONSTRUCTOR else _keyframe(unit)
+        if name == PREPARE:
+            self._doubtful.add(what)
         if not self._is_final(what, loss):
             return len(unit.keys) - len(left)
         message = f"{name}: {how_lost(loss, '')}"
@@ -120,7 +142,7 @@ class LostPairs(Generic[U]):
         return len(final)
 
     def _is_final(self, what: Hashable, loss: Loss) -> bool:
-        self._deaths[what] += 1
+        self._deaths[what] += loss.workers
         return loss.kind == "time" or self._deaths[what] >= _TRIES
 
     def _write_all(self, unit: U, keys: Iterable[PairKey], message: str) -> None:

@@ -110,7 +110,7 @@ def run_limited(
         Exception: what ``function`` raises, at once.
     """
     if scheduler is not None:
-        died = Loss(None, "death", "lost by two workers of the cluster")
+        died = Loss(None, "death", "lost by two workers of the cluster", workers=2)
         yield from run_on_cluster(function, list(units), scheduler, lambda unit: on_loss(unit, died))
     elif workers <= 0:
         for index, unit in enumerate(units):

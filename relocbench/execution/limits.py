@@ -49,6 +49,8 @@ class Loss:
     kind: Literal["time", "memory", "death"]
     words: str
     """which limit was passed, or for a death the exit status or signal"""
+    workers: int = 1
+    """so many ended on it, one after the other"""
 
 
 @contextmanager

@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as seeded
 from hypothesis import strategies as st
+from hypothesis.internal.conjecture.choice import choice_permitted
+from hypothesis.internal.conjecture.providers import AVAILABLE_PROVIDERS, GLOBAL_CONSTANTS, HypothesisProvider
 
 BATCH = 25
 """texts that are drawn together"""
@@ -18,6 +21,21 @@ _AWKWARD = (
     "*a", "&a", "2001-99-99", "0b_", "[", "{", "]", "}", "- ", ": ", "true", "null", "\x1b[31m", "\u2028", "#",
     "=1+1",
 )  # fmt: skip
+
+
+class WithoutTheCode(HypothesisProvider):
+    """Draws as hypothesis does, but for the constants of the modules that happen to be loaded: it would mix them in,
+    and the same seed would give other texts in another process."""
+
+    def _maybe_draw_constant(self, choice_type: Any, constraints: Any, *, p: float = 0.05) -> Any:
+        assert self._random is not None
+        if self._random.random() > p:
+            return None
+        known = [c for c in GLOBAL_CONSTANTS.set_for_type(choice_type) if choice_permitted(c, constraints)]
+        return self._random.choice(known) if known else None
+
+
+AVAILABLE_PROVIDERS["without-the-code"] = f"{__name__}.{WithoutTheCode.__name__}"
 
 
 def texts_of(text: str, seed: int, batch: int) -> Sequence[str]:
@@ -30,6 +48,7 @@ def _texts(text: str, seed: int) -> tuple[str, ...]:
     found: list[str] = []
 
     @settings(
+        backend="without-the-code",
         max_examples=BATCH,
         database=None,
         deadline=None,
