@@ -53,6 +53,8 @@ _SAME_POINT = 1e-6
 _SILHOUETTE_PX = 0.01
 _GOOD_PX = 0.05
 """what correspondences promise"""
+_WRITTEN_TO = 1e-8
+"""true poses of pairs have nine decimals; the entries of a rotation go with twice the quaternion's"""
 _BUSY = ("Sunny", "Rain", "Night")
 """conditions with moving cars"""
 
@@ -231,7 +233,7 @@ def check_pair(tally: Tally, dataset: Dataset, pair_set: PairSet, pair: Pair, re
     """Stored correspondences forward, backward, and whether they are seen."""
     rows = read_correspondences(dataset.layout.correspondence_file(pair_set.name), pair.key)
     T_query_ref = invert(query.T_world_cam) @ ref.T_world_cam
-    if pair.T_query_ref is None or np.abs(pair.T_query_ref - T_query_ref).max() > 1e-9:
+    if pair.T_query_ref is None or np.abs(pair.T_query_ref - T_query_ref).max() > _WRITTEN_TO:
         raise RuntimeError(f"{pair_set.name} {pair.key}: the pair's pose is not that of its traversals")
     depth, triangle = ref.cast(rows.uv_ref)
     tally.on_moving_cars += int(np.sum(ref.mesh.semantic[triangle] == Semantic.MOVING_CAR))
