@@ -81,7 +81,7 @@ class LostPairs(Generic[U]):
     def still_asked(self, units: Iterable[U], advance: Callable[[int], None]) -> Iterator[U]:
         """The units to ask, one that holds a suspect parted; pairs that are given up get their entry here.
 
-        Where ``prepare`` was lost on the first keyframes, the others wait until it is known what is to be done of those.
+        Where ``prepare`` was lost on the first keyframes, the others wait until those are decided.
         """
         for unit in units:
             message = self._given_up or self._keyframes.get(_keyframe(unit))

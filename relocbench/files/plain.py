@@ -59,11 +59,13 @@ def _read(descriptor: int, path: Path, what: str, error: type[RelocbenchError], 
     if stat.S_ISDIR(found.st_mode):
         raise error(f"is a folder; expected {what}", path)
     _check_plain(found.st_mode, path, what, error)
-    chunks, size = [], found.st_size
+    size, read = found.st_size, 0
+    chunks: list[bytes] = []
     with open(descriptor, "rb", closefd=False) as stream:
-        while size <= most_bytes and (chunk := stream.read(max(size - sum(map(len, chunks)), _CHUNK_BYTES))):
+        while size <= most_bytes and (chunk := stream.read(max(size - read, _CHUNK_BYTES))):
             chunks.append(chunk)
-            size = max(size, sum(map(len, chunks)))  # it may grow, and what the system tells of itself has size 0
+            read += len(chunk)
+            size = max(size, read)  # it may grow, and what the system tells of itself has size 0
     if size > most_bytes:
         raise error(f"holds {size} bytes; of {what} at most {most_bytes} are read", path)
     return b"".join(chunks)
