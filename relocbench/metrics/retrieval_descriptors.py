@@ -6,17 +6,21 @@ every number is first rounded to a grid, fine enough for what descriptors hold a
 dot products without rounding. With ``|a_q| <= 4/3 2^26`` and ``|b_g| <= 4/3 2^26`` for integer vectors every partial
 sum is at most ``|a_q| |b_g| <= 16/9 2^52 < 2^53`` (Cauchy-Schwarz). For vectors of norm 1 a step of the grid is 2^-26
 = 1.5e-8, and a dot product is off by some 1e-8: a tenth of what a float32 product of 2048 numbers is off by.
+
+Ranks need few of these products: float32 tells on which side of most scores an image stands, and only where it does not
+is the exact product taken.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from relocbench.metrics.retrieval_ranking import NEVER, Ranking, count_at_least, ranks_of_positives, sorted_finite
+from relocbench.metrics.retrieval_counting import Scaled, Thresholds, exact_products
+from relocbench.metrics.retrieval_ranking import NEVER, Ranking, ranks_of_positives, sorted_finite
 from relocbench.metrics.retrieval_relevance import Indices, Relevance
 
 Array = NDArray[np.float64]
@@ -25,6 +29,9 @@ QUERY_BLOCK = 1024
 GALLERY_BLOCK = 2048
 _BITS = 26
 _LARGEST_EXPONENT = 1000
+_SINGLE_EXPONENT = 100
+_UNDECIDED = 0.1
+"""of products; where float32 leaves more open, matrix products of float64 are faster than single ones"""
 _CACHED = 128
 """rows that stay in a processor's cache while their norms are taken"""
 
@@ -39,8 +46,8 @@ def rank_descriptors(
 ) -> Ranking:
     """Positions of the positives when the gallery is ranked by descending dot product.
 
-    Memory beyond the descriptors: ``8 (query_block D + gallery_block D + query_block gallery_block)`` bytes and about
-    as much again while a block is rounded. Descriptors mapped from disk are read block by block.
+    Memory beyond the descriptors: at most ``8 (query_block D + gallery_block D + query_block gallery_block)`` bytes and
+    about as much again while a block is rounded. Descriptors mapped from disk are read block by block.
 
     Args:
         query: (Q, D), any real type; divide by the norms beforehand where the cosine is meant. One that is not
@@ -72,16 +79,14 @@ def rank_descriptors(
     position = np.full(len(relevance.indices), NEVER)
     answered = np.isfinite(query_norms) & (live.size > 0)
     for rows in _blocks(np.flatnonzero(answered & (relevance.positives > 0)), query_block):
-        a = _on_grid(of_queries[rows], _scales(query_norms[rows])[:, None])
-        scores = [_scores_of(a[k], of_gallery, relevance.of(q), known, scale) for k, q in enumerate(rows)]
-        thresholds = [sorted_finite(s) for s in scores]
-        at_least = [np.zeros(len(t), dtype=np.int64) for t in thresholds]
+        scales = _scales(query_norms[rows])
+        grid, norms = _on_grid(of_queries[rows], scales[:, None]), query_norms[rows] * scales
+        scores = _scores_of_positives(grid, [relevance.of(q) for q in rows], of_gallery, known, scale, gallery_block)
+        at_least = Thresholds([sorted_finite(s) for s in scores])
         for columns in _blocks(live, gallery_block):
-            similarity = a @ _on_grid(of_gallery[columns], scale).T
-            for k, row in enumerate(similarity):
-                at_least[k] += count_at_least(row, thresholds[k])
+            _compare(grid, norms, _scaled(of_gallery[columns], scale), gallery_norms[columns] * scale, at_least)
         for k, q in enumerate(rows):
-            position[relevance.starts[q] : relevance.starts[q + 1]] = ranks_of_positives(scores[k], at_least[k])
+            position[relevance.starts[q] : relevance.starts[q + 1]] = ranks_of_positives(scores[k], at_least.counts(k))
     return Ranking(relevance.starts, position, answered, relevance.gallery)
 
 
@@ -122,12 +127,44 @@ def exact_scores(
         yield rows, scores
 
 
-def _scores_of(a: Array, gallery: NDArray[Any], positives: Indices, known: NDArray[np.bool_], scale: float) -> Array:
-    """Exact scores (n,) of a query's positives, NaN where the descriptor is not finite."""
-    scores = np.full(len(positives), np.nan)
-    usable = known[positives]
-    scores[usable] = _on_grid(gallery[positives[usable]], scale) @ a
-    return scores
+def _compare(grid: Array, norms: Array, gallery: Scaled, gallery_norms: Array, at_least: Thresholds) -> None:
+    """Count images of the gallery (G, D), scaled to the grid, that reach the thresholds of queries (Q, D) on it.
+
+    Where float32 cannot tell many of them apart, as where all descriptors are alike, all products are exact.
+    """
+    products = grid.astype(np.float32) @ gallery.astype(np.float32, copy=False).T
+    most = int(_UNDECIDED * products.size) + 1
+    pairs = at_least.count_decided(products, norms, gallery_norms, grid.shape[1], most)
+    if pairs is not None:
+        at_least.count_pairs(pairs, grid, gallery)
+    else:
+        at_least.count_exact(grid @ np.rint(gallery, dtype=np.float64).T)
+
+
+def _scaled(rows: NDArray[Any], scale: float) -> Scaled:
+    """Rows (n, D) times a power of two: float32 where that is exact, or what is lost is far below 1."""
+    exact = rows.dtype in (np.float16, np.float32) and 2.0**-_SINGLE_EXPONENT < scale < 2.0**_SINGLE_EXPONENT
+    kind = np.float32 if exact else np.float64
+    scaled: Scaled = np.multiply(rows, kind(scale), dtype=kind, order="C")
+    return scaled
+
+
+def _scores_of_positives(
+    grid: Array, positives: Sequence[Indices], gallery: NDArray[Any], known: NDArray[np.bool_], scale: float, block: int
+) -> list[Array]:
+    """Exact scores of each query's positives, NaN where the descriptor is not finite.
+
+    Args:
+        grid: (Q, D) queries.
+        positives: of each, in the gallery.
+        block: rows of the gallery that are held at a time.
+    """
+    images, of = np.concatenate(positives), np.repeat(np.arange(len(grid)), [len(mine) for mine in positives])
+    scores = np.full(len(images), np.nan)
+    for chunk in _blocks(np.flatnonzero(known[images]), block):
+        needed, row = np.unique(images[chunk], return_inverse=True)  # many queries may have one positive
+        scores[chunk] = exact_products(np.column_stack([of[chunk], row]), grid, _scaled(gallery[needed], scale))
+    return np.split(scores, np.cumsum([len(mine) for mine in positives])[:-1])
 
 
 def _on_grid(rows: NDArray[Any], scale: float | Array) -> Array:
