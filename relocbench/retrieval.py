@@ -128,7 +128,10 @@ class RetrievalSet(Protocol):
 
     @property
     def fingerprint(self) -> str:
-        """Of everything that can change a score."""
+        """Of everything that can change a score.
+
+        A set that also has a ``question``, the same for copies whose images differ in last digits, is compared by that.
+        """
         ...
 
     def tasks(self) -> Sequence[RetrievalTask]: ...

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import os
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import torch
 import yaml
 from killing import EVENTS, Ended, Fault, run_with_fault
 
@@ -137,12 +139,13 @@ def _run(job: Job, out: Path, count: int, dies: Dies, trace: Path) -> Ended:
 
 
 def contents(root: Path) -> Iterator[tuple[str, str]]:
-    """Name and digest of each file under a folder, without the columns and keys that hold times."""
+    """Name and digest of each file under a folder, without what holds times, and without the folder's own name."""
     for path in sorted(root.rglob("*")):
         if path.is_symlink():
             yield str(path.relative_to(root)), f"-> {path.readlink()}"
         elif path.is_file():
-            yield str(path.relative_to(root)), hashlib.sha256(_without_times(path)).hexdigest()
+            content = _without_times(path).replace(os.fsencode(root), b"OUT")
+            yield str(path.relative_to(root)), hashlib.sha256(content).hexdigest()
 
 
 def _without_times(path: Path) -> bytes:
@@ -152,7 +155,20 @@ def _without_times(path: Path) -> bytes:
         return repr([[(k, v) for k, v in row.items() if k not in TIMED_COLUMNS] for row in rows]).encode()
     if path.suffix == ".yaml" and any(f"{key}:".encode() in data for key in TIMED_KEYS):
         return repr(_untimed(yaml.safe_load(data))).encode()
+    if path.name == "MODEL_CARD.md":
+        return b"".join(line for line in data.splitlines(True) if not line.startswith(b"| time |"))
+    if path.suffix == ".pt":
+        return repr(_untimed(_plain(torch.load(io.BytesIO(data), weights_only=True)))).encode()
     return data
+
+
+def _plain(value: object) -> object:
+    """What a checkpoint holds, its tensors as bytes."""
+    if isinstance(value, torch.Tensor):
+        return (str(value.dtype), tuple(value.shape), value.numpy().tobytes())
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
 def _untimed(value: object) -> object:

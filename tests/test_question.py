@@ -13,15 +13,19 @@ import pytest
 from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets import fingerprint, images
+from relocbench.datasets.cross_view import content
 from relocbench.datasets.dataset import Dataset
 from relocbench.datasets.schema import DatasetFile
 from relocbench.errors import PredictionError
 from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.evaluation.external import take_predictions
 from relocbench.evaluation.results import dataset_results
+from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
+from relocbench.evaluation.retrieval.records import all_sets
 from relocbench.evaluation.run import run_method
 from relocbench.files import dump_yaml, load_yaml_values, write_text
 from relocbench.leaderboard.load import load_results
+from relocbench.leaderboard.retrieval_write import write_retrieval_leaderboard
 from relocbench.leaderboard.write import write_leaderboard
 from relocbench.methods import parse_method
 from relocbench.progress import Silent
@@ -180,3 +184,71 @@ def test_predictions_of_another_question_are_refused(original: Dataset, tmp_path
         take_predictions(
             original, original.pair_sets(), answered.root, "theirs", dataset_results(tmp_path / "ours", original)
         )
+
+
+def retrieved(dataset: Dataset, out: Path, *methods: str, predictions: Path | None = None) -> Path:
+    """The folder of a retriever's results."""
+    options = RetrievalOptions(dataset=dataset.root, out=out, methods=methods, predictions=predictions, workers=0)
+    return evaluate_retrievers(options, Silent()).folders[0].root
+
+
+def test_retrievers_on_two_copies_of_one_question_stand_in_one_table(original: Dataset, tmp_path: Path) -> None:
+    other = changed(original, tmp_path / "there", last_digits)
+    results = tmp_path / "results"
+    retrieved(original, results, "random", "colour-histogram")
+    retrieved(other, results, "random")
+    first, second = sorted(found.record.fingerprint for found in all_sets(results))
+    (board,) = write_retrieval_leaderboard(results, tmp_path / "board", reporter=Silent()).sets
+    assert (board.record.fingerprint, board.copies) == (first, (second,))
+    assert {m.label for m in board.methods} == {"colour-histogram", "random", f"random@{second[:12]}"}
+    assert "on other copies of the same question" in (tmp_path / "board" / "retrieval.md").read_text()
+    rows = list(csv.DictReader((tmp_path / "board" / "retrieval.csv").open()))
+    assert {row["question"] for row in rows} == {board.record.question}
+
+
+def test_lists_of_another_copy_of_the_question_are_scored_and_lists_of_another_question_are_not(
+    original: Dataset, tmp_path: Path
+) -> None:
+    other = changed(original, tmp_path / "there", last_digits)
+    answered = retrieved(other, tmp_path / "theirs", "random")
+    taken = retrieved(original, tmp_path / "ours", "theirs", predictions=answered)
+    (here,) = all_sets(tmp_path / "ours")
+    (there,) = all_sets(tmp_path / "theirs")
+    run = here.method("theirs").run_record()
+    assert taken == here.method("theirs").root
+    assert (run.fingerprint, run.answered_on) == (here.record.fingerprint, there.record.fingerprint)
+    third = changed(original, tmp_path / "third", less_pairs)
+    with pytest.raises(PredictionError, match="predictions are for small"):
+        retrieved(third, tmp_path / "ours", "again", predictions=answered)
+
+
+def test_retrieval_results_that_claim_a_question_and_hold_other_tasks_are_refused(
+    original: Dataset, tmp_path: Path
+) -> None:
+    def an_image_less(dataset: Dataset) -> None:
+        max(dataset.layout.traversals.glob("winter/images/*/*.png")).unlink()
+
+    other = changed(original, tmp_path / "there", an_image_less)
+    results = tmp_path / "results"
+    for dataset in (original, other):
+        retrieved(dataset, results, "random")
+    mine, theirs = (found.record.question for found in all_sets(results))
+    assert mine != theirs
+    for path in results.glob("*/retrieval.yaml"):
+        write_text(path, path.read_text().replace(theirs, mine))
+    with pytest.raises(PredictionError, match="expected results of one question"):
+        write_retrieval_leaderboard(results, tmp_path / "board", reporter=Silent())
+
+
+def test_a_rendered_cross_view_set_asks_the_same_whatever_the_last_digits_of_its_images() -> None:
+    def made(fingerprint: str = "ab" * 32, **by: object) -> str:
+        recipe = {"kind": "cross-view", "renderer": 1, "options": {"size": 64, "name": "x"}, "versions": {"numpy": "1"}}
+        file = content.CrossViewFile(
+            format_version=1, kind="cross-view", name="x", licence="", made_by={**recipe, **by}, made={},
+            fingerprint=fingerprint,
+        )  # fmt: skip
+        return content.question_of(file, ["test/b.jpg", "test/a.jpg"])
+
+    assert made() == made("cd" * 32, versions={"numpy": "2"}, options={"size": 64, "name": "y"})
+    assert made() != made(renderer=2)
+    assert made() != made(options={"size": 65, "name": "x"})

@@ -82,7 +82,7 @@ def train(
     Example: relocbench train lpn -d university --config lpn-rpp --backbone-weights resnet50.pth -o trained
     """
     from relocbench.errors import ConfigError, MethodError
-    from relocbench.files import alone_writing_to, dump_yaml
+    from relocbench.files import alone_writing_to, dump_yaml, remove_parts
     from relocbench.methods.trainers import chosen_options, trainer_named
     from relocbench.training import PlaceTrainer
 
@@ -115,6 +115,7 @@ def train(
     command = shlex.join(["relocbench", *words, f"--device={place}"])
     run = TrainingRun(out, name, command, 1 if workers is None else workers, place, reporter(quiet))
     with alone_writing_to(out, MethodError):
+        remove_parts(out, deep=False)
         if isinstance(trainer, PlaceTrainer):
             share = 0.0 if no_validation else validation_places
             report = trainer.train_places(*_places(dataset, split, share, options, run.reporter), options, run)

@@ -40,18 +40,19 @@ def question_of(dataset: Dataset) -> str:
     asked = {
         "format_version": dataset.file.format_version,
         "splits": dataset.splits,
-        "recipe": _recipe(dataset.file.made_by),
+        "recipe": recipe(dataset.file.made_by),
         "traversals": {name: _traversal(dataset.traversal(name)) for name in dataset.traversal_names},
         "pair_sets": {name: _pairs(dataset.pair_set(name)) for name in dataset.pair_set_names},
     }
     return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()
 
 
-def _recipe(values: Any) -> Any:
+def recipe(values: Any) -> Any:
+    """What a dataset was made by, without where, with which versions and under which name; numbers rounded."""
     if isinstance(values, Mapping):
-        return {str(key): _recipe(value) for key, value in values.items() if key not in _NOT_ASKED}
+        return {str(key): recipe(value) for key, value in values.items() if key not in _NOT_ASKED}
     if isinstance(values, list | tuple):
-        return [_recipe(value) for value in values]
+        return [recipe(value) for value in values]
     return _rounded([values])[0] if isinstance(values, float) else values
 
 
@@ -62,7 +63,7 @@ def _traversal(traversal: Traversal) -> dict[str, Any]:
     images = {name: traversal.layout.timestamps("images", name) for name in traversal.file.cameras}
     times = sorted(traversal.poses)
     return {
-        "file": _recipe(file),
+        "file": recipe(file),
         "images": images,
         "poses": [times, _digest(_signed(pose_numbers([traversal.poses[time] for time in times])))],
     }

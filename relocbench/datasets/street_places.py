@@ -84,10 +84,17 @@ class StreetPlaces:
     @property
     def fingerprint(self) -> str:
         """Of the dataset and of what is right."""
+        return self._with_what_is_right(self.dataset.fingerprint)
+
+    @property
+    def question(self) -> str:
+        """The same for every copy of the dataset, whose images may differ in last digits."""
+        return self._with_what_is_right(self.dataset.question)
+
+    def _with_what_is_right(self, dataset: str) -> str:
         radius = None if self.rule == "pairs" else self.radius_m
         asked = {"version": _VERSION, "rule": self.rule, "radius_m": radius, "heading_deg": self.heading_deg}
-        text = json.dumps({"dataset": self.dataset.fingerprint, **asked}, sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        return hashlib.sha256(json.dumps({"dataset": dataset, **asked}, sort_keys=True).encode()).hexdigest()
 
     @property
     def splits(self) -> dict[str, tuple[str, ...]]:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from urllib.parse import quote
 
-from relocbench.datasets.fingerprint import SHORT
-from relocbench.evaluation.results import DatasetRecord
+from relocbench.leaderboard.copies import copies_words, question_words
 from relocbench.leaderboard.load import evaluate_command
 from relocbench.leaderboard.markdown_methods import methods_section, reproduce_section
 from relocbench.leaderboard.matching import matching_section
@@ -114,31 +113,9 @@ def _facts(dataset: DatasetBoard) -> str:
     pairs = sum(s.pairs for s in dataset.entry.pair_sets.values())
     rejected = sum(s.rejected for s in dataset.entry.pair_sets.values())
     return (
-        f"Fingerprint {code(record.fingerprint)}{_asked(record)}. Licence: {escaped(record.licence)}. {pairs} pairs in "
-        f"{len(dataset.entry.pair_sets)} pair sets; {rejected} more were rejected because their ground truth could "
-        "not be verified." + _copies(dataset)
-    )
-
-
-def _asked(record: DatasetRecord) -> str:
-    return f", question {code(record.question[:SHORT])}" if record.question else ""
-
-
-def _copies(dataset: DatasetBoard) -> str:
-    """What is to be known where methods answered on several copies of the question."""
-    entry = dataset.entry
-    parts = []
-    for copy in entry.copies:
-        labels = ", ".join(code(m.label) for m in entry.methods if m.run.fingerprint == copy)
-        parts.append(f"{labels or 'no method'} on the copy {code(copy[:SHORT])}")
-    parts += [
-        f"{code(m.label)} on the copy {code(m.run.answered_on[:SHORT])}" for m in entry.methods if m.run.answered_on
-    ]
-    if not parts:
-        return ""
-    return (
-        f" Answers were also given on other copies of the same question, whose images differ in the last digits of the "
-        f"processor that made them: {'; '.join(parts)}."
+        f"Fingerprint {code(record.fingerprint)}{question_words(record.question)}. Licence: {escaped(record.licence)}. "
+        f"{pairs} pairs in {len(dataset.entry.pair_sets)} pair sets; {rejected} more were rejected "
+        "because their ground truth could not be verified." + copies_words(dataset.entry.methods, dataset.entry.copies)
     )
 
 

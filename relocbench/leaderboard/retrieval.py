@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.fingerprint import SHORT
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.retrieval.answers import QueryAnswer, answers_hash
 from relocbench.evaluation.retrieval.records import (
@@ -94,6 +95,8 @@ class SetBoard:
     tables: tuple[RetrievalTable, ...]
     unused: tuple[str, ...] = ()
     """tasks that no method has answered"""
+    copies: tuple[str, ...] = ()
+    """fingerprints of other copies of the same question, from other processors, that methods answered on"""
 
     @property
     def title(self) -> str:
@@ -139,7 +142,7 @@ def load_retrieval(
     if not chosen:
         known = sorted({name for s in found for name in s.record.splits})
         raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    return RetrievalBoard(tuple(_set(s, metric, split, seed) for s in chosen), metric, seed, split)
+    return RetrievalBoard(tuple(_set(s, metric, split, seed) for s in _copies(chosen)), metric, seed, split)
 
 
 def holds_tracking(results: Path) -> bool:
@@ -183,21 +186,53 @@ def _is_part(name: str, tasks: Mapping[str, TaskRecord]) -> bool:
     return whole in tasks
 
 
-def _set(folder: SetResults, metric: str, split: str | None, seed: int) -> SetBoard:
-    record = folder.record
+def _copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
+    """Folders of one question together: the same recipe, images that differ in last digits."""
+    found: dict[tuple[str, str], list[SetResults]] = {}
+    for folder in folders:
+        found.setdefault((folder.record.name, folder.record.question or folder.record.fingerprint), []).append(folder)
+    return list(found.values())
+
+
+def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int) -> SetBoard:
+    """Of all copies of a question; the first stands for all, and a label that occurs again is told apart."""
+    record, *others = (folder.record for folder in copies)
+    for folder, other in zip(copies[1:], others, strict=True):
+        different = [n for n in other.tasks if other.tasks[n] != record.tasks.get(n, other.tasks[n])]
+        if different:
+            told = f"claims to ask what {copies[0].root.name} asks, and task '{different[0]}' is another"
+            raise PredictionError(f"{told}; expected results of one question", folder.root / SET_FILE)
+        record = record.model_copy(update={"tasks": {**other.tasks, **record.tasks}})
     names = [n for n in record.tasks if split is None or n in record.splits[split]]
     tasks = {name: record.tasks[name] for name in names}
-    methods = tuple(_method(m, record, tasks) for m in folder.methods())
+    methods, path_of = _methods_of(copies, tasks)
     if not methods:
-        raise PredictionError("holds no retriever's answers; expected results of `relocbench evaluate`", folder.root)
-    _check_same_queries(folder, methods)
+        raise PredictionError("holds no retriever's answers; expected results of `relocbench evaluate`", copies[0].root)
+    _check_same_queries(methods, path_of)
     used = {n: r for n, r in tasks.items() if any(n in m.answers for m in methods)}
     plans = {**{name: (name,) for name in used}, **mean_tables(used)}
     tables = []
     for name, of in plans.items():
         tables.append(_table(record, name, of, methods, metric, seed))
         plausible(tables[-1])
-    return SetBoard(record, methods, tuple(tables), tuple(n for n in tasks if n not in used))
+    unused = tuple(n for n in tasks if n not in used)
+    return SetBoard(record, methods, tuple(tables), unused, tuple(other.fingerprint for other in others))
+
+
+def _methods_of(
+    copies: Sequence[SetResults], tasks: Mapping[str, TaskRecord]
+) -> tuple[tuple[Retriever, ...], dict[str, RetrieverResults]]:
+    """Methods by label, and the folder of each."""
+    found: dict[str, Retriever] = {}
+    folders: dict[str, RetrieverResults] = {}
+    for copy in copies:
+        for folder in copy.methods():
+            method = _method(folder, copy.record, tasks)
+            if method.label in found:
+                label = f"{method.label}@{copy.record.fingerprint[:SHORT]}"
+                method = Retriever(label, method.run.model_copy(update={"method": label}), method.answers)
+            found[method.label], folders[method.label] = method, folder
+    return tuple(found[label] for label in sorted(found)), folders
 
 
 def _method(folder: RetrieverResults, asked: SetRecord, tasks: Mapping[str, TaskRecord]) -> Retriever:
@@ -224,14 +259,14 @@ def _answers(folder: RetrieverResults, task: str, record: TaskRecord, scored: Ma
     return checked_answers(task, record, folder)
 
 
-def _check_same_queries(folder: SetResults, methods: Sequence[Retriever]) -> None:
+def _check_same_queries(methods: Sequence[Retriever], folders: Mapping[str, RetrieverResults]) -> None:
     first: dict[str, tuple[str, list[tuple[str, int, str]]]] = {}
     for method in methods:
         for task, answers in method.answers.items():
             asked = [(a.query, a.positives, a.group) for a in answers]
             label, expected = first.setdefault(task, (method.label, asked))
             if asked != expected:
-                path = folder.method(method.label).answers(task)
+                path = folders[method.label].answers(task)
                 raise PredictionError(f"holds other queries, positives or groups than the table of '{label}'", path)
 
 

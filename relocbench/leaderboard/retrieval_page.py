@@ -6,6 +6,7 @@ import shlex
 
 from relocbench.evaluation.retrieval.external import PREDICTIONS
 from relocbench.evaluation.retrieval.records import RetrievalRun, SetRecord
+from relocbench.leaderboard.copies import copies_words, question_words
 from relocbench.leaderboard.load import machine_words
 from relocbench.leaderboard.retrieval import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
 from relocbench.leaderboard.text import bullet, code, escaped, fenced, json_text, number, table_text
@@ -62,7 +63,8 @@ def _how_to_read(board: RetrievalBoard) -> list[str]:
 
 def _set(board: RetrievalBoard, asked: SetBoard) -> list[str]:
     record = asked.record
-    parts = [f"## {escaped(record.name)}", f"Fingerprint {code(record.fingerprint)}."]
+    told = f"Fingerprint {code(record.fingerprint)}{question_words(record.question)}."
+    parts = [f"## {escaped(record.name)}", told + copies_words(asked.methods, asked.copies)]
     if record.positives:
         parts.append(f"Right are {escaped(record.positives)}.")
     parts.append(_tasks(asked))

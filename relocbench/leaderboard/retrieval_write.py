@@ -58,6 +58,7 @@ def _row(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable, row: Ret
     place: dict[str, Value] = {
         "dataset": asked.record.name,
         "fingerprint": asked.record.fingerprint,
+        "question": asked.record.question,
         "table": table.name,
         "tasks": " ".join(table.tasks),
         "view_query": "+".join(sorted({r.view_query for r in table.records})),

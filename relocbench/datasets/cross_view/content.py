@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from relocbench.datasets.question import recipe
 from relocbench.datasets.schema import Strict
 from relocbench.errors import DatasetError
 from relocbench.files import atomic_write, check_name, parse_count, read_csv, read_table, sha256_file
@@ -51,6 +53,12 @@ def fingerprint_of(rows: Sequence[Row]) -> str:
     """SHA-256 over the paths, which hold the labels, and the content of all images."""
     text = "".join(f"{key},{size},{digest}\n" for key, size, digest in rows)
     return hashlib.sha256(f"cross-view {FORMAT_VERSION}\n{text}".encode()).hexdigest()
+
+
+def question_of(file: CrossViewFile, keys: Iterable[str]) -> str:
+    """SHA-256 over what a rendered set asks: its recipe and which images it has, whatever their last digits."""
+    asked = {"format_version": FORMAT_VERSION, "recipe": recipe(file.made_by), "images": sorted(keys)}
+    return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()
 
 
 def write_manifest(root: Path, rows: Sequence[Row]) -> None:

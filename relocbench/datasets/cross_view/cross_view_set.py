@@ -55,11 +55,18 @@ class CrossViewSet:
     fingerprinted: Callable[[], str]
     notes: tuple[str, ...] = field(default=())
     """what a user should know: empty folders, classes both in train and in test"""
+    asks: str = ""
+    """digest of the recipe of a set that was rendered; empty for others, whose images are what they are"""
 
     @cached_property
     def fingerprint(self) -> str:
         """Of all images and their labels. A set that was not made here is hashed once, which reads every file."""
         return self.fingerprinted()
+
+    @property
+    def question(self) -> str:
+        """The same for every copy of a rendered set, whose images differ in last digits from processor to processor."""
+        return self.asks or self.fingerprint
 
     @property
     def train_labels(self) -> tuple[str, ...]:

@@ -103,7 +103,8 @@ def _made_here(path: Path, layout: Layout) -> CrossViewSet:
         )
     content.check_against(path, rows, layout.keys)
     digests = {key: sha256 for key, _, sha256 in rows}
-    return _set(path, file.name, layout, partial(str, file.fingerprint), content.read_conditions(path), digests)
+    found = _set(path, file.name, layout, partial(str, file.fingerprint), content.read_conditions(path), digests)
+    return replace(found, asks=content.question_of(file, digests))
 
 
 def _set(

@@ -7,7 +7,7 @@ share no street.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, field_validator
 
@@ -72,6 +72,7 @@ def build_places(sources: list[Path], options: Strict, out: Path, reporter: Repo
     from relocbench.datasets.cross_view.rendered.flight import Optics
     from relocbench.datasets.cross_view.rendered.plan import Views, choose_places, photos_of
     from relocbench.datasets.cross_view.rendered.work import render_missing
+    from relocbench.datasets.synthetic.revision import RENDERER_REVISION
     from relocbench.datasets.writer import DatasetWriter
 
     assert isinstance(options, Options)
@@ -82,7 +83,8 @@ def build_places(sources: list[Path], options: Strict, out: Path, reporter: Repo
     above, below = options.conditions[0], options.conditions[1:] or options.conditions
     named = conditions_of(tuple(dict.fromkeys(options.conditions)), options.factors, None, 0)
     factors = {name: condition.factors for name, condition in named.items()}
-    record = {"kind": "cross-view", "sources": [], "options": options.model_dump(mode="json")}
+    record: dict[str, Any] = {"kind": "cross-view", "sources": [], "options": options.model_dump(mode="json")}
+    record["renderer"] = RENDERER_REVISION
     record["factors"] = {name: f.model_dump(mode="json") for name, f in factors.items()}
     name = options.name or f"cross-view-{options.split}"
     writer = DatasetWriter(out, name, record, options.licence)

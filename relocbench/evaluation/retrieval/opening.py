@@ -40,6 +40,8 @@ class OpenedSet:
     splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     options: Mapping[str, float | str] = field(default_factory=dict)
     """of the command line, that make this set"""
+    question: str = ""
+    """what is asked, whatever the last digits of the images"""
 
     def tasks(self) -> tuple[RetrievalTask, ...]:
         return self.all_tasks
@@ -92,7 +94,16 @@ def _street(folder: Path, out: Path, options: SetOptions, reporter: Reporter) ->
     for task in tasks:
         _tell_left_out(places, task, reporter)
     return _checked(
-        OpenedSet(places.name, places.fingerprint, tasks, tasks, places.positives, places.splits, places.options)
+        OpenedSet(
+            places.name,
+            places.fingerprint,
+            tasks,
+            tasks,
+            places.positives,
+            places.splits,
+            places.options,
+            places.question,
+        )
     )
 
 
@@ -125,7 +136,8 @@ def _cross_view(folder: Path, out: Path, options: SetOptions, reporter: Reporter
         if name not in known:
             raise ConfigError(f"no task '{name}'; there is {', '.join(known)}", folder)
     chosen = tuple(task for task in tasks if not options.tasks or task.name in options.tasks)
-    return _checked(OpenedSet(found.name, found.fingerprint, tasks, chosen, "images of the query's place"))
+    right = "images of the query's place"
+    return _checked(OpenedSet(found.name, found.fingerprint, tasks, chosen, right, question=found.question))
 
 
 def _checked(asked: OpenedSet) -> OpenedSet:

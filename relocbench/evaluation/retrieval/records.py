@@ -70,6 +70,8 @@ class SetRecord(Strict):
 
     name: FolderName
     fingerprint: Fingerprint
+    question: str = ""
+    """what is asked, whatever the processor's last digits; empty in results of versions that did not tell"""
     positives: str = ""
     """which images are right, in words"""
     options: dict[str, float | str] = Field(default_factory=dict)
@@ -167,6 +169,7 @@ def write_set_record(folder: SetResults, asked: RetrievalSet, tasks: Sequence[Re
     record = SetRecord(
         name=asked.name,
         fingerprint=asked.fingerprint,
+        question=getattr(asked, "question", ""),
         positives=getattr(asked, "positives", ""),
         options=dict(getattr(asked, "options", {})),
         splits={split: kept for split, of in splits.items() if (kept := tuple(n for n in of if n in names))},

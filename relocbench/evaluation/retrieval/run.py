@@ -226,5 +226,9 @@ def _clear(folder: RetrieverResults, tasks: Sequence[RetrievalTask]) -> None:
 
 def _new_record(asked: RetrievalSet, spec: MethodSpec, seed: int, keep: int | None) -> RetrievalRun:
     return RetrievalRun(
-        dataset=asked.name, fingerprint=asked.fingerprint, keep=keep, **made_by(spec, default_workers(), seed)
+        dataset=asked.name,
+        fingerprint=asked.fingerprint,
+        question=getattr(asked, "question", ""),
+        keep=keep,
+        **made_by(spec, default_workers(), seed),
     )
