@@ -184,7 +184,7 @@ class _Clock:
     """
 
     def __init__(self, process: int) -> None:
-        self._stat, self._session = Path(f"/proc/{process}/stat"), str(process)
+        self._stat, self._process = Path(f"/proc/{process}/stat"), str(process)
         self.over = ""
         self._limit = _START_S
         self._began = self._last = time.monotonic()
@@ -195,7 +195,7 @@ class _Clock:
         self._began = self._last = time.monotonic()
         self._idle = 0.0
         self._computed, _ = self._now()
-        self._used = self._together = self._of_session()[0]
+        self._used = self._together = self._of_all()[0]
 
     def spent(self) -> float:
         return time.monotonic() - self._began
@@ -203,7 +203,7 @@ class _Clock:
     def is_over(self) -> bool:
         now = time.monotonic()
         own, _ = self._now()
-        used, sleeps = self._of_session()
+        used, sleeps = self._of_all()
         self._idle = self._idle + now - self._last if sleeps and used == self._used else 0.0
         self._last, self._used = now, used
         if own - self._computed > self._limit:
@@ -222,15 +222,17 @@ class _Clock:
             return 0.0, False
         return (int(fields[11]) + int(fields[12])) / _TICKS, fields[0] in "ST"
 
-    def _of_session(self) -> tuple[float, bool]:
+    def _of_all(self) -> tuple[float, bool]:
         """The same of the process and all that it started: who waits for one of them waits for something."""
-        ticks, sleep = 0, True
+        found: dict[str, list[str]] = {}
         for stat in Path("/proc").glob("[0-9]*/stat"):
-            try:
-                fields = stat.read_text().rpartition(")")[2].split()
-            except OSError:  # it ended meanwhile
-                continue
-            if fields[3] == self._session:
-                ticks += sum(map(int, fields[11:15]))  # of those that ended as well
-                sleep = sleep and fields[0] in "STZ"
-        return ticks / _TICKS, sleep
+            with contextlib.suppress(OSError):  # it ended meanwhile
+                found[stat.parent.name] = stat.read_text().rpartition(")")[2].split()
+        # Workers of a command have sessions of their own; what has lost its parent still has the session.
+        family = {name for name, fields in found.items() if fields[3] == self._process}
+        grown = True
+        while grown:
+            new = {name for name, fields in found.items() if fields[1] in family} - family
+            grown, family = bool(new), family | new
+        ticks = sum(int(field) for name in family for field in found[name][11:15])  # of those that ended as well
+        return ticks / _TICKS, all(found[name][0] in "STZ" for name in family)
