@@ -32,6 +32,11 @@ STYLES: tuple[Style, ...] = ("-", (0, (1, 0.8)), (0, (4, 1, 1, 1)))
 FLOOR_COLOUR = "#767676"
 
 
+_INCHES = (11.0, 4.2)
+"""of a picture of curves; long names make it wider, many of them higher"""
+_LEFT, _GAP, _RIGHT, _BELOW, _ABOVE, _EDGE = 0.78, 0.75, 0.25, 0.5, 0.66, 0.1
+"""inches around and between the panels of a picture of curves"""
+_NARROWEST = 2.6
 LONGEST_LABEL = 60
 """characters of a name in a picture; what is longer would leave no room for the curves"""
 
@@ -114,7 +119,7 @@ def _png(figure: Figure) -> bytes:
 
 
 def _curves(picture: CurvePicture) -> Figure:
-    figure = Figure(figsize=(11, 4.2), dpi=130, layout="constrained")
+    figure = Figure(figsize=_INCHES, dpi=130)
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, sharey=True)
     metres = [(c, c.translation_error_m, c.translation_share) for c in picture.curves]
@@ -124,10 +129,27 @@ def _curves(picture: CurvePicture) -> Figure:
     left.set_xlabel("translation error (m)")
     right.set_xlabel("rotation error (°)")
     left.set_ylabel(f"share of all {picture.pairs} pairs")
-    figure.suptitle(picture.title, fontsize=11)
     # Given one by one: a label that begins with _ would be left out of a legend that is made from the axes.
     labels = [curve.label for curve in picture.curves]
-    figure.legend(handles, labels, loc="outside right upper", title=picture.ranked_by, frameon=False, handlelength=3.2)
+    legend = figure.legend(
+        handles,
+        labels,
+        loc="upper right",
+        bbox_to_anchor=(1, 1),
+        title=picture.ranked_by,
+        frameon=False,
+        handlelength=3.2,
+    )
+    # matplotlib's own layout would draw everything twice, which takes most of the time of a page of many sets.
+    extent = legend.get_window_extent()
+    around = _LEFT + _GAP + _RIGHT + extent.width / figure.dpi
+    panel = max((_INCHES[0] - around) / 2, _NARROWEST), _INCHES[1] - _BELOW - _ABOVE
+    width, height = around + 2 * panel[0], max(_INCHES[1], extent.height / figure.dpi + 2 * _EDGE)
+    figure.set_size_inches(width, height)
+    below = height - _ABOVE - panel[1]
+    for axes, start in ((left, _LEFT), (right, _LEFT + panel[0] + _GAP)):
+        axes.set_position((start / width, below / height, panel[0] / width, panel[1] / height))
+    figure.suptitle(picture.title, fontsize=11, x=_LEFT / width, y=1 - _EDGE / height, ha="left")
     return figure
 
 
