@@ -72,7 +72,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
-def cut(text: str, most: int) -> str:
+def cut(text: str, most: int = MOST_QUOTED) -> str:
     """At most ``most`` characters; an ellipsis stands for those that were left out."""
     return text if len(text) <= most else text[: most - 1] + "…"
 

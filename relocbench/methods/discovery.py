@@ -22,7 +22,7 @@ from typing import Any, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
-from relocbench.errors import MethodError, quoted
+from relocbench.errors import MethodError, cut, quoted
 from relocbench.files import YamlFault, check_distinct, check_name, first_fault, parse_yaml_setting, sha256_file
 from relocbench.methods.lookup import hint, load_dotted, of_theirs, offered
 
@@ -121,7 +121,7 @@ def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0, kind: M
     for setting in settings:
         key, separator, value = setting.partition("=")
         if not separator:
-            raise MethodError(f"--set {setting}: expected key=value or LABEL.key=value")
+            raise MethodError(f"--set {cut(setting)}: expected key=value or LABEL.key=value")
         prefix, dot, rest = key.rpartition(".")
         if dot and prefix != label:
             continue
@@ -164,7 +164,9 @@ def parse_methods(
     for setting in settings:
         prefix, dot, _ = setting.partition("=")[0].rpartition(".")
         if dot and prefix not in labels:
-            raise MethodError(f"--set {setting}: no {kind.noun} '{prefix}' in this run; there is {', '.join(labels)}")
+            raise MethodError(
+                f"--set {cut(setting)}: no {kind.noun} '{prefix}' in this run; there is {', '.join(labels)}"
+            )
     return specs
 
 
@@ -284,4 +286,4 @@ def _validated(named: str, parameter: Parameter, value: Any, text: str) -> Any:
             return adapter.validate_python(text)  # YAML reads 1e-3 and 007 as words, the type may know better
         except ValidationError:
             message, _ = first_fault(bad)
-            raise MethodError(f"{named}: parameter '{parameter.name}={text}': {message}") from None
+            raise MethodError(f"{named}: parameter {quoted(f'{parameter.name}={text}')}: {message}") from None

@@ -7,7 +7,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from relocbench.errors import ConfigError, MethodError, quoted
+from relocbench.errors import ConfigError, MethodError, cut, quoted
 from relocbench.files import YamlFault, load_yaml_values, parse_yaml_setting
 from relocbench.methods.lookup import hint, load_dotted, of_theirs, offered
 from relocbench.training import ConfiguredTrainer, PlaceTrainer, Trainer
@@ -89,7 +89,7 @@ def trainer_options(defaults: Mapping[str, Any], config: Path | None, settings: 
     for setting in settings:
         key, separator, text = setting.partition("=")
         if not separator:
-            raise ConfigError(f"--set {setting}: expected key=value, as in learning_rate=0.001 or network.dim=8")
+            raise ConfigError(f"--set {cut(setting)}: expected key=value, as in learning_rate=0.001 or network.dim=8")
         nested: Any = _value(setting, text)
         for part in reversed(key.split(".")):
             nested = {part: nested}

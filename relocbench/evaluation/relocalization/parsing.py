@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, cut
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
 from relocbench.evaluation.relocalization.retrieving import label_of
 from relocbench.evaluation.retrieval.external import PREDICTIONS
@@ -28,7 +28,7 @@ def parse_chain(
     for setting in settings:
         prefix, dot, _ = setting.partition("=")[0].rpartition(".")
         if not dot:
-            raise ConfigError(f"--set {setting}: say for which method, as LABEL.key=value")
+            raise ConfigError(f"--set {cut(setting)}: say for which method, as LABEL.key=value")
         prefixes[prefix] = setting
     of_retrievers = [_retriever(text, settings, seed) for text in retrievers]
     of_trackers = [parse_method(text, settings, seed, TRACKERS) for text in trackers]
@@ -43,7 +43,7 @@ def parse_chain(
             raise ConfigError(f"two methods are called '{label}'; give one a label of its own: LABEL=METHOD")
     for prefix, setting in prefixes.items():
         if prefix not in labels:
-            raise ConfigError(f"--set {setting}: no method '{prefix}' in this run; there is {', '.join(labels)}")
+            raise ConfigError(f"--set {cut(setting)}: no method '{prefix}' in this run; there is {', '.join(labels)}")
     return of_retrievers, of_trackers
 
 
@@ -58,5 +58,5 @@ def _retriever(text: str, settings: Sequence[str], seed: int) -> MethodSpec | st
             raise ValueError("lists made elsewhere need a label")
         check_name(label, "retriever label")
     except ValueError as bad:
-        raise ConfigError(f"--retriever {text}: {bad}; give one: LABEL={PREDICTIONS}PATH") from None
+        raise ConfigError(f"--retriever {cut(text)}: {bad}; give one: LABEL={PREDICTIONS}PATH") from None
     return text
