@@ -234,17 +234,18 @@ def test_a_build_killed_twice_and_for_two_workers_ends_with_the_same_bytes(
 ) -> None:
     out = tmp_path / "dataset"
     sources = (drives.reference.folder, drives.query.folder)
-    arguments = ["build-dataset", "robotcar", *sources, *SMALL, "--out", out, "-j", 2, "-q"]
+    arguments = ["build-dataset", "robotcar", *sources, *SMALL, "--out", out, "-q"]
 
     registrations = Fault(r"groundtruth/registrations/.*\.journal$", 2, ("append",), "main")
     depth = Fault(r"traversals/[^/]+/depth/.*\.png$", 3, ("rename",), "main")
     for number, stage in enumerate((registrations, depth)):  # within the submaps: test_groundtruth_submaps
-        run_until_killed(["python", "-m", "relocbench", *arguments], stage, tmp_path / f"trace{number}")
+        command = ["python", "-m", "relocbench", *arguments, "-j", 2 - number]
+        run_until_killed(command, stage, tmp_path / f"trace{number}")
         assert not (out / "dataset.yaml").exists()
     journals = list(out.glob("groundtruth/registrations/*"))
     assert journals
     assert all(p.suffix == ".csv" for p in journals)
-    assert relocbench(*arguments).status == 0
+    assert relocbench(*arguments, "-j", 2).status == 0
     assert hashes(out) == hashes(built.root)
 
 
@@ -280,7 +281,7 @@ def test_limits_of_sigma_hold_and_a_right_first_pose_is_taken(drives: Drives, bu
 
 @pytest.fixture(scope="module")
 def unusual(drives: Drives, built: Built, tmp_path_factory: pytest.TempPathFactory) -> Built:
-    """A gap in the visual odometry, a first pose 6 m off, empty scans, depth by stereo."""
+    """A gap in the visual odometry, a first pose 6 m off, empty scans, depth by stereo; searched by the other matcher."""
     folder = tmp_path_factory.mktemp("unusual")
     reference, query = copied(drives, folder)
     path = query / "vo" / "vo.csv"
@@ -293,9 +294,8 @@ def unusual(drives: Drives, built: Built, tmp_path_factory: pytest.TempPathFacto
         scan.write_bytes(np.zeros((541, 3)).tobytes())
     out = folder / "dataset"
     first = pose_words(drives, built, se3_exp(np.array([6.0, 0, 0, 0, 0, 0])))
-    outcome = build(
-        out, reference, query, "--first-pose", first, "--depth", "stereo", "--cameras", "stereo_left", "--max-angle", 50
-    )
+    others = ("--depth", "stereo", "--cameras", "stereo_left", "--max-angle", 50, "--matcher", "fgr")
+    outcome = build(out, reference, query, "--first-pose", first, *others)
     assert outcome.status == 0, outcome.err
     return Built(out, outcome)
 
@@ -325,7 +325,7 @@ def test_depth_by_stereo_is_dense_and_says_so(drives: Drives, unusual: Built) ->
 
 
 def test_a_drive_the_other_way_has_no_keyframe_that_looks_its_way(drives: Drives, tmp_path: Path) -> None:
-    outcome = build(tmp_path / "dataset", drives.reference.folder, drives.backwards.folder)
+    outcome = build(tmp_path / "dataset", drives.reference.folder, drives.backwards.folder, "--matcher", "fgr")
     assert outcome.status == 2
     complaint = next(line for line in outcome.err.splitlines() if line.startswith("relocbench: "))
     assert re.search(r"could be accepted; most often: no keyframe within 60 deg: 1[78]\d deg", complaint), complaint
