@@ -28,9 +28,10 @@ from relocbench.geometry import invert, rotation_angle, se3_exp, transform_to_tq
 Array = NDArray[np.float64]
 
 FRAMES = 64
+# The default matcher of the search takes longer than all else; test_importer_lidar_kinds.py builds with it.
 SMALL = (
     *("--submap", 30, "--depth-submap", 16, "--keyframe-distance", 1.5, "--query-distance", 3),
-    *("--max-distance", 3, "--correspondences", 200),
+    *("--max-distance", 3, "--correspondences", 200, "--matcher", "fgr"),
 )
 GAP_US = (2_000_000, 2_700_000)
 """after the first step of visual odometry"""
@@ -281,7 +282,7 @@ def test_limits_of_sigma_hold_and_a_right_first_pose_is_taken(drives: Drives, bu
 
 @pytest.fixture(scope="module")
 def unusual(drives: Drives, built: Built, tmp_path_factory: pytest.TempPathFactory) -> Built:
-    """A gap in the visual odometry, a first pose 6 m off, empty scans, depth by stereo; searched by the other matcher."""
+    """A gap in the visual odometry, a first pose 6 m off, empty scans, depth by stereo."""
     folder = tmp_path_factory.mktemp("unusual")
     reference, query = copied(drives, folder)
     path = query / "vo" / "vo.csv"
@@ -294,7 +295,7 @@ def unusual(drives: Drives, built: Built, tmp_path_factory: pytest.TempPathFacto
         scan.write_bytes(np.zeros((541, 3)).tobytes())
     out = folder / "dataset"
     first = pose_words(drives, built, se3_exp(np.array([6.0, 0, 0, 0, 0, 0])))
-    others = ("--depth", "stereo", "--cameras", "stereo_left", "--max-angle", 50, "--matcher", "fgr")
+    others = ("--depth", "stereo", "--cameras", "stereo_left", "--max-angle", 50)
     outcome = build(out, reference, query, "--first-pose", first, *others)
     assert outcome.status == 0, outcome.err
     return Built(out, outcome)
@@ -325,7 +326,7 @@ def test_depth_by_stereo_is_dense_and_says_so(drives: Drives, unusual: Built) ->
 
 
 def test_a_drive_the_other_way_has_no_keyframe_that_looks_its_way(drives: Drives, tmp_path: Path) -> None:
-    outcome = build(tmp_path / "dataset", drives.reference.folder, drives.backwards.folder, "--matcher", "fgr")
+    outcome = build(tmp_path / "dataset", drives.reference.folder, drives.backwards.folder)
     assert outcome.status == 2
     complaint = next(line for line in outcome.err.splitlines() if line.startswith("relocbench: "))
     assert re.search(r"could be accepted; most often: no keyframe within 60 deg: 1[78]\d deg", complaint), complaint
