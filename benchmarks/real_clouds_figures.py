@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -185,10 +185,10 @@ def tell_starts(scans: Scans, count: int, seed: int) -> dict[str, Any]:
     return {"starts": total, "pairs": len(scans.pairs), **sums}
 
 
-def tell_kitti_00(folder: Path) -> dict[str, Any]:
+def tell_kitti_00(folder: Path, elevations_deg: Sequence[float] = (0.0, REAL_ELEVATION_DEG)) -> dict[str, Any]:
     """Odometry and depth of the six scans, as they are and with the beams raised."""
     out = {}
-    for elevation in (0.0, REAL_ELEVATION_DEG):
+    for elevation in elevations_deg:
         found = kitti_00(folder, elevation)
         errors = 100 * found.errors_m
         say(f"\nKITTI 00, beams raised by {elevation:.3f} deg")

@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -47,12 +48,15 @@ def _refined(scans: Scans, pair: Pair, start: Array) -> Array:
     return refine(scans.sides[pair[0]].planes, scans.sides[pair[1]].planes, start).T_ref_query
 
 
-def _cloud(points: Array) -> Any:
+@lru_cache(maxsize=1)
+def _clouds(scans: Scans) -> list[Any]:
+    """Each scan with normals, for Open3D."""
     import open3d as o3d
 
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_NEIGHBOURS))
-    return cloud
+    clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)) for points in scans.points]
+    for cloud in clouds:
+        cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_NEIGHBOURS))
+    return clouds
 
 
 def _point_to_plane(scans: Scans, pair: Pair, start: Array) -> Array:
@@ -60,7 +64,7 @@ def _point_to_plane(scans: Scans, pair: Pair, start: Array) -> Array:
     import open3d as o3d
 
     registration = o3d.pipelines.registration
-    target, source = (_cloud(scans.points[k]) for k in pair)
+    target, source = (_clouds(scans)[k] for k in pair)
     estimation = registration.TransformationEstimationPointToPlane(registration.GMLoss(0.05))
     T = start
     for reach in (1.0, 0.5, 0.3):
@@ -74,7 +78,7 @@ def _generalised(scans: Scans, pair: Pair, start: Array) -> Array:
     import open3d as o3d
 
     registration = o3d.pipelines.registration
-    target, source = (_cloud(scans.points[k]) for k in pair)
+    target, source = (_clouds(scans)[k] for k in pair)
     estimation = registration.TransformationEstimationForGeneralizedICP()
     T = start
     for reach in (1.0, 0.5):

@@ -350,7 +350,8 @@ def test_open3d_agrees(pair):
 
 def tracked(ref: clouds.Drive, query: clouds.Drive, **given):
     said: list[str] = []
-    found = track(ref, query, ref.nodes, query.nodes, options=TrackingOptions(step_m=8.0), say=said.append, **given)
+    options = TrackingOptions(step_m=8.0, search=GlobalOptions(iterations=10_000))
+    found = track(ref, query, ref.nodes, query.nodes, options=options, say=said.append, **given)
     errors = [
         error(r.T_ref_query, invert(ref.T_street_node[r.ref]) @ query.T_street_node[r.query])[0]
         for r in found

@@ -435,14 +435,11 @@ def test_better_poses_lay_the_blocks_elsewhere(built: tuple[Nodes, BlockStore]) 
     np.testing.assert_allclose(submap.points[:, 2] - plain.points[:, 2], 0.01 * (submap.block - 9.0), atol=1e-4)
 
 
-def test_step_costs_the_same_however_long_the_drive(tmp_path: Path) -> None:
+def test_step_costs_the_same_however_long_the_drive(built: tuple[Nodes, BlockStore], tmp_path: Path) -> None:
     """Work is counted, not timed: points that enter or leave, claims on voxels, and files that are read."""
-    recording = drive_street(Street(length_m=40.0))
-    nodes = make_nodes(recording)
-    short = build_blocks(recording, nodes, tmp_path / "short")
     # A drive of 120 blocks out of copies of one block each 2 m.
     store = BlockStore(tmp_path / "long")
-    block, count = short.get(9), 120
+    block, count = built[1].get(9), 120
     poses = np.repeat(np.eye(4)[None], count, axis=0)
     poses[:, 0, 3] = 2.0 * np.arange(count)
     for k in range(count):

@@ -125,7 +125,7 @@ def generic_drive(kitti: Path, sequence: str, folder: Path) -> Path:
 def test_generic_folders_with_lidar_are_brought_together(kitti: Path, tmp_path: Path) -> None:
     drives = [generic_drive(kitti, number, tmp_path / name) for number, name in (("00", "summer"), ("01", "winter"))]
     out = tmp_path / "dataset"
-    outcome = build("generic-lidar", out, *drives)
+    outcome = build("generic-lidar", out, *drives, "--matcher", "fgr")
     assert outcome.status == 0, outcome.err
     metres, degrees = worst(kitti, Dataset(out), "summer__winter__cam0")
     assert metres < 0.10

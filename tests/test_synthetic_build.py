@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +26,7 @@ from relocbench.datasets.synthetic.mesh import Mesh, Semantic
 from relocbench.datasets.synthetic.pairs import DistanceSpread, drawn_pairs
 from relocbench.datasets.synthetic.plan import make_plans
 from relocbench.datasets.synthetic.presets import conditions_of
+from relocbench.datasets.synthetic.render import Renderer
 from relocbench.datasets.synthetic.rig import RIGS
 from relocbench.datasets.synthetic.town import compose
 from relocbench.datasets.synthetic.traffic import moving_cars
@@ -49,6 +49,31 @@ def build(out: Path, workers: int = 1, **options: object) -> Dataset:
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return build(tmp_path_factory.mktemp("synthetic") / "out")
+
+
+@pytest.fixture(scope="module")
+def resumed(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """The same without extras: killed when the first images were on disk, and finished by two workers.
+
+    ``benchmarks/kills.py`` kills workers as well.
+    """
+    folder = tmp_path_factory.mktemp("killed")
+    out = folder / "out"
+    command = ["build-dataset", "synthetic", "--preset", "smoke", "--workers", 1, "--quiet", "--out", out]
+    third = Fault(r"images/front/\d+\.png$", 3)
+    run_until_killed(["python", "-m", "relocbench", *command], third, folder / "trace")
+    assert len(list(out.rglob("images/front/[0-9]*.png"))) == 2
+    with pytest.raises(DatasetError, match="not finished"):
+        Dataset(out)
+    for torn in list(out.rglob("depth/front/*.png"))[:1]:
+        torn.write_bytes(torn.read_bytes()[:50])
+    return build(out, workers=2, extras=())
+
+
+@pytest.fixture(scope="module")
+def wet() -> Mesh:
+    """What stands still in the query's condition."""
+    return compose(stage.district(PLACE), condition_named("WetNoon").factors)
 
 
 class Straight:
@@ -172,9 +197,8 @@ def nearest_hit(mesh: Mesh, origin: np.ndarray, direction: np.ndarray) -> float:
     return float(np.min(t[hit], initial=np.inf))
 
 
-def test_depth_is_that_of_an_independent_ray_cast(town: Dataset) -> None:
+def test_depth_is_that_of_an_independent_ray_cast(town: Dataset, wet: Mesh) -> None:
     traversal = town.traversal(QUERY)
-    mesh = compose(stage.district(PLACE), condition_named("WetNoon").factors)
     time_ns = traversal.timestamps("front")[1]
     depth, camera = traversal.depth("front", time_ns), traversal.camera("front")
     assert depth is not None
@@ -184,7 +208,7 @@ def test_depth_is_that_of_an_independent_ray_cast(town: Dataset) -> None:
     wrong = 0
     for row in rng.choice(len(u), 24, replace=False):
         ray = camera.unproject(np.array([u[row], v[row]], dtype=float))[0]
-        expected = nearest_hit(mesh, T_world_cam[:3, 3], T_world_cam[:3, :3] @ ray)
+        expected = nearest_hit(wet, T_world_cam[:3, 3], T_world_cam[:3, :3] @ ray)
         wrong += abs(depth[v[row], u[row]] - expected) > 1 / 256
     assert wrong == 0
 
@@ -211,12 +235,11 @@ def test_correspondences_hold_forward_and_backward_on_static_surfaces(town: Data
         assert np.abs(forward - rows.uv_query).max() < 1e-3
 
 
-def test_what_is_called_hidden_is_hidden(town: Dataset) -> None:
+def test_what_is_called_hidden_is_hidden(town: Dataset, wet: Mesh) -> None:
     """Visibility against a loop over all triangles, for points that the query sees and points that it does not."""
     pair = town.pair_set(ACROSS).pairs[0]
     rows = read_correspondences(town.layout.correspondence_file(ACROSS), pair.key)
     reference, query = town.traversal(REFERENCE), town.traversal(QUERY)
-    mesh = compose(stage.district(PLACE), condition_named("WetNoon").factors)
     T_world_ref = reference.T_world_cam("front", pair.ref_timestamp_ns)
     centre = query.T_world_cam("front", pair.query_timestamp_ns)[:3, 3]
     rays, _ = reference.camera("front").unproject(rows.uv_ref)
@@ -225,7 +248,7 @@ def test_what_is_called_hidden_is_hidden(town: Dataset) -> None:
     for row in some:
         offset = points[row] - centre
         far = float(np.linalg.norm(offset))
-        reached = nearest_hit(mesh, centre, offset / far)
+        reached = nearest_hit(wet, centre, offset / far)
         assert (abs(reached - far) < 0.01 + 1e-3 * far) == rows.visible[row]
 
 
@@ -250,43 +273,36 @@ def test_conditions_share_what_stands_still(town: Dataset) -> None:
     assert not images.read_image(extra_path(town.root, REFERENCE, "changed", "front", reference_time)).any()
 
 
-def test_extras_are_exact_and_outside_of_the_fingerprint(town: Dataset, tmp_path: Path) -> None:
+def test_extras_are_exact_and_outside_of_the_fingerprint(
+    town: Dataset, resumed: Dataset, wet: Mesh, tmp_path: Path
+) -> None:
     time_ns = town.traversal(QUERY).timestamps("front")[0]
-    mesh = compose(stage.district(PLACE), condition_named("WetNoon").factors)
     instance = read_instance(extra_path(town.root, QUERY, "instance", "front", time_ns))
-    assert np.isin(instance, mesh.instance).all()
+    assert np.isin(instance, wet.instance).all()
     assert len(np.unique(instance)) > 3
-    plain = build(tmp_path / "plain", extras=())
-    assert plain.fingerprint == town.fingerprint
-    assert not (plain.root / "extras").exists()
-    assert build(plain.root, extras=("semantic",)).fingerprint == town.fingerprint
-    later, before = (extra_path(d.root, QUERY, "semantic", "front", time_ns) for d in (plain, town))
+    assert resumed.fingerprint == town.fingerprint
+    assert not (resumed.root / "extras").exists()
+    # Asked for later: the pictures that are there already are not rendered again.
+    out = shutil.copytree(resumed.root, tmp_path / "later")
+    shutil.copytree(town.root / "extras", out / "extras")
+    later, before = (extra_path(root, QUERY, "semantic", "front", time_ns) for root in (out, town.root))
+    later.unlink()
+    assert build(out, extras=("semantic",)).fingerprint == town.fingerprint
     assert later.read_bytes() == before.read_bytes()
 
 
-def test_workers_do_not_change_the_bytes(town: Dataset, tmp_path: Path) -> None:
-    two = build(tmp_path / "two", workers=2, extras=())
-    assert two.fingerprint == town.fingerprint
-
-
-def test_a_frame_is_the_same_when_rendered_on_its_own(town: Dataset, tmp_path: Path) -> None:
-    """In a fresh process, by the renderer alone: the files of image and depth, byte for byte."""
-    script = (
-        "import sys; from pathlib import Path;"
-        "from relocbench.datasets.dataset import Dataset; from relocbench.datasets.synthetic import stage;"
-        "from relocbench.datasets.synthetic.condition import condition_named; from relocbench.datasets import images;"
-        f"t = Dataset({str(town.root)!r}).traversal({QUERY!r}); time = t.timestamps('front')[2];"
-        "r = stage.renderer(stage.Place(0, 'test', 190.0), condition_named('WetNoon').factors);"
-        "number = int(t.timestamps('front')[0] // 10**12 - 1);"
-        "f = r.render(t.camera('front'), t.T_world_cam('front', time), stage.frame_seed(0, number, 2, 0));"
-        f"out = Path({str(tmp_path)!r});"
-        "images.write_image(out / 'image.png', f.rgb); images.write_depth(out / 'depth.png', f.depth)"
-    )
-    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
-    layout = town.traversal(QUERY).layout
-    time_ns = town.traversal(QUERY).timestamps("front")[2]
-    assert (tmp_path / "image.png").read_bytes() == layout.image("front", time_ns).read_bytes()
-    assert (tmp_path / "depth.png").read_bytes() == layout.depth("front", time_ns).read_bytes()
+def test_a_frame_is_the_same_when_rendered_on_its_own(town: Dataset, wet: Mesh, tmp_path: Path) -> None:
+    """By a renderer that rendered nothing before: the files of image and depth, byte for byte."""
+    traversal, layout = town.traversal(QUERY), town.traversal(QUERY).layout
+    first, _, third, _ = traversal.timestamps("front")
+    number = int(first // 10**12 - 1)
+    alone = Renderer(wet, condition_named("WetNoon").factors, stage.district(PLACE).lamps, PLACE.seed)
+    T_world_cam = traversal.T_world_cam("front", third)
+    frame = alone.render(traversal.camera("front"), T_world_cam, stage.frame_seed(0, number, 2, 0))
+    images.write_image(tmp_path / "image.png", frame.rgb)
+    images.write_depth(tmp_path / "depth.png", frame.depth)
+    assert (tmp_path / "image.png").read_bytes() == layout.image("front", third).read_bytes()
+    assert (tmp_path / "depth.png").read_bytes() == layout.depth("front", third).read_bytes()
 
 
 def test_a_build_renders_one_missing_frame_alone_to_the_same_bytes(town: Dataset, tmp_path: Path) -> None:
@@ -303,20 +319,9 @@ def test_a_build_renders_one_missing_frame_alone_to_the_same_bytes(town: Dataset
     assert layout.image("front", first).stat().st_mtime_ns == untouched
 
 
-def test_a_killed_build_resumes_to_the_same_bytes(town: Dataset, tmp_path: Path) -> None:
-    """The command and all its workers are killed at once, with the first images on disk."""
-    out = tmp_path / "out"
-    options = ["build-dataset", "synthetic", "--preset", "smoke", "--workers", "2", "--quiet"]
-    extras = ["--extras", "changed,instance,semantic,normals", "--out", str(out)]
-    # Of two workers one may be about to rename the image that it counted.
-    third = Fault(r"images/front/\d+\.png$", 3)
-    run_until_killed(["python", "-m", "relocbench", *options, *extras], third, tmp_path / "trace")
-    assert 0 < len(list(out.rglob("images/front/*.png"))) < 8
-    with pytest.raises(DatasetError, match="not finished"):
-        Dataset(out)
-    for torn in list(out.rglob("depth/front/*.png"))[:1]:
-        torn.write_bytes(torn.read_bytes()[:50])
-    assert build(out, workers=1).fingerprint == town.fingerprint
+def test_neither_a_kill_nor_workers_change_the_bytes(town: Dataset, resumed: Dataset) -> None:
+    """One process rendered the first images until it was killed, and two workers did the rest."""
+    assert resumed.fingerprint == town.fingerprint
 
 
 def test_traffic_is_rendered_marked_as_changed_and_never_matched(tmp_path: Path) -> None:
@@ -356,7 +361,7 @@ def test_pair_sets_are_those_that_were_asked_for() -> None:
 
 
 def test_a_sweep_takes_the_place_of_conditions(tmp_path: Path) -> None:
-    dataset = build(tmp_path / "out", sweep="leaves", sweep_steps=2, steps=2, extras=())
+    dataset = build(tmp_path / "out", sweep="leaves", sweep_steps=2, steps=2, size="32x32", extras=())
     assert dataset.traversal_names == ["test-leaves-0-0", "test-leaves-1-0"]
     factors = dataset.file.made_by["factors"]
     differing = {k for k, v in factors["leaves-0"].items() if v != factors["leaves-1"][k]}
@@ -365,8 +370,8 @@ def test_a_sweep_takes_the_place_of_conditions(tmp_path: Path) -> None:
 
 def test_splits_and_seeds_have_districts_of_their_own() -> None:
     places = [PLACE, stage.Place(0, "train", 190.0), stage.Place(1, "test", 190.0)]
-    ends = {stage.district(place).network.drive(100.0, place.seed).pose(90.0).tobytes() for place in places}
-    assert len(ends) == 3
+    nodes = [set(map(tuple, np.round(stage.district(place).network.nodes, 3))) for place in places]
+    assert all(not one & other for one, other in combinations(nodes, 2))
 
 
 def test_mistakes_are_named(tmp_path: Path) -> None:
@@ -390,7 +395,10 @@ def test_the_estimate_counts_what_is_left() -> None:
     assert duration(3 * 3600) == "3.0 h"
 
 
-def test_a_preview_has_a_picture_for_each_condition(tmp_path: Path) -> None:
+def test_a_preview_has_a_picture_for_each_condition(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The light of a scene takes longer than its pictures, the more so the larger the district is.
+    monkeypatch.setattr("relocbench.datasets.synthetic.contact_sheet._EXTENT_M", 180.0)
+    monkeypatch.setattr("relocbench.datasets.synthetic.contact_sheet._ROUTE_M", 100.0)
     sheet = tmp_path / "sheet.png"
     outcome = relocbench("preview", "-c", "Sunny,Snow", "--size", 96, "--out", sheet, "--quiet")
     assert outcome.status == 0, outcome.err

@@ -35,7 +35,7 @@ from relocbench.geometry import interpolate_trajectory, invert, rotation_angle
 Array = NDArray[np.float64]
 
 SMOKE = ("build-dataset", "synthetic", "--preset", "smoke", "--quiet")
-ROBOTCAR = (*SMOKE, "--recording", "robotcar", "--image-scale", 0.08, "--steps", 8)
+ROBOTCAR = (*SMOKE, "--recording", "robotcar", "--image-scale", 0.08, "--steps", 5)
 DRIVES = ("2024-03-01-10-00-00", "2024-03-02-10-00-00")
 CONDITIONS = ("Neutral", "Rain")
 CAMERAS = {
@@ -44,7 +44,8 @@ CAMERAS = {
     "mono_right": (("mono_right",), (82, 82), 90_000),
     "mono_rear": (("mono_rear",), (82, 82), 90_000),
 }
-LASERS = ("lms_front", "lms_rear")
+LASERS = {"lms_front": 3_000, "lms_rear": 14_000}
+"""microseconds from the first image to the first scan"""
 
 
 def command(out: Path, workers: int) -> list[str]:
@@ -94,10 +95,10 @@ def test_every_field_of_the_layout_is_there_and_in_its_range(robotcar: Path, nam
                 assert image is not None
                 assert (image.dtype, image.shape) == (np.uint8, (height, width))
                 assert image.std() > 8
-    for sensor in LASERS:
+    for sensor, first_us in LASERS.items():
         files = reading.files(sensor, ".bin")
         assert list(files) == [stamp for stamp, _ in reading.timestamps(sensor)]
-        assert len(files) == len(range(0, 7 * 62_500 - 3_000, 20_000))
+        assert len(files) == len(range(first_us, 4 * 62_500, 20_000))
         for path in files.values():
             scan = reading.scan(path)
             assert scan.shape == (541, 3)

@@ -499,12 +499,6 @@ def test_scans_of_kitti_are_compensated_unless_distorted_ones_are_asked_for(tmp_
     assert shares[True] < 0.96
 
 
-def test_workers_do_not_change_the_bytes(tmp_path: Path) -> None:
-    for workers in (1, 2):
-        drive(tmp_path / str(workers), workers=workers, cameras=("stereo/left", "mono_rear"))
-    assert hashes(tmp_path / "1") == hashes(tmp_path / "2")
-
-
 def test_seeds_change_the_drive_and_numbers_the_day(tmp_path: Path) -> None:
     paths = [drive(tmp_path / str(k), cameras=(), seed=k, frames=3) for k in range(2)]
     assert paths[0].name == paths[1].name
@@ -520,12 +514,12 @@ import sys
 from pathlib import Path
 from test_synthetic_recording import drive
 if __name__ == "__main__":
-    drive(Path(sys.argv[1]), cameras=("stereo/left",), frames=8)
+    drive(Path(sys.argv[1]), cameras=("stereo/left", "mono_rear"), frames=8)
 """
 
 
-def test_a_killed_recording_is_finished_with_the_same_bytes(tmp_path: Path) -> None:
-    whole = drive(tmp_path / "whole", cameras=("stereo/left",), frames=8)
+def test_a_killed_recording_is_finished_by_two_workers_with_the_same_bytes(tmp_path: Path) -> None:
+    whole = drive(tmp_path / "whole", cameras=("stereo/left", "mono_rear"), frames=8)
     out = tmp_path / "killed"
     run_until_killed(["python", "-c", DRIVEN, out], Fault(r"stereo/left/\d+\.png$", 4), tmp_path / "trace")
     images = list(out.glob("*/stereo/left/[0-9]*.png"))
@@ -535,7 +529,7 @@ def test_a_killed_recording_is_finished_with_the_same_bytes(tmp_path: Path) -> N
     kept.write_bytes(kept.read_bytes()[:-20])
     scan = next((out / whole.name / "lms_front").glob("*.bin"))
     scan.write_bytes(scan.read_bytes()[:-8])
-    drive(out, cameras=("stereo/left",), frames=8)
+    drive(out, workers=2, cameras=("stereo/left", "mono_rear"), frames=8)
     assert hashes(out) == hashes(tmp_path / "whole")
 
 

@@ -192,11 +192,6 @@ def test_no_street_of_a_seed_and_split_occurs_in_another() -> None:
     assert np.diff(together).min() > 1e-6
 
 
-def test_districts_of_different_splits_differ(district: District) -> None:
-    other = make_district(0, "train", 180.0)
-    assert not set(map(tuple, np.round(other.network.nodes, 3))) & set(map(tuple, np.round(district.network.nodes, 3)))
-
-
 def test_bad_requests_are_told(district: District) -> None:
     with pytest.raises(ConfigError, match="there is train, validation, test"):
         make_district(0, "evaluation")
