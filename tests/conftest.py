@@ -3,11 +3,29 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+_compiled: tempfile.TemporaryDirectory[str] | None = None
+if sys.dont_write_bytecode and sys.pycache_prefix is None:
+    # Hundreds of processes are started here, and each would compile what it imports anew (torch: 900 modules). What is
+    # compiled goes to a folder of its own instead of beside the modules, and goes with the tests.
+    _compiled = tempfile.TemporaryDirectory(prefix="relocbench-tests-")
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix = _compiled.name
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
+
+
+def pytest_unconfigure() -> None:
+    """Remove what was compiled."""
+    if _compiled is not None:
+        _compiled.cleanup()
+
 
 # The same examples on every machine, whatever it was that failed there before and however long one takes.
 settings.register_profile(
@@ -33,6 +51,18 @@ def real_data() -> Callable[[str], Path]:
         return folder.resolve()
 
     return find
+
+
+@pytest.fixture(scope="module")
+def workers_kept() -> Iterator[None]:
+    """Worker processes that live go on from test to test: a fresh one takes seconds to import what it works with.
+
+    A test that needs processes of its own runs what starts them by ``contextvars.Context().run``.
+    """
+    from relocbench.execution import kept_workers
+
+    with kept_workers():
+        yield
 
 
 LONGEST = (
