@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from command_line import relocbench
 from dask_processes import DaskProcesses, kill
+from kitti_wall import write_kitti_recording
 from small_dataset import ACROSS, make_small_dataset
 from units_of_work import die_once, square, user_error
 
@@ -279,8 +280,9 @@ def test_a_configuration_file_says_where_work_runs(tmp_path: Path, monkeypatch: 
     written.write_text("methods: [identity]\nscheduler: {address: 'tls://h:1', tls_ca: none.pem}\n")
     ended = relocbench("evaluate", "-d", tmp_path / "data", "--config", written, "--out", tmp_path / "results")
     assert "none.pem: missing" in ended.complaint
-    written.write_text("workers: 2\nscheduler: tls://h:1\npreset: demo\n")
-    ended = relocbench("build-dataset", "synthetic", "--config", written, "--out", tmp_path / "town", "--quiet")
+    written.write_text("workers: 2\nscheduler: tls://h:1\nmax_disparity: 64\n")
+    recording = write_kitti_recording(tmp_path / "recording")
+    ended = relocbench("build-dataset", "kitti", recording, "--config", written, "--out", tmp_path / "wall", "--quiet")
     assert "tls://h:1 needs --scheduler-tls-ca" in ended.complaint
     written.write_text("scheduler: {adress: 'tcp://h:1'}\n")
     ended = relocbench("build-dataset", "synthetic", "--config", written, "--out", tmp_path / "other")
