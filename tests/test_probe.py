@@ -302,7 +302,7 @@ def test_without_correspondences_only_poses_are_probed(tmp_path: Path) -> None:
 def test_untrained_weights_of_gn_net_are_probed_and_drawn(dataset: Dataset, tmp_path: Path) -> None:
     weights = tmp_path / "w.safetensors"
     save_weights(weights, FeatureNet(generator=torch.Generator().manual_seed(0)), {})
-    given = ("--set", f"gn-net.weights={weights}", "--pairs", 1, "--per-pair", 20, "--no-poses", "-j", 0)
+    given = ("--set", f"gn-net.weights={weights}", "--pairs", 1, "--per-pair", 20, "--no-poses", "-j", 1)
     outcome = relocbench(
         "probe", "-d", dataset.root, "-o", tmp_path / "out", "-m", "gn-net", *given, "--feature-maps", 1
     )
