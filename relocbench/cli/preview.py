@@ -39,5 +39,4 @@ def preview(
     if split not in SPLITS:
         raise ConfigError(f"--split is one of {', '.join(SPLITS)}, got '{split}'")
     shown = previewed(split_commas(condition), everything=all_, swept=sweep, steps=steps)
-    out.parent.mkdir(parents=True, exist_ok=True)  # a place that cannot be written to is told before the work
     write_image(out, contact_sheet(shown, seed=seed, split=split, at_m=at, width=size, reporter=reporter(quiet)))
