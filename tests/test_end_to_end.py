@@ -67,7 +67,7 @@ def test_kitti_is_tracked_to_centimetres_and_what_fails_farther_off_is_in_the_ta
     source = real_data("kitti_odometry")
     pairs = ("--pair-step", "1,2,4", "--correspondences", 0)
     run("build-dataset", "kitti", source, "--sequence", "06", *pairs, "--out", dataset, "-q")
-    run("evaluate", "-d", dataset, *METHODS, "-m", "gn-net", "--out", results, "-j", 0, "-q")
+    run("evaluate", "-d", dataset, *METHODS, "-m", "gn-net", "--out", results, "-j", 1, "-q")
     run("leaderboard", results, "--out", board, "--no-plots", "-q")
     errors = errors_by_method(results)
     for method in ("orb-pnp", "dso", "gn-net"):

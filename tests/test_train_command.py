@@ -170,7 +170,7 @@ def test_a_dataset_becomes_weights_that_evaluate_runs(tmp_path: Path, dataset: D
     assert "sunny, summer, day -> snow, winter, day" in card
     ran = relocbench(
         "evaluate", "-d", dataset.root, "-m", "gn-net", "--set", f"weights={out / 'weights.safetensors'}",
-        "--split", "validation", "-o", tmp_path / "results", "-j", 0, "--json",
+        "--split", "validation", "-o", tmp_path / "results", "-j", 1, "--json",
     )  # fmt: skip
     assert ran.status == 0, ran.err
     assert '"gn-net"' in ran.out
