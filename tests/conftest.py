@@ -3,11 +3,29 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+_compiled: tempfile.TemporaryDirectory[str] | None = None
+if sys.dont_write_bytecode and sys.pycache_prefix is None:
+    # Hundreds of processes are started here, and each would compile what it imports anew (torch: 900 modules). What is
+    # compiled goes to a folder of its own instead of beside the modules, and goes with the tests.
+    _compiled = tempfile.TemporaryDirectory(prefix="relocbench-tests-")
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix = _compiled.name
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
+
+
+def pytest_unconfigure() -> None:
+    """Remove what was compiled."""
+    if _compiled is not None:
+        _compiled.cleanup()
+
 
 # The same examples on every machine, whatever it was that failed there before and however long one takes.
 settings.register_profile(
@@ -35,18 +53,36 @@ def real_data() -> Callable[[str], Path]:
     return find
 
 
+@pytest.fixture(scope="module")
+def workers_kept() -> Iterator[None]:
+    """Worker processes that live go on from test to test: a fresh one takes seconds to import what it works with.
+
+    A test that needs processes of its own runs what starts them by ``contextvars.Context().run``.
+    """
+    from relocbench.execution import kept_workers
+
+    with kept_workers():
+        yield
+
+
 LONGEST = (
     "test_importer_robotcar.py",
-    "test_synthetic_field.py",
+    "test_method_limits.py",
     "test_synthetic_build.py",
-    "test_field_recording.py",
-    "test_metrics_significance.py",
-    "test_inspect.py",
-    "test_gn_net_tracker.py",
-    "test_synthetic_recording.py",
-    "test_evaluation.py",
-    "test_feature_alignment_kernel.py",
+    "test_real_clouds.py",
     "test_probe.py",
+    "test_importer_lidar_kinds.py",
+    "test_train_command.py",
+    "test_feature_pnp_real.py",
+    "test_end_to_end_desk.py",
+    "test_end_to_end.py",
+    "test_cluster.py",
+    "test_system_refusals.py",
+    "test_groundtruth_registration.py",
+    "test_synthetic_field.py",
+    "test_synthetic_recording.py",
+    "test_feature_pnp.py",
+    "test_published_sets.py",
 )
 
 

@@ -21,6 +21,13 @@ from relocbench.tracking import Query, Reference, TrackResult
 FOREVER_S = 1000.0
 
 
+def allow_few_times(times: float) -> None:
+    """In the worker that does this, what is done once may take so many times the time limit, and not ten times."""
+    for name in [name for name in sys.modules if name.startswith("relocbench.")]:
+        if hasattr(sys.modules[name], "MANY_TIMES"):
+            sys.modules[name].MANY_TIMES = times  # type: ignore[attr-defined]
+
+
 def hang() -> None:
     time.sleep(FOREVER_S)
 

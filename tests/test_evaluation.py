@@ -23,6 +23,7 @@ from relocbench.evaluation.results import DatasetResults, read_answers, read_err
 from relocbench.files import alone_in, read_journal
 from relocbench.progress import Silent
 
+pytestmark = pytest.mark.usefixtures("workers_kept")
 HERE = "trackers_for_tests"
 
 

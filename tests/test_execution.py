@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -11,40 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from units_of_work import count_alive, die, die_once, environment, square, user_error
 
 from relocbench.errors import ConfigError, DatasetError, RelocbenchError
 from relocbench.execution import Scheduler, chunks, kept_workers, run_units, scheduler
-
-
-def square(value: int) -> int:
-    return value * value
-
-
-def environment(_: int) -> tuple[int, str]:
-    return os.getpid(), os.environ.get("OMP_NUM_THREADS", "")
-
-
-def die_once(mark: str) -> str:
-    path = Path(mark)
-    if "die" in path.name and not path.exists():
-        path.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return path.name
-
-
-def die(_: int) -> int:
-    os.kill(os.getpid(), signal.SIGKILL)
-    return 0
-
-
-def user_error(line: int) -> None:
-    raise DatasetError("expected better", Path("file.txt"), line)
-
-
-def count_alive(folder: str) -> int:
-    mark = Path(folder) / f"{os.getpid()}-{time.time_ns()}"
-    mark.touch()
-    return len(list(Path(folder).iterdir()))
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -87,7 +56,7 @@ def test_kept_workers_serve_call_after_call_until_one_dies(tmp_path: Path) -> No
 
 def test_workers_end_with_a_job_that_is_killed(tmp_path: Path) -> None:
     program = (
-        "import sys; from test_execution import tell_and_sleep; from relocbench.execution import run_units\n"
+        "import sys; from units_of_work import tell_and_sleep; from relocbench.execution import run_units\n"
         "if __name__ == '__main__': list(run_units(tell_and_sleep, [sys.argv[1]] * 2, workers=2))"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
@@ -104,12 +73,6 @@ def test_workers_end_with_a_job_that_is_killed(tmp_path: Path) -> None:
     while any(is_running(pid) for pid in told):
         assert time.monotonic() < until, "workers outlive their job"
         time.sleep(0.05)
-
-
-def tell_and_sleep(folder: str) -> None:
-    """A file named by the process, then nothing for long."""
-    (Path(folder) / str(os.getpid())).touch()
-    time.sleep(3600)
 
 
 def is_running(pid: int) -> bool:
@@ -144,7 +107,7 @@ def test_only_a_bounded_number_of_units_is_in_flight(tmp_path: Path) -> None:
 
 
 def test_no_scheduler_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scheduler, "SCHEDULER_TIMEOUT", "1s")
+    monkeypatch.setattr(scheduler, "SCHEDULER_TIMEOUT", "0.2s")
     with pytest.raises(ConfigError, match="no Dask scheduler answers at"):
         list(run_units(square, [1, 2], scheduler=Scheduler(address="tcp://127.0.0.1:9")))
 

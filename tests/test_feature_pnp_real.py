@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -57,6 +59,13 @@ def read(path: Path, flags: int = cv2.IMREAD_GRAYSCALE) -> NDArray[np.uint8]:
     return np.asarray(image)
 
 
+@cache
+def prepared_on_the_road(tracker: OrbPnp, sequence: Path, frame: int) -> Any:
+    """One a tracker and keyframe, for queries of every distance."""
+    return tracker.prepare(stereo_reference(sequence, frame))
+
+
+@cache
 def stereo_reference(sequence: Path, frame: int) -> Reference:
     """Keyframe with the depth of semi-global matching; its disparity is taken to be good to half a pixel."""
     left, right = (read(sequence / side / f"{frame:06d}.png") for side in ("image_0", "image_1"))
@@ -83,7 +92,7 @@ def kitti_errors(root: Path, tracker: OrbPnp, steps: tuple[int, ...]) -> list[tu
     T_world_camera = make_transform(rows[:, :, :3], rows[:, :, 3])
     errors = []
     for frame in (20, 25, 30, 35, 40):
-        prepared = tracker.prepare(stereo_reference(sequence, frame))
+        prepared = prepared_on_the_road(tracker, sequence, frame)
         for other in (frame + step for step in steps):
             path = sequence / "image_0" / f"{other:06d}.png"
             if path.is_file():
@@ -138,6 +147,7 @@ def nanoseconds(seconds: str) -> int:
     return int(whole) * 10**9 + int(fraction.ljust(9, "0"))
 
 
+@cache
 def tum_frames(sequence: Path) -> list[Frame]:
     """Undistorted colour frames with the depth nearest in time and the interpolated pose."""
     truth = tum_rows(sequence / "groundtruth.txt")
@@ -160,10 +170,16 @@ def tum_frames(sequence: Path) -> list[Frame]:
     return frames
 
 
+@cache
+def prepared_at_the_desk(tracker: OrbPnp, frame: Frame) -> Any:
+    """One a tracker and keyframe, for all of its queries."""
+    return tracker.prepare(frame.reference())
+
+
 def tum_errors(tracker: OrbPnp, pairs: Iterable[tuple[Frame, Frame]]) -> list[tuple[float, float]]:
     return [
         error_of(
-            tracker.track(tracker.prepare(reference.reference()), query.query()),
+            tracker.track(prepared_at_the_desk(tracker, reference), query.query()),
             compose(invert(query.T_world_camera), reference.T_world_camera),
         )
         for reference, query in pairs
@@ -176,14 +192,14 @@ def test_desk_within_a_session(real_data: FindData, tracker: OrbPnp, step: int) 
     """Measured medians: 0.5-0.65 cm, 0.15-0.27 deg."""
     frames = tum_frames(real_data("tum_rgbd") / "rgbd_dataset_freiburg1_xyz")
     assert len(frames) == 10
-    metres, degrees = medians(tum_errors(tracker, zip(frames, frames[step:], strict=False)))
+    metres, degrees = medians(tum_errors(tracker, zip(frames[::2], frames[step::2], strict=False)))
     assert metres <= 0.015
     assert degrees <= 0.6
 
 
 @TRACKERS
 def test_desk_across_sessions_and_sixty_degrees(real_data: FindData, tracker: OrbPnp) -> None:
-    """Every third frame of one session against all of the other.
+    """Every fifth frame of one session against all of the other.
 
     Measured medians over all 90 pairs: ORB 3.9 cm, 2.9 deg, 12 failures; SIFT 3.0 cm, 2.0 deg, 12 failures; of this the
     truth's clock alone makes up to a degree. Failures count as infinite.
@@ -191,7 +207,7 @@ def test_desk_across_sessions_and_sixty_degrees(real_data: FindData, tracker: Or
     root = real_data("tum_rgbd")
     xyz, desk = (tum_frames(root / f"rgbd_dataset_freiburg1_{name}") for name in ("xyz", "desk"))
     assert len(desk) == 9
-    errors = tum_errors(tracker, [(reference, query) for reference in xyz[::3] for query in desk])
+    errors = tum_errors(tracker, [(reference, query) for reference in xyz[::5] for query in desk])
     metres, degrees = medians(errors)
     assert metres <= 0.065
     assert degrees <= 3.5

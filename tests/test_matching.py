@@ -32,6 +32,7 @@ from relocbench.leaderboard import write_leaderboard
 from relocbench.methods import parse_method
 from relocbench.progress import Silent
 
+pytestmark = pytest.mark.usefixtures("workers_kept")
 MATCHING = "m=trackers_for_tests:Matching"
 
 

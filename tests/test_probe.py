@@ -31,6 +31,7 @@ from relocbench.metrics import pose_errors
 from relocbench.progress import Silent
 from relocbench.tracking import Query, TrackResult
 
+pytestmark = pytest.mark.usefixtures("workers_kept")
 BASIN = "b=trackers_for_probe:Basin"
 TRUTH = se3_exp(np.array([0.4, -0.1, 1.2, 0.02, -0.1, 0.05]))
 

@@ -194,7 +194,7 @@ def test_a_late_answer_is_never_taken_for_the_next_queries(tmp_path: Path, datas
     [
         ("while True: os.write(1, b'x' * 65536)", "more than 1048576 bytes without an end of line"),
         ("print(good[:-1] + ', \"more\": \"' + 'x' * 2**21 + '\"}', flush=True)", "1048576 bytes"),
-        ("while True: os.write(2, b'x' * 65536)", "no answer to 'query' within 5 s"),
+        ("while True: os.write(2, b'x' * 65536)", "no answer to 'query' within 2 s"),
     ],
 )
 def test_a_stream_without_an_end_of_line_costs_the_pair_and_bounded_memory(
@@ -202,7 +202,9 @@ def test_a_stream_without_an_end_of_line_costs_the_pair_and_bounded_memory(
 ) -> None:
     tracemalloc.start()
     try:
-        results, _, tracker = ask(tmp_path, dataset, f"import os; exec({body!r})", limit_s=5.0)
+        results, _, tracker = ask(
+            tmp_path, dataset, f"import os; exec({body!r})", limit_s=2.0 if "2 s" in words else LONG_S
+        )
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

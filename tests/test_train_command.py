@@ -160,7 +160,7 @@ def test_options_are_shown_as_a_file_that_config_takes(tmp_path: Path, dataset: 
 @pytest.mark.slow
 def test_a_dataset_becomes_weights_that_evaluate_runs(tmp_path: Path, dataset: Dataset) -> None:
     out = tmp_path / "out"
-    done = train(dataset.root, out, "--validation-pairs", 4)
+    done = train(dataset.root, out, "--validation-pairs", 2)
     assert done.status == 0, done.err
     names = {"weights.safetensors", "checkpoint.pt", "log.csv", "validation.csv", "curves.png", "config.yaml"}
     assert {path.name for path in out.iterdir()} == {*names, "MODEL_CARD.md"}
@@ -178,7 +178,7 @@ def test_a_dataset_becomes_weights_that_evaluate_runs(tmp_path: Path, dataset: D
 
 @pytest.mark.slow
 def test_a_training_killed_outright_ends_with_the_bytes_of_one_that_was_not(tmp_path: Path, dataset: Dataset) -> None:
-    more = ("--validation-pairs", 4, "--set", "steps=8", "--set", "validate_every=4", "--set", "checkpoint_every=1")
+    more = ("--validation-pairs", 2, "--set", "steps=4", "--set", "validate_every=2", "--set", "checkpoint_every=1")
     command = [
         "train",
         "gn-net",

@@ -6,6 +6,7 @@ run. Every unit is therefore bound to a worker here; one that vanishes costs the
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
@@ -213,9 +214,7 @@ class _Dispatch(Generic[Unit, Result]):
             return
         futures = [self.futures[key] for key in keys]
         try:
-            results: list[Result] = self.client.sync(
-                lambda: self.client.gather(futures, asynchronous=True), callback_timeout=ANSWER_TIMEOUT_S
-            )
+            results: list[Result] = self.client.sync(self._gather, futures, callback_timeout=ANSWER_TIMEOUT_S)
         except OSError:  # a worker died with a result in hand, or the scheduler is gone
             self._ask_again(*keys)
             return
@@ -226,6 +225,17 @@ class _Dispatch(Generic[Unit, Result]):
         for index, result in zip(indices, results, strict=True):
             self.done += 1
             yield index, result
+
+    async def _gather(self, futures: list[Any]) -> list[Result]:
+        """Their results. Raises TimeoutError where one went with its worker: Dask would wait until it is made anew."""
+        fetching = asyncio.ensure_future(self.client.gather(futures, asynchronous=True))
+        try:
+            while not (await asyncio.wait([fetching], timeout=_POLL_S))[0]:
+                if any(future.status not in ("finished", "cancelled") for future in futures):
+                    raise TimeoutError("a result is lost")
+            return await fetching
+        finally:
+            fetching.cancel()
 
     def _ask_again(self, *keys: str) -> None:
         """Later: the next look tells whether workers and scheduler are there."""

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.dataset import Dataset
-from relocbench.evaluation.probe.plot import curves_picture, levels_picture
 from relocbench.evaluation.probe.table import ACROSS, SAME, Line
 from relocbench.evaluation.probe.tally import UNITS, What
 from relocbench.files import atomic_write, dump_yaml, write_bytes, write_text
@@ -36,6 +35,8 @@ _TITLES: dict[What, str] = {
 
 def write_probe(out: Path, dataset: Dataset, lines: Sequence[Line], about: dict[str, Any]) -> list[Path]:
     """The files, each whole; returns them."""
+    from relocbench.evaluation.probe.plot import curves_picture, levels_picture  # matplotlib: not for every worker
+
     out.mkdir(parents=True, exist_ok=True)
     files = {"probe.csv": _shares, "radii.csv": _radii}
     for name, rows in files.items():
