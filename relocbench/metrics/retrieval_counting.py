@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -42,9 +41,11 @@ class Thresholds:
 
     def count_exact(self, products: Array) -> None:
         """Count products (Q, G) that are exact."""
+        from relocbench.metrics import retrieval_kernels
+
         nobody = np.zeros((0, 2), dtype=np.int64)
         zeros = np.zeros(len(products)), np.zeros(products.shape[1]), 0.0, 0.0, 0.0
-        _count_decided(products, *zeros, self._values, self._starts, self._reached, nobody)
+        retrieval_kernels.count_decided(products, *zeros, self._values, self._starts, self._reached, nobody)
 
     def count_decided(
         self, products: NDArray[np.float32], query_norms: Array, gallery_norms: Array, length: int, most: int
@@ -60,12 +61,14 @@ class Thresholds:
         Returns:
             (N, 2) query and gallery image of those; None where they are more, and nothing is counted then.
         """
+        from relocbench.metrics import retrieval_kernels
+
         relative, absolute = error_bound(length)
         if not np.isfinite(relative):
             return None
         reached, pairs = np.zeros_like(self._reached), np.empty((most, 2), dtype=np.int64)
         bound = query_norms, gallery_norms, relative, absolute, float(np.sqrt(length))
-        found = _count_decided(products, *bound, self._values, self._starts, reached, pairs)
+        found = retrieval_kernels.count_decided(products, *bound, self._values, self._starts, reached, pairs)
         if found < 0:
             return None
         self._reached += reached
@@ -79,7 +82,9 @@ class Thresholds:
             query: (Q, D) integers.
             gallery: (G, D), which is rounded to integers.
         """
-        _count_pairs(pairs, query, gallery, self._values, self._starts, self._reached)
+        from relocbench.metrics import retrieval_kernels
+
+        retrieval_kernels.count_pairs(pairs, query, gallery, self._values, self._starts, self._reached)
 
 
 def error_bound(length: int) -> tuple[float, float]:
@@ -99,72 +104,9 @@ def error_bound(length: int) -> tuple[float, float]:
     return roundings / (1.0 - roundings), 0.5 * np.sqrt(length)
 
 
-@njit(cache=True)
-def _count_decided(
-    products: Scaled,
-    query_norms: Array,
-    gallery_norms: Array,
-    relative: float,
-    absolute: float,
-    root: float,
-    thresholds: Array,
-    starts: Indices,
-    reached: Indices,
-    undecided: Indices,
-) -> int:
-    """One is added to ``reached`` (M,) for each product at the highest threshold that it surely reaches.
-
-    Returns how many are too near to a threshold, which then stand in ``undecided``; -1 where that has no room for them.
-    """
-    found, longest = 0, np.max(gallery_norms)
-    for q in range(products.shape[0]):
-        begin, end = starts[q], starts[q + 1]
-        if begin == end:
-            continue
-        mine = thresholds[begin:end]
-        slope, rest = relative * query_norms[q] + absolute, absolute * (query_norms[q] + root)
-        far_below = mine[0] - slope * longest - rest
-        for g in range(products.shape[1]):
-            product = np.float64(products[q, g])
-            if product < far_below:
-                continue
-            off = slope * gallery_norms[g] + rest
-            surely = np.searchsorted(mine, product - off, side="right")
-            if surely < np.searchsorted(mine, product + off, side="right"):
-                if found == len(undecided):
-                    return -1
-                undecided[found, 0], undecided[found, 1] = q, g
-                found += 1
-            elif surely:
-                reached[begin + surely - 1] += 1
-    return found
-
-
-@njit(cache=True, fastmath={"reassoc", "contract"})
-def _exact_product(query: Array, row: Scaled) -> float:
-    """Of integers whose partial sums float64 holds: the order of the additions changes nothing."""
-    total = 0.0
-    for i in range(len(query)):
-        total += query[i] * np.rint(np.float64(row[i]))
-    return total
-
-
-@njit(cache=True)
 def exact_products(pairs: Indices, query: Array, gallery: Scaled) -> Array:
     """Products (N,) of pairs (N, 2) of integers (Q, D) and of rows (G, D), which are rounded to integers."""
-    products = np.empty(len(pairs))
-    for n in range(len(pairs)):
-        products[n] = _exact_product(query[pairs[n, 0]], gallery[pairs[n, 1]])
+    from relocbench.metrics import retrieval_kernels
+
+    products: Array = retrieval_kernels.exact_products(pairs, query, gallery)
     return products
-
-
-@njit(cache=True)
-def _count_pairs(
-    pairs: Indices, query: Array, gallery: Scaled, thresholds: Array, starts: Indices, reached: Indices
-) -> None:
-    for n in range(len(pairs)):
-        q, g = pairs[n, 0], pairs[n, 1]
-        begin, end = starts[q], starts[q + 1]
-        count = np.searchsorted(thresholds[begin:end], _exact_product(query[q], gallery[g]), side="right")
-        if count:
-            reached[begin + count - 1] += 1
