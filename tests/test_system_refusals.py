@@ -152,6 +152,18 @@ def test_a_pipe_in_a_dataset_is_refused_and_not_waited_for(data: Path, tmp_path:
     assert relocbench("validate", data).status in (1, 2)
 
 
+def test_a_device_among_results_is_refused_and_not_read_without_end(data: Path, tmp_path: Path) -> None:
+    out = tmp_path / "results"
+    assert evaluate(data, out).status == 0
+    path = next(out.glob(f"*/identity/{ACROSS}.txt"))
+    path.unlink()
+    path.symlink_to("/dev/zero")
+    for arguments in (["leaderboard", out, "--out", tmp_path / "board"], ["validate", out]):
+        ended = relocbench(*arguments)
+        assert ended.status in (1, 2)
+        assert f"{path.name}: is a pipe, a socket or a device" in ended.out + ended.err
+
+
 def test_a_pipe_given_as_a_file_is_refused(made: Path, tmp_path: Path) -> None:
     pipe = tmp_path / "pipe.yaml"
     os.mkfifo(pipe)

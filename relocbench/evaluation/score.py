@@ -33,7 +33,7 @@ from relocbench.evaluation.results import (
     write_errors,
     write_record,
 )
-from relocbench.files import remove_parts
+from relocbench.files import plain_file, remove_parts
 from relocbench.metrics import PairSetSummary, align_predictions, pose_errors
 
 Array = NDArray[np.float64]
@@ -148,7 +148,7 @@ def predictions_hash(folder: MethodResults, pair_set: str) -> str:
 
 def _add_file(digest: hashlib._Hash, path: Path) -> None:
     """A block at a time: a file may be large."""
-    with path.open("rb") as stream:
+    with plain_file(path, "a table of answers", PredictionError).open("rb") as stream:
         while block := stream.read(2**20):
             digest.update(block)
 

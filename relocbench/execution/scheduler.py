@@ -15,6 +15,7 @@ from typing import Any, Self
 from pydantic import BaseModel, ConfigDict, model_validator
 
 from relocbench.errors import ConfigError, RelocbenchError
+from relocbench.files import plain_file
 
 SCHEDULER_TIMEOUT = "10s"
 """how long a Dask scheduler may take to answer"""
@@ -90,7 +91,7 @@ def _address(scheduler: Scheduler) -> str:
         return scheduler.address
     expected = "expected the JSON file that `dask scheduler --scheduler-file` writes"
     try:
-        address = json.loads(path.read_text(encoding="utf-8"))["address"]
+        address = json.loads(plain_file(path, "a scheduler's file", ConfigError).read_text(encoding="utf-8"))["address"]
     except FileNotFoundError:
         raise ConfigError(f"missing; {expected}", path) from None
     except OSError as bad:

@@ -38,6 +38,16 @@ def write_records(root: Path) -> None:
     write(root / "tables" / "page.csv", "method;R@1;AP", "a;75.0;80.5", "b;10;12")
 
 
+def _tables(page: str) -> None:
+    from relocbench.errors import PredictionError
+    from relocbench.metrics.retrieval_tables import read_tables
+
+    try:
+        read_tables(page)
+    except ValueError as bad:  # it knows no file, and says so to whoever does
+        raise PredictionError(str(bad)) from None
+
+
 def _reads(name: str) -> Read:
     """A reader of one file, imported when it is used."""
 
@@ -47,7 +57,6 @@ def _reads(name: str) -> Read:
         from relocbench.evaluation.relocalization.records import ChainResults, ChainSetResults
         from relocbench.evaluation.retrieval import answers as retrieval_answers
         from relocbench.evaluation.retrieval.records import RetrieverResults, SetResults
-        from relocbench.metrics.retrieval_tables import read_tables
 
         folder, target = place.target.parent, place.target
         page = target.read_text(encoding="utf-8", errors="replace") if target.is_file() else ""  # tables come as text
@@ -61,7 +70,7 @@ def _reads(name: str) -> Read:
             "chain-scores": lambda: ChainResults(folder).scores(),
             "chain": lambda: chain_answers.errors_of(chain_answers.read_chain(place.target)),
             "basins": lambda: read_basins(place.target),
-            "tables": lambda: read_tables(page),
+            "tables": lambda: _tables(page),
         }
         readers[name]()
 

@@ -72,8 +72,8 @@ def read_layout(root: Path) -> Layout:
     """What lies in the view folders.
 
     Raises:
-        DatasetError: a view folder whose images lie in no class folder, or a name with white space, which answers
-            on disk cannot hold.
+        DatasetError: a view folder whose images lie in no class folder, or a name with white space or of other bytes
+            than UTF-8, which answers on disk cannot hold.
     """
     return Layout(
         _folders(root, "train", TRAIN_FOLDERS),
@@ -110,6 +110,8 @@ def _classes(root: Path, folder: str) -> ClassFolders:
             continue
         files = sorted(e.name for e in os.scandir(entry.path) if _is_image(e.name) and not e.is_dir())
         for name in (entry.name, *files):
+            if not name.isprintable() and any("\udc80" <= character <= "\udcff" for character in name):
+                raise DatasetError(f"'{name}' is no UTF-8, which rankings on disk cannot hold", entry.path)
             if any(character.isspace() for character in name):
                 raise DatasetError(f"'{name}' has white space, which rankings on disk cannot hold", entry.path)
         if files:
