@@ -144,4 +144,5 @@ def _convolution(inside: int, outside: int, size: int, bias: bool = True) -> nn.
 def image_tensor(image: NDArray[np.uint8]) -> Tensor:
     """(1, 3, H, W) or (1, 1, H, W) float32 in [0, 1] of an (H, W, 3) RGB or (H, W) grey image."""
     channels = image[..., None] if image.ndim == 2 else image
-    return torch.from_numpy(np.ascontiguousarray(channels)).permute(2, 0, 1)[None].float() / 255.0
+    # A copy: torch takes no array that must not be written to.
+    return torch.from_numpy(np.ascontiguousarray(channels, dtype=np.float32)).permute(2, 0, 1)[None] / 255.0
