@@ -67,6 +67,7 @@ def workers_kept() -> Iterator[None]:
 
 LONGEST = (
     "test_importer_robotcar.py",
+    "test_published_sets.py",
     "test_method_limits.py",
     "test_synthetic_build.py",
     "test_real_clouds.py",
@@ -74,7 +75,6 @@ LONGEST = (
     "test_importer_lidar_kinds.py",
     "test_train_command.py",
     "test_feature_pnp_real.py",
-    "test_end_to_end_desk.py",
     "test_end_to_end.py",
     "test_cluster.py",
     "test_system_refusals.py",
@@ -82,7 +82,6 @@ LONGEST = (
     "test_synthetic_field.py",
     "test_synthetic_recording.py",
     "test_feature_pnp.py",
-    "test_published_sets.py",
 )
 
 

@@ -1,15 +1,19 @@
-"""The commands that the published results name give the datasets that were published."""
+"""The commands of the published results give the datasets that were published, and methods find their way there."""
 
 from __future__ import annotations
 
 import csv
+import json
+import math
 import os
 import shlex
-import subprocess
-import sys
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
+from test_end_to_end import METHODS, board_rows, errors_by_method, medians, run
 
 from relocbench.datasets.dataset import Dataset
 
@@ -17,17 +21,15 @@ ROOT = Path(__file__).parents[1]
 RECORDINGS = Path(os.environ.get("RELOCBENCH_REAL_DATA", ROOT.parent / "shared" / "data"))
 SCRIPT = ROOT / "tools" / "publish_leaderboard.sh"
 TABLE = ROOT / "leaderboard" / "leaderboard.csv"
+Built = Callable[[str], Dataset]
+
+pytestmark = pytest.mark.slow
 
 
 def published() -> dict[str, tuple[str, str]]:
     """Dataset -> question and fingerprint."""
     with TABLE.open(encoding="utf-8") as stream:
-        rows = list(csv.DictReader(stream))
-    if "question" not in rows[0]:
-        pytest.skip(
-            f"{TABLE.relative_to(ROOT)} was printed before tables told the question; `make leaderboard` prints it"
-        )
-    return {row["dataset"]: (row["question"], row["fingerprint"]) for row in rows}
+        return {row["dataset"]: (row["question"], row["fingerprint"]) for row in csv.DictReader(stream)}
 
 
 def published_command(name: str, out: Path) -> list[str]:
@@ -51,15 +53,64 @@ def published_command(name: str, out: Path) -> list[str]:
     return words[1:]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["kitti_06", "fr1_xyz", "fr1_xyz_to_desk"])
-def test_a_published_dataset_is_what_its_command_gives_on_this_machine(name: str, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
+    """``built("kitti_06")`` is that dataset, made by the published command."""
     if not (RECORDINGS / "kitti_odometry").is_dir() or not (RECORDINGS / "tum_rgbd").is_dir():
         pytest.skip(f"no recordings in {RECORDINGS}")
+    folder = tmp_path_factory.mktemp("published")
+
+    @cache
+    def build(name: str) -> Dataset:
+        run(*published_command(name, folder), "--workers", 1)
+        return Dataset(folder / name)
+
+    return build
+
+
+@pytest.mark.parametrize("name", ["kitti_06", "fr1_xyz", "fr1_xyz_to_desk"])
+def test_a_published_dataset_is_what_its_command_gives_on_this_machine(name: str, built: Built) -> None:
     question, fingerprint = published()[name]
-    command = [sys.executable, "-m", "relocbench", *published_command(name, tmp_path), "--workers", "1"]
-    subprocess.run(command, check=True)
-    made = Dataset(tmp_path / name)
-    assert made.question == question
+    assert built(name).question == question
     if name == "kitti_06":  # it links its images, and nothing in it depends on the processor
-        assert made.fingerprint == fingerprint
+        assert built(name).fingerprint == fingerprint
+
+
+def test_kitti_is_tracked_to_centimetres_and_what_fails_farther_off_is_in_the_table(
+    tmp_path: Path, built: Built
+) -> None:
+    results, board = tmp_path / "r", tmp_path / "b"
+    run("evaluate", "-d", built("kitti_06").root, *METHODS, "-m", "gn-net", "--out", results, "-j", 0, "-q")
+    run("leaderboard", results, "--out", board, "--no-plots", "-q")
+    errors = errors_by_method(results)
+    for method in ("orb-pnp", "dso", "gn-net"):
+        metres, degrees = medians(errors[method], "step_1", "step_2")
+        assert metres <= 0.05, method
+        assert degrees <= 0.1, method
+    assert medians(errors["identity"], "step_1", "step_2")[0] > 1.0
+    # The basin of raw intensities ends between 2.4 m and 4.8 m (reference/direct alignment on these frames).
+    assert medians(errors["dso"], "step_4", "step_8")[0] > 1.0
+    # Features that were learnt on a rendered town alone reach farther, on these real images.
+    assert medians(errors["gn-net"], "step_4")[0] < 0.3
+    shown = {(r["method"], r["group"]) for r in board_rows(board)}
+    assert {(m, f"step_{k}") for m in errors for k in (1, 2, 4, 8)} <= shown
+
+
+def test_a_desk_is_tracked_within_a_session_and_failures_across_sessions_count(tmp_path: Path, built: Built) -> None:
+    within, across = tmp_path / "within", tmp_path / "across"
+    run("evaluate", "-d", built("fr1_xyz").root, *METHODS, "--out", within, "-j", 0, "-q")
+    for method, rows in errors_by_method(within).items():
+        metres, degrees = medians(rows, "step_1", "step_2", "step_4")
+        if method != "identity":
+            assert metres <= 0.015, method
+            assert degrees <= 0.6, method
+    report: dict[str, Any] = json.loads(
+        run("evaluate", "-d", built("fr1_xyz_to_desk").root, *METHODS, "--out", across, "-j", 0, "--json")
+    )
+    for method, rows in errors_by_method(across).items():
+        assert len(rows) == 9, "every frame of the second session is a query"
+        failed = sum(r.status != "ok" for r in rows)
+        assert sum(math.isinf(r.translation_error_m) for r in rows) == failed
+        (summary,) = (groups["all"] for groups in report["methods"][method].values())
+        assert summary["coverage"] == pytest.approx(1 - failed / 9)
+    assert any(r.status != "ok" for r in errors_by_method(across)["dso"])

@@ -274,7 +274,7 @@ def _table(
     record: SetRecord, name: str, tasks: tuple[str, ...], methods: Sequence[Retriever], metric: str, seed: int
 ) -> RetrievalTable:
     records = tuple(record.tasks[task] for task in tasks)
-    place = f"{record.fingerprint} {name}"
+    place = f"{record.question or record.fingerprint} {name}"
     block_length = 1 if all(r.grouped for r in records) else None
 
     def drawn(method: Retriever, metric: str) -> list[Array | None]:
