@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextvars import Context
 from pathlib import Path
@@ -28,7 +30,7 @@ from relocbench.evaluation.evaluate import EvaluateOptions, Report, evaluate_met
 from relocbench.evaluation.results import Answer, read_answers
 from relocbench.evaluation.retrieval.answers import read_answers as retrieved
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
-from relocbench.execution import MANY_TIMES, Limits, parse_size, run_limited
+from relocbench.execution import MANY_TIMES, Limits, parse_size, run_limited, worker_process
 from relocbench.progress import Silent
 
 pytestmark = pytest.mark.usefixtures("workers_kept")
@@ -456,3 +458,31 @@ def test_one_ctrl_c_ends_a_command_whose_interpreter_would_take_long_to_end(tmp_
         "relocbench.cli.main()\n"
     )
     interrupted([sys.executable, "-c", program], (tmp_path / "mark").exists, signal.SIGINT, True, tmp_path)
+
+
+def test_an_interruption_while_a_worker_starts_comes_when_it_has_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where another thread of the process, which has not blocked it, is given the signal."""
+    kind = multiprocessing.get_context("spawn").Process
+    start, begun = kind.start, []
+
+    def interrupted(process: multiprocessing.Process) -> None:
+        other = threading.Thread(target=os.kill, args=(os.getpid(), signal.SIGINT))
+        other.start()
+        other.join()
+        start(process)
+        begun.append(process)
+
+    monkeypatch.setattr(kind, "start", interrupted)
+    live = set(worker_process._live)
+    waiting = threading.Event()
+    idle = threading.Thread(target=waiting.wait)
+    idle.start()  # it takes the signal, which the main thread has blocked
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            worker_process.WorkerProcess()
+    finally:
+        waiting.set()
+        idle.join()
+    assert len(begun) == 1
+    (started,) = worker_process._live - live
+    started.bury()

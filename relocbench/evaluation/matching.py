@@ -245,8 +245,8 @@ _warm: set[str] = set()
 
 def _times(spec: MethodSpec) -> float:
     """How many times the time limit a call may take: the first of a process may compile."""
-    first = spec.label not in _warm
-    _warm.add(spec.label)
+    first = repr(spec) not in _warm
+    _warm.add(repr(spec))
     return MANY_TIMES if first else 1.0
 
 

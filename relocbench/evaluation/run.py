@@ -154,16 +154,16 @@ _warm: set[str] = set()
 
 def _times(spec: MethodSpec, count: int) -> float:
     """How many times the time limit a call may take: a program is started by its first."""
-    first = spec.label not in _warm
-    _warm.add(spec.label)
+    first = repr(spec) not in _warm
+    _warm.add(repr(spec))
     return MANY_TIMES if first else min(float(count), MANY_TIMES)
 
 
 def _warm_up(tracker: Any, reference: Any, view: Query, spec: MethodSpec, keys: Sequence[PairKey]) -> None:
     """Compilation and first allocations are not the method's speed: one call a process goes untimed."""
-    if spec.label in _warm or spec.target.startswith(SUBPROCESS):
+    if repr(spec) in _warm or spec.target.startswith(SUBPROCESS):
         return
-    _warm.add(spec.label)
+    _warm.add(repr(spec))
     with step("", tuple(keys), MANY_TIMES):
         ask(tracker, reference, [view])
 

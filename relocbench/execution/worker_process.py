@@ -24,6 +24,8 @@ from relocbench.execution.serving import Done, Raised, Ready, serve
 _EXIT_GRACE_S = 1.0
 """after which a worker that was told to end, or that has closed its pipe, is killed"""
 
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
 _live: set[WorkerProcess] = set()
 
 
@@ -33,12 +35,7 @@ class WorkerProcess:
     def __init__(self) -> None:
         context = get_context("spawn")
         self.connection, theirs = context.Pipe()
-        resource_tracker.ensure_running()  # it would unblock signals while it starts
-        with single_threaded_children(), _signals_held():
-            self.process = context.Process(target=serve, args=(theirs,))
-            self.process.start()
-            _live.add(self)
-        theirs.close()
+        self.process = context.Process(target=serve, args=(theirs,))
         self.ready = False
         self.work: tuple[int, Any] | None = None
         """index and unit in hand"""
@@ -47,6 +44,12 @@ class WorkerProcess:
         self._verdict: Loss | None = None
         self._gone = False
         self._lock = threading.Lock()
+        resource_tracker.ensure_running()  # it would unblock signals while it starts
+        # Last: an interruption comes when all is known that it takes to end the worker.
+        with single_threaded_children(), _signals_held():
+            self.process.start()
+            _live.add(self)
+            theirs.close()
 
     @property
     def pid(self) -> int:
@@ -171,12 +174,24 @@ atexit.register(end_workers)  # before multiprocessing's own, which waits for pr
 @contextmanager
 def _signals_held() -> Iterator[None]:
     """A process that is started inherits that Ctrl-C is held back, until it has a session of its own; here it comes
-    later, when the worker is known and can be ended."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    later, when the worker is known and can be ended.
+
+    A mask is a thread's own, and the system gives a signal to any other: what Python would do about it waits too.
+    """
+    heard: list[int] = []
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    handlers = {}
+    if threading.current_thread() is threading.main_thread():
+        known = {number: handler for number in _SIGNALS if callable(handler := signal.getsignal(number))}
+        handlers = {number: signal.signal(number, lambda number, _: heard.append(number)) for number in known}
     try:
         yield
     finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number in heard[:1]:
+            signal.raise_signal(number)
 
 
 def _too_long(doing: Step | None, limits: Limits) -> str:
