@@ -190,8 +190,8 @@ def _signals_held() -> Iterator[None]:
         for number, handler in handlers.items():
             signal.signal(number, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        for number in heard[:1]:
-            signal.raise_signal(number)
+        for arrived in heard[:1]:
+            signal.raise_signal(arrived)
 
 
 def _too_long(doing: Step | None, limits: Limits) -> str:
