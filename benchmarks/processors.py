@@ -30,7 +30,7 @@ SETTINGS: dict[str, dict[str, str]] = {
     "plain": {},
     "OpenBLAS Prescott": {"OPENBLAS_CORETYPE": "Prescott"},
     "OpenBLAS Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
-    "OpenCV without AVX2 and SSE4": {"OPENCV_CPU_DISABLE": "AVX512_SKX,AVX2,AVX,FP16,SSE4_2,SSE4_1"},
+    "OpenCV without AVX2 and SSE4": {"OPENCV_CPU_DISABLE": "AVX512-SKX,AVX2,FP16,AVX,SSE4.2,SSE4.1"},
     "Numba generic": {"NUMBA_CPU_NAME": "generic"},
     "NumPy without AVX2": {"NPY_DISABLE_CPU_FEATURES": "X86_V3"},
     "PyTorch default": {"ATEN_CPU_CAPABILITY": "default"},
