@@ -58,7 +58,7 @@ class NetworkOptions:
 
     @property
     def least_parameters(self) -> int:
-        """Of the encoder's 3x3 convolutions alone."""
+        """Number of weights in the encoder's 3x3 convolutions, which every network of these options has at least."""
         inputs = (3 << (2 * self.finest), *self.widths)
         return sum(9 * (inside + outside) * outside for inside, outside in zip(inputs, self.widths, strict=False))
 

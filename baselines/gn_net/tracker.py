@@ -211,7 +211,7 @@ class GnNet:
         return FeaturePyramid.from_maps([m[0].permute(1, 2, 0).float().cpu().numpy() for m in maps], of_finest)
 
     def _query_features(self, query: Query) -> FeaturePyramid:
-        """Of the last query they are kept: a query is often asked about from several priors, or keyframes."""
+        """Features of a query. The last are kept: a query is often asked about from several priors or keyframes."""
         if self._last is None or self._last[0] is not query:
             self._last = query, self.features(query.image, query.camera)
         return self._last[1]

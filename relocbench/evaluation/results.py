@@ -121,6 +121,11 @@ class DatasetRecord(Strict):
     splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
     pair_sets: dict[JoinedName, PairSetRecord]
 
+    @property
+    def compared_by(self) -> str:
+        """The question, or the fingerprint where results do not tell it: results with the same one stand together."""
+        return self.question or self.fingerprint
+
 
 class RunRecord(Strict):
     """``run.yaml``: what made the predictions of one method."""

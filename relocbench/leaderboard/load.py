@@ -150,7 +150,7 @@ def together(entries: Sequence[DatasetEntry]) -> list[DatasetEntry]:
     """
     out: dict[tuple[str, str], DatasetEntry] = {}
     for entry in entries:
-        key = entry.record.name, entry.record.question or entry.record.fingerprint
+        key = entry.record.name, entry.record.compared_by
         out[key] = _joined(out[key], entry) if key in out else entry
     return list(out.values())
 

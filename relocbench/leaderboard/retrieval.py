@@ -190,7 +190,7 @@ def _copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
     """Folders of one question together: the same recipe, images that differ in last digits."""
     found: dict[tuple[str, str], list[SetResults]] = {}
     for folder in folders:
-        found.setdefault((folder.record.name, folder.record.question or folder.record.fingerprint), []).append(folder)
+        found.setdefault((folder.record.name, folder.record.compared_by), []).append(folder)
     return list(found.values())
 
 
@@ -274,7 +274,7 @@ def _table(
     record: SetRecord, name: str, tasks: tuple[str, ...], methods: Sequence[Retriever], metric: str, seed: int
 ) -> RetrievalTable:
     records = tuple(record.tasks[task] for task in tasks)
-    place = f"{record.question or record.fingerprint} {name}"
+    place = f"{record.compared_by} {name}"
     block_length = 1 if all(r.grouped for r in records) else None
 
     def drawn(method: Retriever, metric: str) -> list[Array | None]:

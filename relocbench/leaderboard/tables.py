@@ -101,7 +101,7 @@ def _plan(entry: DatasetEntry) -> list[_Planned]:
 def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) -> Table:
     names, group, split = planned.names, planned.group, planned.split
     shown = names[0] if split is None else TOTAL
-    place = f"{entry.record.question or entry.record.fingerprint} {shown} {split or ''} {group}"
+    place = f"{entry.record.compared_by} {shown} {split or ''} {group}"
     sets = {m.label: [_of_group(m, name, group) for name in names] for m in entry.methods}
     ranks: dict[str, int | None] = dict.fromkeys(sets)
     if group == ALL:

@@ -52,7 +52,7 @@ class Batches(Dataset[Batch]):
 
     @property
     def combinations(self) -> int:
-        """Of conditions, among which pairs are drawn evenly."""
+        """Number of combinations of conditions, among which pairs are drawn evenly."""
         return self._draw.combinations
 
     def __len__(self) -> int:

@@ -31,7 +31,7 @@ class EvenDraw:
 
     @property
     def combinations(self) -> int:
-        """Of reference and query condition."""
+        """Number of combinations of a reference's and a query's condition."""
         return len(self._groups)
 
     def __getitem__(self, draw: int) -> int:

@@ -104,7 +104,7 @@ class Training:
         return self._finish()
 
     def learning_rate(self, step: int) -> float:
-        """Of a step, counted from 0: a ramp, then half a cosine."""
+        """The learning rate of a step, counted from 0: a ramp, then half a cosine."""
         options = self.options
         if step < options.warm_up:
             return options.learning_rate * (step + 1) / options.warm_up

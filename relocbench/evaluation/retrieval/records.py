@@ -80,6 +80,11 @@ class SetRecord(Strict):
     """split -> tasks"""
     tasks: dict[JoinedName, TaskRecord]
 
+    @property
+    def compared_by(self) -> str:
+        """The question, or the fingerprint where results do not tell it: results with the same one stand together."""
+        return self.question or self.fingerprint
+
 
 class TaskRun(Strict):
     """How a task went: what tells a wrong network from a hard task."""
