@@ -66,6 +66,7 @@ def test_workers_end_with_a_job_that_is_killed(tmp_path: Path) -> None:
     until = time.monotonic() + 600
     while len(told := [int(path.name) for path in tmp_path.glob("[0-9]*")]) < 2:
         assert time.monotonic() < until
+        assert job.poll() is None, "the job ended before its workers had begun"
         time.sleep(0.05)
     job.kill()
     job.wait()
