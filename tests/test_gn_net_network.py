@@ -104,7 +104,7 @@ def test_a_mirrored_image_gives_mirrored_features_when_filters_are_mirrored(opti
     first.copy_(first.unflatten(1, (3, square, square)).flip(3).flatten(1, 3))
     pixels = image(32, 48)
     for there, back in zip(net(pixels), mirrored(pixels.flip(-1)), strict=True):
-        assert torch.allclose(there, back.flip(-1), atol=1e-5)
+        assert torch.allclose(there, back.flip(-1), atol=1e-4)
 
 
 @EACH
@@ -115,7 +115,7 @@ def test_an_image_moved_by_the_stride_moves_its_features(options: NetworkOptions
     left, right = net(wide[..., :-stride]), net(wide[..., stride:])
     for level, (here, there) in enumerate(zip(left, right, strict=True), start=options.finest):
         step, inside = stride >> level, (40 * scale) >> level
-        assert torch.allclose(here[..., inside + step : -inside], there[..., inside : -inside - step], atol=1e-5)
+        assert torch.allclose(here[..., inside + step : -inside], there[..., inside : -inside - step], atol=1e-4)
         assert not torch.allclose(here[..., inside:-inside], there[..., inside:-inside], atol=1e-3)
 
 
@@ -126,7 +126,7 @@ def test_the_copy_for_tracking_gives_the_same_features() -> None:
     assert not any(isinstance(module, nn.BatchNorm2d) for module in tracking.modules())
     assert any(isinstance(module, nn.BatchNorm2d) for module in net.modules())
     for slow, fast in zip(net(pixels), tracking(pixels), strict=True):
-        assert torch.allclose(slow, fast, atol=1e-5)
+        assert torch.allclose(slow, fast, atol=1e-4)
 
 
 @torch.no_grad()
@@ -136,8 +136,8 @@ def test_unit_features_are_the_plain_ones_with_norm_one() -> None:
     for there, here in zip(raw, unit, strict=True):
         norms = there.norm(dim=1, keepdim=True)
         assert (norms > 0).float().mean() > 0.8
-        assert torch.allclose(here.norm(dim=1, keepdim=True), (norms > 0).float(), atol=1e-5)
-        assert torch.allclose(here * norms, there, atol=1e-5)
+        assert torch.allclose(here.norm(dim=1, keepdim=True), (norms > 0).float(), atol=1e-4)
+        assert torch.allclose(here * norms, there, atol=1e-4)
 
 
 def test_first_weights_depend_on_their_generator_alone() -> None:

@@ -48,21 +48,21 @@ def test_descriptors_are_those_of_the_network_with_mirror_images(weights: Path) 
     asked = [*views(3), *views(2, "satellite")]
     rows = retriever.describe(asked)
     assert rows.shape == (5, 4 * 8)
-    assert np.allclose(np.linalg.norm(rows, axis=1), 1, atol=1e-6)
+    assert np.allclose(np.linalg.norm(rows, axis=1), 1, atol=1e-4)
     images = torch.stack([torch.from_numpy(each.image.copy()).permute(2, 0, 1) / 255 for each in asked])
     network, _ = load_weights(weights)
     parts = network.embed("drone", images) + network.embed("drone", images.flip(-1))
     expected = torch.nn.functional.normalize(parts, dim=-1).flatten(1) / 2
-    assert np.allclose(rows, expected.detach().numpy(), atol=1e-5)
+    assert np.allclose(rows, expected.detach().numpy(), atol=1e-4)
     mirrored = [replace(each, read=lambda each=each: each.image[:, ::-1].copy()) for each in asked]
-    assert np.allclose(rows, retriever.describe(mirrored), atol=1e-5)
+    assert np.allclose(rows, retriever.describe(mirrored), atol=1e-4)
 
 
 def test_images_of_any_shape_are_resized_to_what_was_trained_with(weights: Path) -> None:
     retriever = Lpn(weights=weights)
     wide = ImageView("w", "drone", lambda: np.repeat(picture(0, "drone", 0, 128), 2, axis=1))
     square = ImageView("s", "drone", lambda: resized(wide.image, 64))
-    assert np.allclose(retriever.describe([wide]), retriever.describe([square]), atol=1e-6)
+    assert np.allclose(retriever.describe([wide]), retriever.describe([square]), atol=1e-4)
     flat = np.full((300, 200, 3), 77, np.uint8)
     assert (resized(flat, 64) == 77).all()
     fine = np.tile(np.array([0, 255], np.uint8), (256, 128))[..., None].repeat(3, axis=2)
@@ -77,7 +77,7 @@ def test_rankings_are_sorted_anew_by_aligned_parts(weights: Path) -> None:
     rows = retriever.describe(views())
     scores = retriever.rerank(rows[0], rows[1:])
     query, others = parts_of(torch.from_numpy(rows[0]), 4), parts_of(torch.from_numpy(rows[1:]), 4)
-    assert np.allclose(scores, [-float(aligned_distance(query, other)) for other in others], atol=1e-6)
+    assert np.allclose(scores, [-float(aligned_distance(query, other)) for other in others], atol=1e-4)
     assert np.argmax(retriever.rerank(rows[2], rows)) == 2
 
 
