@@ -13,12 +13,12 @@ import time
 
 from distributed import LocalCluster
 
-from relocbench.execution import Scheduler, kept_workers, run_units
+from relocbench.execution import Run, Scheduler, kept_workers, run_units
 
 
 def seconds_a_unit(count: int, workers: int, scheduler: Scheduler | None) -> float:
     """Of ``count`` units that do nothing, after the first result."""
-    results = run_units(abs, range(count), workers=workers, scheduler=scheduler)
+    results = run_units(abs, range(count), Run(workers, scheduler))
     next(results)
     start = time.perf_counter()
     done = sum(1 for _ in results)

@@ -17,12 +17,12 @@ import time
 from pathlib import Path
 
 from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import Run, importer
+from relocbench.datasets.importers import importer
 from relocbench.datasets.pairfile import Pair, write_pairs
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.evaluation.results import read_answers
-from relocbench.execution import default_workers
+from relocbench.execution import Run, default_workers
 from relocbench.progress import Silent
 
 

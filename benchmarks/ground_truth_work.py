@@ -31,7 +31,7 @@ from relocbench.datasets.groundtruth.outcome import OutcomeLimits, Outcomes, Pai
 from relocbench.datasets.groundtruth.pairing import CameraFrames, PairingUnit, pair_up
 from relocbench.datasets.groundtruth.recording import FieldRecording
 from relocbench.datasets.groundtruth.verification import Thresholds
-from relocbench.datasets.importers import Run
+from relocbench.execution import Run
 from relocbench.files import write_text
 from relocbench.geometry import invert
 from relocbench.progress import Silent

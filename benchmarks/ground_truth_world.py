@@ -17,7 +17,7 @@ from relocbench.datasets.groundtruth.alignment import Drive, TrackUnit
 from relocbench.datasets.groundtruth.evidence import Registration
 from relocbench.datasets.groundtruth.options import FieldOptions
 from relocbench.datasets.groundtruth.outcome import PairOutcome
-from relocbench.execution import run_units
+from relocbench.execution import Run, run_units
 from relocbench.geometry import invert, rotation_angle
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ class World:
         """Results in the order of the units."""
         out: dict[int, Any] = {}
         with self.spoken.stage(title, len(units)) as advance:
-            for index, result in run_units(function, units, workers=self.workers):
+            for index, result in run_units(function, units, Run(self.workers)):
                 out[index] = result
                 advance(1)
         return [out[k] for k in range(len(units))]

@@ -14,9 +14,9 @@ from relocbench.datasets.groundtruth.crosscheck import Agreement, cross_check
 from relocbench.datasets.groundtruth.depth import DepthOptions
 from relocbench.datasets.groundtruth.depth_work import DepthView
 from relocbench.datasets.groundtruth.partners import stereo_pair
-from relocbench.datasets.importers import Run
 from relocbench.datasets.importers.kitti_recording import read_kitti
 from relocbench.errors import DatasetError
+from relocbench.execution import Run
 from relocbench.progress import Silent
 
 ALONG_M = (0.689, 1.382, 2.100, 2.832, 3.576)

@@ -45,7 +45,6 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from relocbench.datasets.dataset import Dataset, Traversal
-from relocbench.datasets.importers import Run
 from relocbench.datasets.layout import pair_set_name
 from relocbench.datasets.pairfile import Pair
 from relocbench.datasets.pairing import PosedFrames, posed_frames, relative_pose
@@ -59,7 +58,7 @@ from relocbench.datasets.visibility import warp
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import ConfigError
 from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
-from relocbench.execution import default_workers
+from relocbench.execution import Run, default_workers
 from relocbench.geometry import Camera, invert, rotation_angle
 from relocbench.progress import Silent
 

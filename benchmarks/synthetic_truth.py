@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.correspondences import read_correspondences
 from relocbench.datasets.dataset import Dataset, PairSet
 from relocbench.datasets.images import DEPTH_SCALE
-from relocbench.datasets.importers import Run, importer
+from relocbench.datasets.importers import importer
 from relocbench.datasets.pairfile import Pair
 from relocbench.datasets.synthetic import stage
 from relocbench.datasets.synthetic.condition import CONDITIONS, Factors
@@ -40,7 +40,7 @@ from relocbench.datasets.synthetic.plan import TraversalPlan, make_plans
 from relocbench.datasets.synthetic.presets import conditions_of
 from relocbench.datasets.synthetic.stage import Place
 from relocbench.datasets.synthetic.town import compose
-from relocbench.execution import default_workers
+from relocbench.execution import Run, default_workers
 from relocbench.geometry import Camera, apply, invert
 from relocbench.progress import Silent
 

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.correspondences import write_pair_set
 from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import Run
 from relocbench.datasets.pairfile import Pair
 from relocbench.datasets.schema import CameraEntry, Condition, TraversalFile
 from relocbench.datasets.writer import DatasetWriter
+from relocbench.execution import Run
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
 from relocbench.progress import Silent
 from relocbench.tracking import KeyframePoints

@@ -18,7 +18,7 @@ from units_of_work import die_once, square, user_error
 
 from relocbench.datasets.pairfile import read_pose_lines
 from relocbench.errors import ConfigError, DatasetError, RelocbenchError
-from relocbench.execution import Scheduler, cluster, run_units, scheduler
+from relocbench.execution import Run, Scheduler, cluster, run_units, scheduler
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.slow
@@ -77,11 +77,11 @@ def where(dask: DaskProcesses) -> Scheduler:
 def test_a_worker_that_dies_in_the_middle_of_a_unit_costs_a_retry(dask: DaskProcesses, tmp_path: Path) -> None:
     dask.add_workers(2)
     units = [str(tmp_path / name) for name in ("a", "die", "b", "c", "d", "e")]
-    results = dict(run_units(die_once, units, scheduler=where(dask)))
+    results = dict(run_units(die_once, units, Run(scheduler=where(dask))))
     assert [results[i] for i in range(6)] == ["a", "die", "b", "c", "d", "e"]
     assert dask.alive == 1
     with pytest.raises(DatasetError, match=r"file\.txt:3: expected better"):
-        list(run_units(user_error, [3], scheduler=where(dask)))
+        list(run_units(user_error, [3], Run(scheduler=where(dask))))
     assert dask.alive == 1
 
 
@@ -101,7 +101,7 @@ def test_a_worker_that_dies_with_a_result_that_nobody_fetched_costs_a_retry(
 
     monkeypatch.setattr(cluster._Dispatch, "_take", die_before)
     dask.add_workers(1)
-    assert dict(run_units(square, [1, 2, 3], scheduler=where(dask))) == {0: 1, 1: 4, 2: 9}
+    assert dict(run_units(square, [1, 2, 3], Run(scheduler=where(dask)))) == {0: 1, 1: 4, 2: 9}
     assert deaths
 
 
@@ -114,7 +114,7 @@ def test_a_unit_that_kills_every_worker_is_lost_and_its_neighbours_are_not(dask:
         given_up.append(unit[0])
         return "lost"
 
-    results = dict(run_units(die_at, units, scheduler=where(dask), on_lost=give_up))
+    results = dict(run_units(die_at, units, Run(scheduler=where(dask)), on_lost=give_up))
     assert [results[i] for i in range(5)] == ["a", "lost", "b", "c", "d"]
     assert given_up == ["deadly"]
     assert (tmp_path / "started").read_text().split().count("deadly") == 2
@@ -128,11 +128,11 @@ def test_with_no_worker_left_the_run_ends_and_says_how_to_go_on(
     with pytest.raises(
         RelocbenchError, match=r"no worker of .* has joined within 0.2 s; 0 of 2 units are done, the same"
     ):
-        list(run_units(square, [1, 2], scheduler=where(dask)))
+        list(run_units(square, [1, 2], Run(scheduler=where(dask))))
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 120.0)
     dask.add_workers(1)
     units = [(name, str(tmp_path)) for name in ("a", "b", "deadly", "c", "d")]
-    results = run_units(die_when_told, units, scheduler=where(dask))
+    results = run_units(die_when_told, units, Run(scheduler=where(dask)))
     assert sorted([next(results), next(results)]) == [(0, "a"), (1, "b")]
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 0.2)
     (tmp_path / "go").touch()
@@ -150,7 +150,7 @@ def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path, monkeypatch: pyt
         with pytest.raises(
             RelocbenchError, match=r"the Dask scheduler at .* is gone; \d of 8 units are done, the same"
         ):
-            list(run_units(kill_once, units, scheduler=where(processes)))
+            list(run_units(kill_once, units, Run(scheduler=where(processes))))
     finally:
         processes.close()
 
@@ -162,14 +162,14 @@ def test_a_worker_that_does_not_see_the_folders_is_refused(dask: DaskProcesses, 
     dask.add_workers(1, cwd=tmp_path, preload=hasty)  # it does not look again for a file that may come later
     mine = Path(f"/proc/self/task/{os.getpid()}")
     with pytest.raises(ConfigError, match=rf"{mine}: not seen by worker .*; all workers must see the folders"):
-        list(run_units(square, [1, 2], scheduler=where(dask).sharing(tmp_path, mine)))
+        list(run_units(square, [1, 2], Run(scheduler=where(dask).sharing(tmp_path, mine))))
     here = Path("/proc/self/cwd")
     assert here.resolve() != tmp_path
     before = sorted(here.iterdir())
     with pytest.raises(ConfigError, match=f"{here}: not seen by worker"):
-        list(run_units(square, [1, 2], scheduler=where(dask).sharing(here)))
+        list(run_units(square, [1, 2], Run(scheduler=where(dask).sharing(here))))
     assert sorted(here.iterdir()) == before
-    results = dict(run_units(square, [1, 2], scheduler=where(dask).sharing(tmp_path, tmp_path)))
+    results = dict(run_units(square, [1, 2], Run(scheduler=where(dask).sharing(tmp_path, tmp_path))))
     assert results == {0: 1, 1: 4}
     assert not list(tmp_path.iterdir())
 
@@ -179,7 +179,7 @@ def test_a_worker_with_another_version_is_refused(dask: DaskProcesses, tmp_path:
     older.write_text("import relocbench\nrelocbench.__version__ = '0.0.1'\n")
     dask.add_workers(1, preload=older)
     with pytest.raises(ConfigError, match=r"worker .* runs other versions: relocbench 0\.0\.1 there, .* here"):
-        list(run_units(square, [1, 2], scheduler=where(dask)))
+        list(run_units(square, [1, 2], Run(scheduler=where(dask))))
 
 
 def test_a_pair_that_kills_its_worker_costs_that_pair_as_it_does_locally(dask: DaskProcesses, tmp_path: Path) -> None:
@@ -226,18 +226,18 @@ def test_a_cluster_with_tls_takes_who_holds_a_certificate_and_no_other(
         assert processes.address.startswith("tls://")
         processes.add_workers(1)
         known = Scheduler(address=processes.address, **{f"tls_{name}": path for name, path in files.items()})
-        assert dict(run_units(square, [1, 2, 3], scheduler=known)) == {0: 1, 1: 4, 2: 9}
+        assert dict(run_units(square, [1, 2, 3], Run(scheduler=known))) == {0: 1, 1: 4, 2: 9}
         monkeypatch.setattr(scheduler, "SCHEDULER_TIMEOUT", "0.5s")  # whoever is refused tries until then
         with pytest.raises(ConfigError, match="needs --scheduler-tls-ca"):
-            list(run_units(square, [1, 2], scheduler=Scheduler(address=processes.address)))
+            list(run_units(square, [1, 2], Run(scheduler=Scheduler(address=processes.address))))
         plain = processes.address.replace("tls://", "tcp://")
         with pytest.raises(ConfigError, match="no Dask scheduler answers at"):
-            list(run_units(square, [1, 2], scheduler=Scheduler(address=plain)))
+            list(run_units(square, [1, 2], Run(scheduler=Scheduler(address=plain))))
         command = "openssl req -x509 -newkey rsa:2048 -nodes -keyout o.key -out o.pem -subj /CN=stranger"
         subprocess.run(command.split(), cwd=tmp_path, check=True, capture_output=True)
         other = {"tls_ca": files["ca"], "tls_cert": tmp_path / "o.pem", "tls_key": tmp_path / "o.key"}
         with pytest.raises(ConfigError, match="no Dask scheduler answers at"):
-            list(run_units(square, [1, 2], scheduler=Scheduler(address=processes.address, **other)))
+            list(run_units(square, [1, 2], Run(scheduler=Scheduler(address=processes.address, **other))))
     finally:
         processes.close()
 

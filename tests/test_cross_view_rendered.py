@@ -17,11 +17,12 @@ from relocbench.datasets.cross_view.rendered.places import Building, buildings, 
 from relocbench.datasets.cross_view.rendered.plan import Views, choose_places, photos_of
 from relocbench.datasets.cross_view.rendered.work import PhotoUnit, render_unit, seen_by
 from relocbench.datasets.images import read_image
-from relocbench.datasets.importers import Run, cross_view
+from relocbench.datasets.importers import cross_view
 from relocbench.datasets.synthetic import stage
 from relocbench.datasets.synthetic.condition import condition_named
 from relocbench.datasets.synthetic.network import StreetNetwork
 from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run
 from relocbench.geometry import apply, invert, is_rotation, transform_from_tq
 from relocbench.progress import Silent
 

@@ -21,8 +21,8 @@ from relocbench.datasets.groundtruth.surfaces import smallest_eigenvector
 from relocbench.datasets.groundtruth.thinning import thin
 from relocbench.datasets.groundtruth.voxel_claims import VoxelClaims
 from relocbench.datasets.groundtruth.voxels import voxel_keys
-from relocbench.datasets.importers import Run
 from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run
 from relocbench.geometry import apply, invert, make_transform, se3_exp, so3_exp
 
 Array = NDArray[np.float64]

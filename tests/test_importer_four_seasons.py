@@ -15,7 +15,6 @@ from small_dataset import render, small_camera, small_pose
 from relocbench.datasets import images
 from relocbench.datasets.correspondences import read_correspondences
 from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import Run
 from relocbench.datasets.importers import four_seasons as importer
 from relocbench.datasets.importers.four_seasons_calibration import read_calibration, read_camera, read_stereo
 from relocbench.datasets.importers.four_seasons_files import (
@@ -31,6 +30,7 @@ from relocbench.datasets.importers.four_seasons_receiver import agreement, ecef_
 from relocbench.datasets.importers.sources import read_trajectory
 from relocbench.datasets.pairfile import pose_fields, read_pose_lines, write_pose_lines
 from relocbench.errors import DatasetError
+from relocbench.execution import Run
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, so3_exp
 from relocbench.progress import Advance, Silent
 

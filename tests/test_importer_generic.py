@@ -14,13 +14,13 @@ from small_dataset import render, small_camera, small_pose
 
 from relocbench.datasets import images
 from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import Run
 from relocbench.datasets.importers import generic as importer
 from relocbench.datasets.importers.generic_scans import read_lidar_file
 from relocbench.datasets.importers.sources import parse_time, read_trajectory, timed_files, traversal_names
 from relocbench.datasets.pairfile import pose_fields
 from relocbench.datasets.schema import TraversalFile
 from relocbench.errors import DatasetError
+from relocbench.execution import Run
 from relocbench.files import load_yaml
 from relocbench.geometry import Camera, interpolate, invert, make_transform, so3_exp
 from relocbench.progress import Silent

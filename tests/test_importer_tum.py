@@ -12,9 +12,10 @@ import pytest
 from relocbench.datasets import images
 from relocbench.datasets.correspondences import read_correspondences
 from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import Run, tum_rgbd
+from relocbench.datasets.importers import tum_rgbd
 from relocbench.datasets.importers.tum_rgbd import INTRINSICS
 from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run
 from relocbench.geometry import apply, invert, rotation_angle
 from relocbench.progress import Silent
 

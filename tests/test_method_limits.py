@@ -30,7 +30,7 @@ from relocbench.evaluation.evaluate import EvaluateOptions, Report, evaluate_met
 from relocbench.evaluation.results import Answer, read_answers
 from relocbench.evaluation.retrieval.answers import read_answers as retrieved
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
-from relocbench.execution import MANY_TIMES, Limits, parse_size, run_limited, worker_process
+from relocbench.execution import MANY_TIMES, Run, parse_size, run_limited, worker_process
 from relocbench.progress import Silent
 
 pytestmark = pytest.mark.usefixtures("workers_kept")
@@ -111,7 +111,7 @@ def test_predictions_do_not_depend_on_the_number_of_workers_where_pairs_are_lost
 def few_times() -> None:
     """What is done once may take twice the time limit in the worker that lives now, so that less is waited for."""
     assert MANY_TIMES == 10, "elsewhere it may take ten times the limit, as is documented"
-    done = run_limited(allow_few_times, [2.0], workers=1, limits=Limits(), on_loss=lambda unit, loss: loss)
+    done = run_limited(allow_few_times, [2.0], Run(), on_loss=lambda unit, loss: loss)
     assert list(done) == [(0, None)]
 
 

@@ -23,6 +23,7 @@ from relocbench.evaluation.results import dataset_results
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.records import all_sets
 from relocbench.evaluation.run import run_method
+from relocbench.execution import Run
 from relocbench.files import dump_yaml, load_yaml_values, write_text
 from relocbench.leaderboard.load import load_results
 from relocbench.leaderboard.retrieval_write import write_retrieval_leaderboard
@@ -133,7 +134,7 @@ def test_a_quaternion_and_its_negative_are_one_rotation(original: Dataset, tmp_p
 def test_predictions_of_another_copy_of_the_question_are_scored_and_say_so(original: Dataset, tmp_path: Path) -> None:
     other = changed(original, tmp_path / "there", last_digits)
     there = dataset_results(tmp_path / "theirs", other)
-    answered = run_method(other, other.pair_sets(), parse_method("identity"), there, workers=0, reporter=Silent())
+    answered = run_method(other, other.pair_sets(), parse_method("identity"), there, run=Run(0), reporter=Silent())
     here = dataset_results(tmp_path / "ours", original)
     taken = take_predictions(original, original.pair_sets(), answered.root, "theirs", here)
     assert taken.run_record().answered_on == other.fingerprint
@@ -179,7 +180,7 @@ def test_results_that_claim_a_question_and_hold_other_pairs_are_refused(original
 def test_predictions_of_another_question_are_refused(original: Dataset, tmp_path: Path) -> None:
     other = changed(original, tmp_path / "there", lambda d: nudge_numbers(d.layout.pair_file(ACROSS), 1e-4))
     there = dataset_results(tmp_path / "theirs", other)
-    answered = run_method(other, other.pair_sets(), parse_method("identity"), there, workers=0, reporter=Silent())
+    answered = run_method(other, other.pair_sets(), parse_method("identity"), there, run=Run(0), reporter=Silent())
     with pytest.raises(PredictionError, match="predictions are for small@"):
         take_predictions(
             original, original.pair_sets(), answered.root, "theirs", dataset_results(tmp_path / "ours", original)

@@ -16,7 +16,7 @@ from killing import Fault, run_until_killed
 from relocbench.datasets import images
 from relocbench.datasets.correspondences import read_correspondences
 from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import Run, synthetic
+from relocbench.datasets.importers import synthetic
 from relocbench.datasets.pairing import PosedFrames
 from relocbench.datasets.synthetic import stage
 from relocbench.datasets.synthetic.condition import condition_named
@@ -33,6 +33,7 @@ from relocbench.datasets.synthetic.traffic import moving_cars
 from relocbench.datasets.synthetic.work import FrameWork, RenderUnit, Spent, StepWork, duration, estimate
 from relocbench.datasets.visibility import warp
 from relocbench.errors import DatasetError
+from relocbench.execution import Run
 from relocbench.geometry import Camera, apply, invert, is_rotation, rotation_angle
 from relocbench.progress import Silent
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from recording_reading import RobotCarReading, Truth, hashes, matrix_of, read_vo
 from small_street import SolidTexture, StraightRoad, Street, street_mesh
 
-from relocbench.datasets.importers import Run, kitti
+from relocbench.datasets.importers import kitti
 from relocbench.datasets.synthetic import odometry, robotcar_layout
 from relocbench.datasets.synthetic.condition import CONDITIONS, Factors
 from relocbench.datasets.synthetic.kitti_layout import KittiLayout
@@ -31,6 +31,7 @@ from relocbench.datasets.synthetic.robotcar_odometry import vo_text
 from relocbench.datasets.synthetic.town import make_district
 from relocbench.datasets.synthetic.utm import latitude_longitude
 from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run
 from relocbench.geometry import interpolate_trajectory, invert, rotation_angle, so3_exp
 from relocbench.progress import Silent
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import Run, synthetic
+from relocbench.datasets.importers import synthetic
 from relocbench.datasets.pairing import PosedFrames
 from relocbench.datasets.synthetic import stage
 from relocbench.datasets.synthetic.condition import condition_named
@@ -17,6 +17,7 @@ from relocbench.datasets.synthetic.lidar import LidarScene
 from relocbench.datasets.synthetic.mesh import Mesh
 from relocbench.datasets.synthetic.stage import Place
 from relocbench.datasets.synthetic.truth import View
+from relocbench.execution import Run
 from relocbench.geometry import Camera
 from relocbench.progress import Silent
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import typing
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,9 +26,9 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
     from relocbench.datasets.cross_view import CrossViewSet
-    from relocbench.datasets.importers import Run
     from relocbench.datasets.recording import RecordingFolder
     from relocbench.datasets.schema import Strict
+    from relocbench.execution import Run
 
 _NO_SOURCE = ("synthetic", "cross-view")
 _EXAMPLES = {
@@ -153,9 +152,8 @@ def _metavar(annotation: Any) -> str:
 
 def _build(kind: str, options: type[Strict], given: dict[str, Any]) -> None:
     from relocbench.cli.configuration import Where, merged
-    from relocbench.datasets.importers import Run
     from relocbench.errors import DatasetError
-    from relocbench.execution import default_workers
+    from relocbench.execution import Run, default_workers
     from relocbench.files import alone_writing_to
 
     sources, out = given.pop("sources", []), given.pop("out")
@@ -164,11 +162,10 @@ def _build(kind: str, options: type[Strict], given: dict[str, Any]) -> None:
     place = {"workers": given.pop("workers"), "scheduler": scheduler_values(given.pop("scheduler"), *tls)}
     where = merged(Where, config, {name: value for name, value in place.items() if value is not None}, options)
     chosen = merged(options, config, {name: value for name, value in given.items() if value is not None}, Where)
-    run = Run(where.workers or default_workers())
     if where.scheduler is not None:
         # Workers of a cluster start in folders of their own.
         sources, out = [source.absolute() for source in sources], out.absolute()
-        run = replace(run, scheduler=where.scheduler.sharing(out, *sources))
+    run = Run(where.workers or default_workers(), where.scheduler).sharing(out, *sources)
     for source in sources:
         if out.resolve().is_relative_to(source.resolve()):  # not even a folder is made there
             raise DatasetError(f"lies inside the recording {source}, which is never written to", out)

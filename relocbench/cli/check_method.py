@@ -29,13 +29,13 @@ def check_method(
     Example: relocbench check-method mypackage.trackers:MyTracker
     """
     from relocbench.cli.console import print_json, print_table
-    from relocbench.execution import Limits, run_limited
+    from relocbench.execution import Run, run_limited
     from relocbench.methods import kind_of, parse_method, target_of
 
     spec = parse_method(method, settings, kind=kind_of(target_of(method)))
     # In a process of its own, as it is evaluated: what it does to it is a finding, and Ctrl-C ends it.
     asked = [(spec, dataset)]
-    findings = next(f for _, f in run_limited(_checked, asked, workers=1, limits=Limits(), on_loss=_lost))
+    findings = next(f for _, f in run_limited(_checked, asked, Run(), on_loss=_lost))
     if json:
         print_json([{"check": f.check, "passed": f.passed, "detail": f.detail} for f in findings])
     else:

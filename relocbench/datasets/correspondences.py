@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 
 from relocbench.datasets import pairfile
 from relocbench.datasets.dataset import Traversal
-from relocbench.datasets.importers import Run
 from relocbench.datasets.layout import pair_set_name
 from relocbench.datasets.pairfile import Pair, PairKey
 from relocbench.datasets.pixel_sigma import pixel_sigma
 from relocbench.datasets.visibility import CHECKS, DepthView, ReferencePoints, see, warp
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import DatasetError
-from relocbench.execution import run_units
+from relocbench.execution import Run, run_units
 from relocbench.files import atomic_write, plain_file
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
@@ -208,11 +207,11 @@ def write_pair_set(
     measured = [p for p in ordered if p.accepted and p.T_query_ref is not None]
     units = [_Unit(traversals[0], traversals[1], camera, pair, count, seed) for pair in measured]
     overlaps: dict[PairKey, float] = {}
-    workers = run.workers if len(units) >= _WORTH_WORKERS else 1
+    run = run if len(units) >= _WORTH_WORKERS else run.alone()
     with reporter.stage(f"correspondences of {name}", len(units)) as advance:
 
         def results() -> Iterator[tuple[PairKey, PairCorrespondences]]:
-            for index, found in _in_order(run_units(_work, units, workers=workers, scheduler=run.scheduler)):
+            for index, found in _in_order(run_units(_work, units, run)):
                 overlaps[measured[index].key] = found.overlap
                 yield measured[index].key, found
                 advance(1)

@@ -7,8 +7,7 @@ from typing import Annotated, Any, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from relocbench.datasets.schema import Strict
-from relocbench.evaluation.lost_pairs import Workforce
-from relocbench.execution import TIME_LIMIT_S, Limits, Scheduler, default_workers, parse_size
+from relocbench.execution import TIME_LIMIT_S, Limits, Run, Scheduler, default_workers, parse_size
 
 
 def _size(value: Any) -> Any:
@@ -36,8 +35,8 @@ class AskingOptions(LimitOptions):
     scheduler: Scheduler | None = None
 
     @property
-    def workforce(self) -> Workforce:
-        return Workforce(default_workers() if self.workers is None else self.workers, self.scheduler, self.limits)
+    def run(self) -> Run:
+        return Run(default_workers() if self.workers is None else self.workers, self.scheduler, self.limits)
 
     @model_validator(mode="after")
     def _limits_that_can_be_kept(self) -> Self:

@@ -123,9 +123,7 @@ def _run(
         spec,
         results,
         overwrite=options.overwrite,
-        workers=options.workers,
-        scheduler=options.scheduler,
-        limits=options.limits,
+        run=options.run.sharing(options.out, options.dataset),
         seed=options.seed,
         reporter=reporter,
     )
@@ -143,7 +141,7 @@ def _match(
     for name in (s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()):
         reporter.note(f"{name} has no correspondences: no matching quality (build-dataset --correspondences N)")
     pairs = zip(specs, folders, strict=True)
-    able = [(spec, folder) for spec, folder in pairs if offers_of(spec, options.workforce).match]
+    able = [(spec, folder) for spec, folder in pairs if offers_of(spec, options.run).match]
     unable = [spec.label for spec in specs if spec.label not in {spec.label for spec, _ in able}]
     if unable:
         reporter.note(f"no matching quality, for want of match(): {', '.join(unable)}")
@@ -153,9 +151,7 @@ def _match(
             pair_sets,
             spec,
             folder,
-            workers=options.workers,
-            scheduler=options.scheduler and options.scheduler.sharing(options.out, options.dataset),
-            limits=options.limits,
+            run=options.run.sharing(options.out, options.dataset),
             seed=options.seed,
             reporter=reporter,
         )

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Generic, TypeVar
 
 from relocbench.datasets.pairfile import PairKey
 from relocbench.evaluation.worker import CONSTRUCTOR, PREPARE, Unit, journal_entries
-from relocbench.execution import Limits, Loss, Scheduler, run_limited
+from relocbench.execution import Loss, Run, run_limited
 
 U = TypeVar("U", bound=Unit)
 
@@ -19,21 +19,11 @@ _HOPELESS = 3
 """so many keyframes on which ``prepare`` was lost, and none that it has done: the others are not tried"""
 
 
-@dataclass(frozen=True)
-class Workforce:
-    """Where a method is asked, and what it may take."""
-
-    workers: int
-    """processes; 0: this process, without limits"""
-    scheduler: Scheduler | None = None
-    limits: Limits = field(default_factory=Limits)
-
-
 def ask_all(
     function: Callable[[U], int],
     open_units: Callable[[], Sequence[U]],
     lost: LostPairs[U],
-    force: Workforce,
+    run: Run,
     advance: Callable[[int], None],
 ) -> None:
     """Call ``function`` on units in workers until every pair has an entry in its journal.
@@ -44,14 +34,7 @@ def ask_all(
         advance: hears how many pairs are done.
     """
     while units := open_units():
-        asked = run_limited(
-            function,
-            lost.still_asked(units, advance),
-            workers=force.workers,
-            scheduler=force.scheduler,
-            limits=force.limits,
-            on_loss=lost.take,
-        )
+        asked = run_limited(function, lost.still_asked(units, advance), run, on_loss=lost.take)
         for _, done in asked:
             lost.hear(done)
             advance(done)

@@ -24,7 +24,7 @@ from relocbench.datasets.pairfile import PairKey
 from relocbench.errors import PredictionError, one_line
 from relocbench.evaluation.answers import checked_pixels
 from relocbench.evaluation.guard import guarded
-from relocbench.evaluation.lost_pairs import LostPairs, Workforce, ask_all
+from relocbench.evaluation.lost_pairs import LostPairs, ask_all
 from relocbench.evaluation.matching_table import (
     OFFSETS_PX,
     Found,
@@ -46,7 +46,7 @@ from relocbench.evaluation.worker import (
     traversal_of,
     units_of,
 )
-from relocbench.execution import MANY_TIMES, Limits, Scheduler, default_workers, step
+from relocbench.execution import MANY_TIMES, Run, step
 from relocbench.files import alone_in
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
@@ -111,9 +111,7 @@ def match_method(
     spec: MethodSpec,
     folder: MethodResults,
     *,
-    workers: int | None = None,
-    scheduler: Scheduler | None = None,
-    limits: Limits = Limits(),
+    run: Run = Run(),
     seed: int = 0,
     reporter: Reporter,
 ) -> None:
@@ -132,8 +130,7 @@ def match_method(
     left = [s for s in with_truth if not folder.matching(s.name).exists()]
     if not left:
         return
-    force = Workforce(default_workers() if workers is None else workers, scheduler, limits)
-    refuse_mixture(folder, new_record(dataset, spec, force.workers, seed), work_left=True)
+    refuse_mixture(folder, new_record(dataset, spec, run.workers, seed), work_left=True)
 
     def open_units() -> list[Unit]:
         # All pair sets at once: starting worker processes for each would take longer than the work.
@@ -147,7 +144,7 @@ def match_method(
         for pair_set in left:
             alone.enter_context(alone_in(_journal(folder, pair_set), PredictionError))
         with reporter.stage(f"{spec.label}, matching on {dataset.name}", sum(map(len, todo.values()))) as advance:
-            ask_all(_match_unit, open_units, LostPairs(_write_broken), force, advance)
+            ask_all(_match_unit, open_units, LostPairs(_write_broken), run, advance)
         for pair_set in left:
             _collect(pair_set, folder)
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from relocbench.evaluation.guard import guarded
-from relocbench.evaluation.lost_pairs import Workforce
 from relocbench.evaluation.worker import CONSTRUCTOR
-from relocbench.execution import MANY_TIMES, Loss, run_limited, step
+from relocbench.execution import MANY_TIMES, Loss, Run, run_limited, step
 from relocbench.methods import SUBPROCESS, MethodSpec, method_class
 
 
@@ -23,7 +22,7 @@ class Offers:
     """why nothing is known: constructing it passed a limit or ended its process"""
 
 
-def offers_of(spec: MethodSpec, force: Workforce) -> Offers:
+def offers_of(spec: MethodSpec, run: Run) -> Offers:
     """Of a class they are known as it stands; of anything else that makes trackers, by making one.
 
     Raises:
@@ -32,16 +31,17 @@ def offers_of(spec: MethodSpec, force: Workforce) -> Offers:
     if spec.target.startswith(SUBPROCESS):
         return Offers()
     target = method_class(spec.target)
-    return _told_by(target) if isinstance(target, type) else _made(spec, force)
+    return _told_by(target) if isinstance(target, type) else _made(spec, run)
 
 
-def can_be_made(spec: MethodSpec, force: Workforce) -> str:
+def can_be_made(spec: MethodSpec, run: Run) -> str:
     """Why a method cannot be constructed within limits; empty if it can. Raises MethodError where it raises."""
-    return "" if spec.target.startswith(SUBPROCESS) else _made(spec, force).fault
+    return "" if spec.target.startswith(SUBPROCESS) else _made(spec, run).fault
 
 
-def _made(spec: MethodSpec, force: Workforce) -> Offers:
-    found = run_limited(_make, [spec], workers=min(force.workers, 1), limits=force.limits, on_loss=_lost)
+def _made(spec: MethodSpec, run: Run) -> Offers:
+    here = Run(min(run.workers, 1), limits=run.limits)
+    found = run_limited(_make, [spec], here, on_loss=_lost)
     return next(offers for _, offers in found)
 
 

@@ -20,7 +20,7 @@ from relocbench.datasets.writer import versions
 from relocbench.errors import PredictionError
 from relocbench.evaluation.answers import CheckedAnswer, ask, broken
 from relocbench.evaluation.guard import offers
-from relocbench.evaluation.lost_pairs import LostPairs, Workforce, ask_all
+from relocbench.evaluation.lost_pairs import LostPairs, ask_all
 from relocbench.evaluation.offers import can_be_made
 from relocbench.evaluation.results import (
     Answer,
@@ -40,7 +40,7 @@ from relocbench.evaluation.worker import (
     tracker_of,
     units_of,
 )
-from relocbench.execution import MANY_TIMES, Limits, Scheduler, chunks, default_workers, kept_workers, step
+from relocbench.execution import MANY_TIMES, Run, chunks, default_workers, kept_workers, step
 from relocbench.files import alone_in, read_rows, remove_parts, write_text
 from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
 from relocbench.progress import Reporter
@@ -57,9 +57,7 @@ def run_method(
     results: DatasetResults,
     *,
     overwrite: Overwrite = "never",
-    workers: int | None = None,
-    scheduler: Scheduler | None = None,
-    limits: Limits = Limits(),
+    run: Run = Run(),
     seed: int = 0,
     reporter: Reporter,
 ) -> MethodResults:
@@ -79,11 +77,10 @@ def run_method(
         DatasetError: an image, depth or description of the dataset is bad.
     """
     folder = results.method(spec.label)
-    force = Workforce(default_workers() if workers is None else workers, scheduler, limits)
-    record = new_record(dataset, spec, force.workers, seed)
+    record = new_record(dataset, spec, run.workers, seed)
     if overwrite == "always":
         # A method that cannot be made, over a mistyped path of weights say, costs no answers.
-        if _has_answers(folder) and (fault := can_be_made(spec, force)):
+        if _has_answers(folder) and (fault := can_be_made(spec, run)):
             reporter.note(f"{spec.label} keeps the answers that it has: {fault}")
             return folder
         _clear(folder, pair_sets)
@@ -98,7 +95,7 @@ def run_method(
     lost = LostPairs(_write_broken)
     with stage as advance, kept_workers():
         for pair_set in pair_sets:
-            _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, force, advance)
+            _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, run, advance)
     started = folder.run_record().start
     write_record(folder.run_yaml, record.model_copy(update={"start": started, "end": now()}))
     return folder
@@ -111,7 +108,7 @@ def _run_pair_set(
     folder: MethodResults,
     todo: list[PairKey],
     lost: LostPairs[Unit],
-    force: Workforce,
+    run: Run,
     advance: Callable[[int], None],
 ) -> None:
     if not todo and folder.complete(pair_set.name):
@@ -124,7 +121,7 @@ def _run_pair_set(
         return units_of(dataset, pair_set, spec, journal, [key for key in todo if key not in answered])
 
     with alone_in(journal, PredictionError):
-        ask_all(_run_unit, open_units, lost, force, advance)
+        ask_all(_run_unit, open_units, lost, run, advance)
         _collect(pair_set, folder, journal)
 
 

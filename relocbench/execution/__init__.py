@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TypeVar
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Self, TypeVar
 
 from relocbench.errors import ConfigError
 from relocbench.execution.cluster import run_on_cluster
@@ -32,6 +34,7 @@ __all__ = [
     "TIME_LIMIT_S",
     "Limits",
     "Loss",
+    "Run",
     "Scheduler",
     "Step",
     "chunks",
@@ -49,6 +52,26 @@ Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 
 
+@dataclass(frozen=True)
+class Run:
+    """Where units of work run, and what one may take."""
+
+    workers: int = 1
+    """local worker processes, each of which computes with one thread"""
+    scheduler: Scheduler | None = None
+    """a Dask scheduler, whose workers take the place of local ones"""
+    limits: Limits = field(default_factory=Limits)
+    """of each call of code that is not ours (:func:`run_limited`); a scheduler's workers have limits of their own"""
+
+    def alone(self) -> Self:
+        """The same without worker processes, for work that ends before they have started."""
+        return replace(self, workers=1)
+
+    def sharing(self, writes: Path, *reads: Path | None) -> Self:
+        """The same for work that writes to one folder and reads others: a cluster's workers must see them."""
+        return self if self.scheduler is None else replace(self, scheduler=self.scheduler.sharing(writes, *reads))
+
+
 def default_workers() -> int:
     """The cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -57,41 +80,37 @@ def default_workers() -> int:
 def run_units(
     function: Callable[[Unit], Result],
     units: Sequence[Unit],
+    run: Run = Run(),
     *,
-    workers: int = 1,
-    scheduler: Scheduler | None = None,
     on_lost: Callable[[Unit], Result] | None = None,
 ) -> Iterator[tuple[int, Result]]:
     """Run ``function`` on every unit and yield (index, result) as they finish.
 
     Args:
         function: importable by name (a worker process imports it) and picklable, as are its arguments and results.
-        workers: local worker processes; 0 or 1 runs in this process. Each worker computes with one thread.
-        scheduler: a Dask scheduler; takes the place of local workers.
+        run: with no worker or one, this process does the work. Limits mean nothing here.
         on_lost: makes the result of a unit on which a worker died twice; without it that is an error.
 
     Raises:
         RelocbenchError: a worker died twice on the same unit, or no scheduler or worker is left.
         Exception: what ``function`` raises, at once; units already finished have written their output.
     """
-    if scheduler is not None:
-        yield from run_on_cluster(function, units, scheduler, on_lost)
-    elif workers <= 1 or len(units) <= 1:
+    if run.scheduler is not None:
+        yield from run_on_cluster(function, units, run.scheduler, on_lost)
+    elif run.workers <= 1 or len(units) <= 1:
         for index, unit in enumerate(units):
             with messages_to_stderr():
                 result = function(unit)
             yield index, result
     else:
-        yield from run_on_processes(function, units, workers, on_lost)
+        yield from run_on_processes(function, units, run.workers, on_lost)
 
 
 def run_limited(
     function: Callable[[Unit], Result],
     units: Iterable[Unit],
+    run: Run,
     *,
-    workers: int,
-    scheduler: Scheduler | None = None,
-    limits: Limits,
     on_loss: Callable[[Unit, Loss], Result],
 ) -> Iterator[tuple[int, Result]]:
     """As :func:`run_units`, for units that call code which is not ours: always in another process, within limits.
@@ -100,8 +119,7 @@ def run_limited(
 
     Args:
         units: taken when a worker is free for them.
-        workers: at least one process; 0 runs in this process, without limits, for a debugger.
-        scheduler: a Dask scheduler; limits are its workers' own.
+        run: with no worker this process does the work, without limits, for a debugger.
         on_loss: makes the result of a unit whose worker died or was ended.
 
     Raises:
@@ -109,18 +127,18 @@ def run_limited(
         RelocbenchError: worker processes cannot start, or no scheduler answers.
         Exception: what ``function`` raises, at once.
     """
-    if scheduler is not None:
+    if run.scheduler is not None:
         died = Loss(None, "death", "lost by two workers of the cluster", workers=2)
-        yield from run_on_cluster(function, list(units), scheduler, lambda unit: on_loss(unit, died))
-    elif workers <= 0:
+        yield from run_on_cluster(function, list(units), run.scheduler, lambda unit: on_loss(unit, died))
+    elif run.workers <= 0:
         for index, unit in enumerate(units):
             with messages_to_stderr():
                 result = function(unit)
             yield index, result
-    elif limits.memory_bytes is not None and not can_watch():
+    elif run.limits.memory_bytes is not None and not can_watch():
         raise ConfigError("--memory-limit needs /proc, which tells what processes hold; this system has none")
     else:
-        yield from run_with_limits(function, units, workers, limits, on_loss)
+        yield from run_with_limits(function, units, run.workers, run.limits, on_loss)
 
 
 def chunks(items: Iterable[Unit], size: int) -> Iterator[list[Unit]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from relocbench.execution import default_workers, run_units
+from relocbench.execution import Run, default_workers, run_units
 from relocbench.files import atomic_write, remove_parts, write_bytes, write_text
 from relocbench.leaderboard.load import load_results
 from relocbench.leaderboard.long_form import error_rows, leaderboard_rows, seed_rows
@@ -100,7 +100,7 @@ def _write_plots(board: Board, out: Path, reporter: Reporter) -> list[Path]:
             pictures.append(matching_picture(dataset, table.pair_set))
     workers = default_workers() if len(pictures) >= _MANY_PICTURES else 1
     with reporter.stage("curves", len(pictures)) as advance:
-        for index, drawing in run_units(draw, pictures, workers=workers):
+        for index, drawing in run_units(draw, pictures, Run(workers)):
             write_bytes(paths[index], drawing)
             advance(1)
     return paths

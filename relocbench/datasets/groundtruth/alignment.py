@@ -23,7 +23,7 @@ from relocbench.datasets.groundtruth.registering import nodes_every
 from relocbench.datasets.groundtruth.selection import GraphOptions
 from relocbench.datasets.groundtruth.submaps import SubmapWindow
 from relocbench.datasets.groundtruth.tracking import Remember, TrackingOptions, track
-from relocbench.datasets.importers import Run
+from relocbench.execution import Run
 from relocbench.geometry import invert
 from relocbench.progress import Reporter
 

@@ -18,10 +18,9 @@ from relocbench.datasets.groundtruth.block_making import BlockOptions, make_bloc
 from relocbench.datasets.groundtruth.blocks import Block, Nodes
 from relocbench.datasets.groundtruth.nodes import Way, way_along
 from relocbench.datasets.groundtruth.recording import FieldRecording
-from relocbench.datasets.importers import Run
 from relocbench.datasets.npy import parse_npz
 from relocbench.errors import DatasetError
-from relocbench.execution import chunks, run_units
+from relocbench.execution import Run, chunks, run_units
 from relocbench.files import atomic_write, dump_yaml, load_yaml_values, read_bytes, remove_parts, write_text
 from relocbench.progress import Reporter, Silent
 
@@ -108,7 +107,7 @@ def build_blocks(
     small = without_cameras(recording)
     units = [BlockUnit(small, way, nodes, wanted, height, options, folder) for wanted in _runs(missing)]
     with reporter.stage(f"points of {recording.name}", len(missing)) as advance:
-        for _, done in run_units(make_unit, units, workers=run.workers, scheduler=run.scheduler):
+        for _, done in run_units(make_unit, units, run):
             advance(done)
     return store
 

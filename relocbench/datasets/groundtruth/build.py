@@ -25,11 +25,10 @@ from relocbench.datasets.groundtruth.pairing import CameraFrames, Paired, Pairin
 from relocbench.datasets.groundtruth.reasons import by_kind
 from relocbench.datasets.groundtruth.recording import FieldRecording
 from relocbench.datasets.groundtruth.writing import Frames, choose_frames, rig_poses, write_traversal
-from relocbench.datasets.importers import Run
 from relocbench.datasets.pairfile import parse_pose
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.execution import run_units
+from relocbench.execution import Run, run_units
 from relocbench.progress import Reporter
 
 
@@ -141,7 +140,7 @@ def _unit(
 def _pair(units: Sequence[PairingUnit], folder: Path, reporter: Reporter, run: Run) -> list[Paired]:
     out: dict[int, Paired] = {}
     with reporter.stage("pose graphs and pairs", len(units)) as advance:
-        for index, paired in run_units(pair_up, units, workers=run.workers, scheduler=run.scheduler):
+        for index, paired in run_units(pair_up, units, run):
             unit = units[index]
             _write_graph(folder / f"{unit.reference.name}__{unit.query.name}.csv", unit, paired)
             out[index] = paired

@@ -24,9 +24,8 @@ from relocbench.datasets.groundtruth.depth import (
 )
 from relocbench.datasets.groundtruth.partners import StereoPair
 from relocbench.datasets.groundtruth.submaps import SubmapWindow
-from relocbench.datasets.importers import Run
 from relocbench.errors import ConfigError
-from relocbench.execution import chunks, run_units
+from relocbench.execution import Run, chunks, run_units
 from relocbench.geometry import Camera, invert
 from relocbench.progress import Reporter
 
@@ -125,7 +124,7 @@ def make_depth(
     units = [_Unit(view, tuple(part)) for part in chunks([t for t in tasks if t.missing or t.sampled], _IMAGES_A_UNIT)]
     samples: dict[int, list[_Sample]] = {}
     with reporter.stage(f"depth of {view.drive.name}", sum(len(unit.tasks) for unit in units)) as advance:
-        for index, found in run_units(_draw, units, workers=run.workers, scheduler=run.scheduler):
+        for index, found in run_units(_draw, units, run):
             samples[index] = found
             advance(len(units[index].tasks))
     ordered = [sample for index in sorted(samples) for sample in samples[index]]

@@ -10,8 +10,7 @@ from relocbench.datasets.groundtruth import track_files
 from relocbench.datasets.groundtruth.alignment import AlignmentOptions, Drive, FirstPose, TrackUnit, track_drive
 from relocbench.datasets.groundtruth.evidence import Registration
 from relocbench.datasets.groundtruth.journal import Journal, followed
-from relocbench.datasets.importers import Run
-from relocbench.execution import run_units
+from relocbench.execution import Run, run_units
 from relocbench.progress import Reporter
 
 
@@ -50,7 +49,7 @@ def register_drives(
         reporter.stage("registering drives", sum(steps)) as advance,
         followed([unit.journal for unit in units], steps, advance) as complete,
     ):
-        for index, (registrations, messages) in run_units(_track, units, workers=run.workers, scheduler=run.scheduler):
+        for index, (registrations, messages) in run_units(_track, units, run):
             unit = units[index]
             query = unit.drives.query
             for message in messages:

@@ -17,12 +17,11 @@ from relocbench.datasets.groundtruth.options import FieldOptions
 from relocbench.datasets.groundtruth.pairing import Paired
 from relocbench.datasets.groundtruth.partners import StereoPair, stereo_pair
 from relocbench.datasets.groundtruth.recording import CameraStream, FieldRecording
-from relocbench.datasets.importers import Run
 from relocbench.datasets.layout import DatasetLayout
 from relocbench.datasets.schema import CameraEntry, TraversalFile
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.execution import chunks, run_units
+from relocbench.execution import Run, chunks, run_units
 from relocbench.geometry import invert
 from relocbench.progress import Reporter
 
@@ -143,7 +142,7 @@ def _write_images(
         units = [
             _ImageUnit(stream, writer.layout, traversal, tuple(part)) for part in chunks(developed, _IMAGES_A_UNIT)
         ]
-        for _, done in run_units(_develop, units, workers=run.workers, scheduler=run.scheduler):
+        for _, done in run_units(_develop, units, run):
             advance(done)
 
 

@@ -7,7 +7,6 @@ read, never changed, and linked rather than copied unless asked.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from relocbench.datasets.importers.options import ImportOptions
     from relocbench.datasets.recording import RecordingFolder
     from relocbench.datasets.schema import Strict
-    from relocbench.execution import Scheduler
+    from relocbench.execution import Run
     from relocbench.progress import Reporter
 
 KINDS: dict[str, str] = {
@@ -33,14 +32,6 @@ KINDS: dict[str, str] = {
     "cross-view": "buildings of procedural towns by drone, satellite and from the street, in University-1652's layout",
 }
 """what ``relocbench build-dataset`` can read"""
-
-
-@dataclass(frozen=True)
-class Run:
-    """Where the work of an import runs."""
-
-    workers: int = 1
-    scheduler: Scheduler | None = None
 
 
 class Importer(Protocol):

@@ -8,12 +8,12 @@ from typing import Any
 
 from relocbench.datasets.correspondences import write_pair_set
 from relocbench.datasets.dataset import Traversal
-from relocbench.datasets.importers import Run
 from relocbench.datasets.importers.options import ImportOptions
 from relocbench.datasets.pairing import make_pairs, posed_frames
 from relocbench.datasets.schema import Condition
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run
 from relocbench.progress import Reporter
 
 

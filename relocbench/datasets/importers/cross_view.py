@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field, field_validator
 
-from relocbench.datasets.importers import Run
 from relocbench.datasets.schema import Strict
 from relocbench.datasets.synthetic.condition import Factors
 from relocbench.datasets.synthetic.presets import conditions_of
 from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run
 from relocbench.progress import Reporter
 
 if TYPE_CHECKING:

@@ -19,7 +19,6 @@ from pydantic import Field
 from relocbench.datasets import images
 from relocbench.datasets.correspondences import write_pair_set
 from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import Run
 from relocbench.datasets.importers.assembly import check_conditions, condition_of, configuration, write_pairs
 from relocbench.datasets.importers.four_seasons_calibration import (
     StereoCalibration,
@@ -45,7 +44,7 @@ from relocbench.datasets.importers.sources import traversal_names
 from relocbench.datasets.schema import CameraEntry, TraversalFile
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import DatasetError
-from relocbench.execution import run_units
+from relocbench.execution import Run, run_units
 from relocbench.files import fitting_name
 from relocbench.geometry import Camera, apply, invert
 from relocbench.progress import Reporter
@@ -182,7 +181,7 @@ class _Import:
         ]
         empty = 0
         with self.reporter.stage(f"keyframe points of {recording.name}", len(units)) as advance:
-            for _, count in run_units(_write_keyframe, units, workers=self.run.workers, scheduler=self.run.scheduler):
+            for _, count in run_units(_write_keyframe, units, self.run):
                 empty += count == 0
                 advance(1)
         if empty:

@@ -17,14 +17,13 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets import images
 from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import Run
 from relocbench.datasets.importers.assembly import check_conditions, configuration, write_pairs
 from relocbench.datasets.importers.options import ImportOptions
 from relocbench.datasets.importers.sources import read_trajectory, timed_files, traversal_names
 from relocbench.datasets.schema import CameraEntry, Condition, Strict, Transform, TraversalFile
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import DatasetError
-from relocbench.execution import run_units
+from relocbench.execution import Run, run_units
 from relocbench.files import check_distinct, check_name, fitting_name, load_yaml, load_yaml_values
 from relocbench.geometry import Camera, interpolate_trajectory
 from relocbench.progress import Reporter
@@ -240,7 +239,7 @@ def _write_traversal(
         if time in poses
     ]
     with reporter.stage(f"frames of {folder.name}", len(units)) as advance:
-        for _ in run_units(_write_frame, units, workers=run.workers, scheduler=run.scheduler):
+        for _ in run_units(_write_frame, units, run):
             advance(1)
 
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from relocbench.datasets.groundtruth.options import FieldOptions
-from relocbench.datasets.importers import Run
 from relocbench.datasets.importers.assembly import check_conditions, configuration
 from relocbench.datasets.importers.options import ImportOptions
 from relocbench.datasets.importers.sources import traversal_names
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import ConfigError
+from relocbench.execution import Run
 from relocbench.progress import Reporter
 
 if TYPE_CHECKING:

@@ -16,7 +16,6 @@ from pydantic import Field
 
 from relocbench.datasets import images
 from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import Run
 from relocbench.datasets.importers.assembly import (
     check_conditions,
     check_folder,
@@ -32,7 +31,7 @@ from relocbench.datasets.pairing import PosedFrames, make_pairs
 from relocbench.datasets.schema import CameraEntry, TraversalFile
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.execution import run_units
+from relocbench.execution import Run, run_units
 from relocbench.geometry import Camera, invert
 from relocbench.progress import Reporter
 
@@ -230,7 +229,7 @@ def _write_traversal(writer: DatasetWriter, plan: _Plan, options: Options, repor
             advance(1)
     units = _depth_units(writer, plan, options)
     with reporter.stage(f"depth of {name} from {plan.kind}", len(units)) as advance:
-        for _ in run_units(_compute_depth, units, workers=run.workers, scheduler=run.scheduler):
+        for _ in run_units(_compute_depth, units, run):
             advance(1)
 
 

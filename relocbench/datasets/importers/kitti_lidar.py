@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field, field_validator
 
 from relocbench.datasets.groundtruth.options import FieldOptions
-from relocbench.datasets.importers import Run
 from relocbench.datasets.importers.assembly import check_conditions, check_folder, configuration
 from relocbench.datasets.importers.options import ImportOptions
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import ConfigError
+from relocbench.execution import Run
 from relocbench.files import fitting_name
 from relocbench.progress import Reporter
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from relocbench.datasets.groundtruth.options import FieldOptions
-from relocbench.datasets.importers import Run
 from relocbench.datasets.importers.assembly import check_conditions, check_folder, configuration
 from relocbench.datasets.importers.options import ImportOptions
 from relocbench.datasets.writer import DatasetWriter
+from relocbench.execution import Run
 from relocbench.progress import Reporter
 
 if TYPE_CHECKING:

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from relocbench.datasets.importers import Run
 from relocbench.datasets.importers.options import ImportOptions
 from relocbench.datasets.synthetic.condition import Factors
 from relocbench.datasets.synthetic.presets import PRESETS, SPLITS, ExtraKind, conditions_of
 from relocbench.errors import ConfigError
+from relocbench.execution import Run
 from relocbench.progress import Reporter
 
 if TYPE_CHECKING:

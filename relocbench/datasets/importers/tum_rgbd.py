@@ -18,7 +18,6 @@ from pydantic import Field
 
 from relocbench.datasets import images
 from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import Run
 from relocbench.datasets.importers.assembly import (
     check_conditions,
     check_folder,
@@ -31,7 +30,7 @@ from relocbench.datasets.importers.sources import read_trajectory, traversal_nam
 from relocbench.datasets.schema import CameraEntry, TraversalFile
 from relocbench.datasets.writer import DatasetWriter
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.execution import run_units
+from relocbench.execution import Run, run_units
 from relocbench.files import fitting_name, parse_seconds, read_rows
 from relocbench.geometry import Camera, interpolate_trajectory
 from relocbench.progress import Reporter
@@ -188,7 +187,7 @@ def _write_traversal(
         if frame.depth and writer.needs_depth(name, CAMERA, frame.time):
             units.append(_Unit(frame.depth, target.depth(CAMERA, frame.time), camera, 1.0 / options.depth_scale))
     with reporter.stage(f"images of {name}", len(units)) as advance:
-        for _ in run_units(_convert, units, workers=run.workers, scheduler=run.scheduler):
+        for _ in run_units(_convert, units, run):
             advance(1)
 
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from relocbench.datasets.importers import Run
 from relocbench.datasets.recording import RecordedDrive, RecordingFolder
 from relocbench.datasets.synthetic.condition import NamedCondition
 from relocbench.datasets.synthetic.network import Path as Route
@@ -25,6 +24,7 @@ from relocbench.datasets.synthetic.recording_work import town_compose, town_rend
 from relocbench.datasets.synthetic.routes import RouteName, route
 from relocbench.datasets.synthetic.town import District, make_district
 from relocbench.errors import DatasetError
+from relocbench.execution import Run
 from relocbench.files import alone_writing_to, atomic_write, dump_yaml, load_yaml_values, parse_yaml, write_text
 from relocbench.progress import Reporter
 

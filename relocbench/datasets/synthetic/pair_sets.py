@@ -12,7 +12,6 @@ import pyarrow.parquet as pq
 
 from relocbench.datasets import pairfile
 from relocbench.datasets.correspondences import PairCorrespondences, write_correspondences
-from relocbench.datasets.importers import Run
 from relocbench.datasets.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.pairfile import Pair, PairKey
 from relocbench.datasets.pairing import make_pairs
@@ -20,7 +19,7 @@ from relocbench.datasets.synthetic.pairs import DistanceSpread, drawn_pairs
 from relocbench.datasets.synthetic.plan import Cameras, TraversalPlan
 from relocbench.datasets.synthetic.truth import View, exact_correspondences
 from relocbench.errors import DatasetError
-from relocbench.execution import run_units
+from relocbench.execution import Run, run_units
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
@@ -73,9 +72,9 @@ def write_pair_sets(
             splits.setdefault(reference.split, []).append(unit.name)
             if not _is_finished(unit):
                 units.append(unit)
-    workers = run.workers if sum(len(u.pairs) for u in units) >= _WORTH_WORKERS else 1
+    run = run if sum(len(u.pairs) for u in units) >= _WORTH_WORKERS else run.alone()
     with reporter.stage("pairs and their correspondences", len(units)) as advance:
-        for _ in run_units(write_set, units, workers=workers, scheduler=run.scheduler):
+        for _ in run_units(write_set, units, run):
             advance(1)
     return splits
 

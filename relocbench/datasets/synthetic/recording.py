@@ -20,7 +20,6 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from relocbench import __version__
-from relocbench.datasets.importers import Run
 from relocbench.datasets.schema import Transform
 from relocbench.datasets.synthetic import robotcar_layout
 from relocbench.datasets.synthetic.condition import Factors
@@ -32,6 +31,7 @@ from relocbench.datasets.synthetic.recording_jobs import DriveJob, carry_out
 from relocbench.datasets.synthetic.recording_work import Composer, RendererFactory, Town, town_compose, town_renderer
 from relocbench.datasets.synthetic.traffic import moving_cars
 from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run
 from relocbench.files import atomic_write, dump_yaml, read_bytes, remove_parts, write_text
 from relocbench.geometry import make_transform, transform_to_tq
 from relocbench.progress import Reporter, Silent

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from relocbench.datasets.importers import Run
 from relocbench.datasets.synthetic.condition import Factors
 from relocbench.datasets.synthetic.recorded import CarTrack, Layout, Trajectory
 from relocbench.datasets.synthetic.recording_work import (
@@ -24,7 +23,7 @@ from relocbench.datasets.synthetic.recording_work import (
     write_scans,
 )
 from relocbench.datasets.synthetic.work import duration
-from relocbench.execution import chunks, run_units
+from relocbench.execution import Run, chunks, run_units
 from relocbench.progress import Advance, Reporter
 
 _IMAGES_A_UNIT = 8
@@ -92,7 +91,7 @@ def _count(units: Sequence[Unit]) -> int:
 
 def _do(work: Work, units: Sequence[Unit], advance: Advance, run: Run) -> list[Spent]:
     spent = []
-    for _, done in run_units(work, units, workers=run.workers, scheduler=run.scheduler):
+    for _, done in run_units(work, units, run):
         spent.append(done)
         advance(done.files)
     return spent

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets import images
-from relocbench.datasets.importers import Run
 from relocbench.datasets.layout import DatasetLayout
 from relocbench.datasets.synthetic import extras, stage
 from relocbench.datasets.synthetic.condition import Factors
@@ -19,7 +18,7 @@ from relocbench.datasets.synthetic.plan import Cameras, TraversalPlan
 from relocbench.datasets.synthetic.render import Frame
 from relocbench.datasets.synthetic.stage import Place
 from relocbench.datasets.synthetic.traffic import MovingCar
-from relocbench.execution import chunks, run_units
+from relocbench.execution import Run, chunks, run_units
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
@@ -94,16 +93,16 @@ def render_all(
     steps = [(plan, missing_steps(plan, cameras, layout, seed, kinds)) for plan in plans]
     units = [_unit(plan, part) for plan, missing in steps for part in chunks(missing, _STEPS_A_UNIT)]
     total = sum(unit.images for unit in units)
-    workers = run.workers if total >= _WORTH_WORKERS else 1
+    run = run if total >= _WORTH_WORKERS else run.alone()
     with reporter.stage("rendering", total) as advance:
         if total >= _WORTH_AN_ESTIMATE:
             pilots, units = _split_pilots(units)
             spent = []
-            for _, done in run_units(render_unit, pilots, workers=workers, scheduler=run.scheduler):
+            for _, done in run_units(render_unit, pilots, run):
                 spent.append(done)
                 advance(done.images)
-            reporter.note(estimate(spent, units, workers))
-        for _, done in run_units(render_unit, units, workers=workers, scheduler=run.scheduler):
+            reporter.note(estimate(spent, units, run.workers))
+        for _, done in run_units(render_unit, units, run):
             advance(done.images)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -126,7 +126,7 @@ def _probe(
             spec,
             task,
             options.out / "answers",
-            force=options.workforce,
+            run=options.run.sharing(options.out, options.dataset),
             reporter=reporter,
         )
     if not answers:
@@ -180,7 +180,7 @@ def _tasks(
     wanted = Task(pixels, options.poses, options.per_pair, options.structured, options.directions, options.seed)
     out = []
     for spec in specs:
-        offers = offers_of(spec, options.workforce)
+        offers = offers_of(spec, options.run)
         if offers.fault:
             reporter.note(f"{spec.label} is left out: {offers.fault}")
             continue
@@ -211,8 +211,8 @@ def _draw(
     drawn: dict[int, Path] = {}
     notes: dict[str, None] = {}
     with reporter.stage("drawing features", len(pictures)) as advance:
-        force = options.workforce
-        made = run_limited(draw, pictures, workers=force.workers, limits=force.limits, on_loss=lost_picture)
+        here = replace(options.run, scheduler=None)
+        made = run_limited(draw, pictures, here, on_loss=lost_picture)
         for index, (path, note) in made:
             if path is not None:
                 drawn[index] = path
@@ -225,7 +225,7 @@ def _draw(
 
 
 def _about(dataset: Dataset, options: ProbeOptions, tasks: Sequence[tuple[MethodSpec, Task]]) -> dict[str, Any]:
-    workers = options.workforce.workers
+    workers = options.run.workers
     return {
         "dataset": dataset.name,
         "fingerprint": dataset.fingerprint,

@@ -16,7 +16,7 @@ from relocbench.datasets.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.pairfile import PairKey
 from relocbench.datasets.writer import versions
 from relocbench.errors import PredictionError, one_line
-from relocbench.evaluation.lost_pairs import LostPairs, Workforce, ask_all
+from relocbench.evaluation.lost_pairs import LostPairs, ask_all
 from relocbench.evaluation.offers import Offers
 from relocbench.evaluation.probe.pixels import probe_pixels, with_structure
 from relocbench.evaluation.probe.poses import OFFSETS, probe_poses
@@ -31,7 +31,7 @@ from relocbench.evaluation.worker import (
     traversal_of,
     units_of,
 )
-from relocbench.execution import MANY_TIMES, step
+from relocbench.execution import MANY_TIMES, Run, step
 from relocbench.files import alone_in, sha256_file
 from relocbench.methods import MethodSpec, distribution_version
 from relocbench.progress import Reporter
@@ -79,7 +79,7 @@ def ask_pairs(
     task: Task,
     folder: Path,
     *,
-    force: Workforce,
+    run: Run,
     reporter: Reporter,
 ) -> dict[tuple[str, PairKey], Answered]:
     """By pair set and pair. What ``folder`` knows of the same method, dataset and task is not asked again.
@@ -104,7 +104,7 @@ def ask_pairs(
         alone_in(root, PredictionError),
         reporter.stage(f"{spec.label} on {dataset.name}", _left(asked, journals)) as advance,
     ):
-        ask_all(_probe_unit, open_units, LostPairs(_write_broken), force, advance)
+        ask_all(_probe_unit, open_units, LostPairs(_write_broken), run, advance)
     return {
         (pair_set.name, entry["key"]): Answered(tuple(map(Tally.from_dict, entry["tallies"])), entry["message"])
         for pair_set, keys in asked

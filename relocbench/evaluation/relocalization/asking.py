@@ -13,7 +13,7 @@ from relocbench.evaluation.results import DatasetResults, MethodResults, read_an
 from relocbench.evaluation.run import Overwrite, run_method
 from relocbench.evaluation.score import read_predictions
 from relocbench.evaluation.worker import journal_entries
-from relocbench.execution import Limits, Scheduler
+from relocbench.execution import Run
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 
@@ -37,9 +37,7 @@ def track(
     results: DatasetResults,
     *,
     overwrite: Overwrite,
-    workers: int | None,
-    scheduler: Scheduler | None,
-    limits: Limits,
+    run: Run,
     seed: int,
     reporter: Reporter,
 ) -> MethodResults:
@@ -63,9 +61,7 @@ def track(
         spec,
         results,
         overwrite=overwrite,
-        workers=workers,
-        scheduler=scheduler,
-        limits=limits,
+        run=run,
         seed=seed,
         reporter=reporter,
     )

@@ -156,7 +156,7 @@ def _evaluate(
         retrievers,
         set_results(options.out, tasks.asked),
         overwrite=options.overwrite,
-        force=options.workforce,
+        run=options.run,
         seed=options.seed,
         reporter=reporter,
     )
@@ -171,9 +171,7 @@ def _evaluate(
             spec,
             results.trackers,
             overwrite=options.overwrite,
-            workers=options.workers,
-            scheduler=options.scheduler and options.scheduler.sharing(options.out, options.dataset),
-            limits=options.limits,
+            run=options.run.sharing(options.out, options.dataset),
             seed=options.seed,
             reporter=reporter,
         )

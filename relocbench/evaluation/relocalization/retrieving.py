@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from relocbench.evaluation.lost_pairs import Workforce
 from relocbench.evaluation.relocalization.chain import Retrieved
 from relocbench.evaluation.relocalization.records import ORACLE
 from relocbench.evaluation.relocalization.truth import MapTruth
@@ -19,6 +18,7 @@ from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResul
 from relocbench.evaluation.retrieval.run import run_retriever
 from relocbench.evaluation.retrieval.score import score_retriever
 from relocbench.evaluation.run import Overwrite
+from relocbench.execution import Run
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 from relocbench.retrieval import RetrievalTask
@@ -82,7 +82,7 @@ def retrieve(
     results: SetResults,
     *,
     overwrite: Overwrite,
-    force: Workforce,
+    run: Run,
     seed: int,
     reporter: Reporter,
 ) -> list[Ranked]:
@@ -112,7 +112,7 @@ def retrieve(
                 results,
                 keep=KEEP,
                 overwrite=overwrite,
-                force=force,
+                run=run,
                 seed=seed,
                 reporter=reporter,
             )

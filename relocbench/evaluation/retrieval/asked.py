@@ -12,10 +12,10 @@ from typing import Any, Protocol
 from relocbench.errors import MethodError, RelocbenchError
 from relocbench.evaluation.guard import guarded, offers
 from relocbench.evaluation.info_text import info_text
-from relocbench.evaluation.lost_pairs import Workforce, how_lost
+from relocbench.evaluation.lost_pairs import how_lost
 from relocbench.evaluation.retrieval.checked import checked_descriptors, checked_scores, rerank_top_of
 from relocbench.evaluation.worker import CONSTRUCTOR
-from relocbench.execution import MANY_TIMES, Loss, messages_to_stderr, run_limited, step
+from relocbench.execution import MANY_TIMES, Loss, Run, messages_to_stderr, run_limited, step
 from relocbench.methods import MethodSpec
 from relocbench.retrieval import (
     Descriptors,
@@ -107,8 +107,8 @@ class InWorker:
         MethodError: the retriever's constructor raises.
     """
 
-    def __init__(self, spec: MethodSpec, force: Workforce) -> None:
-        self._spec, self._force = spec, force
+    def __init__(self, spec: MethodSpec, run: Run) -> None:
+        self._spec, self._run = spec, run
         self._token = uuid.uuid4().hex
         self._fitted_by: tuple[Any, ...] = ()
         self._answered = False
@@ -163,13 +163,13 @@ class InWorker:
         return told
 
     def _send(self, request: _Request) -> Told | Loss | None:
-        done = run_limited(_serve, [request], workers=1, limits=self._force.limits, on_loss=lambda request, loss: loss)
+        done = run_limited(_serve, [request], self._run, on_loss=lambda request, loss: loss)
         return next(told for _, told in done)
 
 
-def asked_of(spec: MethodSpec, force: Workforce) -> Asked:
-    """Where the workforce says. Raises MethodError."""
-    return InThisProcess(created(spec)) if force.workers == 0 else InWorker(spec, force)
+def asked_of(spec: MethodSpec, run: Run) -> Asked:
+    """In a worker process, or with 0 workers in this one. Raises MethodError."""
+    return InThisProcess(created(spec)) if run.workers == 0 else InWorker(spec, run)
 
 
 def created(spec: MethodSpec) -> Retriever:

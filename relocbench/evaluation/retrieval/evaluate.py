@@ -11,7 +11,6 @@ from pydantic import Field, model_validator
 from relocbench.datasets.street_places import Positives
 from relocbench.errors import ConfigError
 from relocbench.evaluation.asking_options import LimitOptions
-from relocbench.evaluation.lost_pairs import Workforce
 from relocbench.evaluation.retrieval.answers import read_answers
 from relocbench.evaluation.retrieval.external import take_lists
 from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
@@ -19,7 +18,7 @@ from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord,
 from relocbench.evaluation.retrieval.run import BROKEN, run_retriever
 from relocbench.evaluation.retrieval.score import Values, score_retriever, suspicion
 from relocbench.evaluation.run import Overwrite
-from relocbench.execution import kept_workers
+from relocbench.execution import Run, kept_workers
 from relocbench.files import check_name
 from relocbench.methods import RETRIEVERS, parse_methods
 from relocbench.progress import Reporter
@@ -53,8 +52,8 @@ class RetrievalOptions(LimitOptions):
     """None: a process for the method; 0: this process, without limits"""
 
     @property
-    def workforce(self) -> Workforce:
-        return Workforce(1 if self.workers is None else self.workers, None, self.limits)
+    def run(self) -> Run:
+        return Run(1 if self.workers is None else self.workers, None, self.limits)
 
     @model_validator(mode="after")
     def _one_process(self) -> Self:
@@ -127,7 +126,7 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
                     results,
                     keep=options.keep,
                     overwrite=options.overwrite,
-                    force=options.workforce,
+                    run=options.run,
                     seed=options.seed,
                     reporter=reporter,
                 )

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from relocbench.errors import DatasetError, PredictionError
-from relocbench.evaluation.lost_pairs import Workforce
 from relocbench.evaluation.results import STATUSES, write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers, write_lists
 from relocbench.evaluation.retrieval.asked import Asked, asked_of
@@ -30,7 +29,7 @@ from relocbench.evaluation.retrieval.records import (
     write_set_record,
 )
 from relocbench.evaluation.run import Overwrite, made_by, now, refuse_mixture
-from relocbench.execution import default_workers
+from relocbench.execution import Run, default_workers
 from relocbench.files import alone_in, remove_parts
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
@@ -57,7 +56,7 @@ def run_retriever(
     *,
     keep: int | None,
     overwrite: Overwrite = "never",
-    force: Workforce | None = None,
+    run: Run = Run(),
     seed: int = 0,
     reporter: Reporter,
 ) -> RetrieverResults:
@@ -67,7 +66,7 @@ def run_retriever(
         keep: so many retrieved images of each query are kept; None for all.
         overwrite: ``never`` keeps every task there is, ``failed`` asks tasks again in which a query failed or broke,
             ``always`` starts anew.
-        force: where it is asked: a worker process, or with 0 workers this one; and its limits.
+        run: where it is asked: a worker process, or with 0 workers this one; and its limits.
 
     Raises:
         MethodError: the retriever cannot be made, or says that it cannot go on.
@@ -77,16 +76,15 @@ def run_retriever(
     folder = results.method(spec.label)
     record = _new_record(asked, spec, seed, keep)
     todo = [task for task in tasks if overwrite == "always" or _open(folder, task, overwrite)]
-    where = Workforce(1) if force is None else force
     asking = None
     if overwrite == "always":
-        asking = Asking(lambda: asked_of(spec, where), todo, seed)  # what cannot be made should not cost what is there
+        asking = Asking(lambda: asked_of(spec, run), todo, seed)  # what cannot be made should not cost what is there
         _clear(folder, tasks)
     refuse_mixture(folder, record, work_left=bool(todo))
     _refuse_other_lists(folder, record)
     if not todo:
         return folder
-    asking = asking or Asking(lambda: asked_of(spec, where), todo, seed)  # nor leave a folder
+    asking = asking or Asking(lambda: asked_of(spec, run), todo, seed)  # nor leave a folder
     folder.root.mkdir(parents=True, exist_ok=True)
     write_set_record(results, asked, tasks)
     with alone_in(folder.root, PredictionError):

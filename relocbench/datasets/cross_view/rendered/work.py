@@ -11,7 +11,6 @@ from pathlib import Path
 from relocbench.datasets import images
 from relocbench.datasets.cross_view.rendered.details import seen_from_above
 from relocbench.datasets.cross_view.rendered.plan import Photo, Views
-from relocbench.datasets.importers import Run
 from relocbench.datasets.synthetic import stage
 from relocbench.datasets.synthetic.condition import Factors
 from relocbench.datasets.synthetic.render import Renderer, Surroundings
@@ -20,7 +19,7 @@ from relocbench.datasets.synthetic.skylight import Skylight
 from relocbench.datasets.synthetic.stage import Place as Town
 from relocbench.datasets.synthetic.town import District, compose
 from relocbench.datasets.synthetic.work import duration, rate
-from relocbench.execution import chunks, run_units
+from relocbench.execution import Run, chunks, run_units
 from relocbench.progress import Reporter
 
 _MOST_A_UNIT = 96
@@ -77,14 +76,14 @@ def render_missing(
     for (_, condition), group in groupby(order, key=lambda p: (p.town, p.condition)):
         for part in chunks(list(group), _MOST_A_UNIT):
             units.append(PhotoUnit(root, views, conditions[condition], tuple(part)))
-    workers = run.workers if len(missing) >= _WORTH_WORKERS else 1
+    run = run if len(missing) >= _WORTH_WORKERS else run.alone()
     done_before: list[Spent] = []
     with reporter.stage("rendering", len(missing)) as advance:
-        for _, spent in run_units(render_unit, units, workers=workers, scheduler=run.scheduler):
+        for _, spent in run_units(render_unit, units, run):
             advance(spent.images)
             done_before.append(spent)
-            if len(done_before) == min(workers, len(units)) and len(missing) >= _WORTH_AN_ESTIMATE:
-                reporter.note(_estimate(done_before, len(missing), len(units), workers))
+            if len(done_before) == min(run.workers, len(units)) and len(missing) >= _WORTH_AN_ESTIMATE:
+                reporter.note(_estimate(done_before, len(missing), len(units), run.workers))
 
 
 def render_unit(unit: PhotoUnit) -> Spent:
