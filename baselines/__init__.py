@@ -1,5 +1,5 @@
 """Methods that relocbench measures."""
 
-from relocbench.kernel_cache import use_kernel_cache
+from relocbench.kernels import use_kernel_cache
 
 use_kernel_cache()  # before any module with a kernel is loaded

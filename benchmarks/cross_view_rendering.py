@@ -25,12 +25,12 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 
-from relocbench.datasets import images
+from relocbench.datasets.core import images
 from relocbench.datasets.cross_view.rendered import work
 from relocbench.datasets.cross_view.rendered.flight import Optics
 from relocbench.datasets.cross_view.rendered.plan import Photo, Views, choose_places, photos_of
-from relocbench.datasets.synthetic import stage
-from relocbench.datasets.synthetic.condition import condition_named
+from relocbench.datasets.synthetic.conditions.condition import condition_named
+from relocbench.datasets.synthetic.jobs import stage
 from relocbench.progress import Silent
 
 CONDITIONS = ("Sunny", "Overcast")

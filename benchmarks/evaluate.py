@@ -16,12 +16,12 @@ import tempfile
 import time
 from pathlib import Path
 
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import Pair, write_pairs
+from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers import importer
-from relocbench.datasets.pairfile import Pair, write_pairs
-from relocbench.datasets.writer import DatasetWriter
-from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
-from relocbench.evaluation.results import read_answers
+from relocbench.evaluation.common.results import read_answers
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.execution import Run, default_workers
 from relocbench.progress import Silent
 
@@ -89,7 +89,7 @@ def peak_mib(dataset: Path, method: str, out: Path) -> dict[str, float]:
     code = (
         "import resource\n"
         "from pathlib import Path\n"
-        "from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods\n"
+        "from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods\n"
         "from relocbench.progress import Silent\n"
         "if __name__ == '__main__':\n"
         f"    evaluate_methods(EvaluateOptions(dataset=Path({str(dataset)!r}), methods=({method!r},), "

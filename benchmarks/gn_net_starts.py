@@ -37,8 +37,9 @@ from baselines.alignment import FeatureAlignment, align_features
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.start import StartSettings, find_landmarks
 from baselines.gn_net.tracker import GnNet
-from relocbench.datasets.dataset import Dataset, PairSet
-from relocbench.datasets.pairfile import Pair
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import Pair
 from relocbench.geometry import rotation_angle
 
 Array = NDArray[np.float64]

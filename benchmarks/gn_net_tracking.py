@@ -32,7 +32,7 @@ import numpy as np
 
 from baselines.dso import Dso
 from baselines.gn_net.tracker import GnNet
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
 from relocbench.tracking import Query, Reference
 
 

@@ -14,16 +14,16 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.frames import chosen_images
-from relocbench.datasets.groundtruth.nodes import make_nodes
-from relocbench.datasets.groundtruth.recording import FieldRecording
-from relocbench.datasets.importers.robotcar_recording import read_robotcar_drives
-from relocbench.datasets.synthetic.condition import condition_named
-from relocbench.datasets.synthetic.recording import DriveOptions, prepare
-from relocbench.datasets.synthetic.recording_jobs import carry_out
-from relocbench.datasets.synthetic.recording_work import town_compose, town_renderer
-from relocbench.datasets.synthetic.routes import RouteName, route
-from relocbench.datasets.synthetic.town import make_district
+from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
+from relocbench.datasets.groundtruth.jobs.frames import chosen_images
+from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
+from relocbench.datasets.sensors.recording import FieldRecording
+from relocbench.datasets.synthetic.conditions.condition import condition_named
+from relocbench.datasets.synthetic.drives.routes import RouteName, route
+from relocbench.datasets.synthetic.jobs.recording import DriveOptions, prepare
+from relocbench.datasets.synthetic.jobs.recording_jobs import carry_out
+from relocbench.datasets.synthetic.jobs.recording_work import town_compose, town_renderer
+from relocbench.datasets.synthetic.town.town import make_district
 from relocbench.execution import Run
 from relocbench.files import atomic_write, write_text
 from relocbench.geometry import Camera, interpolate_trajectory, invert, make_transform, transform_from_tq

@@ -13,7 +13,7 @@ import numpy as np
 from ground_truth_drives import T_RIG_CAM, Taken
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.outcome import PairOutcome
+from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.files import atomic_write
 from relocbench.geometry import invert, rotation_angle, se3_log
 

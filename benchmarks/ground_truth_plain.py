@@ -15,13 +15,14 @@ import numpy as np
 from ground_truth_work import Spent, timed
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.alignment import AlignmentOptions, Drive
-from relocbench.datasets.groundtruth.block_making import BlockOptions
-from relocbench.datasets.groundtruth.deskewing import BeamReader
-from relocbench.datasets.groundtruth.global_registration import describe, guesses
-from relocbench.datasets.groundtruth.nodes import way_along
-from relocbench.datasets.groundtruth.prepared import Prepared
-from relocbench.datasets.groundtruth.refinement import refine
+from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions
+from relocbench.datasets.groundtruth.blocks.deskewing import BeamReader
+from relocbench.datasets.groundtruth.blocks.making import BlockOptions
+from relocbench.datasets.groundtruth.blocks.nodes import way_along
+from relocbench.datasets.groundtruth.icp.icp import refine
+from relocbench.datasets.groundtruth.registration.global_registration import describe, guesses
+from relocbench.datasets.groundtruth.submaps.drive import Drive
+from relocbench.datasets.groundtruth.submaps.prepared import Prepared
 
 Array = NDArray[np.float64]
 

@@ -32,8 +32,8 @@ from ground_truth_work import (
 from ground_truth_world import OPTIONS, DrivePair, World, apart, judge, rounded, say
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.alignment import FirstPose, TrackUnit
-from relocbench.datasets.groundtruth.outcome import PairOutcome
+from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose, TrackUnit
+from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.geometry import invert, make_transform, so3_exp
 
 Array = NDArray[np.float64]

@@ -14,23 +14,17 @@ import numpy as np
 from ground_truth_drives import T_RIG_CAM
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth import track_files
-from relocbench.datasets.groundtruth.alignment import (
-    AlignmentOptions,
-    Drive,
-    FirstPose,
-    TrackUnit,
-    make_drive,
-    track_drive,
-)
-from relocbench.datasets.groundtruth.block_store import BlockStore
-from relocbench.datasets.groundtruth.blocks import Block, Nodes
-from relocbench.datasets.groundtruth.evidence import Registration
-from relocbench.datasets.groundtruth.graph import optimise
-from relocbench.datasets.groundtruth.outcome import OutcomeLimits, Outcomes, PairOutcome
-from relocbench.datasets.groundtruth.pairing import CameraFrames, PairingUnit, pair_up
-from relocbench.datasets.groundtruth.recording import FieldRecording
-from relocbench.datasets.groundtruth.verification import Thresholds
+from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, FirstPose, TrackUnit, track_drive
+from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes
+from relocbench.datasets.groundtruth.blocks.store import BlockStore
+from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome
+from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, PairingUnit, pair_up
+from relocbench.datasets.groundtruth.pose_graph.graph import optimise
+from relocbench.datasets.groundtruth.registration import files as track_files
+from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
+from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.datasets.groundtruth.verification.verification import Thresholds
+from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.execution import Run
 from relocbench.files import write_text
 from relocbench.geometry import invert
@@ -90,7 +84,9 @@ def cut(unit: CutUnit) -> tuple[Drive, Spent]:
     before = _kept(path)
     if before is None and unit.folder.exists():
         shutil.rmtree(unit.folder)
-    drive, spent = timed(lambda: make_drive(unit.recording, unit.folder, unit.options, Silent(), Run(1)))
+    drive, spent = timed(
+        lambda: make_drive(unit.recording, unit.folder, unit.options.block_m, unit.options.blocks, Silent(), Run(1))
+    )
     return drive, before or _keep(path, spent)
 
 

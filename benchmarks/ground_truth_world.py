@@ -13,10 +13,11 @@ from ground_truth_judging import Exact, Judged
 from ground_truth_work import CutUnit, DecideUnit, RegisterUnit, Spent, cut, unverified
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.alignment import Drive, TrackUnit
-from relocbench.datasets.groundtruth.evidence import Registration
-from relocbench.datasets.groundtruth.options import FieldOptions
-from relocbench.datasets.groundtruth.outcome import PairOutcome
+from relocbench.datasets.groundtruth.alignment.two_drives import TrackUnit
+from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
+from relocbench.datasets.groundtruth.submaps.drive import Drive
+from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.execution import Run, run_units
 from relocbench.geometry import invert, rotation_angle
 

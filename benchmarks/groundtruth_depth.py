@@ -26,18 +26,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.block_store import build_blocks
-from relocbench.datasets.groundtruth.depth import DepthImage, DepthOptions, fit_sigma, submap_depth
-from relocbench.datasets.groundtruth.nodes import make_nodes
-from relocbench.datasets.groundtruth.submaps import SubmapWindow
-from relocbench.datasets.importers.robotcar_recording import read_robotcar
-from relocbench.datasets.synthetic.condition import condition_named
-from relocbench.datasets.synthetic.drive import DriveStyle
-from relocbench.datasets.synthetic.mesh import Semantic
-from relocbench.datasets.synthetic.recording import path_length, record
-from relocbench.datasets.synthetic.render import Frame, Renderer
-from relocbench.datasets.synthetic.robotcar_layout import T_RIG_VEHICLE
-from relocbench.datasets.synthetic.town import District, compose, make_district
+from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
+from relocbench.datasets.groundtruth.blocks.store import build_blocks
+from relocbench.datasets.groundtruth.depth.depth import DepthImage, DepthOptions, fit_sigma, submap_depth
+from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
+from relocbench.datasets.importers.robotcar.recording import read_robotcar
+from relocbench.datasets.synthetic.conditions.condition import condition_named
+from relocbench.datasets.synthetic.drives.drive import DriveStyle
+from relocbench.datasets.synthetic.jobs.recording import path_length, record
+from relocbench.datasets.synthetic.layouts.robotcar import T_RIG_VEHICLE
+from relocbench.datasets.synthetic.renderer.render import Frame, Renderer
+from relocbench.datasets.synthetic.town.mesh import Semantic
+from relocbench.datasets.synthetic.town.town import District, compose, make_district
 from relocbench.execution import Run
 from relocbench.geometry import Camera, interpolate_trajectory, invert, make_transform, transform_from_tq
 

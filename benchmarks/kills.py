@@ -25,7 +25,7 @@ from kitti_wall import write_kitti_recording
 from made_pairs import TINY
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 
-from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.progress import Silent
 
 SETTINGS = {**TINY, "steps": 10, "validate_every": 5, "checkpoint_every": 2, "log_every": 1}

@@ -28,10 +28,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from relocbench.datasets.pairfile import Pair, PoseLine, write_pose_lines
-from relocbench.datasets.schema import CameraEntry, TraversalFile
-from relocbench.datasets.writer import DatasetWriter
-from relocbench.evaluation.results import (
+from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
+from relocbench.datasets.core.schema import CameraEntry, TraversalFile
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.evaluation.common.results import (
     Answer,
     DatasetRecord,
     MethodResults,
@@ -43,7 +43,7 @@ from relocbench.evaluation.results import (
     write_errors,
     write_record,
 )
-from relocbench.evaluation.score import groups_of, predictions_hash, summarize_rows
+from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows
 from relocbench.geometry import Camera, make_transform, so3_exp
 
 Array = NDArray[np.float64]

@@ -23,8 +23,8 @@ from pathlib import Path
 
 import numpy as np
 
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.images import read_image
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.images import read_image
 
 SETTINGS: dict[str, dict[str, str]] = {
     "plain": {},

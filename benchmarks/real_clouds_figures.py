@@ -26,7 +26,7 @@ from real_clouds_methods import (
 )
 from real_clouds_scans import Pair, Scans
 
-from relocbench.datasets.importers.kitti_recording import REAL_ELEVATION_DEG
+from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG
 from relocbench.geometry import invert
 
 Array = NDArray[np.float64]

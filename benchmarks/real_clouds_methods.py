@@ -13,13 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 from real_clouds_scans import Pair, Scans
 
-from relocbench.datasets.groundtruth.edges import Edges, Kind
-from relocbench.datasets.groundtruth.global_registration import Features, GlobalOptions, Prior, describe, guesses
-from relocbench.datasets.groundtruth.hypotheses import plausibility
-from relocbench.datasets.groundtruth.least_squares import solve
-from relocbench.datasets.groundtruth.prepared import Prepared
-from relocbench.datasets.groundtruth.refinement import RefinementOptions, assess, refine
-from relocbench.datasets.groundtruth.verification import gather_evidence
+from relocbench.datasets.groundtruth.icp.icp import RefinementOptions, assess, refine
+from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
+from relocbench.datasets.groundtruth.pose_graph.least_squares import solve
+from relocbench.datasets.groundtruth.registration.global_registration import (
+    Features,
+    GlobalOptions,
+    Prior,
+    describe,
+    guesses,
+)
+from relocbench.datasets.groundtruth.registration.hypotheses import plausibility
+from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.verification.verification import gather_evidence
 from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp
 
 Array = NDArray[np.float64]

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relocbench.datasets.groundtruth.blocks import Surface
-from relocbench.datasets.groundtruth.prepared import Prepared
-from relocbench.datasets.groundtruth.submaps import Submap
-from relocbench.datasets.importers.kitti_recording import REAL_ELEVATION_DEG, raised
+from relocbench.datasets.groundtruth.blocks.blocks import Surface
+from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.submaps import Submap
+from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG, raised
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, invert, transform_from_tq
 

@@ -44,20 +44,21 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from relocbench.datasets.dataset import Dataset, Traversal
-from relocbench.datasets.layout import pair_set_name
-from relocbench.datasets.pairfile import Pair
-from relocbench.datasets.pairing import PosedFrames, posed_frames, relative_pose
-from relocbench.datasets.synthetic.condition import CONDITIONS, Factors, condition_named
-from relocbench.datasets.synthetic.drive import DriveStyle
-from relocbench.datasets.synthetic.plan import TraversalPlan, make_plans
-from relocbench.datasets.synthetic.presets import conditions_of
-from relocbench.datasets.synthetic.rig import rig_named
-from relocbench.datasets.synthetic.work import render_all
-from relocbench.datasets.visibility import warp
-from relocbench.datasets.writer import DatasetWriter
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.layout import pair_set_name
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.core.traversal import Traversal
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.pairs.pairing import PosedFrames, posed_frames, relative_pose
+from relocbench.datasets.pairs.visibility import warp
+from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors, condition_named
+from relocbench.datasets.synthetic.conditions.presets import conditions_of
+from relocbench.datasets.synthetic.drives.drive import DriveStyle
+from relocbench.datasets.synthetic.drives.rig import rig_named
+from relocbench.datasets.synthetic.jobs.plan import TraversalPlan, make_plans
+from relocbench.datasets.synthetic.jobs.rendering import render_all
 from relocbench.errors import ConfigError
-from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.execution import Run, default_workers
 from relocbench.geometry import Camera, invert, rotation_angle
 from relocbench.progress import Silent

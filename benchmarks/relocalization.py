@@ -29,7 +29,7 @@ import numpy as np
 
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
 from relocbench.evaluation.relocalization.score import FAILURES, RANKING, per_query
-from relocbench.leaderboard.relocalization import Chain, ChainBoard, load_chains
+from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, load_chains
 from relocbench.metrics import Difference, paired_difference
 
 CONDITIONS = ("WetNoon", "SoftRainNoon", "Overcast", "Night")

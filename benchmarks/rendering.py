@@ -45,15 +45,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.synthetic import samples as sampling
-from relocbench.datasets.synthetic import shadows, stage
-from relocbench.datasets.synthetic.condition import Factors
-from relocbench.datasets.synthetic.presets import previewed
-from relocbench.datasets.synthetic.response import exposure_gain, tone_curve
-from relocbench.datasets.synthetic.rig import rig_named
-from relocbench.datasets.synthetic.stage import Place
-from relocbench.datasets.synthetic.town import compose
-from relocbench.datasets.synthetic.work import FrameWork, RenderUnit, StepWork, render_unit
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.conditions.presets import previewed
+from relocbench.datasets.synthetic.drives.rig import rig_named
+from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, render_unit
+from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.renderer import samples as sampling
+from relocbench.datasets.synthetic.renderer import shadows
+from relocbench.datasets.synthetic.renderer.response import exposure_gain, tone_curve
+from relocbench.datasets.synthetic.town.town import compose
 from relocbench.execution.calling import pin_threads
 from relocbench.geometry import Camera
 

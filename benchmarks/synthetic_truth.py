@@ -24,24 +24,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from relocbench.datasets.correspondences import read_correspondences
-from relocbench.datasets.dataset import Dataset, PairSet
-from relocbench.datasets.images import DEPTH_SCALE
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.images import DEPTH_SCALE
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.importers import importer
-from relocbench.datasets.pairfile import Pair
-from relocbench.datasets.synthetic import stage
-from relocbench.datasets.synthetic.condition import CONDITIONS, Factors
-from relocbench.datasets.synthetic.drive import DriveStyle
-from relocbench.datasets.synthetic.mesh import Mesh, Semantic
-from relocbench.datasets.synthetic.plan import TraversalPlan, make_plans
-from relocbench.datasets.synthetic.presets import conditions_of
-from relocbench.datasets.synthetic.stage import Place
-from relocbench.datasets.synthetic.town import compose
+from relocbench.datasets.pairs.correspondences import read_correspondences
+from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors
+from relocbench.datasets.synthetic.conditions.presets import conditions_of
+from relocbench.datasets.synthetic.drives.drive import DriveStyle
+from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs.plan import TraversalPlan, make_plans
+from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
+from relocbench.datasets.synthetic.town.town import compose
 from relocbench.execution import Run, default_workers
 from relocbench.geometry import Camera, apply, invert
+from relocbench.kernels import njit
 from relocbench.progress import Silent
 
 Array = NDArray[np.float64]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+USER_ERROR = 2
+"""exit status of a command that was given what the user can mend"""
 MOST_QUOTED = 200
 """characters of foreign text in a message"""
 MOST_MESSAGE = 2000

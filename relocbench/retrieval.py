@@ -18,7 +18,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.metrics.retrieval_relevance import Relevance
+from relocbench.metrics.retrieval.relevance import Relevance
 
 Image = NDArray[np.uint8]
 Descriptors = NDArray[np.floating]

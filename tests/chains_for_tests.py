@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from small_dataset import ACROSS, CAMERA, START_NS, STEP_NS, small_pose
 
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
 from relocbench.geometry import invert
 from relocbench.tracking import Query, Reference, TrackResult
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from small_street import Street, quads, street_mesh
 
-from relocbench.datasets.synthetic.condition import Factors
-from relocbench.datasets.synthetic.mesh import Material, Mesh, merge
-from relocbench.datasets.synthetic.recorded import MovingCar
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.layouts.recorded import MovingCar
+from relocbench.datasets.synthetic.town.mesh import Material, Mesh, merge
 
 
 def fenced_street_mesh(street: Street, factors: Factors, moving: Sequence[MovingCar]) -> Mesh:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets import images
+from relocbench.datasets.core import images
 
 WIDTH, HEIGHT, FOCAL, BASELINE = 160, 96, 100.0, 0.5
 CALIBRATION = (

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.recording import FieldRecording, Scan, Trajectory
-from relocbench.datasets.schema import Condition
+from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajectory
 from relocbench.geometry import make_transform, so3_exp
 
 Array = NDArray[np.float64]

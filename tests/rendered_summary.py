@@ -12,12 +12,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from relocbench.datasets.pairfile import truth_fields
-from relocbench.datasets.synthetic import stage
-from relocbench.datasets.synthetic.drive import DriveStyle
-from relocbench.datasets.synthetic.plan import make_plans
-from relocbench.datasets.synthetic.presets import conditions_of
-from relocbench.datasets.synthetic.revision import RENDERER_REVISION
+from relocbench.datasets.core.pairfile import truth_fields
+from relocbench.datasets.synthetic.conditions.presets import conditions_of
+from relocbench.datasets.synthetic.drives.drive import DriveStyle
+from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs.plan import make_plans
+from relocbench.datasets.synthetic.renderer.revision import RENDERER_REVISION
 from relocbench.geometry import Camera, make_transform, so3_exp
 from relocbench.progress import Silent
 

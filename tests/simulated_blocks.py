@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from simulated_graph import NO_EVIDENCE, Drive
 
-from relocbench.datasets.groundtruth.evidence import Registration
-from relocbench.datasets.groundtruth.local_edges import LocalFit
+from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalFit
+from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.geometry import adjoint, apply, invert, se3_exp
 
 Array = NDArray[np.float64]

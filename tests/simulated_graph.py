@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.blocks import Nodes
-from relocbench.datasets.groundtruth.evidence import Evidence, Registration
-from relocbench.datasets.synthetic.odometry import OdometryErrors, visual_odometry
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
+from relocbench.datasets.synthetic.drives.odometry import OdometryErrors, visual_odometry
 from relocbench.geometry import invert, make_transform, se3_exp, se3_log, so3_exp
 
 Array = NDArray[np.float64]

@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.correspondences import write_pair_set
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.pairfile import Pair
-from relocbench.datasets.schema import CameraEntry, Condition, TraversalFile
-from relocbench.datasets.writer import DatasetWriter
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.core.schema import CameraEntry, Condition, TraversalFile
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.pairs.correspondences import write_pair_set
 from relocbench.execution import Run
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
 from relocbench.progress import Silent

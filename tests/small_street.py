@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.synthetic.cars import cars
-from relocbench.datasets.synthetic.condition import Factors
-from relocbench.datasets.synthetic.lidar import LidarScene
-from relocbench.datasets.synthetic.mesh import Material, Mesh, Semantic, merge
-from relocbench.datasets.synthetic.recorded import MovingCar
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.layouts.recorded import MovingCar
+from relocbench.datasets.synthetic.lidar.lidar import LidarScene
+from relocbench.datasets.synthetic.town.cars import cars
+from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
 from relocbench.geometry import Camera
 
 Array = NDArray[np.float64]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.blocks import Nodes, Surface
-from relocbench.datasets.groundtruth.submaps import Submap
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes, Surface
+from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.geometry import apply, invert, make_transform, so3_exp
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ import pytest
 from command_line import relocbench
 from small_dataset import ACROSS, make_small_dataset
 
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers import KINDS
 
 HEAVY = ("torch", "open3d", "matplotlib", "pandas", "cv2", "numba", "scipy", "pydantic", "numpy")
@@ -133,7 +133,7 @@ def test_a_bug_is_a_traceback(dataset: Dataset, monkeypatch: pytest.MonkeyPatch)
     def broken(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("relocbench.evaluation.evaluate.evaluate_methods", broken)
+    monkeypatch.setattr("relocbench.evaluation.tracking.evaluate.evaluate_methods", broken)
     with pytest.raises(ZeroDivisionError):
         relocbench("evaluate", "-d", dataset.root, "-m", "identity")
 
@@ -142,7 +142,7 @@ def test_an_interrupted_command_says_that_it_goes_on(dataset: Dataset, monkeypat
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("relocbench.evaluation.evaluate.evaluate_methods", interrupted)
+    monkeypatch.setattr("relocbench.evaluation.tracking.evaluate.evaluate_methods", interrupted)
     outcome = relocbench("evaluate", "-d", dataset.root, "-m", "identity")
     assert outcome.status == 130
     assert "the same command goes on where it stopped" in outcome.err
@@ -152,7 +152,7 @@ def test_a_full_disk_is_one_line(dataset: Dataset, monkeypatch: pytest.MonkeyPat
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("relocbench.evaluation.evaluate.evaluate_methods", full)
+    monkeypatch.setattr("relocbench.evaluation.tracking.evaluate.evaluate_methods", full)
     outcome = relocbench("evaluate", "-d", dataset.root, "-m", "identity")
     assert (outcome.status, outcome.complaint) == (2, "relocbench: No space left on device")
 

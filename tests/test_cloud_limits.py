@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relocbench.datasets.groundtruth.block_store import read_block
-from relocbench.datasets.importers.generic_scans import GenericLidar, GenericLidarStream
-from relocbench.datasets.importers.lzf import decompress
-from relocbench.datasets.importers.point_clouds import read_point_cloud
-from relocbench.datasets.importers.velodyne import read_scan
-from relocbench.datasets.npy import parse_npz
+from relocbench.datasets.core.npy import parse_npz
+from relocbench.datasets.groundtruth.blocks.store import read_block
+from relocbench.datasets.importers.generic.scans import GenericLidar, GenericLidarStream
+from relocbench.datasets.sensors.lzf import decompress
+from relocbench.datasets.sensors.point_clouds import read_point_cloud
+from relocbench.datasets.sensors.velodyne import read_scan
 from relocbench.errors import DatasetError
 
 XYZ = "property float x\nproperty float y\nproperty float z\n"

@@ -16,7 +16,7 @@ from kitti_wall import write_kitti_recording
 from small_dataset import ACROSS, make_small_dataset
 from units_of_work import die_once, square, user_error
 
-from relocbench.datasets.pairfile import read_pose_lines
+from relocbench.datasets.core.pairfile import read_pose_lines
 from relocbench.errors import ConfigError, DatasetError, RelocbenchError
 from relocbench.execution import Run, Scheduler, cluster, run_units, scheduler
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from relocbench.datasets.correspondences import (
+from relocbench.datasets.pairs.correspondences import (
     PairCorrespondences,
     pair_correspondences,
     read_correspondences,
@@ -18,7 +18,7 @@ from relocbench.datasets.correspondences import (
     warp,
     write_correspondences,
 )
-from relocbench.datasets.visibility import CHECKS, DepthView, ReferencePoints, reference_z_buffer, see
+from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, reference_z_buffer, see
 from relocbench.errors import DatasetError
 from relocbench.geometry import Camera, invert, make_transform, se3_exp
 from relocbench.tracking import KeyframePoints, Reference

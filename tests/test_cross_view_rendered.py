@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from command_line import relocbench
 
+from relocbench.datasets.core.images import read_image
 from relocbench.datasets.cross_view import CrossViewSet, open_cross_view
 from relocbench.datasets.cross_view.rendered import flight
 from relocbench.datasets.cross_view.rendered.flight import Optics
 from relocbench.datasets.cross_view.rendered.places import Building, buildings, spread
 from relocbench.datasets.cross_view.rendered.plan import Views, choose_places, photos_of
 from relocbench.datasets.cross_view.rendered.work import PhotoUnit, render_unit, seen_by
-from relocbench.datasets.images import read_image
-from relocbench.datasets.importers import cross_view
-from relocbench.datasets.synthetic import stage
-from relocbench.datasets.synthetic.condition import condition_named
-from relocbench.datasets.synthetic.network import StreetNetwork
+from relocbench.datasets.importers.rendered import cross_view
+from relocbench.datasets.synthetic.conditions.condition import condition_named
+from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.town.network import StreetNetwork
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import apply, invert, is_rotation, transform_from_tq

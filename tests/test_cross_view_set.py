@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
+from relocbench.datasets.core.images import write_image
 from relocbench.datasets.cross_view import CrossViewSet, is_cross_view, open_cross_view
-from relocbench.datasets.images import write_image
 from relocbench.errors import DatasetError
 from relocbench.metrics import NEVER, rank_descriptors, score_retrieval
 

@@ -10,7 +10,7 @@ from statistics import median
 import pytest
 from command_line import relocbench
 
-from relocbench.evaluation.results import PairErrors, all_results, read_errors
+from relocbench.evaluation.common.results import PairErrors, all_results, read_errors
 
 pytestmark = pytest.mark.slow
 METHODS = ("-m", "identity", "-m", "orb-pnp", "-m", "dso")

@@ -15,11 +15,11 @@ from command_line import relocbench
 from killing import Fault, run_until_killed
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.pairfile import PoseLine, read_pose_lines, write_pose_lines
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import PoseLine, read_pose_lines, write_pose_lines
 from relocbench.errors import DatasetError, MethodError, PredictionError
-from relocbench.evaluation.evaluate import EvaluateOptions, Report, evaluate_methods
-from relocbench.evaluation.results import DatasetResults, read_answers, read_errors
+from relocbench.evaluation.common.results import DatasetResults, read_answers, read_errors
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.files import alone_in, read_journal
 from relocbench.progress import Silent
 

@@ -11,13 +11,14 @@ from evo.tools import file_interface
 from numpy.typing import NDArray
 from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset
 
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.pairfile import Pair, PoseLine, read_pose_lines, write_pose_lines
-from relocbench.datasets.schema import CameraEntry, TraversalFile
-from relocbench.datasets.writer import DatasetWriter
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import Pair, PoseLine, read_pose_lines, write_pose_lines
+from relocbench.datasets.core.schema import CameraEntry, TraversalFile
+from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.errors import PredictionError
-from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
-from relocbench.evaluation.exports import (
+from relocbench.evaluation.common.results import DatasetResults
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
+from relocbench.evaluation.tracking.exports import (
     colmap_camera,
     export_colmap,
     export_kitti,
@@ -27,7 +28,6 @@ from relocbench.evaluation.exports import (
     query_poses,
     truth_lines,
 )
-from relocbench.evaluation.results import DatasetResults
 from relocbench.geometry import Camera, invert, make_transform, rotation_angle, so3_exp
 from relocbench.progress import Silent
 

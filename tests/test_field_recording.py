@@ -14,16 +14,16 @@ import yaml
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relocbench.datasets import images
-from relocbench.datasets.groundtruth.plane_map import plane_normals
-from relocbench.datasets.groundtruth.recording import FieldRecording, LidarStream, Trajectory
-from relocbench.datasets.importers.robotcar_recording import read_robotcar, read_robotcar_drives
-from relocbench.datasets.schema import Transform
-from relocbench.datasets.synthetic import robotcar_layout
-from relocbench.datasets.synthetic.condition import condition_named
-from relocbench.datasets.synthetic.network import Path as Road
-from relocbench.datasets.synthetic.recording import path_length, record
-from relocbench.datasets.synthetic.town import make_district
+from relocbench.datasets.core import images
+from relocbench.datasets.core.schema import Transform
+from relocbench.datasets.groundtruth.odometry.plane_map import plane_normals
+from relocbench.datasets.importers.robotcar.recording import read_robotcar, read_robotcar_drives
+from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
+from relocbench.datasets.synthetic.conditions.condition import condition_named
+from relocbench.datasets.synthetic.jobs.recording import path_length, record
+from relocbench.datasets.synthetic.layouts import robotcar as robotcar_layout
+from relocbench.datasets.synthetic.town.network import Path as Road
+from relocbench.datasets.synthetic.town.town import make_district
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import (
     apply,

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from relocbench.datasets.schema import Condition, Strict
+from relocbench.datasets.core.schema import Condition, Strict
 from relocbench.errors import DatasetError, RelocbenchError
 from relocbench.files import (
     atomic_write,

@@ -12,7 +12,7 @@ from made_places import made_places
 
 from baselines.floors import ColourHistogram, OrbBagOfWords, RandomOrder
 from relocbench.errors import MethodError
-from relocbench.evaluation.place_trial import PlaceTrial
+from relocbench.evaluation.retrieval.trial import PlaceTrial
 from relocbench.retrieval import FittingRetriever, ImageView, PlaceData, PlaceImage, Retriever
 
 VIEWS = ("drone", "satellite")

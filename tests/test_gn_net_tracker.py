@@ -14,7 +14,7 @@ from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
 from baselines.gn_net.tracker import GnNet, GnNetContrastive, LmNet
 from baselines.gn_net.weights import save_weights
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import MethodError
 from relocbench.geometry import make_transform, rotation_angle, so3_exp
 from relocbench.methods import parse_method

@@ -9,11 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from relocbench.datasets.groundtruth.block_fits import meet
-from relocbench.datasets.groundtruth.blocks import Surface
-from relocbench.datasets.groundtruth.edge_information import distorted, held, minimum, sandwich, scatter_by_patch
-from relocbench.datasets.groundtruth.planes import PlaneMap, PlaneOptions
-from relocbench.datasets.groundtruth.submaps import Submap
+from relocbench.datasets.groundtruth.blocks.blocks import Surface
+from relocbench.datasets.groundtruth.pose_graph.block_fits import meet
+from relocbench.datasets.groundtruth.pose_graph.edge_information import (
+    distorted,
+    held,
+    minimum,
+    sandwich,
+    scatter_by_patch,
+)
+from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions
+from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.geometry import se3_exp
 
 OPTIONS = PlaneOptions(thinning_m=(0.0,), reach_m=(0.3,), samples=(4000,), near_m=(1e9,))

@@ -11,28 +11,28 @@ import open3d as o3d
 import pytest
 from numpy.typing import NDArray
 
-from relocbench.datasets import images
-from relocbench.datasets.correspondences import (
-    PairCorrespondences,
-    pair_correspondences,
-    read_correspondences,
-    write_correspondences,
-)
-from relocbench.datasets.groundtruth.crosscheck import (
+from relocbench.datasets.core import images
+from relocbench.datasets.groundtruth.blocks.surfaces import SurfaceOptions, fit_normals, towards
+from relocbench.datasets.groundtruth.depth.depth import DepthImage, DepthNoise, DepthOptions, fit_sigma, submap_depth
+from relocbench.datasets.groundtruth.depth.stereo_check import (
     cross_check,
     depth_by_stereo,
     rectified,
     without_contradicted,
 )
-from relocbench.datasets.groundtruth.depth import DepthImage, DepthNoise, DepthOptions, fit_sigma, submap_depth
-from relocbench.datasets.groundtruth.submaps import Submap
-from relocbench.datasets.groundtruth.surfaces import SurfaceOptions, fit_normals, towards
-from relocbench.datasets.groundtruth.surfels import SECTORS, SurfelOptions, make_surfels
-from relocbench.datasets.groundtruth.thinning import thin
-from relocbench.datasets.importers.kitti_files import Calibration
-from relocbench.datasets.importers.velodyne import read_scan
-from relocbench.datasets.pixel_sigma import pixel_sigma
-from relocbench.datasets.visibility import DepthView, ReferencePoints, warp
+from relocbench.datasets.groundtruth.depth.surfels import SECTORS, SurfelOptions, make_surfels
+from relocbench.datasets.groundtruth.submaps.submaps import Submap
+from relocbench.datasets.groundtruth.voxels.thinning import thin
+from relocbench.datasets.importers.kitti.files import Calibration
+from relocbench.datasets.pairs.correspondences import (
+    PairCorrespondences,
+    pair_correspondences,
+    read_correspondences,
+    write_correspondences,
+)
+from relocbench.datasets.pairs.pixel_sigma import pixel_sigma
+from relocbench.datasets.pairs.visibility import DepthView, ReferencePoints, warp
+from relocbench.datasets.sensors.velodyne import read_scan
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera, apply, invert, make_transform, se3_exp
 from relocbench.tracking import Reference

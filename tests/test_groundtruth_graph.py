@@ -20,17 +20,17 @@ from simulated_graph import (
     true_error,
 )
 
-from relocbench.datasets.groundtruth.blocks import Nodes
-from relocbench.datasets.groundtruth.consensus import RunOptions
-from relocbench.datasets.groundtruth.evidence import Registration
-from relocbench.datasets.groundtruth.graph import Solution, optimise
-from relocbench.datasets.groundtruth.local_edges import LocalOptions, meeting, refine_locally
-from relocbench.datasets.groundtruth.odometry_noise import OdometryNoise, estimate
-from relocbench.datasets.groundtruth.odometry_scale import scales_of
-from relocbench.datasets.groundtruth.outcome import Outcomes
-from relocbench.datasets.groundtruth.recording import Trajectory
-from relocbench.datasets.groundtruth.selection import GraphOptions
-from relocbench.datasets.synthetic.odometry import OdometryErrors
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.pairs.outcome import Outcomes
+from relocbench.datasets.groundtruth.pose_graph.consensus import RunOptions
+from relocbench.datasets.groundtruth.pose_graph.graph import Solution, optimise
+from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalOptions, meeting, refine_locally
+from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise, estimate
+from relocbench.datasets.groundtruth.pose_graph.odometry_scale import scales_of
+from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions
+from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.datasets.sensors.recording import Trajectory
+from relocbench.datasets.synthetic.drives.odometry import OdometryErrors
 from relocbench.errors import ConfigError
 from relocbench.geometry import adjoint, invert, make_transform, se3_exp, se3_log, so3_exp
 
@@ -387,5 +387,5 @@ def test_refused_pairs_say_why() -> None:
 
 
 def test_the_solver_is_loaded_when_it_is_needed() -> None:
-    modules = "relocbench.datasets.groundtruth.outcome, relocbench.datasets.groundtruth.local_edges"
+    modules = "relocbench.datasets.groundtruth.pairs.outcome, relocbench.datasets.groundtruth.pose_graph.local_edges"
     subprocess.run([sys.executable, "-c", f"import sys, {modules}\nassert 'gtsam' not in sys.modules"], check=True)

@@ -16,19 +16,19 @@ from small_dataset import ACROSS, START_NS, STEP_NS, make_small_dataset
 from typer.testing import CliRunner
 
 from relocbench.cli.app import app
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.groundtruth.block_store import BlockStore, write_block
-from relocbench.datasets.groundtruth.blocks import Block, Nodes, Surface
-from relocbench.datasets.groundtruth.evidence import Registration
-from relocbench.datasets.groundtruth.graph_files import PlacedDrive, read_graph, write_graph
-from relocbench.datasets.groundtruth.inspected import chosen_spots, inspected_sets, relative_pose
-from relocbench.datasets.groundtruth.overlay_picture import Cloud, detail_places
-from relocbench.datasets.groundtruth.pictures import write_ground_truth
-from relocbench.datasets.groundtruth.reasons import by_kind, common
-from relocbench.datasets.groundtruth.residual_picture import measure_residuals
-from relocbench.datasets.groundtruth.track_files import write_registrations
-from relocbench.datasets.images import read_image
-from relocbench.datasets.pairfile import Pair
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.images import read_image
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes, Surface
+from relocbench.datasets.groundtruth.blocks.store import BlockStore, write_block
+from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common
+from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive, read_graph, write_graph
+from relocbench.datasets.groundtruth.registration.files import write_registrations
+from relocbench.datasets.groundtruth.report.inspected import chosen_spots, inspected_sets, relative_pose
+from relocbench.datasets.groundtruth.report.overlay_picture import Cloud, detail_places
+from relocbench.datasets.groundtruth.report.pictures import write_ground_truth
+from relocbench.datasets.groundtruth.report.residual_picture import measure_residuals
+from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert, make_transform, se3_exp
 from relocbench.progress import Silent

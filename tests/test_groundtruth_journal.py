@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relocbench.datasets.groundtruth.evidence import Evidence, Registration
-from relocbench.datasets.groundtruth.hypotheses import Outcome
-from relocbench.datasets.groundtruth.journal import Journal, followed
+from relocbench.datasets.groundtruth.registration.hypotheses import Outcome
+from relocbench.datasets.groundtruth.registration.journal import Journal, followed
+from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
 
 
 def outcome(node: int) -> Outcome:

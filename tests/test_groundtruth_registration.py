@@ -9,20 +9,26 @@ import numpy as np
 import pytest
 import street_clouds as clouds
 
-from relocbench.datasets.groundtruth import tracking
-from relocbench.datasets.groundtruth.alternatives import SlideOptions, alternatives, period, slides
-from relocbench.datasets.groundtruth.backends import refine_with
-from relocbench.datasets.groundtruth.blocks import Surface
-from relocbench.datasets.groundtruth.evidence import Evidence
-from relocbench.datasets.groundtruth.free_space import FreeSpace
-from relocbench.datasets.groundtruth.global_registration import GlobalOptions, Prior, describe, distinct, guesses
-from relocbench.datasets.groundtruth.hypotheses import Outcome
-from relocbench.datasets.groundtruth.planes import balanced, direction_bins, grid_planes, thinned
-from relocbench.datasets.groundtruth.prepared import Prepared
-from relocbench.datasets.groundtruth.refinement import RefinementOptions, linearise, linearise_both, refine
-from relocbench.datasets.groundtruth.submaps import Submap
-from relocbench.datasets.groundtruth.tracking import TrackingOptions, track
-from relocbench.datasets.groundtruth.verification import Thresholds, gather_evidence, verdict
+from relocbench.datasets.groundtruth.blocks.blocks import Surface
+from relocbench.datasets.groundtruth.icp.backends import refine_with
+from relocbench.datasets.groundtruth.icp.icp import RefinementOptions, linearise, linearise_both, refine
+from relocbench.datasets.groundtruth.registration import along_drive as tracking
+from relocbench.datasets.groundtruth.registration.along_drive import TrackingOptions, track
+from relocbench.datasets.groundtruth.registration.global_registration import (
+    GlobalOptions,
+    Prior,
+    describe,
+    distinct,
+    guesses,
+)
+from relocbench.datasets.groundtruth.registration.hypotheses import Outcome
+from relocbench.datasets.groundtruth.submaps.free_space import FreeSpace
+from relocbench.datasets.groundtruth.submaps.planes import balanced, direction_bins, grid_planes, thinned
+from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.submaps import Submap
+from relocbench.datasets.groundtruth.verification.alternatives import SlideOptions, alternatives, period, slides
+from relocbench.datasets.groundtruth.verification.evidence import Evidence
+from relocbench.datasets.groundtruth.verification.verification import Thresholds, gather_evidence, verdict
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, se3_log
 

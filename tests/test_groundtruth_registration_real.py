@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from relocbench.datasets.groundtruth.alternatives import SlideOptions, fit
-from relocbench.datasets.groundtruth.blocks import Surface
-from relocbench.datasets.groundtruth.global_registration import describe, guesses
-from relocbench.datasets.groundtruth.prepared import Prepared
-from relocbench.datasets.groundtruth.refinement import refine
-from relocbench.datasets.groundtruth.submaps import Submap
-from relocbench.datasets.groundtruth.verification import gather_evidence, verdict
+from relocbench.datasets.groundtruth.blocks.blocks import Surface
+from relocbench.datasets.groundtruth.icp.icp import refine
+from relocbench.datasets.groundtruth.registration.global_registration import describe, guesses
+from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.submaps import Submap
+from relocbench.datasets.groundtruth.verification.alternatives import SlideOptions, fit
+from relocbench.datasets.groundtruth.verification.verification import gather_evidence, verdict
 from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp, transform_from_tq
 
 pytestmark = pytest.mark.slow

@@ -10,17 +10,17 @@ import pytest
 from lidar_street import RIG_HEIGHT_M, START_NS, WALL_M, Box, Street, drive_street
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.block_making import BlockOptions, make_blocks, wheel_height
-from relocbench.datasets.groundtruth.block_store import BlockStore, build_blocks, read_block, write_block
-from relocbench.datasets.groundtruth.blocks import Block, Nodes, Surface
-from relocbench.datasets.groundtruth.deskewing import BeamReader
-from relocbench.datasets.groundtruth.nodes import make_nodes, way_along
-from relocbench.datasets.groundtruth.recording import FieldRecording, Trajectory
-from relocbench.datasets.groundtruth.submaps import Submap, SubmapWindow
-from relocbench.datasets.groundtruth.surfaces import smallest_eigenvector
-from relocbench.datasets.groundtruth.thinning import thin
-from relocbench.datasets.groundtruth.voxel_claims import VoxelClaims
-from relocbench.datasets.groundtruth.voxels import voxel_keys
+from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes, Surface
+from relocbench.datasets.groundtruth.blocks.deskewing import BeamReader
+from relocbench.datasets.groundtruth.blocks.making import BlockOptions, make_blocks, wheel_height
+from relocbench.datasets.groundtruth.blocks.nodes import make_nodes, way_along
+from relocbench.datasets.groundtruth.blocks.store import BlockStore, build_blocks, read_block, write_block
+from relocbench.datasets.groundtruth.blocks.surfaces import smallest_eigenvector
+from relocbench.datasets.groundtruth.submaps.submaps import Submap, SubmapWindow
+from relocbench.datasets.groundtruth.voxels.claims import VoxelClaims
+from relocbench.datasets.groundtruth.voxels.thinning import thin
+from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
+from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import apply, invert, make_transform, se3_exp, so3_exp

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
-from relocbench.datasets import images
-from relocbench.datasets.image_header import (
+from relocbench.datasets.core import images
+from relocbench.datasets.core.image_header import (
     MOST_DECODED_BYTES,
     MOST_PIXELS,
     check_affordable,

@@ -12,12 +12,12 @@ import pytest
 from numpy.typing import NDArray
 from small_dataset import render, small_camera, small_pose
 
-from relocbench.datasets import images
-from relocbench.datasets.correspondences import read_correspondences
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import four_seasons as importer
-from relocbench.datasets.importers.four_seasons_calibration import read_calibration, read_camera, read_stereo
-from relocbench.datasets.importers.four_seasons_files import (
+from relocbench.datasets.core import images
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import pose_fields, read_pose_lines, write_pose_lines
+from relocbench.datasets.importers.four_seasons import dataset as importer
+from relocbench.datasets.importers.four_seasons.calibration import read_calibration, read_camera, read_stereo
+from relocbench.datasets.importers.four_seasons.files import (
     PATCH_OFFSETS,
     keyframe_files,
     read_gnss_poses,
@@ -26,9 +26,9 @@ from relocbench.datasets.importers.four_seasons_files import (
     read_times,
     read_transformations,
 )
-from relocbench.datasets.importers.four_seasons_receiver import agreement, ecef_from_geodetic, read_gga
-from relocbench.datasets.importers.sources import read_trajectory
-from relocbench.datasets.pairfile import pose_fields, read_pose_lines, write_pose_lines
+from relocbench.datasets.importers.four_seasons.receiver import agreement, ecef_from_geodetic, read_gga
+from relocbench.datasets.pairs.correspondences import read_correspondences
+from relocbench.datasets.sensors.trajectories import read_trajectory
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, so3_exp

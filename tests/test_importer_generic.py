@@ -12,13 +12,13 @@ import pytest
 from numpy.typing import NDArray
 from small_dataset import render, small_camera, small_pose
 
-from relocbench.datasets import images
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import generic as importer
-from relocbench.datasets.importers.generic_scans import read_lidar_file
-from relocbench.datasets.importers.sources import parse_time, read_trajectory, timed_files, traversal_names
-from relocbench.datasets.pairfile import pose_fields
-from relocbench.datasets.schema import TraversalFile
+from relocbench.datasets.core import images
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import pose_fields
+from relocbench.datasets.core.schema import TraversalFile
+from relocbench.datasets.importers.generic import dataset as importer
+from relocbench.datasets.importers.generic.scans import read_lidar_file
+from relocbench.datasets.sensors.trajectories import parse_time, read_trajectory, timed_files, traversal_names
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.files import load_yaml

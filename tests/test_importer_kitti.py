@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from kitti_wall import BASELINE, CALIBRATION, FOCAL, write_kitti_recording
 
-from relocbench.datasets import images
-from relocbench.datasets.correspondences import read_correspondences
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import kitti
-from relocbench.datasets.importers.kitti_files import Calibration
-from relocbench.datasets.importers.stereo import StereoGeometry, stereo_depth
-from relocbench.datasets.importers.velodyne import hidden, project_scan, read_scan
+from relocbench.datasets.core import images
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.importers.kitti import dataset as kitti
+from relocbench.datasets.importers.kitti.files import Calibration
+from relocbench.datasets.pairs.correspondences import read_correspondences
+from relocbench.datasets.sensors.stereo import StereoGeometry, stereo_depth
+from relocbench.datasets.sensors.velodyne import hidden, project_scan, read_scan
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import Camera, invert, rotation_angle

@@ -14,9 +14,9 @@ from fenced_street import fenced_street_mesh
 from recording_reading import hashes
 from small_street import SolidTexture, StraightRoad, Street
 
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.synthetic.condition import Factors
-from relocbench.datasets.synthetic.recording import record
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.jobs.recording import record
 from relocbench.geometry import invert, rotation_angle, transform_to_tq
 
 FRAMES = 26

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from recording_reading import Truth, hashes
 from small_street import SolidTexture, StraightRoad, Street
 
-from relocbench.datasets.correspondences import read_correspondences
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.pairfile import Pair
-from relocbench.datasets.synthetic.condition import CONDITIONS
-from relocbench.datasets.synthetic.recording import Recorded, record
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.pairs.correspondences import read_correspondences
+from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
+from relocbench.datasets.synthetic.jobs.recording import Recorded, record
 from relocbench.geometry import invert, rotation_angle, se3_exp, transform_to_tq
 
 Array = NDArray[np.float64]

@@ -11,10 +11,10 @@ from small_dataset import ACROSS, WITHIN, make_small_dataset, render, small_came
 from typer.testing import CliRunner
 
 from relocbench.cli.app import app
-from relocbench.datasets.images import read_image
-from relocbench.datasets.inspection import take_inventory
-from relocbench.datasets.overlay import measure_agreement, spread_pairs, warp_image, write_pictures
-from relocbench.datasets.pairfile import Pair
+from relocbench.datasets.core.images import read_image
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.inspect.overlay import measure_agreement, spread_pairs, warp_image, write_pictures
+from relocbench.datasets.inspect.summary import take_inventory
 from relocbench.geometry import invert, make_transform, so3_exp
 from relocbench.progress import Silent
 from relocbench.tracking import Query, Reference

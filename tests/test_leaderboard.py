@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from relocbench.datasets.pairfile import PoseLine, write_pose_lines
+from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.results import (
+from relocbench.evaluation.common.results import (
     Answer,
     DatasetRecord,
     MethodResults,
@@ -26,7 +26,7 @@ from relocbench.evaluation.results import (
     write_answers,
     write_errors,
 )
-from relocbench.evaluation.score import groups_of, predictions_hash, summarize_rows
+from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows
 from relocbench.files import dump_yaml, write_text
 from relocbench.leaderboard import Board, Row, Table, load_results, make_board, write_leaderboard
 

@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 
 from relocbench.cli.leaderboard import leaderboard
 from relocbench.errors import PredictionError
-from relocbench.evaluation.results import RunRecord
+from relocbench.evaluation.common.results import RunRecord
 from relocbench.leaderboard import write_leaderboard
-from relocbench.leaderboard.load import evaluate_command
+from relocbench.leaderboard.tracking.load import evaluate_command
 
 
 def page_of(results: MadeResults, out: Path, *, plots: bool = False) -> str:

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from test_leaderboard import TITLE, WINTER, MadeResults, made
 
-import relocbench.evaluation.results as results_module
+import relocbench.evaluation.common.results as results_module
 from relocbench.errors import PredictionError
-from relocbench.evaluation.results import ErrorTable, PairErrors, read_errors, write_errors
+from relocbench.evaluation.common.results import ErrorTable, PairErrors, read_errors, write_errors
 from relocbench.files import load_yaml, write_text
 from relocbench.leaderboard import load_results, make_board, write_leaderboard
-from relocbench.leaderboard import tables as tables_module
-from relocbench.metrics import rank_descriptors, relevance_from_labels, significance
+from relocbench.leaderboard.tracking import tables as tables_module
+from relocbench.metrics import rank_descriptors, relevance_from_labels
+from relocbench.metrics.statistics import significance
 
 
 def made_results(root: Path, sets: int, methods: int = 2) -> MadeResults:
@@ -123,7 +124,7 @@ def test_a_float32_product_and_exact_near_ties_give_the_exact_ranks() -> None:
 
 
 def _exact(query: Any, gallery: Any) -> list[int]:
-    """Dot products of integer vectors by the rule of :mod:`relocbench.metrics.retrieval_descriptors`, in Python."""
+    """Dot products of integer vectors by the rule of :mod:`relocbench.metrics.retrieval.descriptors`, in Python."""
 
     def scale(norm: float) -> int:
         return 26 - int(np.frexp(0.75 * norm)[1])

@@ -12,16 +12,16 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from relocbench.datasets import images
-from relocbench.datasets.groundtruth.lidar_odometry import lidar_odometry, straightened
-from relocbench.datasets.groundtruth.recording import Scan, Trajectory
-from relocbench.datasets.importers.generic_recording import read_generic
-from relocbench.datasets.importers.kitti_files import Sequence
-from relocbench.datasets.importers.kitti_recording import REAL_ELEVATION_DEG, VelodyneStream, raised, read_kitti
-from relocbench.datasets.importers.robotcar_sensors import LmsStream
-from relocbench.datasets.synthetic.condition import condition_named
-from relocbench.datasets.synthetic.recording import path_length, record
-from relocbench.datasets.synthetic.town import make_district
+from relocbench.datasets.core import images
+from relocbench.datasets.groundtruth.odometry.lidar_odometry import lidar_odometry, straightened
+from relocbench.datasets.importers.generic.recording import read_generic
+from relocbench.datasets.importers.kitti.files import Sequence
+from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG, VelodyneStream, raised, read_kitti
+from relocbench.datasets.importers.robotcar.sensors import LmsStream
+from relocbench.datasets.sensors.recording import Scan, Trajectory
+from relocbench.datasets.synthetic.conditions.condition import condition_named
+from relocbench.datasets.synthetic.jobs.recording import path_length, record
+from relocbench.datasets.synthetic.town.town import make_district
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, transform_to_tq
 

@@ -13,7 +13,7 @@ import pytest
 from command_line import relocbench
 from made_places import TINY, NarrowResNet, picture
 
-from relocbench.datasets.training_places import training_places
+from relocbench.datasets.learning.training_places import training_places
 from relocbench.errors import ConfigError
 from relocbench.methods import RETRIEVERS, installed_methods
 from relocbench.methods.trainers import chosen_options, installed_trainers, trainer_named

@@ -13,7 +13,7 @@ from baselines.lpn.configurations import CONFIGURATIONS
 from baselines.lpn.retriever import Lpn
 from baselines.lpn.training.trainer import LpnTrainer
 from relocbench.datasets.cross_view import CrossViewSet
-from relocbench.datasets.importers import cross_view
+from relocbench.datasets.importers.rendered import cross_view
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.execution import Run
 from relocbench.progress import Silent

@@ -26,7 +26,7 @@ from baselines.lpn.training.trainer import LpnTrainer
 from baselines.lpn.weights import load_weights
 from baselines.options import options_from_dict
 from relocbench.errors import ConfigError, MethodError
-from relocbench.evaluation.place_trial import PlaceTrial, hold_out
+from relocbench.evaluation.retrieval.trial import PlaceTrial, hold_out
 from relocbench.retrieval import PlaceData, PlaceImage
 from relocbench.training import ConfiguredTrainer, PlaceTrainer, Trainer, TrainingReport, TrainingRun, ValidationScores
 

@@ -12,21 +12,21 @@ import numpy as np
 import pytest
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 
-from relocbench.datasets.correspondences import Correspondences, read_correspondences
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.pairs.correspondences import Correspondences, read_correspondences
 from relocbench.errors import PredictionError
-from relocbench.evaluation.check import check
-from relocbench.evaluation.evaluate import EvaluateOptions, Report, evaluate_methods
-from relocbench.evaluation.matching import draw_starts
-from relocbench.evaluation.matching_table import (
+from relocbench.evaluation.common.matching_table import (
     OFFSETS_PX,
     MatchingRow,
     read_matching,
     summarize_matching,
     write_matching,
 )
-from relocbench.evaluation.results import MethodResults
-from relocbench.evaluation.validation import validate_results
+from relocbench.evaluation.common.results import MethodResults
+from relocbench.evaluation.tracking.check import check
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
+from relocbench.evaluation.tracking.matching import draw_starts
+from relocbench.evaluation.tracking.validation import validate_results
 from relocbench.geometry import Camera
 from relocbench.leaderboard import write_leaderboard
 from relocbench.methods import parse_method

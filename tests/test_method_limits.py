@@ -23,13 +23,13 @@ from small_views import make_small_views
 from test_execution import is_running
 from test_train_command import SETTINGS
 
+from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import open_cross_view
-from relocbench.datasets.dataset import Dataset
 from relocbench.errors import ConfigError
-from relocbench.evaluation.evaluate import EvaluateOptions, Report, evaluate_methods
-from relocbench.evaluation.results import Answer, read_answers
+from relocbench.evaluation.common.results import Answer, read_answers
 from relocbench.evaluation.retrieval.answers import read_answers as retrieved
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.execution import MANY_TIMES, Run, parse_size, run_limited, worker_process
 from relocbench.progress import Silent
 

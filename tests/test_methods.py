@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from relocbench.errors import MethodError
-from relocbench.evaluation.check import check
+from relocbench.evaluation.tracking.check import check
 from relocbench.methods import installed_methods, parameters_of, parse_method, parse_methods
 
 HERE = "trackers_for_tests"

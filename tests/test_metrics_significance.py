@@ -15,7 +15,7 @@ from relocbench.metrics import (
     paired_difference,
     rank_with_ties,
 )
-from relocbench.metrics.significance import _resampled_means
+from relocbench.metrics.statistics.significance import _resampled_means
 
 Array = NDArray[np.float64]
 

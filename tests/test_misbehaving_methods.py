@@ -15,21 +15,21 @@ from misbehaving_trackers import CASES, FRAMES, Batching, Case, Declaring, Raisi
 from retrievers_for_tests import Thumbnail
 from small_dataset import ACROSS, STEP_NS, make_small_dataset
 
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import PredictionError, one_line
-from relocbench.evaluation.answers import ask, checked, checked_pixels
-from relocbench.evaluation.check import check
-from relocbench.evaluation.evaluate import EvaluateOptions, Report, evaluate_methods
-from relocbench.evaluation.guard import guarded, neighbours_of
-from relocbench.evaluation.info_text import INFO_CHARACTERS
-from relocbench.evaluation.matching_table import MATCHING_COLUMNS, read_matching
+from relocbench.evaluation.common.answers import ask, checked, checked_pixels
+from relocbench.evaluation.common.guard import guarded, neighbours_of
+from relocbench.evaluation.common.info_text import INFO_CHARACTERS
+from relocbench.evaluation.common.matching_table import MATCHING_COLUMNS, read_matching
+from relocbench.evaluation.common.results import Answer, read_answers, read_errors
 from relocbench.evaluation.relocalization.basin import read_basins
-from relocbench.evaluation.results import Answer, read_answers, read_errors
 from relocbench.evaluation.retrieval.answers import read_answers as read_retrieved
 from relocbench.evaluation.retrieval.describe import Describer
 from relocbench.evaluation.retrieval.ranking import rank_task
 from relocbench.evaluation.retrieval.run import Asking
-from relocbench.leaderboard.load import load_results
+from relocbench.evaluation.tracking.check import check
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
+from relocbench.leaderboard.tracking.load import load_results
 from relocbench.methods import parse_method
 from relocbench.metrics import relevance_from_labels
 from relocbench.progress import Silent

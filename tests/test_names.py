@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from relocbench.datasets.core.layout import DatasetLayout, TraversalLayout
+from relocbench.datasets.core.schema import DatasetFile, Strict, TraversalFile
+from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.cross_view.content import read_conditions
-from relocbench.datasets.importers.sources import timed_files, traversal_names
-from relocbench.datasets.layout import DatasetLayout, TraversalLayout
-from relocbench.datasets.schema import DatasetFile, Strict, TraversalFile
-from relocbench.datasets.writer import DatasetWriter
+from relocbench.datasets.sensors.trajectories import timed_files, traversal_names
 from relocbench.errors import ConfigError, DatasetError, MethodError, PredictionError
+from relocbench.evaluation.common.results import DatasetRecord, DatasetResults, MethodResults, RunRecord, ScoreRecord
 from relocbench.evaluation.relocalization.records import ChainRun, ChainSet
-from relocbench.evaluation.results import DatasetRecord, DatasetResults, MethodResults, RunRecord, ScoreRecord
 from relocbench.evaluation.retrieval.records import SetRecord
 from relocbench.files import check_distinct, check_joined_name, check_name, fitting_name, load_yaml, plain_name
 from relocbench.methods.discovery import parse_method, parse_methods

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from relocbench.datasets.faults import Findings, read_pair_table
-from relocbench.datasets.pairfile import (
+from relocbench.datasets.checks.faults import Findings, read_pair_table
+from relocbench.datasets.core.pairfile import (
     AXIS_COLUMNS,
     TABLE_COLUMNS,
     Pair,

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from relocbench.datasets.importers.options import ImportOptions
-from relocbench.datasets.pairing import PosedFrames, make_pairs, nearest_matches, step_matches
+from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.pairs.pairing import PosedFrames, make_pairs, nearest_matches, step_matches
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import make_transform, rotation_angle, se3_exp, so3_exp
 

@@ -19,8 +19,8 @@ from trackers_for_probe import Basin
 from baselines.alignment import MatchSettings, match_pixels, match_pixels_by_level
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.weights import save_weights
-from relocbench.datasets.correspondences import Correspondences
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.pairs.correspondences import Correspondences
 from relocbench.evaluation.probe import ProbeOptions, probe_methods
 from relocbench.evaluation.probe.feature_maps import places_of, principal_components
 from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, OFFSETS_PX, with_structure

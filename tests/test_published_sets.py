@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from test_end_to_end import METHODS, board_rows, errors_by_method, medians, run
 
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
 
 ROOT = Path(__file__).parents[1]
 RECORDINGS = Path(os.environ.get("RELOCBENCH_REAL_DATA", ROOT.parent / "shared" / "data"))

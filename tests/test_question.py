@@ -12,22 +12,22 @@ import numpy as np
 import pytest
 from small_dataset import ACROSS, make_small_dataset
 
-from relocbench.datasets import fingerprint, images
+from relocbench.datasets.core import fingerprint, images
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.schema import DatasetFile
 from relocbench.datasets.cross_view import content
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.schema import DatasetFile
 from relocbench.errors import PredictionError
-from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
-from relocbench.evaluation.external import take_predictions
-from relocbench.evaluation.results import dataset_results
+from relocbench.evaluation.common.results import dataset_results
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.records import all_sets
-from relocbench.evaluation.run import run_method
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
+from relocbench.evaluation.tracking.external import take_predictions
+from relocbench.evaluation.tracking.run import run_method
 from relocbench.execution import Run
 from relocbench.files import dump_yaml, load_yaml_values, write_text
-from relocbench.leaderboard.load import load_results
-from relocbench.leaderboard.retrieval_write import write_retrieval_leaderboard
-from relocbench.leaderboard.write import write_leaderboard
+from relocbench.leaderboard.retrieval.write import write_retrieval_leaderboard
+from relocbench.leaderboard.tracking.load import load_results
+from relocbench.leaderboard.tracking.write import write_leaderboard
 from relocbench.methods import parse_method
 from relocbench.progress import Silent
 

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.prepared import Prepared
-from relocbench.datasets.importers.kitti_recording import REAL_ELEVATION_DEG
+from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, so3_exp
 

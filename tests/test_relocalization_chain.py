@@ -11,9 +11,9 @@ import pytest
 from chains_for_tests import FAR_M, lists
 from small_dataset import ACROSS, CAMERA, make_small_dataset
 
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
+from relocbench.evaluation.common.results import read_errors
 from relocbench.evaluation.relocalization.answers import ChainAnswer, read_chain, write_chain
 from relocbench.evaluation.relocalization.chain import most_confident
 from relocbench.evaluation.relocalization.evaluate import (
@@ -23,7 +23,7 @@ from relocbench.evaluation.relocalization.evaluate import (
 )
 from relocbench.evaluation.relocalization.records import ChainResults
 from relocbench.evaluation.relocalization.score import OUTCOMES, per_query
-from relocbench.evaluation.results import read_errors
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.progress import Silent
 
 KNOWS = "chains_for_tests:Knows"
@@ -175,10 +175,10 @@ def test_an_answer_that_cannot_be_judged_is_wrong(tmp_path: Path) -> None:
     made = make_small_dataset(tmp_path / "d", frames=4, size=(32, 24))
     writable = made.layout.traversal("summer").poses
     writable.write_text(writable.read_text().splitlines(keepends=True)[0])
+    from relocbench.evaluation.common.results import Answer
     from relocbench.evaluation.relocalization.basin import Basin
     from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chained
     from relocbench.evaluation.relocalization.truth import MapTruth
-    from relocbench.evaluation.results import Answer
 
     again = Dataset(made.root)
     times = again.traversal("winter").timestamps(CAMERA), again.traversal("summer").timestamps(CAMERA)

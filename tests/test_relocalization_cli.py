@@ -11,9 +11,9 @@ from chains_for_tests import lists
 from command_line import relocbench
 from small_dataset import ACROSS, make_small_dataset
 
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.leaderboard.relocalization import load_chains
+from relocbench.leaderboard.relocalization.board import load_chains
 
 KNOWS = "chains_for_tests:Knows"
 THUMBNAIL = "thumb=retrievers_for_tests:Thumbnail"

@@ -9,7 +9,7 @@ import pytest
 from chains_for_tests import truth
 from small_dataset import ACROSS, CAMERA, make_small_dataset
 
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import PredictionError
 from relocbench.evaluation.relocalization.basin import Basins, given_basin, read_basins
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside

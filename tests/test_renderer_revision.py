@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rendered_summary import GOLDEN, summary
 
-from relocbench.datasets.synthetic.revision import RENDERER_REVISION
+from relocbench.datasets.synthetic.renderer.revision import RENDERER_REVISION
 
 HOW = "raise RENDERER_REVISION and write the golden values anew: python tests/rendered_summary.py"
 

@@ -17,9 +17,9 @@ from small_views import make_small_views
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.records import METRICS, TaskRecord, all_sets
-from relocbench.leaderboard.retrieval import RetrievalBoard, RetrievalRow, load_retrieval, mean_tables, plausible
-from relocbench.leaderboard.retrieval_page import evaluate_command
-from relocbench.leaderboard.retrieval_write import write_retrieval_leaderboard
+from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, load_retrieval, mean_tables, plausible
+from relocbench.leaderboard.retrieval.page import evaluate_command
+from relocbench.leaderboard.retrieval.write import write_retrieval_leaderboard
 from relocbench.progress import Silent
 
 HERE = "retrievers_for_tests"

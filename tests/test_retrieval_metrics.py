@@ -34,7 +34,7 @@ from relocbench.metrics import (
     single_positive_fault,
     summarize_retrieval,
 )
-from relocbench.metrics.retrieval_descriptors import _on_grid, _scales
+from relocbench.metrics.retrieval.descriptors import _on_grid, _scales
 
 Array = NDArray[np.float64]
 RealData = Callable[[str], Path]

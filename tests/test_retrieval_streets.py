@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset
 
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.street_places import StreetPlaces
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.pairs.street_places import StreetPlaces
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.progress import Silent

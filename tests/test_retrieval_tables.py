@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from relocbench.errors import RelocbenchError
 from relocbench.metrics import check_single_positive_tables, single_positive_fault
-from relocbench.metrics.retrieval_tables import read_tables
+from relocbench.metrics.retrieval.tables import read_tables
 
 PAGE = """\
 # Drone to satellite

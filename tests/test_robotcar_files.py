@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relocbench.datasets.groundtruth.recording import Trajectory
-from relocbench.datasets.importers import robotcar_files as files
-from relocbench.datasets.importers.robotcar_sensors import present_times
-from relocbench.datasets.importers.robotcar_track import MapOrigin, map_trajectory, visual_trajectory
+from relocbench.datasets.importers.robotcar import files
+from relocbench.datasets.importers.robotcar.sensors import present_times
+from relocbench.datasets.importers.robotcar.track import MapOrigin, map_trajectory, visual_trajectory
+from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, interpolate_trajectory, invert, make_transform
 from relocbench.progress import Silent

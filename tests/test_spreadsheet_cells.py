@@ -11,8 +11,8 @@ from test_leaderboard import WINTER, MadeResults, made
 
 from relocbench.files import dump_yaml, load_yaml_values, write_text
 from relocbench.leaderboard import load_results, write_leaderboard
-from relocbench.leaderboard.plots import Curve, CurvePicture, draw
-from relocbench.leaderboard.text import cell, code, escaped, fenced, json_text
+from relocbench.leaderboard.common.text import cell, code, escaped, fenced, json_text
+from relocbench.leaderboard.tracking.plots import Curve, CurvePicture, draw
 
 FORMULAS = ["=1+1", "+1+1", "-1+1", "@SUM(A1)", "\t=1", "\r=1", "\n=1", " =1", "'=1", '"=1', "＝1", "-", "=HYPERLINK()"]
 EVIL = ["<script>alert(1)</script>", "[x](javascript:alert(1))", "a|b", "`a` ``b``", "a\nb", "\\|", "\x1b[31m", "*x*"]

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from small_dataset import ACROSS, make_small_dataset
 
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.images import read_depth, read_image, read_points
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.images import read_depth, read_image, read_points
 from relocbench.errors import MethodError
-from relocbench.evaluation.check import check
-from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
-from relocbench.evaluation.results import read_errors
+from relocbench.evaluation.common.results import read_errors
+from relocbench.evaluation.tracking.check import check
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.methods import parse_method
 from relocbench.methods.subprocess_tracker import SubprocessTracker
 from relocbench.progress import Silent
@@ -292,7 +292,7 @@ def test_what_a_program_started_ends_when_the_process_that_asks_is_killed(tmp_pa
     script.write_text(PROGRAM.format(log=str(tmp_path / "log"), body=forking(pids, then)))
     asking = f"""
 import sys
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
 from relocbench.methods.subprocess_tracker import SubprocessTracker
 dataset = Dataset(__import__("pathlib").Path({str(dataset.root)!r}))
 pairs = dataset.pair_set({ACROSS!r})

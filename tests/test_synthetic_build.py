@@ -13,25 +13,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from killing import Fault, run_until_killed
 
-from relocbench.datasets import images
-from relocbench.datasets.correspondences import read_correspondences
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import synthetic
-from relocbench.datasets.pairing import PosedFrames
-from relocbench.datasets.synthetic import stage
-from relocbench.datasets.synthetic.condition import condition_named
-from relocbench.datasets.synthetic.drive import Drive, DriveStyle, drive, route_length
-from relocbench.datasets.synthetic.extras import extra_path, read_instance
-from relocbench.datasets.synthetic.mesh import Mesh, Semantic
-from relocbench.datasets.synthetic.pairs import DistanceSpread, drawn_pairs
-from relocbench.datasets.synthetic.plan import make_plans
-from relocbench.datasets.synthetic.presets import conditions_of
-from relocbench.datasets.synthetic.render import Renderer
-from relocbench.datasets.synthetic.rig import RIGS
-from relocbench.datasets.synthetic.town import compose
-from relocbench.datasets.synthetic.traffic import moving_cars
-from relocbench.datasets.synthetic.work import FrameWork, RenderUnit, Spent, StepWork, duration, estimate
-from relocbench.datasets.visibility import warp
+from relocbench.datasets.core import images
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.importers.rendered import dataset as synthetic
+from relocbench.datasets.pairs.correspondences import read_correspondences
+from relocbench.datasets.pairs.pairing import PosedFrames
+from relocbench.datasets.pairs.visibility import warp
+from relocbench.datasets.synthetic.conditions.condition import condition_named
+from relocbench.datasets.synthetic.conditions.presets import conditions_of
+from relocbench.datasets.synthetic.drives.drive import Drive, DriveStyle, drive, route_length
+from relocbench.datasets.synthetic.drives.rig import RIGS
+from relocbench.datasets.synthetic.drives.traffic import moving_cars
+from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs.extras import extra_path, read_instance
+from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
+from relocbench.datasets.synthetic.jobs.plan import make_plans
+from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, Spent, StepWork, duration, estimate
+from relocbench.datasets.synthetic.renderer.render import Renderer
+from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
+from relocbench.datasets.synthetic.town.town import compose
 from relocbench.errors import DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import Camera, apply, invert, is_rotation, rotation_angle
@@ -398,8 +398,8 @@ def test_the_estimate_counts_what_is_left() -> None:
 
 def test_a_preview_has_a_picture_for_each_condition(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # The light of a scene takes longer than its pictures, the more so the larger the district is.
-    monkeypatch.setattr("relocbench.datasets.synthetic.contact_sheet._EXTENT_M", 180.0)
-    monkeypatch.setattr("relocbench.datasets.synthetic.contact_sheet._ROUTE_M", 100.0)
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._ROUTE_M", 100.0)
     sheet = tmp_path / "sheet.png"
     outcome = relocbench("preview", "-c", "Sunny,Snow", "--size", 96, "--out", sheet, "--quiet")
     assert outcome.status == 0, outcome.err

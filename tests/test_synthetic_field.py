@@ -18,17 +18,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from recording_reading import RobotCarReading, Truth, hashes, read_vo
 
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.synthetic import recording_jobs
-from relocbench.datasets.synthetic.condition import Factors, condition_named
-from relocbench.datasets.synthetic.drive import MARGIN_M, DriveStyle, drive, route_length
-from relocbench.datasets.synthetic.lidar import LidarScene
-from relocbench.datasets.synthetic.network import Path as Route
-from relocbench.datasets.synthetic.network import StreetNetwork, make_network
-from relocbench.datasets.synthetic.recording_work import Spent, Unit
-from relocbench.datasets.synthetic.routes import RouteName, route
-from relocbench.datasets.synthetic.streets import periodic_street
-from relocbench.datasets.synthetic.town import compose, make_district
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.synthetic.conditions.condition import Factors, condition_named
+from relocbench.datasets.synthetic.drives.drive import MARGIN_M, DriveStyle, drive, route_length
+from relocbench.datasets.synthetic.drives.routes import RouteName, route
+from relocbench.datasets.synthetic.jobs import recording_jobs
+from relocbench.datasets.synthetic.jobs.recording_work import Spent, Unit
+from relocbench.datasets.synthetic.lidar.lidar import LidarScene
+from relocbench.datasets.synthetic.town.network import Path as Route
+from relocbench.datasets.synthetic.town.network import StreetNetwork, make_network
+from relocbench.datasets.synthetic.town.streets import periodic_street
+from relocbench.datasets.synthetic.town.town import compose, make_district
 from relocbench.errors import ConfigError
 from relocbench.geometry import interpolate_trajectory, invert, rotation_angle
 

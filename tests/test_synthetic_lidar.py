@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from small_street import box, quads
 
-from relocbench.datasets.synthetic.condition import Factors
-from relocbench.datasets.synthetic.echo import extinction, signal
-from relocbench.datasets.synthetic.lidar import (
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.lidar.echo import extinction, signal
+from relocbench.datasets.synthetic.lidar.lidar import (
     Hits,
     Lidar,
     LidarScene,
@@ -23,7 +23,7 @@ from relocbench.datasets.synthetic.lidar import (
     spinning,
     trace,
 )
-from relocbench.datasets.synthetic.mesh import Material, Mesh
+from relocbench.datasets.synthetic.town.mesh import Material, Mesh
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, make_transform, se3_exp, so3_exp
 

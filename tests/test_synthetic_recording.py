@@ -20,16 +20,17 @@ from numpy.typing import NDArray
 from recording_reading import RobotCarReading, Truth, hashes, matrix_of, read_vo
 from small_street import SolidTexture, StraightRoad, Street, street_mesh
 
-from relocbench.datasets.importers import kitti
-from relocbench.datasets.synthetic import odometry, robotcar_layout
-from relocbench.datasets.synthetic.condition import CONDITIONS, Factors
-from relocbench.datasets.synthetic.kitti_layout import KittiLayout
-from relocbench.datasets.synthetic.lidar import LidarScene
-from relocbench.datasets.synthetic.recording import Recorded, path_length, record
-from relocbench.datasets.synthetic.robotcar_layout import mosaic, tags
-from relocbench.datasets.synthetic.robotcar_odometry import vo_text
-from relocbench.datasets.synthetic.town import make_district
-from relocbench.datasets.synthetic.utm import latitude_longitude
+from relocbench.datasets.importers.kitti import dataset as kitti
+from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors
+from relocbench.datasets.synthetic.drives import odometry
+from relocbench.datasets.synthetic.drives.utm import latitude_longitude
+from relocbench.datasets.synthetic.jobs.recording import Recorded, path_length, record
+from relocbench.datasets.synthetic.layouts import robotcar as robotcar_layout
+from relocbench.datasets.synthetic.layouts.kitti import KittiLayout
+from relocbench.datasets.synthetic.layouts.robotcar import mosaic, tags
+from relocbench.datasets.synthetic.layouts.robotcar_odometry import vo_text
+from relocbench.datasets.synthetic.lidar.lidar import LidarScene
+from relocbench.datasets.synthetic.town.town import make_district
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import interpolate_trajectory, invert, rotation_angle, so3_exp

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from relocbench.datasets.synthetic.condition import Factors
-from relocbench.datasets.synthetic.lamps import NIGHT_LUX, Beam, beam_light, make_lamps, strongest
-from relocbench.datasets.synthetic.mesh import Material, Mesh, Semantic, merge
-from relocbench.datasets.synthetic.render import Frame, Renderer
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.renderer.lamps import NIGHT_LUX, Beam, beam_light, make_lamps, strongest
+from relocbench.datasets.synthetic.renderer.render import Frame, Renderer
+from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera
 

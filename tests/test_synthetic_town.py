@@ -11,16 +11,16 @@ import open3d as o3d
 import pytest
 from numpy.typing import NDArray
 
-from relocbench.datasets.synthetic.buildings import DEPTH_M, draw_house, house_shape
-from relocbench.datasets.synthetic.cars import CAR_TYPES, car_shape
-from relocbench.datasets.synthetic.condition import Factors
-from relocbench.datasets.synthetic.furniture import bench, bin_shape, bollard, fountain
-from relocbench.datasets.synthetic.mesh import Material, Mesh, Semantic
-from relocbench.datasets.synthetic.network import make_network
-from relocbench.datasets.synthetic.shapes import Shape, boxes, ear_clip, prism, tube
-from relocbench.datasets.synthetic.streets import KERB_M
-from relocbench.datasets.synthetic.town import District, Periodic, compose, make_district
-from relocbench.datasets.synthetic.vegetation import TREE_TYPES, hedge_shapes, tree_shapes
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.town.buildings import DEPTH_M, draw_house, house_shape
+from relocbench.datasets.synthetic.town.cars import CAR_TYPES, car_shape
+from relocbench.datasets.synthetic.town.furniture import bench, bin_shape, bollard, fountain
+from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
+from relocbench.datasets.synthetic.town.network import make_network
+from relocbench.datasets.synthetic.town.shapes import Shape, boxes, ear_clip, prism, tube
+from relocbench.datasets.synthetic.town.streets import KERB_M
+from relocbench.datasets.synthetic.town.town import District, Periodic, compose, make_district
+from relocbench.datasets.synthetic.town.vegetation import TREE_TYPES, hedge_shapes, tree_shapes
 from relocbench.errors import ConfigError
 
 ARRAYS = ("vertices", "triangles", "uv", "material", "semantic", "instance", "variant", "rank")

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.importers import synthetic
-from relocbench.datasets.pairing import PosedFrames
-from relocbench.datasets.synthetic import stage
-from relocbench.datasets.synthetic.condition import condition_named
-from relocbench.datasets.synthetic.lidar import LidarScene
-from relocbench.datasets.synthetic.mesh import Mesh
-from relocbench.datasets.synthetic.stage import Place
-from relocbench.datasets.synthetic.truth import View
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.importers.rendered import dataset as synthetic
+from relocbench.datasets.pairs.pairing import PosedFrames
+from relocbench.datasets.synthetic.conditions.condition import condition_named
+from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.jobs.truth import View
+from relocbench.datasets.synthetic.lidar.lidar import LidarScene
+from relocbench.datasets.synthetic.town.mesh import Mesh
 from relocbench.execution import Run
 from relocbench.geometry import Camera
 from relocbench.progress import Silent

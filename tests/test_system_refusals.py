@@ -23,12 +23,12 @@ from small_dataset import ACROSS, CAMERA, make_small_dataset
 
 from baselines.files import write_whole
 from baselines.training.checkpoint import Checkpoint, save_checkpoint
-from relocbench.datasets import images
-from relocbench.datasets.correspondences import read_correspondences, write_correspondences
-from relocbench.datasets.layout import DatasetLayout
-from relocbench.datasets.synthetic.work import Spent, estimate
+from relocbench.datasets.core import images
+from relocbench.datasets.core.layout import DatasetLayout
+from relocbench.datasets.pairs.correspondences import read_correspondences, write_correspondences
+from relocbench.datasets.synthetic.jobs.rendering import Spent, estimate
 from relocbench.errors import DatasetError
-from relocbench.evaluation.worker import journal_entries, open_journal
+from relocbench.evaluation.common.worker import journal_entries, open_journal
 from relocbench.files import plain_file, read_text, sha256_file, write_text
 
 _HANG_S = 600
@@ -230,7 +230,7 @@ def _write_npz(path: Path) -> None:
 
 
 def _write_parquet(path: Path) -> None:
-    from relocbench.datasets.correspondences import PairCorrespondences
+    from relocbench.datasets.pairs.correspondences import PairCorrespondences
 
     n, rng = 4000, np.random.default_rng(0)
     pixels, yes = rng.random((n, 2)), np.ones(n, dtype=bool)

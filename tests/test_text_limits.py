@@ -13,23 +13,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from relocbench.datasets import fingerprint
-from relocbench.datasets.dataset import read_poses
-from relocbench.datasets.groundtruth.graph_files import read_graph
-from relocbench.datasets.groundtruth.track_files import read_registrations
-from relocbench.datasets.images import read_points
-from relocbench.datasets.importers import four_seasons_files, robotcar_files
-from relocbench.datasets.importers.four_seasons_receiver import read_gga
-from relocbench.datasets.importers.kitti_files import Sequence
-from relocbench.datasets.importers.sources import read_trajectory
-from relocbench.datasets.layout import DatasetLayout
-from relocbench.datasets.pairfile import read_pairs
+from relocbench.datasets.core import fingerprint
+from relocbench.datasets.core.images import read_points
+from relocbench.datasets.core.layout import DatasetLayout
+from relocbench.datasets.core.pairfile import read_pairs
+from relocbench.datasets.core.traversal import read_poses
+from relocbench.datasets.groundtruth.pose_graph.files import read_graph
+from relocbench.datasets.groundtruth.registration.files import read_registrations
+from relocbench.datasets.importers.four_seasons import files as four_seasons_files
+from relocbench.datasets.importers.four_seasons.receiver import read_gga
+from relocbench.datasets.importers.kitti.files import Sequence
+from relocbench.datasets.importers.robotcar import files as robotcar_files
+from relocbench.datasets.sensors.trajectories import read_trajectory
 from relocbench.errors import DatasetError, RelocbenchError, quoted
-from relocbench.evaluation.matching_table import read_matching
+from relocbench.evaluation.common.matching_table import read_matching
+from relocbench.evaluation.common.results import ANSWER_COLUMNS, read_errors
+from relocbench.evaluation.common.results import read_answers as read_pair_answers
 from relocbench.evaluation.relocalization.answers import read_chain
 from relocbench.evaluation.relocalization.basin import read_basins
-from relocbench.evaluation.results import ANSWER_COLUMNS, read_errors
-from relocbench.evaluation.results import read_answers as read_pair_answers
 from relocbench.evaluation.retrieval.answers import read_answers
 from relocbench.files import (
     parse_count,
@@ -44,7 +45,7 @@ from relocbench.files import (
     text,
     whole_number,
 )
-from relocbench.metrics.retrieval_plausibility import check_single_positive_tables
+from relocbench.metrics.retrieval.plausibility import check_single_positive_tables
 from relocbench.progress import Silent
 
 LONG = "x" * (csv.field_size_limit() + 1)

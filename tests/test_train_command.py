@@ -12,11 +12,11 @@ from killing import Fault, run_until_killed
 from made_pairs import TINY
 from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset
 
-from relocbench.datasets.correspondences import read_correspondences
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.training_pairs import DatasetPairs, without_only_validation
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.learning.training_pairs import DatasetPairs, without_only_validation
+from relocbench.datasets.pairs.correspondences import read_correspondences
 from relocbench.errors import ConfigError, DatasetError, MethodError
-from relocbench.evaluation.trial import Trial
+from relocbench.evaluation.tracking.trial import Trial
 from relocbench.methods.trainers import installed_trainers, trainer_named, trainer_options
 from relocbench.progress import Silent
 from relocbench.tracking import Query, Reference, TrackResult

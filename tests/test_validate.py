@@ -12,14 +12,14 @@ from small_dataset import ACROSS, CAMERA, START_NS, STEP_NS, WITHIN, make_small_
 from typer.testing import CliRunner
 
 from relocbench.cli.app import app
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.faults import Findings
-from relocbench.datasets.pairfile import PoseLine, write_pose_lines
-from relocbench.datasets.validation import validate_dataset
+from relocbench.datasets.checks.faults import Findings
+from relocbench.datasets.checks.validation import validate_dataset
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import RelocbenchError
-from relocbench.evaluation import run as run_module
-from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
-from relocbench.evaluation.validation import validate_prediction_files, validate_results
+from relocbench.evaluation.tracking import run as run_module
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
+from relocbench.evaluation.tracking.validation import validate_prediction_files, validate_results
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.progress import Silent
 

@@ -10,8 +10,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from relocbench.datasets.importers.robotcar_files import read_tags
-from relocbench.datasets.schema import TraversalFile
+from relocbench.datasets.core.schema import TraversalFile
+from relocbench.datasets.importers.robotcar.files import read_tags
 from relocbench.errors import ConfigError, DatasetError, RelocbenchError
 from relocbench.files import (
     YamlFault,

@@ -7,9 +7,8 @@ import os
 import sys
 
 from relocbench.cli.interruption import INTERRUPTED, interruptible, leave, tell_once
-from relocbench.errors import RelocbenchError, printable
+from relocbench.errors import USER_ERROR, RelocbenchError, printable
 
-USER_ERROR = 2
 _SURROUNDINGS = {
     getattr(errno, name)
     for name in (

@@ -25,9 +25,7 @@ from relocbench.cli.options import (
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
-    from relocbench.datasets.cross_view import CrossViewSet
-    from relocbench.datasets.recording import RecordingFolder
-    from relocbench.datasets.schema import Strict
+    from relocbench.datasets.core.schema import Strict
     from relocbench.execution import Run
 
 _NO_SOURCE = ("synthetic", "cross-view")
@@ -175,9 +173,9 @@ def _build(kind: str, options: type[Strict], given: dict[str, Any]) -> None:
 
 def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Run, quiet: bool, as_json: bool) -> None:
     from relocbench.cli.console import print_json, reporter
-    from relocbench.cli.inspect import print_summary
+    from relocbench.cli.summaries import print_places, print_recording, print_summary
+    from relocbench.datasets.core.build_options import ImportOptions
     from relocbench.datasets.importers import importer, place_importer, recorder
-    from relocbench.datasets.importers.options import ImportOptions
 
     places = place_importer(kind)
     if places is not None:
@@ -194,37 +192,10 @@ def _make(kind: str, chosen: Strict, sources: Sequence[Path], out: Path, run: Ru
         if as_json:
             print_json(recorded.to_dict())
         elif not quiet:
-            _print_recording(recorded)
+            print_recording(recorded)
         return
     dataset = importer(kind).build(list(sources), chosen, out, reporter(quiet), run)
     if as_json:
         print_json({"dataset": str(out), "name": dataset.name, "fingerprint": dataset.fingerprint})
     elif not quiet:
         print_summary(dataset)
-
-
-def print_places(made: CrossViewSet) -> None:
-    """What is in a cross-view set."""
-    from relocbench.cli.console import print_table
-    from relocbench.datasets.fingerprint import SHORT
-
-    print(f"{made.name}: {made.root}, fingerprint {made.fingerprint[:SHORT]}")
-    rows = [[f.folder, str(f.classes), str(f.images), f.conditions] for f in made.inventory()]
-    print_table("Folders", ["folder", "classes", "images", "conditions"], rows)
-    for note in made.notes:
-        print(f"note: {note}")
-
-
-def _print_recording(recorded: RecordingFolder) -> None:
-    from relocbench.cli.console import print_table
-
-    print(f"{len(recorded.drives)} drives recorded in the layout '{recorded.layout}': {recorded.root}")
-    print_table(
-        "Drives",
-        ["name", "split", "condition", "route", "traversal", "images", "scans", "length m"],
-        [
-            [d.name, d.split, d.condition, d.route, str(d.traversal), str(d.images), str(d.scans), f"{d.length_m:.1f}"]
-            for d in recorded.drives
-        ],
-    )
-    print(f"which drive is which: {recorded.root / 'drives.csv'}; the exact truth: {recorded.root / 'truth'}")

@@ -10,7 +10,7 @@ import typer
 from relocbench.cli.options import Json, Settings
 
 if TYPE_CHECKING:
-    from relocbench.evaluation.check import Finding
+    from relocbench.evaluation.tracking.check import Finding
     from relocbench.execution import Loss
     from relocbench.methods import MethodSpec
 
@@ -47,8 +47,8 @@ def check_method(
 
 def _checked(asked: tuple[MethodSpec, Path | None]) -> list[Finding]:
     """Runs in a worker."""
-    from relocbench.evaluation.check import check
     from relocbench.evaluation.retrieval.check import check_retriever
+    from relocbench.evaluation.tracking.check import check
     from relocbench.methods import RETRIEVERS
 
     spec, dataset = asked
@@ -56,6 +56,6 @@ def _checked(asked: tuple[MethodSpec, Path | None]) -> list[Finding]:
 
 
 def _lost(asked: tuple[MethodSpec, Path | None], loss: Loss) -> list[Finding]:
-    from relocbench.evaluation.check import Finding
+    from relocbench.evaluation.tracking.check import Finding
 
     return [Finding("leaves its process alive", False, f"it ended ({loss.words})")]

@@ -27,7 +27,7 @@ def demo(
     from relocbench.cli.console import reporter
     from relocbench.cli.leaderboard import print_leaderboard
     from relocbench.datasets.importers import importer
-    from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
+    from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
     from relocbench.execution import Run, default_workers
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard import write_leaderboard

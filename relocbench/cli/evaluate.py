@@ -24,8 +24,9 @@ from relocbench.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from relocbench.datasets.dataset import Dataset, PairSet
-    from relocbench.evaluation.results import MethodResults
+    from relocbench.datasets.core.dataset import Dataset
+    from relocbench.datasets.core.pair_set import PairSet
+    from relocbench.evaluation.common.results import MethodResults
 
 
 def evaluate(
@@ -181,7 +182,7 @@ def _task_of(config: Path | None) -> str:
 def _evaluate_tracking(config: Path | None, given: dict[str, Any], quiet: bool, json: bool) -> None:
     from relocbench.cli.configuration import merged, refuse_foreign
     from relocbench.cli.console import print_json, reporter
-    from relocbench.evaluation.evaluate import EvaluateOptions, evaluate_methods
+    from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 
     refuse_foreign(EvaluateOptions, given, TRACKING)
     options = merged(EvaluateOptions, config, given)
@@ -246,7 +247,7 @@ def _print_report(dataset: Dataset, pair_sets: list[PairSet], folders: list[Meth
 
 def _print_matching(title: str, pair_set: str, folders: list[MethodResults]) -> None:
     from relocbench.cli.console import print_table
-    from relocbench.evaluation.matching_table import ALL
+    from relocbench.evaluation.common.matching_table import ALL
 
     scores = {f.label: f.score_record().matching.get(pair_set, {}).get(ALL) for f in folders}
     known = {label: summary for label, summary in scores.items() if summary}

@@ -32,7 +32,7 @@ def evaluate_relocalization(config: Path | None, given: dict[str, Any], quiet: b
 def _print_report(report: RelocalizationReport) -> None:
     from relocbench.cli.console import print_table
     from relocbench.evaluation.relocalization.score import FAILURES, RANKING
-    from relocbench.leaderboard.text import number
+    from relocbench.leaderboard.common.text import number
 
     for name, record in report.tasks.record.tasks.items():
         title = (

@@ -33,8 +33,8 @@ def export(
 
     Example: relocbench export -d D --method dso --format mlad --out submission.zip
     """
-    from relocbench.datasets.dataset import Dataset
-    from relocbench.evaluation.exports import export_poses
+    from relocbench.datasets.core.dataset import Dataset
+    from relocbench.evaluation.tracking.exports import export_poses
     from relocbench.files import alone_writing_to
 
     opened = Dataset(dataset)

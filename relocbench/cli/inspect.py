@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,9 +11,7 @@ import typer
 from relocbench.cli.options import Json, Quiet
 
 if TYPE_CHECKING:
-    from relocbench.datasets.dataset import Dataset
-    from relocbench.datasets.inspection import PairSetInventory, Spread
-    from relocbench.datasets.overlay import Picture
+    from relocbench.datasets.inspect.overlay import Picture
 
 
 def inspect(
@@ -42,9 +39,10 @@ def inspect(
     Example: relocbench inspect D --ground-truth check
     """
     from relocbench.cli.console import print_json, reporter
+    from relocbench.cli.summaries import print_summary
+    from relocbench.datasets.core.dataset import Dataset
     from relocbench.datasets.cross_view import is_cross_view
-    from relocbench.datasets.dataset import Dataset
-    from relocbench.datasets.inspection import take_inventory
+    from relocbench.datasets.inspect.summary import take_inventory
     from relocbench.files import alone_writing_to
 
     if is_cross_view(dataset):
@@ -56,13 +54,13 @@ def inspect(
     if not json:
         print_summary(opened)
     if pictures is not None:
-        from relocbench.datasets.overlay import write_pictures
+        from relocbench.datasets.inspect.overlay import write_pictures
 
         with alone_writing_to(pictures):
             drawn = write_pictures(opened, chosen, pictures, pairs, seed, reporter(quiet))
     page: Path | None = None
     if ground_truth is not None:
-        from relocbench.datasets.groundtruth.pictures import write_ground_truth
+        from relocbench.datasets.groundtruth.report.pictures import write_ground_truth
 
         with alone_writing_to(ground_truth):
             page = write_ground_truth(opened, chosen, ground_truth, pairs, seed, reporter(quiet))
@@ -76,8 +74,8 @@ def inspect(
 
 def _inspect_places(folder: Path, options: list[object], json: bool) -> None:
     """What is in a cross-view set, which has no pairs to draw."""
-    from relocbench.cli.build_dataset import print_places
     from relocbench.cli.console import print_json
+    from relocbench.cli.summaries import print_places
     from relocbench.datasets.cross_view import open_cross_view
     from relocbench.errors import ConfigError
 
@@ -91,74 +89,6 @@ def _inspect_places(folder: Path, options: list[object], json: bool) -> None:
     print_json(
         {"name": opened.name, "fingerprint": opened.fingerprint, "folders": folders, "notes": list(opened.notes)}
     )
-
-
-def print_summary(dataset: Dataset) -> None:
-    """The tables of ``relocbench inspect``."""
-    from relocbench.cli.console import print_table
-    from relocbench.datasets.fingerprint import SHORT
-    from relocbench.datasets.groundtruth.reasons import by_kind, common
-    from relocbench.datasets.inspection import take_inventory
-
-    found = take_inventory(dataset)
-    print(f"{found.name}: {dataset.root}")
-    print(f"licence {found.licence}, fingerprint {found.fingerprint[:SHORT]}, made by {found.made_by.get('kind', '?')}")
-    print_table(
-        "Traversals",
-        ["name", "condition", "location", "cameras", "images", "keyframes", "poses", "length m"],
-        [
-            [
-                t.name,
-                t.condition,
-                t.location,
-                ", ".join(f"{name} ({what})" for name, what in t.cameras.items()),
-                str(t.images),
-                str(t.keyframes),
-                str(t.poses),
-                f"{t.length_m:.1f}",
-            ]
-            for t in found.traversals
-        ],
-    )
-    print_table(
-        "Pair sets",
-        [
-            "name",
-            "conditions",
-            "pairs",
-            "groups",
-            "distance m\nmin / median / max",
-            "angle deg\nmedian / max",
-            "overlap\nmin / median",
-            "sigma\nm / deg",
-            "rejected",
-        ],
-        [_pair_set_row(s) for s in found.pair_sets],
-    )
-    for pair_set in found.pair_sets:
-        for same in by_kind(Counter(pair_set.rejected).elements()).values():
-            print(f"{pair_set.name}: {len(same)} rejected: {common(same)}")
-    if found.splits:
-        print_table("Splits", ["name", "pair sets"], [[name, ", ".join(sets)] for name, sets in found.splits.items()])
-
-
-def _pair_set_row(s: PairSetInventory) -> list[str]:
-    same = s.reference_condition == s.query_condition
-    return [
-        s.name,
-        s.reference_condition if same else f"{s.reference_condition} → {s.query_condition}",
-        str(s.pairs) if s.has_truth else f"{s.pairs} (withheld)",
-        ", ".join(f"{group} {count}" for group, count in s.groups.items()),
-        _cell(s.distance_m, "least", "median", "greatest", digits=2),
-        _cell(s.angle_deg, "median", "greatest", digits=1),
-        _cell(s.overlap, "least", "median", digits=2),
-        f"{_cell(s.sigma_translation_m, 'median', digits=3)} / {_cell(s.sigma_rotation_deg, 'median', digits=3)}",
-        str(sum(s.rejected.values())),
-    ]
-
-
-def _cell(spread: Spread | None, *names: str, digits: int) -> str:
-    return "–" if spread is None else " / ".join(f"{getattr(spread, name):.{digits}f}" for name in names)
 
 
 def _print_pictures(pictures: list[Picture], folder: Path) -> None:

@@ -10,9 +10,9 @@ import typer
 from relocbench.cli.options import Json, Quiet
 
 if TYPE_CHECKING:
-    from relocbench.leaderboard.model import Board, DatasetBoard, Table
-    from relocbench.leaderboard.relocalization import ChainBoard
-    from relocbench.leaderboard.retrieval import RetrievalBoard
+    from relocbench.leaderboard.relocalization.board import ChainBoard
+    from relocbench.leaderboard.retrieval.board import RetrievalBoard
+    from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
     from relocbench.metrics import Metric
 
 
@@ -39,10 +39,10 @@ def leaderboard(
     from relocbench.cli.console import print_json, reporter
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard import write_leaderboard
-    from relocbench.leaderboard.long_form import leaderboard_rows
-    from relocbench.leaderboard.relocalization_write import chain_rows, write_relocalization_leaderboard
-    from relocbench.leaderboard.retrieval import holds_tracking
-    from relocbench.leaderboard.retrieval_write import retrieval_rows, write_retrieval_leaderboard
+    from relocbench.leaderboard.relocalization.write import chain_rows, write_relocalization_leaderboard
+    from relocbench.leaderboard.retrieval.board import holds_tracking
+    from relocbench.leaderboard.retrieval.write import retrieval_rows, write_retrieval_leaderboard
+    from relocbench.leaderboard.tracking.long_form import leaderboard_rows
 
     asked: dict[str, Any] = {"split": split, "seed": seed, "reporter": reporter(quiet)}
     with alone_writing_to(out):
@@ -71,7 +71,7 @@ def leaderboard(
 
 def _print_retrieval(board: RetrievalBoard) -> None:
     from relocbench.cli.console import print_table
-    from relocbench.leaderboard.text import number
+    from relocbench.leaderboard.common.text import number
 
     for asked in board.sets:
         for table in asked.tables:
@@ -88,7 +88,7 @@ def _print_retrieval(board: RetrievalBoard) -> None:
 
 def _print_chains(board: ChainBoard) -> None:
     from relocbench.cli.console import print_table
-    from relocbench.leaderboard.text import number
+    from relocbench.leaderboard.common.text import number
 
     shares = ("recall@(1m,5deg)", "basin_recall@1", "hit", "right_given_hit")
     for asked in board.sets:
@@ -117,8 +117,8 @@ def print_leaderboard(board: Board) -> None:
 
 def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
     from relocbench.cli.console import print_table
-    from relocbench.leaderboard.markdown import shown_metrics
-    from relocbench.leaderboard.text import number
+    from relocbench.leaderboard.common.text import number
+    from relocbench.leaderboard.tracking.page import shown_metrics
 
     metrics = [m for m in shown_metrics(board) if m in (*board.with_interval, *shown_metrics(board)[:3])]
     of_split = f" {table.split}" if table.pair_set == "total" and table.split else ""

@@ -31,9 +31,9 @@ def preview(
     Example: relocbench preview --all --out conditions.png
     """
     from relocbench.cli.console import reporter
-    from relocbench.datasets.images import write_image
-    from relocbench.datasets.synthetic.contact_sheet import contact_sheet
-    from relocbench.datasets.synthetic.presets import SPLITS, previewed
+    from relocbench.datasets.core.images import write_image
+    from relocbench.datasets.synthetic.conditions.presets import SPLITS, previewed
+    from relocbench.datasets.synthetic.jobs.contact_sheet import contact_sheet
     from relocbench.errors import ConfigError
 
     if split not in SPLITS:

@@ -129,8 +129,8 @@ def train(
 
 def _pairs(roots: Sequence[Path], split: str, validation_pairs: int) -> tuple[TrainingData, Validate | None]:
     """What a tracker learns from and is tried on; no validation at 0."""
-    from relocbench.datasets.training_pairs import DatasetPairs, without_only_validation
-    from relocbench.evaluation.trial import Trial
+    from relocbench.datasets.learning.training_pairs import DatasetPairs, without_only_validation
+    from relocbench.evaluation.tracking.trial import Trial
     from relocbench.progress import Silent
 
     if not validation_pairs:
@@ -144,9 +144,9 @@ def _places(
     roots: Sequence[Path], split: str, held_out: float, options: Mapping[str, Any], reporter: Reporter
 ) -> tuple[PlaceData, ValidateRetriever | None]:
     """What a retriever learns from and is tried on; no validation at 0."""
-    from relocbench.datasets.training_places import training_places
+    from relocbench.datasets.learning.training_places import training_places
     from relocbench.errors import ConfigError
-    from relocbench.evaluation.place_trial import PlaceTrial, hold_out
+    from relocbench.evaluation.retrieval.trial import PlaceTrial, hold_out
 
     if split != "train":
         raise ConfigError(f"--split {split}: a retriever learns from the folder train/ alone")

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from relocbench.cli import USER_ERROR
 from relocbench.cli.options import Json, Quiet
+from relocbench.errors import USER_ERROR
 
 if TYPE_CHECKING:
-    from relocbench.datasets.faults import Findings
+    from relocbench.datasets.checks.faults import Findings
     from relocbench.progress import Reporter
 
 
@@ -61,12 +61,12 @@ def _count(faults: int) -> str:
 
 def _check(path: Path, dataset: Path | None, quick: bool, reporter: Reporter) -> tuple[str, Findings]:
     """What ``path`` is, and what is wrong with it. Raises RelocbenchError where it is nothing of ours."""
+    from relocbench.datasets.checks.validation import is_dataset_folder, validate_dataset
+    from relocbench.datasets.core.dataset import Dataset
     from relocbench.datasets.cross_view import is_cross_view
     from relocbench.datasets.cross_view.checking import validate_cross_view
-    from relocbench.datasets.dataset import Dataset
-    from relocbench.datasets.validation import is_dataset_folder, validate_dataset
     from relocbench.errors import PredictionError, RelocbenchError
-    from relocbench.evaluation.validation import is_results_folder, validate_prediction_files, validate_results
+    from relocbench.evaluation.tracking.validation import is_results_folder, validate_prediction_files, validate_results
 
     if not path.exists():
         raise RelocbenchError("no such file or folder; expected a dataset, results or predictions", path)

@@ -1,6 +1,7 @@
 """SE(3), interpolation, camera models and projection. Knows numpy alone."""
 
 from relocbench.geometry.camera import Camera, CameraModel, camera_from_dict
+from relocbench.geometry.robust import robust_sigma
 from relocbench.geometry.se3 import (
     adjoint,
     apply,
@@ -38,6 +39,7 @@ __all__ = [
     "make_transform",
     "project_to_rotation",
     "quaternion_from_rotation",
+    "robust_sigma",
     "rotation_angle",
     "rotation_from_quaternion",
     "se3_exp",

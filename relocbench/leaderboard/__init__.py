@@ -1,9 +1,9 @@
 """Tables, plots and pages from a results folder alone; the datasets need not be at hand."""
 
-from relocbench.leaderboard.load import DatasetEntry, Method, load_results
-from relocbench.leaderboard.model import Board, DatasetBoard, Row, SeedRow, Table
-from relocbench.leaderboard.tables import RANKING, make_board
-from relocbench.leaderboard.write import write_board, write_leaderboard
+from relocbench.leaderboard.tracking.load import DatasetEntry, Method, load_results
+from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, SeedRow, Table
+from relocbench.leaderboard.tracking.tables import RANKING, make_board
+from relocbench.leaderboard.tracking.write import write_board, write_leaderboard
 
 __all__ = [
     "RANKING",

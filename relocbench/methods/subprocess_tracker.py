@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from relocbench.datasets.images import write_depth, write_image, write_points
-from relocbench.datasets.pairfile import QUATERNION_TOLERANCE
+from relocbench.datasets.core.images import write_depth, write_image, write_points
+from relocbench.datasets.core.pairfile import QUATERNION_TOLERANCE
 from relocbench.errors import MethodError, one_line
 from relocbench.geometry import transform_from_tq, transform_to_tq
 from relocbench.methods.program import Broken, Program

@@ -1,20 +1,22 @@
 """Pose errors, retrieval, curves, summaries and significance. Knows geometry alone and does no I/O."""
 
-from relocbench.metrics.block_length import automatic_block_length
-from relocbench.metrics.confidence import PrecisionRecall, precision_recall
-from relocbench.metrics.curves import CumulativeCurve, area_shares, cumulative_curve
-from relocbench.metrics.failure_policy import (
+from relocbench.metrics.pose.confidence import PrecisionRecall, precision_recall
+from relocbench.metrics.pose.curves import CumulativeCurve, area_shares, cumulative_curve
+from relocbench.metrics.pose.errors import PoseErrors, pose_errors
+from relocbench.metrics.pose.failure_policy import (
     align_predictions,
     answered_pairs,
     infinite_where_failed,
     mean_over_pair_sets,
     place_predictions,
 )
-from relocbench.metrics.matching import MatchingQuality, OffsetShare, matching_quality
-from relocbench.metrics.pose_errors import PoseErrors, pose_errors
-from relocbench.metrics.radius import Radius, Ratio, radius_of, radius_ratio, success_radius
-from relocbench.metrics.registry import METRICS, Metric, PairScores, metric_named, within
-from relocbench.metrics.retrieval import (
+from relocbench.metrics.pose.matching import MatchingQuality, OffsetShare, matching_quality
+from relocbench.metrics.pose.radius import Radius, Ratio, radius_of, radius_ratio, success_radius
+from relocbench.metrics.pose.registry import METRICS, Metric, PairScores, metric_named, within
+from relocbench.metrics.pose.summary import PairSetSummary, Spread, spread_over_seeds, summarize, totals
+from relocbench.metrics.retrieval.chance import chance_level
+from relocbench.metrics.retrieval.descriptors import exact_scores, rank_descriptors
+from relocbench.metrics.retrieval.measures import (
     PLACE_METRICS,
     RETRIEVAL_METRICS,
     Denominator,
@@ -24,15 +26,13 @@ from relocbench.metrics.retrieval import (
     score_retrieval,
     summarize_retrieval,
 )
-from relocbench.metrics.retrieval_chance import chance_level
-from relocbench.metrics.retrieval_descriptors import exact_scores, rank_descriptors
-from relocbench.metrics.retrieval_plausibility import (
+from relocbench.metrics.retrieval.plausibility import (
     TableCheck,
     TableFault,
     check_single_positive_tables,
     single_positive_fault,
 )
-from relocbench.metrics.retrieval_ranking import (
+from relocbench.metrics.retrieval.ranking import (
     NEVER,
     Ranking,
     count_at_least,
@@ -41,13 +41,14 @@ from relocbench.metrics.retrieval_ranking import (
     ranks_of_positives,
     sorted_finite,
 )
-from relocbench.metrics.retrieval_relevance import (
+from relocbench.metrics.retrieval.relevance import (
     Relevance,
     relevance_from_labels,
     relevance_from_lists,
     relevance_within,
 )
-from relocbench.metrics.significance import (
+from relocbench.metrics.statistics.block_length import automatic_block_length
+from relocbench.metrics.statistics.significance import (
     Difference,
     Interval,
     bootstrap_interval,
@@ -55,7 +56,6 @@ from relocbench.metrics.significance import (
     paired_difference,
     rank_with_ties,
 )
-from relocbench.metrics.summary import PairSetSummary, Spread, spread_over_seeds, summarize, totals
 
 __all__ = [
     "METRICS",

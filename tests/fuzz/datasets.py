@@ -50,15 +50,15 @@ def write_images(root: Path) -> None:
 
 
 def _description(place: Place) -> None:
-    from relocbench.datasets.dataset import Dataset
-    from relocbench.datasets.inspection import take_inventory
+    from relocbench.datasets.core.dataset import Dataset
+    from relocbench.datasets.inspect.summary import take_inventory
 
     take_inventory(Dataset(place.root / "ds"))
 
 
 def _traversal(place: Place) -> None:
-    from relocbench.datasets.dataset import Traversal
-    from relocbench.datasets.layout import TraversalLayout
+    from relocbench.datasets.core.layout import TraversalLayout
+    from relocbench.datasets.core.traversal import Traversal
 
     traversal = Traversal(TraversalLayout(place.target.parent))
     for camera in traversal.cameras:
@@ -69,8 +69,8 @@ def _traversal(place: Place) -> None:
 
 def _frames(place: Place) -> None:
     """All that a tracker is given."""
-    from relocbench.datasets.dataset import Traversal
-    from relocbench.datasets.layout import DatasetLayout
+    from relocbench.datasets.core.layout import DatasetLayout
+    from relocbench.datasets.core.traversal import Traversal
 
     for name, folder in (("summer", "ds"), ("winter", "ds"), ("summer", "sparse")):
         traversal = Traversal(DatasetLayout(place.root / folder).traversal(name))
@@ -79,27 +79,27 @@ def _frames(place: Place) -> None:
 
 
 def _poses(place: Place) -> None:
-    from relocbench.datasets.dataset import read_poses
+    from relocbench.datasets.core.traversal import read_poses
 
     read_poses(place.target)
 
 
 def _pairs(place: Place) -> None:
-    from relocbench.datasets.pairfile import distances_and_angles, read_pairs
+    from relocbench.datasets.core.pairfile import distances_and_angles, read_pairs
 
     pairs = read_pairs(place.root / f"{PAIRS}.txt", place.root / f"{PAIRS}.csv")
     distances_and_angles(pairs)
 
 
 def _pose_lines(place: Place) -> None:
-    from relocbench.datasets.pairfile import read_pose_lines
+    from relocbench.datasets.core.pairfile import read_pose_lines
 
     read_pose_lines(place.target, allow_non_finite=True)
 
 
 def _manifest(place: Place) -> Iterable[str]:
-    from relocbench.datasets import fingerprint
-    from relocbench.datasets.layout import DatasetLayout
+    from relocbench.datasets.core import fingerprint
+    from relocbench.datasets.core.layout import DatasetLayout
 
     layout = DatasetLayout(place.root / "ds")
     fingerprint.read_manifest(layout)
@@ -107,7 +107,7 @@ def _manifest(place: Place) -> Iterable[str]:
 
 
 def _correspondences(place: Place) -> None:
-    from relocbench.datasets.correspondences import read_correspondences
+    from relocbench.datasets.pairs.correspondences import read_correspondences
 
     found = read_correspondences(place.target)
     if len(found):
@@ -115,26 +115,26 @@ def _correspondences(place: Place) -> None:
 
 
 def _points(place: Place) -> None:
-    from relocbench.datasets.images import read_points
+    from relocbench.datasets.core.images import read_points
 
     read_points(place.target)
 
 
 def _image(place: Place) -> None:
-    from relocbench.datasets.images import read_image
+    from relocbench.datasets.core.images import read_image
 
     read_image(place.target)
 
 
 def _depth(place: Place) -> None:
-    from relocbench.datasets.images import read_depth, read_raw_depth
+    from relocbench.datasets.core.images import read_depth, read_raw_depth
 
     read_depth(place.target)
     read_raw_depth(place.target, 1 / 5000)
 
 
 def _validate(place: Place) -> Iterable[str]:
-    from relocbench.datasets.validation import validate_dataset
+    from relocbench.datasets.checks.validation import validate_dataset
     from relocbench.progress import Silent
 
     found = validate_dataset(place.root / "ds", Silent())

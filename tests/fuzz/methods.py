@@ -130,7 +130,7 @@ def _configuration(place: Place) -> None:
     """As the commands read them, up to where the work would begin."""
     from relocbench.cli.configuration import merged
     from relocbench.datasets.importers import KINDS, options_of
-    from relocbench.evaluation.evaluate import EvaluateOptions
+    from relocbench.evaluation.tracking.evaluate import EvaluateOptions
 
     kind = place.target.name.split(".")[0]
     if kind == "evaluate":

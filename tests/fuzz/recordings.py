@@ -177,7 +177,7 @@ def write_generic(root: Path) -> None:
 
 def _kitti(read: Callable[[object], object]) -> Read:
     def run(place: Place) -> None:
-        from relocbench.datasets.importers.kitti_files import Sequence
+        from relocbench.datasets.importers.kitti.files import Sequence
 
         read(Sequence(place.root / "kitti", "00"))
 
@@ -197,7 +197,7 @@ def _kitti_calibration(sequence: object) -> None:
 
 
 def _kitti_recording(place: Place) -> None:
-    from relocbench.datasets.importers.kitti_recording import read_kitti
+    from relocbench.datasets.importers.kitti.recording import read_kitti
 
     recording = read_kitti(place.root / "kitti", "00", odometry="poses")
     for stream in (*recording.lidars, *recording.cameras.values()):
@@ -207,12 +207,10 @@ def _kitti_recording(place: Place) -> None:
 
 def _four_seasons(name: str) -> Read:
     def run(place: Place) -> None:
-        from relocbench.datasets.importers import (
-            four_seasons_calibration,
-            four_seasons_files,
-            four_seasons_receiver,
-            sources,
-        )
+        from relocbench.datasets.importers.four_seasons import calibration as four_seasons_calibration
+        from relocbench.datasets.importers.four_seasons import files as four_seasons_files
+        from relocbench.datasets.importers.four_seasons import receiver as four_seasons_receiver
+        from relocbench.datasets.sensors import trajectories as sources
 
         readers: dict[str, Callable[[Path], object]] = {
             "poses": four_seasons_files.read_poses,
@@ -232,7 +230,7 @@ def _four_seasons(name: str) -> Read:
 
 def _robotcar_files(name: str) -> Read:
     def run(place: Place) -> None:
-        from relocbench.datasets.importers import robotcar_files as files
+        from relocbench.datasets.importers.robotcar import files
 
         readers: dict[str, Callable[[Path], object]] = {
             "timestamps": files.read_timestamps,
@@ -248,8 +246,8 @@ def _robotcar_files(name: str) -> Read:
 
 
 def _robotcar(place: Place) -> None:
-    from relocbench.datasets.importers.robotcar_recording import read_robotcar
-    from relocbench.datasets.importers.robotcar_sensors import read_look_up_table
+    from relocbench.datasets.importers.robotcar.recording import read_robotcar
+    from relocbench.datasets.importers.robotcar.sensors import read_look_up_table
 
     read_look_up_table.cache_clear()
     recording = read_robotcar(place.root / "2014-11-18-13-20-12")
@@ -259,7 +257,7 @@ def _robotcar(place: Place) -> None:
 
 
 def _generic(place: Place) -> None:
-    from relocbench.datasets.importers.generic import poses_at_images, read_folder
+    from relocbench.datasets.importers.generic.dataset import poses_at_images, read_folder
 
     for name in ("one", "two"):
         poses_at_images(read_folder(place.root / name, name), 1.0)

@@ -40,7 +40,7 @@ def write_records(root: Path) -> None:
 
 def _tables(page: str) -> None:
     from relocbench.errors import PredictionError
-    from relocbench.metrics.retrieval_tables import read_tables
+    from relocbench.metrics.retrieval.tables import read_tables
 
     try:
         read_tables(page)
@@ -88,7 +88,7 @@ def _lists(place: Place) -> None:
 
 
 def _retrieval_board(place: Place) -> Iterable[str]:
-    from relocbench.leaderboard.retrieval_write import write_retrieval_leaderboard
+    from relocbench.leaderboard.retrieval.write import write_retrieval_leaderboard
     from relocbench.progress import Silent
 
     write_retrieval_leaderboard(
@@ -98,7 +98,7 @@ def _retrieval_board(place: Place) -> Iterable[str]:
 
 
 def _chain_board(place: Place) -> None:
-    from relocbench.leaderboard.relocalization_write import write_relocalization_leaderboard
+    from relocbench.leaderboard.relocalization.write import write_relocalization_leaderboard
     from relocbench.progress import Silent
 
     metric = "recall@(0.25m,2deg)"

@@ -57,59 +57,59 @@ def _folder(root: Path) -> Path:
 
 
 def _run_record(place: Place) -> None:
-    from relocbench.evaluation.results import MethodResults
-    from relocbench.leaderboard.load import evaluate_command
+    from relocbench.evaluation.common.results import MethodResults
+    from relocbench.leaderboard.tracking.load import evaluate_command
 
     evaluate_command(MethodResults(place.target.parent).run_record())
 
 
 def _scores(place: Place) -> None:
-    from relocbench.evaluation.results import MethodResults
+    from relocbench.evaluation.common.results import MethodResults
 
     MethodResults(place.target.parent).score_record()
 
 
 def _dataset_record(place: Place) -> None:
-    from relocbench.evaluation.results import DatasetResults
+    from relocbench.evaluation.common.results import DatasetResults
 
     _ = DatasetResults(place.target.parent).record
 
 
 def _errors(place: Place) -> None:
-    from relocbench.evaluation.results import read_errors
-    from relocbench.evaluation.score import summarize_rows
+    from relocbench.evaluation.common.results import read_errors
+    from relocbench.evaluation.tracking.score import summarize_rows
 
     summarize_rows(read_errors(place.target), "all")
 
 
 def _answers(place: Place) -> None:
-    from relocbench.evaluation.results import read_answers
+    from relocbench.evaluation.common.results import read_answers
 
     read_answers(place.target)
 
 
 def _matching(place: Place) -> None:
-    from relocbench.evaluation.matching_table import read_matching, summarize_matching
+    from relocbench.evaluation.common.matching_table import read_matching, summarize_matching
 
     summarize_matching(read_matching(place.target))
 
 
 def _predictions(place: Place) -> None:
-    from relocbench.datasets.dataset import Dataset
-    from relocbench.evaluation.score import read_predictions
+    from relocbench.datasets.core.dataset import Dataset
+    from relocbench.evaluation.tracking.score import read_predictions
 
     read_predictions(place.target, Dataset(place.root / "ds").pair_set(ACROSS))
 
 
 def _journal(place: Place) -> None:
-    from relocbench.evaluation.worker import journal_entries
+    from relocbench.evaluation.common.worker import journal_entries
 
     list(journal_entries(place.target.parent))
 
 
 def _validate(place: Place) -> Iterable[str]:
-    from relocbench.datasets.dataset import Dataset
-    from relocbench.evaluation.validation import validate_results
+    from relocbench.datasets.core.dataset import Dataset
+    from relocbench.evaluation.tracking.validation import validate_results
     from relocbench.progress import Silent
 
     found = validate_results(place.root / "results", Dataset(place.root / "ds"), Silent())

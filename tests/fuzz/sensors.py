@@ -76,13 +76,13 @@ def write_lidar_folder(root: Path) -> None:
 
 def write_kept(root: Path) -> None:
     """What a build of ground truth keeps: blocks, registrations, graphs, its journal."""
-    from relocbench.datasets.groundtruth.block_store import write_block
-    from relocbench.datasets.groundtruth.blocks import Block, Nodes
-    from relocbench.datasets.groundtruth.evidence import Evidence, Registration
-    from relocbench.datasets.groundtruth.graph_files import PlacedDrive, write_graph
-    from relocbench.datasets.groundtruth.hypotheses import Outcome
-    from relocbench.datasets.groundtruth.journal import Journal
-    from relocbench.datasets.groundtruth.track_files import write_registrations
+    from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes
+    from relocbench.datasets.groundtruth.blocks.store import write_block
+    from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive, write_graph
+    from relocbench.datasets.groundtruth.registration.files import write_registrations
+    from relocbench.datasets.groundtruth.registration.hypotheses import Outcome
+    from relocbench.datasets.groundtruth.registration.journal import Journal
+    from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
 
     folder = root / "kept"
     folder.mkdir()
@@ -107,19 +107,19 @@ def write_kept(root: Path) -> None:
 
 
 def _cloud(place: Place) -> None:
-    from relocbench.datasets.importers.point_clouds import read_point_cloud
+    from relocbench.datasets.sensors.point_clouds import read_point_cloud
 
     read_point_cloud(place.target)
 
 
 def _velodyne(place: Place) -> None:
-    from relocbench.datasets.importers.velodyne import read_scan
+    from relocbench.datasets.sensors.velodyne import read_scan
 
     read_scan(place.target)
 
 
 def _lidar_folder(place: Place) -> None:
-    from relocbench.datasets.importers.generic_recording import read_generic
+    from relocbench.datasets.importers.generic.recording import read_generic
 
     recording = read_generic(place.root / "drive", odometry="poses")
     for lidar in recording.lidars:
@@ -128,25 +128,25 @@ def _lidar_folder(place: Place) -> None:
 
 
 def _block(place: Place) -> None:
-    from relocbench.datasets.groundtruth.block_store import read_block
+    from relocbench.datasets.groundtruth.blocks.store import read_block
 
     read_block(place.target)
 
 
 def _registrations(place: Place) -> None:
-    from relocbench.datasets.groundtruth.track_files import read_registrations
+    from relocbench.datasets.groundtruth.registration.files import read_registrations
 
     read_registrations(place.target)
 
 
 def _graph(place: Place) -> None:
-    from relocbench.datasets.groundtruth.graph_files import read_graph
+    from relocbench.datasets.groundtruth.pose_graph.files import read_graph
 
     read_graph(place.target, "a", "b")
 
 
 def _journal(place: Place) -> None:
-    from relocbench.datasets.groundtruth.journal import Journal
+    from relocbench.datasets.groundtruth.registration.journal import Journal
 
     Journal(place.target).close()
 

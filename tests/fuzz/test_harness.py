@@ -89,7 +89,7 @@ def test_the_same_numbers_give_the_same_inputs_in_another_process(tmp_path: Path
     here = inputs_of(tmp_path, 60)
     assert len({json.dumps(one) for one in here}) > 50
     program = (
-        "import sys, json, relocbench.datasets.images; from pathlib import Path; "
+        "import sys, json, relocbench.datasets.core.images; from pathlib import Path; "
         "from fuzz.test_harness import inputs_of; "
         "print(json.dumps(inputs_of(Path(sys.argv[1]), 60)))"
     )

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
-from relocbench.datasets import images
+from relocbench.datasets.checks.faults import Findings
+from relocbench.datasets.core import images
 from relocbench.datasets.cross_view import content
 from relocbench.datasets.cross_view.opening import open_cross_view
-from relocbench.datasets.faults import Findings
 from relocbench.errors import DatasetError
 from relocbench.files import sha256_file
 from relocbench.progress import Reporter

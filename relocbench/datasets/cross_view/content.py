@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from relocbench.datasets.question import recipe
-from relocbench.datasets.schema import Strict
+from relocbench.datasets.core.question import recipe
+from relocbench.datasets.core.schema import Strict
 from relocbench.errors import DatasetError
 from relocbench.files import atomic_write, check_name, parse_count, read_csv, read_table, sha256_file
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from relocbench.datasets import images
+from relocbench.datasets.core import images
 from relocbench.datasets.cross_view.layout import TRAIN_FOLDERS
 from relocbench.errors import DatasetError
-from relocbench.metrics.retrieval_relevance import relevance_from_labels
+from relocbench.metrics.retrieval.relevance import relevance_from_labels
 from relocbench.retrieval import Image, ImageView, PlaceData, PlaceImage, RetrievalTask
 
 

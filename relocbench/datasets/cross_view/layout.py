@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from relocbench.datasets.layout import IMAGE_SUFFIXES
+from relocbench.datasets.core.layout import IMAGE_SUFFIXES
 from relocbench.errors import DatasetError
 
 VIEWS = ("drone", "satellite", "street")

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
 if TYPE_CHECKING:
+    from relocbench.datasets.core.build_options import ImportOptions
+    from relocbench.datasets.core.dataset import Dataset
+    from relocbench.datasets.core.recording_folder import RecordingFolder
+    from relocbench.datasets.core.schema import Strict
     from relocbench.datasets.cross_view import CrossViewSet
-    from relocbench.datasets.dataset import Dataset
-    from relocbench.datasets.importers.options import ImportOptions
-    from relocbench.datasets.recording import RecordingFolder
-    from relocbench.datasets.schema import Strict
     from relocbench.execution import Run
     from relocbench.progress import Reporter
 
@@ -32,6 +32,19 @@ KINDS: dict[str, str] = {
     "cross-view": "buildings of procedural towns by drone, satellite and from the street, in University-1652's layout",
 }
 """what ``relocbench build-dataset`` can read"""
+
+_MODULES = {
+    "kitti": "kitti.dataset",
+    "tum-rgbd": "tum_rgbd.dataset",
+    "four-seasons": "four_seasons.dataset",
+    "robotcar": "robotcar.dataset",
+    "kitti-lidar": "kitti.lidar_dataset",
+    "generic-lidar": "generic.lidar_dataset",
+    "generic": "generic.dataset",
+    "synthetic": "rendered.dataset",
+    "cross-view": "rendered.cross_view",
+}
+"""kind -> importer module"""
 
 
 class Importer(Protocol):
@@ -83,5 +96,5 @@ def recorder(kind: str) -> Recorder | None:
 
 def importer(kind: str) -> Importer:
     """The importer module of one of :data:`KINDS`, loaded now."""
-    module: Importer = import_module(f"relocbench.datasets.importers.{kind.replace('-', '_')}")
+    module: Importer = import_module(f"{__name__}.{_MODULES[kind]}")
     return module

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from relocbench.datasets.correspondences import write_pair_set
-from relocbench.datasets.dataset import Traversal
-from relocbench.datasets.importers.options import ImportOptions
-from relocbench.datasets.pairing import make_pairs, posed_frames
-from relocbench.datasets.schema import Condition
-from relocbench.datasets.writer import DatasetWriter
+from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.core.traversal import Traversal
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.pairs.correspondences import write_pair_set
+from relocbench.datasets.pairs.pairing import make_pairs, posed_frames
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.progress import Reporter

@@ -15,12 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.dataset import Dataset, PairSet
-from relocbench.datasets.drawing import rgb
-from relocbench.datasets.images import write_image
-from relocbench.datasets.pairfile import Pair
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.images import write_image
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.inspect.drawing import rgb
 from relocbench.errors import MethodError
-from relocbench.evaluation.worker import read_only, tracker_of
+from relocbench.evaluation.common.worker import read_only, tracker_of
 from relocbench.execution import MANY_TIMES, Loss, step
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec

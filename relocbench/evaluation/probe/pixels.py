@@ -19,13 +19,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.correspondences import Correspondences
-from relocbench.datasets.pairfile import PairKey
-from relocbench.evaluation.answers import checked_pixels
-from relocbench.evaluation.guard import guarded
-from relocbench.evaluation.matching import Starts, draw_starts
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.datasets.pairs.correspondences import Correspondences
+from relocbench.evaluation.common.answers import checked_pixels
+from relocbench.evaluation.common.guard import guarded
+from relocbench.evaluation.common.worker import read_only
 from relocbench.evaluation.probe.tally import Tally
-from relocbench.evaluation.worker import read_only
+from relocbench.evaluation.tracking.matching import Starts, draw_starts
 from relocbench.tracking import Query
 
 Array = NDArray[np.float64]

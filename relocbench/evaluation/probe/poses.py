@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.pairfile import PairKey
-from relocbench.evaluation.answers import ask, broken
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.evaluation.common.answers import ask, broken
 from relocbench.evaluation.probe.tally import Tally, What
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.metrics import PoseErrors, pose_errors, within

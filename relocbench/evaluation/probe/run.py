@@ -11,17 +11,18 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from relocbench.datasets.dataset import Dataset, PairSet
-from relocbench.datasets.pairfile import PairKey
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError
-from relocbench.evaluation.asking_options import AskingOptions
-from relocbench.evaluation.offers import offers_of
-from relocbench.evaluation.opening import opened
+from relocbench.evaluation.common.asking_options import AskingOptions
+from relocbench.evaluation.common.offers import offers_of
+from relocbench.evaluation.common.opening import opened
 from relocbench.evaluation.probe.feature_maps import Picture, draw, lost_picture, places_of
 from relocbench.evaluation.probe.table import Line, lines_of
 from relocbench.evaluation.probe.work import Answered, Task, ask_pairs, task_for
 from relocbench.evaluation.probe.write import write_probe
-from relocbench.evaluation.run import new_record
+from relocbench.evaluation.tracking.run import new_record
 from relocbench.execution import kept_workers, run_limited
 from relocbench.methods import MethodSpec, parse_methods
 from relocbench.progress import Reporter

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.pairfile import PairKey
+from relocbench.datasets.core.pairfile import PairKey
 from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, level_names
 from relocbench.evaluation.probe.poses import CONVERGED
 from relocbench.evaluation.probe.tally import Tally, What

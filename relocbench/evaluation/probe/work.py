@@ -10,18 +10,16 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from relocbench.datasets.correspondences import read_correspondences
-from relocbench.datasets.dataset import Dataset, PairSet
-from relocbench.datasets.layout import DatasetLayout, pair_set_name
-from relocbench.datasets.pairfile import PairKey
-from relocbench.datasets.writer import versions
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.datasets.core.writer import versions
+from relocbench.datasets.pairs.correspondences import read_correspondences
 from relocbench.errors import PredictionError, one_line
-from relocbench.evaluation.lost_pairs import LostPairs, ask_all
-from relocbench.evaluation.offers import Offers
-from relocbench.evaluation.probe.pixels import probe_pixels, with_structure
-from relocbench.evaluation.probe.poses import OFFSETS, probe_poses
-from relocbench.evaluation.probe.tally import Tally
-from relocbench.evaluation.worker import (
+from relocbench.evaluation.common.lost_pairs import LostPairs, ask_all
+from relocbench.evaluation.common.offers import Offers
+from relocbench.evaluation.common.worker import (
     Unit,
     journal_entries,
     open_journal,
@@ -31,6 +29,9 @@ from relocbench.evaluation.worker import (
     traversal_of,
     units_of,
 )
+from relocbench.evaluation.probe.pixels import probe_pixels, with_structure
+from relocbench.evaluation.probe.poses import OFFSETS, probe_poses
+from relocbench.evaluation.probe.tally import Tally
 from relocbench.execution import MANY_TIMES, Run, step
 from relocbench.files import alone_in, sha256_file
 from relocbench.methods import MethodSpec, distribution_version

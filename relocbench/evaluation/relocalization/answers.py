@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from relocbench.errors import PredictionError
-from relocbench.evaluation.results import STATUSES
+from relocbench.evaluation.common.results import STATUSES
 from relocbench.files import atomic_write, parse_count, parse_floats, parse_timestamp, read_table
 from relocbench.metrics import PoseErrors
 

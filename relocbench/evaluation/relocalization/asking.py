@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 
-from relocbench.datasets.dataset import Dataset, PairSet
-from relocbench.datasets.pairfile import Pair, PairKey
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.errors import PredictionError
+from relocbench.evaluation.common.results import DatasetResults, MethodResults, read_answers
+from relocbench.evaluation.common.worker import journal_entries
 from relocbench.evaluation.relocalization.chain import Tracked
-from relocbench.evaluation.results import DatasetResults, MethodResults, read_answers
-from relocbench.evaluation.run import Overwrite, run_method
-from relocbench.evaluation.score import read_predictions
-from relocbench.evaluation.worker import journal_entries
+from relocbench.evaluation.tracking.run import Overwrite, run_method
+from relocbench.evaluation.tracking.score import read_predictions
 from relocbench.execution import Run
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.pairfile import PairKey, PoseLine
+from relocbench.datasets.core.pairfile import PairKey, PoseLine
+from relocbench.evaluation.common.results import Answer
 from relocbench.evaluation.relocalization.answers import ChainAnswer, Outcome
 from relocbench.evaluation.relocalization.basin import Basin
 from relocbench.evaluation.relocalization.truth import MapTruth, distance_and_angle, inside
-from relocbench.evaluation.results import Answer
 from relocbench.metrics import PoseErrors, pose_errors, within
-from relocbench.metrics.registry import CORRECT
+from relocbench.metrics.pose.registry import CORRECT
 
 Array = NDArray[np.float64]
 RIGHT = CORRECT

@@ -10,10 +10,11 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from relocbench.datasets.dataset import Dataset
-from relocbench.datasets.pairfile import PairKey
-from relocbench.evaluation.asking_options import AskingOptions
-from relocbench.evaluation.opening import opened
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.evaluation.common.asking_options import AskingOptions
+from relocbench.evaluation.common.opening import opened
+from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.relocalization.asking import track, tracked
 from relocbench.evaluation.relocalization.basin import Basins, given_basin, read_basins
 from relocbench.evaluation.relocalization.chain import Retrieved, keyframe_poses
@@ -34,11 +35,10 @@ from relocbench.evaluation.relocalization.score import Values
 from relocbench.evaluation.relocalization.tasks import ChainTasks, chain_tasks
 from relocbench.evaluation.relocalization.truth import MapTruth
 from relocbench.evaluation.relocalization.writing import broken, write_chain_results
-from relocbench.evaluation.results import MethodResults
 from relocbench.evaluation.retrieval.evaluate import KEEP
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.records import set_results
-from relocbench.evaluation.run import Overwrite
+from relocbench.evaluation.tracking.run import Overwrite
 from relocbench.execution import kept_workers
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter

@@ -15,11 +15,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from relocbench.datasets.fingerprint import SHORT
-from relocbench.datasets.schema import Fingerprint, FolderName, JoinedName, Name, Strict
+from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
+from relocbench.evaluation.common.results import AnswerFolder, DatasetResults, RunRecord, write_record
 from relocbench.evaluation.relocalization.basin import Source
-from relocbench.evaluation.results import AnswerFolder, DatasetResults, RunRecord, write_record
 from relocbench.evaluation.retrieval.records import RetrievalRun
 from relocbench.files import load_yaml
 

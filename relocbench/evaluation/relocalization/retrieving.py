@@ -17,7 +17,7 @@ from relocbench.evaluation.retrieval.opening import OpenedSet
 from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults, write_set_record
 from relocbench.evaluation.retrieval.run import run_retriever
 from relocbench.evaluation.retrieval.score import score_retriever
-from relocbench.evaluation.run import Overwrite
+from relocbench.evaluation.tracking.run import Overwrite
 from relocbench.execution import Run
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from relocbench.datasets.dataset import Dataset
+from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError
 from relocbench.evaluation.relocalization.records import ChainSet, ChainTask
 from relocbench.evaluation.relocalization.truth import MapTruth

@@ -16,8 +16,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.dataset import Dataset, PairSet
-from relocbench.datasets.pairfile import distances_and_angles
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import distances_and_angles
 from relocbench.geometry import invert, rotation_angle
 
 Array = NDArray[np.float64]

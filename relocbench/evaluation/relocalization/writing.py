@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import relocbench
-from relocbench.datasets.pairfile import write_pose_lines
+from relocbench.datasets.core.pairfile import write_pose_lines
 from relocbench.errors import PredictionError
+from relocbench.evaluation.common.results import write_record
 from relocbench.evaluation.relocalization.answers import read_chain, write_chain
 from relocbench.evaluation.relocalization.basin import Basins
 from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chained
@@ -18,7 +19,6 @@ from relocbench.evaluation.relocalization.records import (
 )
 from relocbench.evaluation.relocalization.score import summary, table_hash
 from relocbench.evaluation.relocalization.tasks import ChainTasks
-from relocbench.evaluation.results import write_record
 
 
 def write_chain_results(

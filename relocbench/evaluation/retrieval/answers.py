@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.errors import PredictionError, quoted
-from relocbench.evaluation.results import STATUSES
+from relocbench.evaluation.common.results import STATUSES
 from relocbench.files import (
     atomic_write,
     lines_of,

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from relocbench.errors import MethodError, RelocbenchError
-from relocbench.evaluation.guard import guarded, offers
-from relocbench.evaluation.info_text import info_text
-from relocbench.evaluation.lost_pairs import how_lost
+from relocbench.evaluation.common.guard import guarded, offers
+from relocbench.evaluation.common.info_text import info_text
+from relocbench.evaluation.common.lost_pairs import how_lost
+from relocbench.evaluation.common.worker import CONSTRUCTOR
 from relocbench.evaluation.retrieval.checked import checked_descriptors, checked_scores, rerank_top_of
-from relocbench.evaluation.worker import CONSTRUCTOR
 from relocbench.execution import MANY_TIMES, Loss, Run, messages_to_stderr, run_limited, step
 from relocbench.methods import MethodSpec
 from relocbench.retrieval import (
@@ -203,7 +203,7 @@ def _serve(request: _Request) -> Any:
 
 
 def _timed(call: Callable[[], Any], times: float) -> Told:
-    """As :func:`~relocbench.evaluation.worker.guarded`, but a bad image or a method that cannot go on ends the run."""
+    """As :func:`~relocbench.evaluation.common.guard.guarded`, but a bad image or a hopeless method ends the run."""
     raised: list[RelocbenchError] = []
 
     def kept() -> Any:

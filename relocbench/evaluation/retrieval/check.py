@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.evaluation.check import Finding
-from relocbench.evaluation.guard import guarded, offers
+from relocbench.evaluation.common.guard import guarded, offers
 from relocbench.evaluation.retrieval.checked import checked_descriptors, checked_scores, rerank_top_of
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
+from relocbench.evaluation.tracking.check import Finding
 from relocbench.execution import messages_to_stderr
 from relocbench.methods import MethodSpec
 from relocbench.progress import Silent

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.evaluation.guard import guarded
+from relocbench.evaluation.common.guard import guarded
 
 _MOST_RERANKED = 1_000_000
 

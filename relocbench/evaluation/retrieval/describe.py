@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import one_line
+from relocbench.evaluation.common.worker import read_only
 from relocbench.evaluation.retrieval.asked import Asked, InThisProcess, InWorker
 from relocbench.evaluation.retrieval.checked import fault_of
-from relocbench.evaluation.worker import read_only
 from relocbench.execution import chunks
 from relocbench.retrieval import Descriptors, Image, ImageView, RetrievalTask, Retriever
 

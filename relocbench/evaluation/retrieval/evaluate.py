@@ -8,16 +8,16 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from relocbench.datasets.street_places import Positives
+from relocbench.datasets.pairs.street_places import Positives
 from relocbench.errors import ConfigError
-from relocbench.evaluation.asking_options import LimitOptions
+from relocbench.evaluation.common.asking_options import LimitOptions
 from relocbench.evaluation.retrieval.answers import read_answers
 from relocbench.evaluation.retrieval.external import take_lists
 from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
 from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord, set_results, write_set_record
 from relocbench.evaluation.retrieval.run import BROKEN, run_retriever
 from relocbench.evaluation.retrieval.score import Values, score_retriever, suspicion
-from relocbench.evaluation.run import Overwrite
+from relocbench.evaluation.tracking.run import Overwrite
 from relocbench.execution import Run, kept_workers
 from relocbench.files import check_name
 from relocbench.methods import RETRIEVERS, parse_methods

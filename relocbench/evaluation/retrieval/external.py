@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from relocbench.errors import PredictionError
-from relocbench.evaluation.results import write_record
+from relocbench.evaluation.common.results import write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_lists, write_answers, write_lists
 from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults
 from relocbench.files import load_yaml

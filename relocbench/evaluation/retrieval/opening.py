@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from relocbench.datasets.cross_view import CrossViewSet, is_cross_view, open_cross_view
-from relocbench.datasets.street_places import Positives, StreetPlaces
+from relocbench.datasets.pairs.street_places import Positives, StreetPlaces
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.evaluation.opening import opened
+from relocbench.evaluation.common.opening import opened
 from relocbench.evaluation.retrieval.run import check_task
-from relocbench.metrics.retrieval_relevance import PLACE_RADIUS_M
+from relocbench.metrics.retrieval.relevance import PLACE_RADIUS_M
 from relocbench.progress import Reporter
 from relocbench.retrieval import RetrievalTask
 

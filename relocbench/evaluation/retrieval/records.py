@@ -15,10 +15,10 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from relocbench.datasets.fingerprint import SHORT
-from relocbench.datasets.schema import Fingerprint, FolderName, JoinedName, Name, Strict
+from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
-from relocbench.evaluation.results import Count, MethodResults, RunRecord, method_folders, write_record
+from relocbench.evaluation.common.results import Count, MethodResults, RunRecord, method_folders, write_record
 from relocbench.files import MAX_FOLDER_BYTES, check_joined_name, load_yaml
 from relocbench.metrics import chance_level
 from relocbench.retrieval import RetrievalSet, RetrievalTask

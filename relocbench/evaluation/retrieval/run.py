@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from relocbench.errors import DatasetError, PredictionError
-from relocbench.evaluation.results import STATUSES, write_record
+from relocbench.evaluation.common.results import STATUSES, write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers, write_lists
 from relocbench.evaluation.retrieval.asked import Asked, asked_of
 from relocbench.evaluation.retrieval.describe import (
@@ -28,7 +28,7 @@ from relocbench.evaluation.retrieval.records import (
     TaskRun,
     write_set_record,
 )
-from relocbench.evaluation.run import Overwrite, made_by, now, refuse_mixture
+from relocbench.evaluation.tracking.run import Overwrite, made_by, now, refuse_mixture
 from relocbench.execution import Run, default_workers
 from relocbench.files import alone_in, remove_parts
 from relocbench.methods import MethodSpec

@@ -9,7 +9,7 @@ import numpy as np
 
 import relocbench
 from relocbench.errors import PredictionError
-from relocbench.evaluation.results import write_record
+from relocbench.evaluation.common.results import write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, answers_hash, ranking_of, read_answers
 from relocbench.evaluation.retrieval.records import (
     METRICS,
@@ -20,7 +20,7 @@ from relocbench.evaluation.retrieval.records import (
     TaskRun,
 )
 from relocbench.metrics import Denominator, Interval, bootstrap_interval, per_group, score_retrieval
-from relocbench.metrics.retrieval import RetrievalScores as QueryScores
+from relocbench.metrics.retrieval.measures import RetrievalScores as QueryScores
 
 Values = dict[str, float | int | None]
 _MOST_POSITIVES = 100_000_000

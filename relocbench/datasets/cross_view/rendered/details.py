@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.cross_view.rendered.flight import nearest_street
 from relocbench.datasets.cross_view.rendered.places import buildings
-from relocbench.datasets.synthetic.mesh import Material, Mesh, Semantic, merge
-from relocbench.datasets.synthetic.raycast import NOTHING, Scene
-from relocbench.datasets.synthetic.shapes import Shape, boxes, instances, join, quads
-from relocbench.datasets.synthetic.town import SPLITS, District
+from relocbench.datasets.synthetic.renderer.raycast import NOTHING, Scene
+from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
+from relocbench.datasets.synthetic.town.shapes import Shape, boxes, instances, join, quads
+from relocbench.datasets.synthetic.town.town import SPLITS, District
 
 Array = NDArray[np.float64]
 _FROM_M = 80.0

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.cross_view.rendered.places import Building
-from relocbench.datasets.synthetic.network import StreetNetwork
+from relocbench.datasets.synthetic.town.network import StreetNetwork
 from relocbench.geometry import Camera
 
 Array = NDArray[np.float64]

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.synthetic.mesh import Semantic
-from relocbench.datasets.synthetic.planting import inside
-from relocbench.datasets.synthetic.rows import PeriodicFront
-from relocbench.datasets.synthetic.stage import Place as Town
-from relocbench.datasets.synthetic.town import District
+from relocbench.datasets.synthetic.jobs.stage import Place as Town
+from relocbench.datasets.synthetic.town.mesh import Semantic
+from relocbench.datasets.synthetic.town.planting import inside
+from relocbench.datasets.synthetic.town.rows import PeriodicFront
+from relocbench.datasets.synthetic.town.town import District
 
 Array = NDArray[np.float64]
 _LEAST_FOOTPRINT_M = 4.5

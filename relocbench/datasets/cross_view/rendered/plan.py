@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from relocbench.datasets.cross_view.rendered import flight
 from relocbench.datasets.cross_view.rendered.flight import Optics
 from relocbench.datasets.cross_view.rendered.places import Building, PlaceOfTown, buildings, spread
-from relocbench.datasets.synthetic import stage
-from relocbench.datasets.synthetic.network import StreetNetwork
-from relocbench.datasets.synthetic.stage import Place as Town
+from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs.stage import Place as Town
+from relocbench.datasets.synthetic.town.network import StreetNetwork
 from relocbench.errors import ConfigError
 from relocbench.progress import Reporter
 

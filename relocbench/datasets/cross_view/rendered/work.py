@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-from relocbench.datasets import images
+from relocbench.datasets.core import images
 from relocbench.datasets.cross_view.rendered.details import seen_from_above
 from relocbench.datasets.cross_view.rendered.plan import Photo, Views
-from relocbench.datasets.synthetic import stage
-from relocbench.datasets.synthetic.condition import Factors
-from relocbench.datasets.synthetic.render import Renderer, Surroundings
-from relocbench.datasets.synthetic.sky import make_sky
-from relocbench.datasets.synthetic.skylight import Skylight
-from relocbench.datasets.synthetic.stage import Place as Town
-from relocbench.datasets.synthetic.town import District, compose
-from relocbench.datasets.synthetic.work import duration, rate
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs.rendering import duration, rate
+from relocbench.datasets.synthetic.jobs.stage import Place as Town
+from relocbench.datasets.synthetic.renderer.render import Renderer, Surroundings
+from relocbench.datasets.synthetic.renderer.sky import make_sky
+from relocbench.datasets.synthetic.renderer.skylight import Skylight
+from relocbench.datasets.synthetic.town.town import District, compose
 from relocbench.execution import Run, chunks, run_units
 from relocbench.progress import Reporter
 

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from relocbench.datasets import pairfile
+from relocbench.datasets.core import pairfile
+from relocbench.datasets.core.writer import versions
 from relocbench.datasets.cross_view import content
 from relocbench.datasets.cross_view.rendered.places import PlaceOfTown
 from relocbench.datasets.cross_view.rendered.plan import Photo
-from relocbench.datasets.writer import versions
 from relocbench.errors import DatasetError
 from relocbench.files import atomic_write, dump_yaml, remove_parts, write_text
 

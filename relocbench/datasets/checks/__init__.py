@@ -1,0 +1,1 @@
+"""Every fault of a dataset on disk, with file and line."""

@@ -1,0 +1,233 @@
+"""Reading files to find every fault in them, where the readers that serve the work stop at the first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ValidationError
+
+from relocbench.datasets.core.pairfile import AXIS_COLUMNS, TABLE_COLUMNS, PairKey, PoseLine, parse_pose, table_columns
+from relocbench.datasets.core.traversal import POSE_COLUMNS
+from relocbench.errors import DatasetError, RelocbenchError
+from relocbench.files import (
+    first_fault,
+    load_yaml_values,
+    parse_floats,
+    parse_timestamp,
+    read_csv,
+    read_rows,
+    yaml_line,
+)
+from relocbench.geometry import Camera
+
+Array = NDArray[np.float64]
+Model = TypeVar("Model", bound=BaseModel)
+
+_PAIR_NUMBERS = ("distance_m", "angle_deg", "overlap", "sigma_translation_m", "sigma_rotation_deg")
+_POSE_FILE = "a relocalization file (ref_ts query_ts [tx ty tz qx qy qz qw])"
+_POINT_COLUMNS = ("u", "v", "inverse_depth", "sigma")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that a check has to say about a file."""
+
+    message: str
+    path: Path | None = None
+    line: int | None = None
+    """1-based"""
+
+    def __str__(self) -> str:
+        return str(RelocbenchError(self.message, self.path, self.line))
+
+
+@dataclass
+class Findings:
+    """What a check found: faults, and notes on what is no fault but should be known."""
+
+    faults: list[Finding] = field(default_factory=list)
+    notes: list[Finding] = field(default_factory=list)
+
+    def fault(self, message: str, path: Path | None = None, line: int | None = None) -> None:
+        self.faults.append(Finding(message, path, line))
+
+    def note(self, message: str, path: Path | None = None, line: int | None = None) -> None:
+        self.notes.append(Finding(message, path, line))
+
+    @contextmanager
+    def catching(self) -> Iterator[None]:
+        """Keep the error that a reader raises, and go on."""
+        try:
+            yield
+        except RelocbenchError as bad:
+            self.fault(bad.expected, bad.path, bad.line)
+
+    def by_place(self) -> Findings:
+        """The same, the findings of one file together and in the order of its lines."""
+        return Findings(_by_place(self.faults), _by_place(self.notes))
+
+    @property
+    def faulty_files(self) -> set[Path]:
+        return {f.path for f in self.faults if f.path is not None}
+
+
+def _by_place(findings: list[Finding]) -> list[Finding]:
+    first: dict[Path | None, int] = {}
+    for finding in findings:
+        first.setdefault(finding.path, len(first))
+    return sorted(findings, key=lambda f: (first[f.path], f.line or 0))
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """One row of a pair set's table."""
+
+    key: PairKey
+    accepted: bool
+    source: str
+    distance_m: float | None
+    angle_deg: float | None
+    line: int
+
+
+def read_yaml(path: Path, model: type[Model], what: str, found: Findings) -> Model | None:
+    """As :func:`relocbench.files.load_yaml`, with a fault for each key that is wrong."""
+    with found.catching():
+        values, node = load_yaml_values(path, what, DatasetError)
+        try:
+            return model.model_validate(values)
+        except ValidationError as bad:
+            for one in _single_errors(bad):
+                message, location = first_fault(one)
+                found.fault(message, path, yaml_line(node, location))
+    return None
+
+
+def read_pose_table(path: Path, found: Findings) -> dict[int, Array]:
+    """``poses.csv``: the rows that can be read, timestamp_ns -> (4, 4) ``T_world_rig``."""
+    poses: dict[int, Array] = {}
+    last: int | None = None
+    for number, row in _table(path, POSE_COLUMNS, "poses", found):
+        with found.catching():
+            time = parse_timestamp(row[0] if row else "", path, number, DatasetError)
+            if last is not None and time <= last:
+                raise DatasetError(f"timestamp {time} does not come after {last}", path, number)
+            last = time
+            poses[time] = parse_pose(row[1:], path, number)
+    return poses
+
+
+def read_pair_lines(
+    path: Path, found: Findings, error: type[RelocbenchError] = DatasetError
+) -> dict[PairKey, PoseLine]:
+    """A pair or prediction file: the lines whose pair can be read, the first of each pair.
+
+    A line whose pose is faulty is kept without its pose.
+    """
+    lines: dict[PairKey, PoseLine] = {}
+    with found.catching():
+        for number, fields in read_rows(path, _POSE_FILE, error):
+            with found.catching():
+                _read_pair_line(fields, path, number, lines, found, error)
+    return lines
+
+
+def _read_pair_line(
+    fields: list[str],
+    path: Path,
+    number: int,
+    lines: dict[PairKey, PoseLine],
+    found: Findings,
+    error: type[RelocbenchError],
+) -> None:
+    if len(fields) < 2:
+        raise error(
+            f"expected 2 or 9 columns (ref_ts query_ts [tx ty tz qx qy qz qw]), found {len(fields)}", path, number
+        )
+    key = parse_timestamp(fields[0], path, number, error), parse_timestamp(fields[1], path, number, error)
+    if key in lines:
+        raise error(f"pair {key[0]} {key[1]} occurs again (first on line {lines[key].line})", path, number)
+    lines[key] = PoseLine(*key, None, number)
+    if len(fields) not in (2, 9):
+        raise error(
+            f"expected 2 or 9 columns (ref_ts query_ts [tx ty tz qx qy qz qw]), found {len(fields)}", path, number
+        )
+    if len(fields) == 9:
+        lines[key] = PoseLine(*key, parse_pose(fields[2:], path, number, error), number)
+
+
+def read_pair_table(path: Path, found: Findings) -> dict[PairKey, TableRow]:
+    """The table of a pair set: the rows whose pair can be read, the first of each pair."""
+    rows: dict[PairKey, TableRow] = {}
+    for number, values, fault in _pair_table(path, found):
+        with found.catching():
+            if fault:
+                raise DatasetError(fault, path, number)
+            ref, query = (parse_timestamp(values[c], path, number, DatasetError) for c in TABLE_COLUMNS[:2])
+            if (ref, query) in rows:
+                raise DatasetError(f"pair {ref} {query} occurs again", path, number)
+            numbers: dict[str, float | None] = {}
+            for name in [*_PAIR_NUMBERS, *(c for c in AXIS_COLUMNS if c in values)]:
+                numbers[name] = None
+                with found.catching():
+                    numbers[name] = (
+                        parse_floats([values[name]], path, number, name, DatasetError)[0] if values[name] else None
+                    )
+            if values["accepted"] not in ("true", "false"):
+                found.fault(f"accepted is '{values['accepted']}', expected true or false", path, number)
+            rows[ref, query] = TableRow(
+                (ref, query),
+                values["accepted"] != "false",
+                values["source"],
+                numbers["distance_m"],
+                numbers["angle_deg"],
+                number,
+            )
+    return rows
+
+
+def _pair_table(path: Path, found: Findings) -> Iterator[tuple[int, dict[str, str], str]]:
+    """Line number, fields by column and what is wrong with their number of the rows after the header."""
+    with found.catching():
+        rows = read_csv(path, "the table of a pair set", DatasetError)
+        columns = table_columns(next(rows, (1, []))[1], path)
+        for number, row in rows:
+            fault = "" if len(row) == len(columns) else f"expected {len(columns)} columns, found {len(row)}"
+            yield number, dict(zip(columns, row, strict=False)), fault
+
+
+def check_points(path: Path, camera: Camera | None, found: Findings) -> int:
+    """Check sparse keyframe points; returns how many of them are sound."""
+    sound = 0
+    for number, row in _table(path, _POINT_COLUMNS, "keyframe points", found):
+        with found.catching():
+            u, v, inverse_depth, sigma = parse_floats(row, path, number, " ".join(_POINT_COLUMNS), DatasetError)
+            if inverse_depth <= 0 or sigma < 0:
+                raise DatasetError("inverse_depth must be positive and sigma not negative", path, number)
+            if camera is not None and not camera.contains([u, v], border=-0.5):
+                raise DatasetError(
+                    f"pixel ({u:g}, {v:g}) is not on the {camera.width}x{camera.height} image", path, number
+                )
+            sound += 1
+    return sound
+
+
+def _table(path: Path, columns: tuple[str, ...], what: str, found: Findings) -> Iterator[tuple[int, list[str]]]:
+    """Line number and fields of the rows after the header."""
+    with found.catching():
+        rows = read_csv(path, what, DatasetError)
+        if next(rows, (1, []))[1] != list(columns):
+            raise DatasetError(f"expected the header {','.join(columns)}", path, 1)
+        yield from rows
+
+
+def _single_errors(bad: ValidationError) -> Iterator[ValidationError]:
+    for error in bad.errors():
+        kept = {k: v for k, v in error.items() if k in ("type", "loc", "input", "ctx")}
+        yield ValidationError.from_exception_data(bad.title, [kept])  # type: ignore[list-item]

@@ -1,0 +1,166 @@
+"""Every fault of the pair sets of a dataset, with file and line."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.checks.faults import Findings, TableRow, read_pair_lines, read_pair_table
+from relocbench.datasets.core.layout import DatasetLayout, TraversalLayout
+from relocbench.datasets.core.pairfile import PairKey, PoseLine
+from relocbench.datasets.core.schema import TraversalFile
+from relocbench.geometry import invert, rotation_angle
+from relocbench.progress import Reporter
+
+Array = NDArray[np.float64]
+
+POSE_TOLERANCE_M = 1e-3
+POSE_TOLERANCE_DEG = 0.01
+"""how far a pair may stand from the poses of its traversals that it was made from"""
+_TABLE_TOLERANCE = 1e-6
+"""relative; the table is rounded to nine digits after the point"""
+
+
+@dataclass
+class Drive:
+    """What is known of a traversal after its text was read."""
+
+    layout: TraversalLayout
+    file: TraversalFile | None
+    poses: dict[int, Array]
+    times: dict[tuple[str, str], set[int]] = field(default_factory=lambda: defaultdict(set))
+    """(images, depth or points; camera) -> timestamps"""
+    without_depth: set[tuple[str, int]] = field(default_factory=set)
+    """(camera, timestamp) of depth or points files that hold no depth at all"""
+
+
+def check_pair_sets(
+    layout: DatasetLayout, drives: dict[str, Drive], found: Findings, reporter: Reporter
+) -> dict[str, dict[PairKey, PoseLine]]:
+    """Check every pair set; returns the lines of each that could be read."""
+    names = sorted({p.stem for p in layout.pairs.glob("*") if p.suffix in (".txt", ".csv") and p.name[0] != "."})
+    if not names:
+        found.fault("holds no pair set (REF__QUERY__CAM.txt)", layout.pairs)
+    out = {}
+    with reporter.stage("checking pairs", len(names)) as advance:
+        for name in names:
+            lines = read_pair_lines(layout.pair_file(name), found)
+            rows: dict[PairKey, TableRow] = {}
+            if layout.pair_table(name).exists():
+                rows = read_pair_table(layout.pair_table(name), found)
+                _check_table(layout, name, lines, rows, found)
+            _check_frames(layout, name, lines, rows, drives, found)
+            out[name] = lines
+            advance(1)
+    return out
+
+
+def _check_table(
+    layout: DatasetLayout,
+    name: str,
+    lines: dict[PairKey, PoseLine],
+    rows: dict[PairKey, TableRow],
+    found: Findings,
+) -> None:
+    """Whether the pair file and its table say the same."""
+    pair_file, table = layout.pair_file(name), layout.pair_table(name)
+    for key, row in rows.items():
+        line = lines.get(key)
+        if row.accepted != (line is not None):
+            where = "is missing from" if row.accepted else "was rejected but stands in"
+            found.fault(f"pair {key[0]} {key[1]} {where} {pair_file.name}", table, row.line)
+        elif line is not None and line.T_query_ref is not None:
+            values = {
+                "distance_m": (row.distance_m, float(np.linalg.norm(line.T_query_ref[:3, 3]))),
+                "angle_deg": (row.angle_deg, float(np.degrees(rotation_angle(line.T_query_ref[:3, :3])))),
+            }
+            for column, (stated, posed) in values.items():
+                if stated is not None and abs(stated - posed) > _TABLE_TOLERANCE * max(1.0, posed):
+                    found.fault(
+                        f"{column} is {stated:.6g}, the pose in {pair_file.name} says {posed:.6g}", table, row.line
+                    )
+    for key, line in lines.items():
+        if key not in rows:
+            found.fault(f"pair {key[0]} {key[1]} is missing from {table.name}", pair_file, line.line)
+
+
+def _check_frames(
+    layout: DatasetLayout,
+    name: str,
+    lines: dict[PairKey, PoseLine],
+    rows: dict[PairKey, TableRow],
+    drives: dict[str, Drive],
+    found: Findings,
+) -> None:
+    """Whether the images and depth that the pairs need are there, and the poses agree with those of the traversals."""
+    path = layout.pair_file(name)
+    parts = name.split("__")
+    if len(parts) != 3:
+        found.fault("a pair file is named REF__QUERY__CAM.txt", path)
+        return
+    unknown = [part for part in parts[:2] if part not in drives]
+    if unknown:
+        found.fault(f"no traversal '{unknown[0]}'; there is {', '.join(drives) or 'none'}", path)
+        return
+    reference, query, camera = drives[parts[0]], drives[parts[1]], parts[2]
+    for drive in (reference, query):
+        if drive.file is not None and camera not in drive.file.cameras:
+            found.fault(f"traversal '{drive.layout.root.name}' has no camera '{camera}'", path)
+            return
+    for key, line in lines.items():
+        for drive, time in ((reference, key[0]), (query, key[1])):
+            if time not in drive.times["images", camera]:
+                found.fault(f"no image {drive.layout.image(camera, time).relative_to(layout.root)}", path, line.line)
+        if key[0] not in reference.times["depth", camera] | reference.times["points", camera]:
+            found.fault(f"keyframe {key[0]} has neither depth nor points", path, line.line)
+        elif (camera, key[0]) in reference.without_depth:
+            found.fault(f"keyframe {key[0]} has no pixel with depth", path, line.line)
+    _compare_poses(path, reference, query, camera, lines, rows, found)
+
+
+def _compare_poses(
+    path: Path,
+    reference: Drive,
+    query: Drive,
+    camera: str,
+    lines: dict[PairKey, PoseLine],
+    rows: dict[PairKey, TableRow],
+    found: Findings,
+) -> None:
+    """Truth made from the traversals' poses must still agree with them; truth from elsewhere may differ.
+
+    A pair whose table names a source with the word 'poses' was made from them.
+    """
+    if reference.file is None or query.file is None:
+        return
+    T_rig_ref, T_rig_query = (d.file.cameras[camera].T_rig_cam.matrix for d in (reference, query) if d.file)
+    elsewhere = []
+    for key, line in lines.items():
+        if line.T_query_ref is None or key[0] not in reference.poses or key[1] not in query.poses:
+            continue
+        T_query_ref = invert(query.poses[key[1]] @ T_rig_query) @ reference.poses[key[0]] @ T_rig_ref
+        offset = invert(T_query_ref) @ line.T_query_ref
+        metres = float(np.linalg.norm(offset[:3, 3]))
+        degrees = float(np.degrees(rotation_angle(offset[:3, :3])))
+        if metres <= POSE_TOLERANCE_M and degrees <= POSE_TOLERANCE_DEG:
+            continue
+        source = rows[key].source if key in rows else ""
+        if "poses" in source.lower().split():
+            found.fault(
+                f"pose differs by {metres:.4g} m and {degrees:.4g} deg from poses.csv, its stated source ('{source}')",
+                path,
+                line.line,
+            )
+        else:
+            elsewhere.append((metres, degrees))
+    if elsewhere:
+        metres, degrees = np.median(elsewhere, axis=0)
+        found.note(
+            f"{len(elsewhere)} pairs differ from poses.csv, which they do not claim to come from "
+            f"(median {metres:.4g} m, {degrees:.4g} deg)",
+            path,
+        )

@@ -1,0 +1,227 @@
+"""Every fault of a dataset on disk, with file and line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from relocbench.datasets.checks.faults import (
+    Findings,
+    check_points,
+    read_pose_table,
+    read_yaml,
+)
+from relocbench.datasets.checks.pair_sets import Drive, check_pair_sets
+from relocbench.datasets.core import fingerprint, images
+from relocbench.datasets.core.layout import IMAGE_SUFFIXES, DatasetLayout
+from relocbench.datasets.core.pairfile import PairKey, PoseLine
+from relocbench.datasets.core.schema import DatasetFile, TraversalFile
+from relocbench.datasets.pairs.correspondences import check_rows, iterate_correspondences, open_correspondences
+from relocbench.errors import DatasetError, RelocbenchError
+from relocbench.execution import default_workers
+from relocbench.files import load_yaml_values, sha256_file, whole_number, yaml_line
+from relocbench.geometry import Camera
+from relocbench.progress import Reporter
+
+
+def is_dataset_folder(path: Path) -> bool:
+    """Whether a folder is a dataset, or was to become one (a results folder has a ``dataset.yaml`` too)."""
+    layout = DatasetLayout(path)
+    return layout.build_yaml.exists() or layout.manifest.exists() or layout.traversals.is_dir()
+
+
+def validate_dataset(root: Path, reporter: Reporter, *, quick: bool = False) -> Findings:
+    """Check everything about a dataset folder.
+
+    Args:
+        quick: hash and decode no image; descriptions, poses, points and pairs are read all the same.
+    """
+    found = Findings()
+    layout = DatasetLayout(root)
+    if not layout.dataset_yaml.exists() and layout.build_yaml.exists():
+        found.fault("the build was not finished; run the same `relocbench build-dataset` again", root)
+        return found
+    file = read_yaml(layout.dataset_yaml, DatasetFile, "a dataset description", found)
+    digests: dict[str, str] = {}
+    if not quick and layout.manifest.exists():
+        with found.catching():
+            digests = {name: digest for name, (_, digest) in fingerprint.read_manifest(layout).items()}
+    drives = _check_traversals(layout, found)
+    _check_content(layout, drives, digests, found, reporter, quick)
+    pair_sets = check_pair_sets(layout, drives, found, reporter)
+    _check_correspondences(layout, pair_sets, digests, found, reporter, quick)
+    if file is not None:
+        _check_splits(layout, file, pair_sets, found)
+        _check_manifest(layout, file, found)
+    return found
+
+
+def _check_traversals(layout: DatasetLayout, found: Findings) -> dict[str, Drive]:
+    folders = sorted(p for p in layout.traversals.iterdir() if p.is_dir()) if layout.traversals.is_dir() else []
+    if not folders:
+        found.fault("holds no traversal", layout.traversals)
+    drives = {}
+    for folder in folders:
+        traversal = layout.traversal(folder.name)
+        file = read_yaml(traversal.traversal_yaml, TraversalFile, "a traversal description", found)
+        if file is not None and file.name != folder.name:
+            found.fault(f"key 'name' is '{file.name}', expected the folder's name", traversal.traversal_yaml)
+        drives[folder.name] = Drive(traversal, file, read_pose_table(traversal.poses, found))
+    return drives
+
+
+def _check_content(
+    layout: DatasetLayout,
+    drives: dict[str, Drive],
+    digests: dict[str, str],
+    found: Findings,
+    reporter: Reporter,
+    quick: bool,
+) -> None:
+    """List, decode and hash the images, depth and points of every traversal."""
+    checks: list[Callable[[], Findings]] = []
+    for drive in drives.values():
+        for kind in ("images", "depth", "points"):
+            for path in sorted((drive.layout.root / kind).glob("*/*")):
+                if path.name.startswith(".") and ".part" in path.name:
+                    found.note("left behind by a build that was killed", path)
+                elif _listed_time(drive, kind, path, found) and (not quick or kind == "points"):
+                    digest = digests.get(path.relative_to(layout.root).as_posix(), "")
+                    checks.append(partial(_check_file, drive, kind, path, digest))
+        _check_cameras(drive, found)
+    # Decoding and hashing let go of the interpreter's lock: threads are enough, and nothing is copied.
+    with ThreadPoolExecutor(default_workers()) as pool, reporter.stage("reading images", len(checks)) as advance:
+        for result in pool.map(lambda check: check(), checks):
+            found.faults += result.faults
+            advance(1)
+
+
+def _listed_time(drive: Drive, kind: str, path: Path, found: Findings) -> bool:
+    """Whether a file stands where the format expects one of its kind; it is then entered in the drive's times."""
+    suffixes = {"images": IMAGE_SUFFIXES, "depth": (".png",), "points": (".csv",)}[kind]
+    if path.suffix not in suffixes or whole_number(path.stem) is None:
+        found.fault(f"expected a file TIMESTAMP{' or '.join(suffixes)}, the timestamp in nanoseconds", path)
+        return False
+    camera, time = path.parent.name, int(path.stem)
+    if kind == "images" and time in drive.times[kind, camera]:
+        found.fault(f"a second image of camera '{camera}' at {time}", path)
+    drive.times[kind, camera].add(time)
+    return True
+
+
+def _check_cameras(drive: Drive, found: Findings) -> None:
+    if drive.file is None:
+        return
+    for kind, camera in sorted(drive.times):
+        if camera not in drive.file.cameras:
+            known = ", ".join(drive.file.cameras)
+            found.fault(f"no camera '{camera}' in traversal.yaml; there is {known}", drive.layout.root / kind / camera)
+    for camera in drive.file.cameras:
+        if not drive.times.get(("images", camera)):
+            found.fault(f"holds no image of camera '{camera}'", drive.layout.root / "images" / camera)
+
+
+def _check_file(drive: Drive, kind: str, path: Path, digest: str) -> Findings:
+    """Read one file; ``digest``: SHA-256 of its content as it was made, empty where that is not known."""
+    found = Findings()
+    entry = drive.file.cameras.get(path.parent.name) if drive.file else None
+    camera = entry.camera if entry else None
+    with found.catching():
+        if kind == "points":
+            depths = check_points(path, camera, found)
+        else:
+            read = images.read_image if kind == "images" else images.read_depth
+            depths = int(np.count_nonzero(read(path, None if camera is None else partial(_check_size, camera, path))))
+        if kind != "images" and depths == 0:
+            drive.without_depth.add((path.parent.name, int(path.stem)))
+        _check_digest(path, digest, found)
+    return found
+
+
+def _check_size(camera: Camera, path: Path, size: tuple[int, int]) -> None:
+    if size != camera.size:
+        wanted = "x".join(map(str, camera.size))
+        raise DatasetError(f"image is {size[0]}x{size[1]}, camera '{path.parent.name}' is {wanted}", path)
+
+
+def _check_digest(path: Path, digest: str, found: Findings) -> None:
+    """What was changed and can be read all the same."""
+    if digest and path not in found.faulty_files and sha256_file(path) != digest:
+        found.fault("content was changed after the dataset was made", path)
+
+
+def _check_correspondences(
+    layout: DatasetLayout,
+    pair_sets: dict[str, dict[PairKey, PoseLine]],
+    digests: dict[str, str],
+    found: Findings,
+    reporter: Reporter,
+    quick: bool,
+) -> None:
+    files = sorted(layout.correspondences.glob("[!.]*")) if layout.correspondences.is_dir() else []
+    with reporter.stage("checking correspondences", len(files)) as advance:
+        for path in files:
+            if path.suffix != ".parquet" or path.stem not in pair_sets:
+                found.fault("expected REF__QUERY__CAM.parquet of one of the pair sets", path)
+            elif quick:
+                with found.catching():
+                    _check_parquet_columns(path)
+            else:
+                with found.catching():
+                    _check_rows(path, pair_sets[path.stem], found)
+                    _check_digest(path, digests.get(path.relative_to(layout.root).as_posix(), ""), found)
+            advance(1)
+
+
+def _check_parquet_columns(path: Path) -> None:
+    with open_correspondences(path) as file:
+        for group in range(file.num_row_groups):
+            check_rows(file, group, path)
+
+
+def _check_rows(path: Path, lines: dict[PairKey, PoseLine], found: Findings) -> None:
+    unknown: set[PairKey] = set()
+    wrong, first, before = 0, -1, 0
+    for rows in iterate_correspondences(path):
+        keys = np.unique(np.column_stack([rows.ref_timestamp_ns, rows.query_timestamp_ns]), axis=0)
+        unknown |= {(ref, query) for ref, query in keys.tolist()} - lines.keys()
+        finite = np.isfinite(rows.uv_ref).all(axis=1) & np.isfinite(rows.uv_query).all(axis=1)
+        bad = np.nonzero(~(finite & (rows.depth_ref > 0)))[0]
+        if bad.size and first < 0:
+            first = before + int(bad[0])
+        wrong, before = wrong + bad.size, before + len(rows)
+    for ref, query in sorted(unknown):
+        found.fault(f"holds pair {ref} {query}, which is not in the pair set", path)
+    if wrong:
+        found.fault(f"{wrong} rows hold no finite pixels and positive depth; the first is row {first}", path)
+
+
+def _check_splits(
+    layout: DatasetLayout, file: DatasetFile, pair_sets: dict[str, dict[PairKey, PoseLine]], found: Findings
+) -> None:
+    _, node = load_yaml_values(layout.dataset_yaml, "a dataset description", DatasetError)
+    for split, names in file.splits.items():
+        for index, name in enumerate(names):
+            if name not in pair_sets:
+                line = yaml_line(node, ("splits", split, index))
+                found.fault(f"split '{split}' names pair set '{name}', which is not there", layout.dataset_yaml, line)
+
+
+def _check_manifest(layout: DatasetLayout, file: DatasetFile, found: Findings) -> None:
+    """Files that are missing, added or changed, where reading them has not found it already."""
+    with found.catching():
+        fingerprint.check_manifest(layout, file)
+    if not layout.manifest.exists():
+        return
+    known = found.faulty_files
+    try:
+        for fault in fingerprint.faults(layout, content="text"):
+            if fault.path not in known:
+                found.fault(fault.expected, fault.path, fault.line)
+    except RelocbenchError as bad:
+        if bad.path not in known:
+            found.fault(bad.expected, bad.path, bad.line)

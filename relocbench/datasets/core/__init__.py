@@ -1,0 +1,1 @@
+"""A dataset on disk and in memory: its files, schema, fingerprint, images and pairs."""

@@ -1,0 +1,40 @@
+"""Options that all importers share."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from relocbench.datasets.core.schema import Condition, Strict
+
+
+class ImportOptions(Strict):
+    """Fields are options of the command line (``pair_step`` is ``--pair-step``) and keys of a YAML file."""
+
+    name: str = Field("", description="name of the dataset; default: after the kind and the recordings")
+    licence: str = Field("unknown", description="licence of the recordings, kept in dataset.yaml")
+    pair_rule: Literal["step", "nearest"] | None = Field(
+        None,
+        description="'step': frame i with frame i + k of the same traversal; 'nearest': each query frame with the "
+        "nearest keyframe of the reference traversal; default: step within one traversal, nearest across two",
+    )
+    pair_step: tuple[int, ...] = Field((1,), description="frames between reference and query, such as 1,2,4")
+    max_distance: float = Field(5.0, gt=0, description="farthest pair in metres (nearest rule)")
+    max_angle: float = Field(60.0, gt=0, le=180, description="widest pair in degrees (nearest rule)")
+    correspondences: int = Field(
+        2000, ge=0, description="ground-truth correspondences to keep a pair, drawn over the image; 0 for none"
+    )
+    copy_images: bool = Field(False, description="copy images of the recording instead of linking to them")
+    conditions: dict[str, Condition] = Field(
+        {}, description="condition of each traversal (weather, season, time_of_day, tags); YAML only"
+    )
+    seed: int = Field(0, ge=0, description="seed of every random choice")
+
+    @model_validator(mode="after")
+    def _steps_not_zero(self) -> Self:
+        if not self.pair_step or 0 in self.pair_step:
+            raise ValueError("pair_step must hold at least one step, none of them 0")
+        if len(set(self.pair_step)) != len(self.pair_step):
+            raise ValueError("pair_step names a step twice")
+        return self

@@ -1,0 +1,109 @@
+"""A dataset in memory: traversals, keyframes and pairs, read from disk when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+
+from relocbench.datasets.core import fingerprint, question
+from relocbench.datasets.core.layout import DatasetLayout
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.core.schema import DatasetFile
+from relocbench.datasets.core.traversal import Traversal
+from relocbench.errors import DatasetError
+from relocbench.files import load_yaml
+from relocbench.tracking import Query, Reference
+
+
+class Dataset:
+    """A dataset folder.
+
+    Raises:
+        DatasetError: the folder is not a dataset, is not finished, or does not have the content its fingerprint says.
+    """
+
+    def __init__(self, root: Path | str) -> None:
+        self.root = Path(root)
+        self.layout = DatasetLayout(self.root)
+        if not self.root.is_dir():
+            raise DatasetError("no such folder; expected a dataset", self.root)
+        if not self.layout.dataset_yaml.exists():
+            unfinished = self.layout.build_yaml.exists()
+            why = "the build was not finished; run it again" if unfinished else "expected a dataset with dataset.yaml"
+            raise DatasetError(why, self.root)
+        self.file = load_yaml(self.layout.dataset_yaml, DatasetFile, "a dataset description", DatasetError)
+        fingerprint.check_manifest(self.layout, self.file)
+
+    @property
+    def name(self) -> str:
+        return self.file.name
+
+    @property
+    def fingerprint(self) -> str:
+        return self.file.fingerprint
+
+    @cached_property
+    def question(self) -> str:
+        """SHA-256 over what is asked, the same on every processor. Raises DatasetError."""
+        traversals = {name: self.traversal(name) for name in self.traversal_names}
+        pair_sets = {name: self.pair_set(name) for name in self.pair_set_names}
+        return question.question_of(self.file, traversals, pair_sets)
+
+    @property
+    def splits(self) -> Mapping[str, tuple[str, ...]]:
+        return self.file.splits
+
+    @cached_property
+    def traversal_names(self) -> list[str]:
+        folder = self.layout.traversals
+        return sorted(p.name for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []
+
+    @cached_property
+    def pair_set_names(self) -> list[str]:
+        return sorted(p.stem for p in self.layout.pairs.glob("*.txt"))
+
+    def traversal(self, name: str) -> Traversal:
+        """One traversal; reading is lazy. Raises DatasetError on an unknown name."""
+        if name not in self._traversals:
+            if name not in self.traversal_names:
+                known = ", ".join(self.traversal_names) or "none"
+                raise DatasetError(f"no traversal '{name}'; there is {known}", self.root)
+            self._traversals[name] = Traversal(self.layout.traversal(name))
+        return self._traversals[name]
+
+    def pair_set(self, name: str) -> PairSet:
+        """One pair set; reading is lazy. Raises DatasetError on an unknown name."""
+        if name not in self.pair_set_names:
+            known = ", ".join(self.pair_set_names) or "none"
+            raise DatasetError(f"no pair set '{name}'; there is {known}", self.root)
+        if name not in self._pair_sets:
+            self._pair_sets[name] = PairSet(self.layout, name)
+        return self._pair_sets[name]
+
+    def pair_sets(self, split: str | None = None) -> list[PairSet]:
+        """All pair sets, or those of one split. Raises DatasetError on an unknown split."""
+        if split is None:
+            return [self.pair_set(name) for name in self.pair_set_names]
+        if split not in self.splits:
+            known = ", ".join(self.splits) or "none"
+            raise DatasetError(f"no split '{split}'; there is {known}", self.layout.dataset_yaml)
+        return [self.pair_set(name) for name in self.splits[split]]
+
+    def reference(self, pair_set: PairSet, pair: Pair, neighbours: int = 0) -> Reference:
+        """The tracker's view of a pair's keyframe."""
+        traversal = self.traversal(pair_set.reference)
+        return traversal.reference(pair_set.camera, pair.ref_timestamp_ns, neighbours)
+
+    def query(self, pair_set: PairSet, pair: Pair) -> Query:
+        """The tracker's view of a pair's query."""
+        return self.traversal(pair_set.query).query(pair_set.camera, pair.query_timestamp_ns)
+
+    @cached_property
+    def _pair_sets(self) -> dict[str, PairSet]:
+        return {}
+
+    @cached_property
+    def _traversals(self) -> dict[str, Traversal]:
+        return {}

@@ -1,0 +1,145 @@
+"""Images, depth and keyframe points on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.image_header import (
+    JPEG_START,
+    MOST_FILE_BYTES,
+    PNG_END,
+    PNG_START,
+    check_affordable,
+    check_content,
+    read_header,
+)
+from relocbench.errors import DatasetError
+from relocbench.files import atomic_write, lines_of, parse_floats, read_bytes, read_text, write_bytes
+from relocbench.tracking import KeyframePoints
+
+DEPTH_SCALE = 256.0
+"""a stored depth of 256 is one metre"""
+_POINT_HEADER = "u,v,inverse_depth,sigma"
+
+SizeCheck = Callable[[tuple[int, int]], None]
+"""raises where an image of that size, (width, height), is not the one expected"""
+
+
+def read_image(path: Path, check_size: SizeCheck | None = None) -> NDArray[np.uint8]:
+    """An 8-bit image, (H, W) grey or (H, W, 3) RGB, as it is stored: an orientation that it tells is not followed.
+
+    Args:
+        check_size: called before anything is decoded, where the size is known.
+
+    Raises:
+        DatasetError: naming the file: it is missing, neither PNG nor JPEG, damaged, or too large
+            (:mod:`relocbench.datasets.core.image_header` has the limits); or as ``check_size`` does.
+    """
+    image = _decode(path, check_size)
+    if image.dtype == np.uint16:
+        image = (image >> 8).astype(np.uint8)
+    if image.dtype != np.uint8:
+        raise DatasetError(f"pixels are {image.dtype}, expected an 8-bit image", path)
+    if image.ndim == 3 and image.shape[2] in (3, 4):
+        return np.ascontiguousarray(image[..., 2::-1])
+    if image.ndim == 3:
+        return np.ascontiguousarray(image[..., 0])
+    return image
+
+
+def write_image(path: Path, image: NDArray[np.uint8]) -> None:
+    """An 8-bit PNG of (H, W) grey or (H, W, 3) RGB."""
+    write_bytes(path, _encode(cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image))
+
+
+def read_depth(path: Path, check_size: SizeCheck | None = None) -> NDArray[np.float32]:
+    """Depth along z in metres, (H, W), 0 where unknown. Raises DatasetError as :func:`read_image`."""
+    return read_raw_depth(path, 1.0 / DEPTH_SCALE, check_size)
+
+
+def read_raw_depth(path: Path, metres_per_unit: float, check_size: SizeCheck | None = None) -> NDArray[np.float32]:
+    """A 16-bit PNG times ``metres_per_unit``. Raises DatasetError as :func:`read_image`."""
+    stored = _decode(path, check_size)
+    if stored.dtype != np.uint16 or stored.ndim != 2:
+        raise DatasetError(f"pixels are {stored.dtype} x {stored.ndim - 1}, expected a 16-bit depth PNG", path)
+    return stored.astype(np.float32) * np.float32(metres_per_unit)
+
+
+def write_depth(path: Path, depth: NDArray[np.floating]) -> None:
+    """A 16-bit PNG; depths that are not positive, not finite or beyond 256 m become 0 (unknown)."""
+    stored = np.rint(np.asarray(depth, dtype=np.result_type(depth, np.float32)) * DEPTH_SCALE)
+    stored[~((stored >= 1) & (stored <= 65535))] = 0
+    write_bytes(path, _encode(stored.astype(np.uint16)))
+
+
+def read_points(path: Path) -> KeyframePoints:
+    """Sparse keyframe points. Raises DatasetError with file and line."""
+    lines = lines_of(read_text(path, f"keyframe points ({_POINT_HEADER})", DatasetError))
+    if not lines or lines[0] != _POINT_HEADER:
+        raise DatasetError(f"expected the header {_POINT_HEADER}", path, 1)
+    names = _POINT_HEADER.replace(",", " ")
+    rows = [parse_floats(s.split(","), path, n, names, DatasetError) for n, s in enumerate(lines[1:], start=2)]
+    values = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    bad = np.nonzero((values[:, 2] <= 0) | (values[:, 3] < 0))[0]
+    if bad.size:
+        raise DatasetError("inverse_depth must be positive and sigma not negative", path, int(bad[0]) + 2)
+    return KeyframePoints(values[:, :2].copy(), values[:, 2].copy(), values[:, 3].copy())
+
+
+def write_points(path: Path, points: KeyframePoints) -> None:
+    """One line a point, in the order given."""
+    with atomic_write(path) as stream:
+        stream.write(_POINT_HEADER + "\n")
+        for (u, v), idepth, sigma in zip(
+            points.uv.tolist(), points.inverse_depth.tolist(), points.sigma.tolist(), strict=True
+        ):
+            stream.write(f"{u!r},{v!r},{idepth!r},{sigma!r}\n")
+
+
+def is_whole(path: Path) -> bool:
+    """Whether an image file has its end (cheap: nothing is decoded). Existence is not integrity."""
+    if not path.is_file():
+        return False
+    try:
+        if not path.is_file():  # opening a pipe would wait for whoever writes to it
+            return False
+        with path.open("rb") as stream:
+            start = stream.read(8)
+            if start != PNG_START:
+                return path.suffix.lower() != ".png" and len(start) == 8 and start.startswith(JPEG_START)
+            stream.seek(-len(PNG_END), 2)
+            return stream.read() == PNG_END
+    except OSError:
+        return False
+
+
+def _decode(path: Path, check_size: SizeCheck | None) -> NDArray[Any]:
+    data = read_bytes(path, "an image", DatasetError, MOST_FILE_BYTES)
+    header = read_header(data, path)
+    if check_size is not None:
+        check_size(header.size)
+    check_affordable(header, path)
+    check_content(data, header, path)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None or image.shape[1::-1] != header.size:
+        raise DatasetError("cannot be decoded; expected a PNG or JPEG", path)
+    return np.asarray(image)
+
+
+def _encode(image: NDArray[Any]) -> bytes:
+    """PNG, by what is smallest and fast at once: noise has no repeats to search for, and depth is smooth."""
+    choice = cv2.IMWRITE_PNG_FILTER_AVG if image.ndim == 3 else cv2.IMWRITE_PNG_FILTER_PAETH
+    how = [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE, cv2.IMWRITE_PNG_FILTER, choice]
+    done, data = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 1, *how])
+    if not done:
+        raise ValueError(f"cannot encode an image of {image.dtype} {image.shape}")
+    return bytes(data)

@@ -1,0 +1,46 @@
+"""The pairs of two traversals of a dataset, read from disk when asked for."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from relocbench.datasets.core import pairfile
+from relocbench.datasets.core.layout import DatasetLayout
+from relocbench.datasets.core.pairfile import Pair, PairKey
+from relocbench.errors import DatasetError
+
+
+class PairSet:
+    """All pairs of one reference traversal and one query traversal and camera."""
+
+    def __init__(self, layout: DatasetLayout, name: str) -> None:
+        parts = name.split("__")
+        if len(parts) != 3:
+            raise DatasetError("a pair file is named REF__QUERY__CAM.txt", layout.pair_file(name))
+        self.layout = layout
+        self.name = name
+        self.reference, self.query, self.camera = parts
+
+    @cached_property
+    def all_pairs(self) -> list[Pair]:
+        """Accepted and rejected, in the table's order."""
+        return pairfile.read_pairs(self.layout.pair_file(self.name), self.layout.pair_table(self.name))
+
+    @cached_property
+    def pairs(self) -> list[Pair]:
+        """What a method is asked and scored on: the accepted ones."""
+        return [p for p in self.all_pairs if p.accepted]
+
+    @property
+    def rejected(self) -> list[Pair]:
+        """Pairs whose ground truth was rejected; they are not in the set, their number is printed."""
+        return [p for p in self.all_pairs if not p.accepted]
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether every pair has its pose (challenges withhold them)."""
+        return all(p.T_query_ref is not None for p in self.pairs)
+
+    @cached_property
+    def by_key(self) -> dict[PairKey, Pair]:
+        return {p.key: p for p in self.pairs}

@@ -1,0 +1,98 @@
+"""The question that a dataset asks, told apart from the bytes that it is stored in.
+
+Processors differ in the last digits of floats. The same command renders images that differ by a grey level here and
+there on another machine, and the fingerprint, which covers every byte, differs too. What is asked of a method is the
+same: the recipe, the rigs, the poses and the pairs. They have a digest of their own, in which lengths count to a
+micrometre and rotations to a millionth, so that answers that were given on two machines can stand in one table.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import pose_numbers
+from relocbench.datasets.core.schema import DatasetFile
+from relocbench.datasets.core.traversal import Traversal
+
+DECIMALS = 6
+"""of metres and of quaternion components"""
+_NOT_ASKED = frozenset({"sources", "versions", "name", "licence", "copy_images"})
+"""where a dataset was made from, with what, and what it is called"""
+
+
+def question_of(file: DatasetFile, traversals: Mapping[str, Traversal], pair_sets: Mapping[str, PairSet]) -> str:
+    """SHA-256 over what a dataset asks, the same on every processor.
+
+    It covers the format's version, the splits, the recipe (without folders and versions), each traversal's condition,
+    rig and poses, the times of its images, and each pair with its ``T_query_ref`` and whether it was accepted. It does
+    not cover pixels, depths and correspondences, whose last digits depend on the processor.
+
+    Raises:
+        DatasetError: a file of the dataset is bad.
+    """
+    asked = {
+        "format_version": file.format_version,
+        "splits": file.splits,
+        "recipe": recipe(file.made_by),
+        "traversals": {name: _traversal(traversal) for name, traversal in traversals.items()},
+        "pair_sets": {name: _pairs(pair_set) for name, pair_set in pair_sets.items()},
+    }
+    return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()
+
+
+def recipe(values: Any) -> Any:
+    """What a dataset was made by, without where, with which versions and under which name; numbers rounded."""
+    if isinstance(values, Mapping):
+        return {str(key): recipe(value) for key, value in values.items() if key not in _NOT_ASKED}
+    if isinstance(values, list | tuple):
+        return [recipe(value) for value in values]
+    return _rounded([values])[0] if isinstance(values, float) else values
+
+
+def _traversal(traversal: Traversal) -> dict[str, Any]:
+    file = traversal.file.model_dump(mode="json", exclude={"source", "name"})
+    for entry in file["cameras"].values():
+        entry["T_rig_cam"] = _digest(_transform_fields(entry["T_rig_cam"]))
+    images = {name: traversal.layout.timestamps("images", name) for name in traversal.file.cameras}
+    times = sorted(traversal.poses)
+    return {
+        "file": recipe(file),
+        "images": images,
+        "poses": [times, _digest(_signed(pose_numbers([traversal.poses[time] for time in times])))],
+    }
+
+
+def _transform_fields(values: Mapping[str, Any]) -> NDArray[np.float64]:
+    """(1, 7) the numbers of a transform in ``traversal.yaml``."""
+    return _signed(np.array([[*values["translation_m"], *values["quaternion_xyzw"]]], dtype=np.float64))
+
+
+def _pairs(pair_set: PairSet) -> list[Any]:
+    pairs = pair_set.all_pairs
+    poses = np.zeros((len(pairs), 7))  # withheld ones stay so
+    poses[[p.T_query_ref is not None for p in pairs]] = _signed(pose_numbers([p.T_query_ref for p in pairs]))
+    return [[[*p.key, p.accepted, p.T_query_ref is not None] for p in pairs], _digest(poses)]
+
+
+def _signed(fields: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 7) with that one of the two quaternions of each rotation whose largest component is positive."""
+    quaternions = fields[:, 3:]
+    place = np.argmax(np.round(np.abs(quaternions), DECIMALS), axis=1)
+    negative = np.take_along_axis(quaternions, place[:, None], axis=1) < 0
+    return np.concatenate([fields[:, :3], np.where(negative, -quaternions, quaternions)], axis=1)
+
+
+def _digest(rows: NDArray[np.float64]) -> str:
+    values = _rounded(rows)
+    return hashlib.sha256(values.astype("<f8").tobytes()).hexdigest()
+
+
+def _rounded(values: Any) -> Any:
+    return np.round(np.asarray(values, dtype=np.float64), DECIMALS) + 0.0  # no negative zero

@@ -1,0 +1,152 @@
+"""One recorded drive of a dataset, read from disk when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core import images, pairfile
+from relocbench.datasets.core.layout import TraversalLayout
+from relocbench.datasets.core.schema import Condition, TraversalFile
+from relocbench.errors import DatasetError
+from relocbench.files import load_yaml, parse_timestamp, read_table
+from relocbench.geometry import Camera, invert
+from relocbench.tracking import KeyframePoints, Neighbour, Query, Reference
+
+Array = NDArray[np.float64]
+POSE_COLUMNS = ("timestamp_ns", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+
+
+class Traversal:
+    """One recorded drive. Nothing is read before it is asked for."""
+
+    def __init__(self, layout: TraversalLayout) -> None:
+        self.layout = layout
+        self.file = load_yaml(layout.traversal_yaml, TraversalFile, "a traversal description", DatasetError)
+        if self.file.name != layout.root.name:
+            raise DatasetError(f"key 'name' is '{self.file.name}', expected the folder's name", layout.traversal_yaml)
+
+    @property
+    def name(self) -> str:
+        return self.file.name
+
+    @property
+    def condition(self) -> Condition:
+        return self.file.condition
+
+    @property
+    def cameras(self) -> list[str]:
+        return list(self.file.cameras)
+
+    def camera(self, camera: str) -> Camera:
+        """Model, intrinsics and size."""
+        return self._entry(camera).camera
+
+    def T_rig_cam(self, camera: str) -> Array:
+        """(4, 4)"""
+        return self._entry(camera).T_rig_cam.matrix
+
+    def timestamps(self, camera: str) -> list[int]:
+        """Sorted times of the camera's images, nanoseconds."""
+        return self.layout.timestamps("images", camera)
+
+    def keyframe_timestamps(self, camera: str) -> list[int]:
+        """Sorted times of the camera's images with depth or sparse points, nanoseconds."""
+        known = {*self.layout.timestamps("depth", camera), *self.layout.timestamps("points", camera)}
+        return [t for t in self.timestamps(camera) if t in known]
+
+    @cached_property
+    def poses(self) -> dict[int, Array]:
+        """timestamp_ns -> (4, 4) ``T_world_rig``."""
+        return read_poses(self.layout.poses)
+
+    def T_world_cam(self, camera: str, timestamp_ns: int) -> Array:
+        """(4, 4). Raises DatasetError where the traversal has no pose at that time."""
+        try:
+            return self.poses[timestamp_ns] @ self.T_rig_cam(camera)
+        except KeyError:
+            raise DatasetError(f"no pose at {timestamp_ns}", self.layout.poses) from None
+
+    def image(self, camera: str, timestamp_ns: int) -> NDArray[np.uint8]:
+        """(H, W) grey or (H, W, 3) RGB. Raises DatasetError: missing, truncated, or not of the camera's size."""
+        path = self.layout.find_image(camera, timestamp_ns) or self.layout.image(camera, timestamp_ns)
+        return images.read_image(path, lambda size: self._check_size(size, camera, path))
+
+    def depth(self, camera: str, timestamp_ns: int) -> NDArray[np.float32] | None:
+        """(H, W) metres, 0 where unknown; None where the keyframe has no dense depth."""
+        path = self.layout.depth(camera, timestamp_ns)
+        if not path.exists() and not path.is_symlink():
+            return None
+        return images.read_depth(path, lambda size: self._check_size(size, camera, path))
+
+    def points(self, camera: str, timestamp_ns: int) -> KeyframePoints | None:
+        """Sparse points, or None where the keyframe has none."""
+        path = self.layout.points(camera, timestamp_ns)
+        return images.read_points(path) if path.exists() else None
+
+    def reference(self, camera: str, timestamp_ns: int, neighbours: int = 0) -> Reference:
+        """The view of a keyframe that a tracker gets, with ``neighbours`` posed frames on each side."""
+        return Reference(
+            key=f"{self.name}/{camera}/{timestamp_ns}",
+            timestamp_ns=timestamp_ns,
+            image=self.image(camera, timestamp_ns),
+            camera=self.camera(camera),
+            sparse_points=self.points(camera, timestamp_ns),
+            depth=self.depth(camera, timestamp_ns),
+            depth_sigma=self._entry(camera).depth_sigma,
+            neighbours=tuple(self._neighbours(camera, timestamp_ns, neighbours)) if neighbours else (),
+        )
+
+    def query(self, camera: str, timestamp_ns: int) -> Query:
+        """The view of a query that a tracker gets."""
+        return Query(
+            key=f"{self.name}/{camera}/{timestamp_ns}",
+            timestamp_ns=timestamp_ns,
+            image=self.image(camera, timestamp_ns),
+            camera=self.camera(camera),
+        )
+
+    def _entry(self, camera: str) -> Any:
+        try:
+            return self.file.cameras[camera]
+        except KeyError:
+            known = ", ".join(self.file.cameras)
+            raise DatasetError(f"no camera '{camera}'; there is {known}", self.layout.traversal_yaml) from None
+
+    def _neighbours(self, camera: str, timestamp_ns: int, count: int) -> Iterator[Neighbour]:
+        times = [t for t in self.timestamps(camera) if t in self.poses]
+        if timestamp_ns not in times:
+            return
+        at = times.index(timestamp_ns)
+        T_world_ref = self.T_world_cam(camera, timestamp_ns)
+        for t in times[max(0, at - count) : at] + times[at + 1 : at + 1 + count]:
+            T_neighbour_ref = invert(self.T_world_cam(camera, t)) @ T_world_ref
+            yield Neighbour(t, self.image(camera, t), self.camera(camera), T_neighbour_ref)
+
+    def _check_size(self, size: tuple[int, int], camera: str, path: Path) -> None:
+        if size != self.camera(camera).size:
+            wanted = "x".join(map(str, self.camera(camera).size))
+            raise DatasetError(f"image is {size[0]}x{size[1]}, camera '{camera}' is {wanted}", path)
+
+
+def read_poses(path: Path) -> dict[int, Array]:
+    """``poses.csv``: timestamp_ns -> (4, 4) ``T_world_rig``, in time order.
+
+    Raises:
+        DatasetError: with file and line: wrong header, a value that is not finite, a quaternion that is not of norm 1,
+            times that do not increase.
+    """
+    poses: dict[int, Array] = {}
+    last: int | None = None
+    for number, row in read_table(path, POSE_COLUMNS, "poses", DatasetError):
+        time = parse_timestamp(row[0], path, number, DatasetError)
+        if last is not None and time <= last:
+            raise DatasetError(f"timestamp {time} does not come after {last}", path, number)
+        poses[time] = pairfile.parse_pose(row[1:], path, number)
+        last = time
+    return poses

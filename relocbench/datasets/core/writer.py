@@ -1,0 +1,178 @@
+"""Writing a dataset: every file whole, a killed build resumed, nobody's folder overwritten."""
+
+from __future__ import annotations
+
+import csv
+import platform
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core import fingerprint, images, pairfile
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.core.schema import FORMAT_VERSION, DatasetFile, TraversalFile
+from relocbench.datasets.core.traversal import POSE_COLUMNS
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.files import (
+    YamlFault,
+    atomic_write,
+    check_joined_name,
+    dump_yaml,
+    link_file,
+    load_yaml_values,
+    parse_yaml,
+    remove_parts,
+    write_text,
+)
+from relocbench.tracking import KeyframePoints
+
+Array = NDArray[np.float64]
+_VERSIONED = ("relocbench", "numpy", "opencv-python-headless", "open3d")
+
+
+class DatasetWriter:
+    """Builds one dataset folder.
+
+    The configuration of the build is written first, to ``build.yaml``. A folder that holds the same configuration is
+    resumed: files that are there and whole are kept. ``dataset.yaml``, with the fingerprint, is written last.
+
+    Args:
+        out: the folder; it must be absent, empty, or an earlier try at the same build.
+        configuration: everything that determines the result, as plain values (kind, sources, options, seed).
+
+    Raises:
+        DatasetError: ``out`` holds something else.
+    """
+
+    def __init__(self, out: Path, name: str, configuration: Mapping[str, Any], licence: str = "unknown") -> None:
+        self.layout = DatasetLayout(out)
+        self.name = name
+        self.licence = licence
+        try:
+            check_joined_name(name, "dataset name")
+            self.configuration = parse_yaml(dump_yaml(dict(configuration)))
+        except YamlFault as bad:
+            raise ConfigError(f"the options cannot be kept: {bad}") from None
+        except ValueError as bad:
+            raise ConfigError(f"{bad}; --name gives another") from None
+        self._claim_folder()
+
+    @property
+    def complete(self) -> bool:
+        """Whether this very build was finished before."""
+        return self.layout.dataset_yaml.exists()
+
+    def traversal(self, file: TraversalFile, poses: Mapping[int, Array]) -> None:
+        """``traversal.yaml`` and ``poses.csv``; ``poses`` maps timestamp_ns to (4, 4) ``T_world_rig``."""
+        layout = self.layout.traversal(file.name)
+        write_text(layout.traversal_yaml, dump_yaml(file.model_dump(mode="json")))
+        with atomic_write(layout.poses) as stream:
+            table = csv.writer(stream, lineterminator="\n")
+            table.writerow(POSE_COLUMNS)
+            for time in sorted(poses):
+                table.writerow([time, *pairfile.truth_fields(poses[time])])
+
+    def link_image(self, traversal: str, camera: str, timestamp_ns: int, source: Path, *, copy: bool) -> None:
+        """Take an image of the user's recording as it is: by a symbolic link, or copied when asked."""
+        suffix = source.suffix.lower()
+        path = self.layout.traversal(traversal).image(camera, timestamp_ns, suffix)
+        if not source.exists():
+            raise DatasetError("missing; expected an image", source)
+        if not images.is_whole(source):
+            raise DatasetError("truncated or not an image; expected a whole PNG or JPEG", source)
+        if not copy:
+            if not (path.is_symlink() and path.resolve() == source.resolve()):
+                link_file(source, path)
+        elif not _kept(path):
+            with atomic_write(path, "wb") as stream:
+                stream.write(source.read_bytes())
+
+    def needs_image(self, traversal: str, camera: str, timestamp_ns: int) -> bool:
+        """Whether :meth:`image` has work to do (a resumed build skips what is there and whole)."""
+        return not _kept(self.layout.traversal(traversal).image(camera, timestamp_ns))
+
+    def needs_depth(self, traversal: str, camera: str, timestamp_ns: int) -> bool:
+        """Whether :meth:`depth` has work to do."""
+        return not _kept(self.layout.traversal(traversal).depth(camera, timestamp_ns))
+
+    def image(self, traversal: str, camera: str, timestamp_ns: int, image: NDArray[np.uint8]) -> None:
+        """(H, W) grey or (H, W, 3) RGB."""
+        images.write_image(self.layout.traversal(traversal).image(camera, timestamp_ns), image)
+
+    def depth(self, traversal: str, camera: str, timestamp_ns: int, depth: NDArray[np.floating]) -> None:
+        """(H, W) metres along z, 0 where unknown."""
+        images.write_depth(self.layout.traversal(traversal).depth(camera, timestamp_ns), depth)
+
+    def points(self, traversal: str, camera: str, timestamp_ns: int, points: KeyframePoints) -> None:
+        """Sparse keyframe points."""
+        images.write_points(self.layout.traversal(traversal).points(camera, timestamp_ns), points)
+
+    def pairs(self, reference: str, query: str, camera: str, pairs: Sequence[Pair]) -> str:
+        """A pair set, sorted by query and reference time; its name is returned."""
+        name = pair_set_name(reference, query, camera)
+        ordered = sorted(pairs, key=lambda p: (p.ref_timestamp_ns, p.query_timestamp_ns))
+        pairfile.write_pairs(self.layout.pair_file(name), self.layout.pair_table(name), ordered)
+        return name
+
+    def finish(self, splits: Mapping[str, Sequence[str]] | None = None) -> Dataset:
+        """Hash the content, write ``dataset.yaml`` and open the dataset.
+
+        Args:
+            splits: split name -> pair sets. A recording that says nothing else is for testing: all pair sets are.
+        """
+        remove_parts(self.layout.root)
+        everything = sorted(path.stem for path in self.layout.pairs.glob("*.txt"))
+        splits = splits if splits is not None else {"test": everything} if everything else {}
+        plain = {split: tuple(names) for split, names in splits.items()}
+        fingerprint.write_manifest(self.layout)
+        file = DatasetFile(
+            format_version=FORMAT_VERSION,
+            name=self.name,
+            licence=self.licence,
+            made_by={**self.configuration, "versions": versions()},
+            splits=plain,
+            fingerprint=fingerprint.compute(self.layout, FORMAT_VERSION, plain),
+        )
+        write_text(self.layout.dataset_yaml, dump_yaml(file.model_dump(mode="json")))
+        return Dataset(self.layout.root)
+
+    def _claim_folder(self) -> None:
+        root, mark = self.layout.root, self.layout.build_yaml
+        for source in map(Path, self.configuration.get("sources") or ()):
+            if root.resolve().is_relative_to(source):
+                raise DatasetError(f"lies inside the recording {source}, which is never written to", root)
+        if root.exists() and not root.is_dir():
+            raise DatasetError("is a file; expected a folder to write the dataset to", root)
+        if root.is_dir() and any(root.iterdir()) and not mark.exists():
+            raise DatasetError("holds something else; --out must be new, empty, or an unfinished build", root)
+        # A build that failed before it wrote anything binds nobody to its options.
+        if mark.exists() and any(p != mark for p in root.iterdir()):
+            before, _ = load_yaml_values(mark, "the configuration of a build", DatasetError)
+            if before != self.configuration:
+                changed = sorted(
+                    str(k)
+                    for k in before.keys() | self.configuration.keys()
+                    if before.get(k) != self.configuration.get(k)
+                )
+                raise DatasetError(
+                    f"holds a dataset made with other options ({', '.join(changed)} differ); choose another --out",
+                    root,
+                )
+            remove_parts(root)
+            return
+        write_text(mark, dump_yaml(self.configuration))
+
+
+def versions() -> dict[str, str]:
+    """Of what can change a result."""
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in _VERSIONED}}
+
+
+def _kept(path: Path) -> bool:
+    return not path.is_symlink() and path.is_file() and images.is_whole(path)

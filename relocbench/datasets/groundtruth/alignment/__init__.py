@@ -1,0 +1,1 @@
+"""Two drives brought together: registered, kept on disk, solved."""

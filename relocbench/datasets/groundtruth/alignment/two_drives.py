@@ -1,0 +1,117 @@
+"""Two drives brought together: blocks, registrations, pose graph, local edges, in this order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.blocks.making import BlockOptions
+from relocbench.datasets.groundtruth.pose_graph.block_fits import BlockFits
+from relocbench.datasets.groundtruth.pose_graph.graph import Solution, optimise
+from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalOptions, refine_locally
+from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions
+from relocbench.datasets.groundtruth.registration.along_drive import Remember, TrackingOptions, track
+from relocbench.datasets.groundtruth.registration.place_recognition import MapPrior
+from relocbench.datasets.groundtruth.registration.submap_pair import nodes_every
+from relocbench.datasets.groundtruth.submaps.drive import Drive
+from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.geometry import invert
+
+Array = NDArray[np.float64]
+FirstPose = tuple[int, int, Array]
+"""(reference time, query time, ``T_ref_query`` rig to rig), nanoseconds"""
+
+
+@dataclass(frozen=True)
+class AlignmentOptions:
+    """Of everything between two recordings and the poses of one in the other."""
+
+    block_m: float = 2.0
+    submap_m: float = 60.0
+    """length of road that a submap shows"""
+    blocks: BlockOptions = field(default_factory=BlockOptions)
+    tracking: TrackingOptions = field(default_factory=TrackingOptions)
+    graph: GraphOptions = field(default_factory=GraphOptions)
+    local: LocalOptions = field(default_factory=LocalOptions)
+
+
+@dataclass(frozen=True, eq=False)
+class TrackUnit:
+    """One query drive against the reference, as a worker needs it."""
+
+    reference: Drive
+    query: Drive
+    options: AlignmentOptions
+    first: FirstPose | None = None
+
+    def __str__(self) -> str:
+        return f"registration of {self.query.name} against {self.reference.name}"
+
+    @property
+    def steps(self) -> int:
+        """Nodes of the query that are registered."""
+        return len(nodes_every(self.query.nodes, self.options.tracking.step_m))
+
+
+def track_drive(
+    unit: TrackUnit,
+    say: Callable[[str], None] = lambda message: None,
+    remember: Remember = lambda asked, work: work(),
+) -> list[Registration]:
+    """Registrations of a query drive's nodes, in the order of its road.
+
+    Args:
+        say, remember: as :func:`relocbench.datasets.groundtruth.registration.along_drive.track` has them.
+    """
+    reference, query, length = unit.reference, unit.query, unit.options.submap_m
+    return track(
+        reference.window(length),
+        query.window(length),
+        reference.nodes,
+        query.nodes,
+        map_prior(reference, query),
+        unit.options.tracking,
+        first=None if unit.first is None else at_nodes(reference, query, unit.first),
+        say=say,
+        remember=remember,
+    )
+
+
+def map_prior(reference: Drive, query: Drive) -> MapPrior | None:
+    """Where GNSS puts both drives' nodes; None where one of them has none."""
+    poses = []
+    for drive in (reference, query):
+        prior, times = drive.recording.prior, drive.nodes.times_ns
+        if prior is None:
+            return None
+        known = prior.covers(times)
+        T_map_node = np.full((len(times), 4, 4), np.nan)
+        T_map_node[known] = prior.at(times[known])
+        poses.append(T_map_node)
+    return MapPrior(poses[0], poses[1], max(reference.recording.prior_sigma_m, query.recording.prior_sigma_m))
+
+
+def at_nodes(reference: Drive, query: Drive, first: FirstPose) -> tuple[int, int, Array]:
+    """A pose of two moments, carried along both odometries to the nodes nearest in time."""
+    out, moved = [], []
+    for drive, time in ((reference, first[0]), (query, first[1])):
+        node = int(np.argmin(np.abs(drive.nodes.times_ns - time)))
+        at = np.clip(time, *drive.recording.odometry.times_ns[[0, -1]])
+        T_odom_then = drive.recording.odometry.at(np.array([at], dtype=np.int64))[0]
+        moved.append(invert(drive.nodes.T_odom_node[node]) @ T_odom_then)
+        out.append(node)
+    T_ref_query = moved[0] @ first[2] @ invert(moved[1])
+    return out[0], out[1], T_ref_query
+
+
+def solve_drive(
+    reference: Drive, query: Drive, registrations: Sequence[Registration], options: AlignmentOptions
+) -> Solution:
+    """Both drives' nodes by all registrations at once, then block by block."""
+    solution = optimise(reference.nodes, query.nodes, registrations, options=options.graph)
+    if not solution.trusted.any():
+        return solution
+    return refine_locally(solution, BlockFits(reference.store(), query.store()), options.local)

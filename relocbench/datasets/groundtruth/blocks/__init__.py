@@ -1,0 +1,1 @@
+"""Drives cut into blocks: the points of a few metres of road each, without what moved."""

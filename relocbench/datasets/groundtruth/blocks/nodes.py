@@ -1,0 +1,137 @@
+"""Where a drive is cut into blocks: at equal way, however fast it went and however long it stood."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.kernels import njit
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+_ANCHOR_M = 0.25
+"""way is measured between poses so far apart, so that the noise of odometry while standing adds up to nothing"""
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """How far a drive had come at each time."""
+
+    times_ns: Times
+    """(N,)"""
+    travelled_m: Array
+    """(N,) never falls; stays while the car stands; nothing is added across a gap"""
+    stretch: NDArray[np.int64]
+    """(N,) number of the piece of odometry without a gap"""
+
+    def at(self, times_ns: Times) -> Array:
+        """(M,) metres; times outside are those of the ends."""
+        if not len(self.times_ns):
+            return np.zeros(len(times_ns))
+        origin = self.times_ns[0]
+        return np.interp((times_ns - origin) / 1e9, (self.times_ns - origin) / 1e9, self.travelled_m)
+
+
+def make_nodes(recording: FieldRecording, block_m: float = 2.0) -> Nodes:
+    """Cut a drive at equal way. What is left at the end of a stretch and shorter than a block belongs to none.
+
+    Args:
+        block_m: way through each block.
+
+    Raises:
+        ConfigError: blocks without length.
+        DatasetError: nothing measured while the odometry knew where.
+    """
+    if block_m < _ANCHOR_M:
+        raise ConfigError(f"blocks are at least {_ANCHOR_M} m long, got {block_m} m")
+    way = way_along(recording)
+    begin, middle, end, travelled, stretch = [], [], [], [], []
+    for number in np.unique(way.stretch):
+        mine = way.stretch == number
+        times, metres = way.times_ns[mine], way.travelled_m[mine]
+        # A hair's breadth, so that a stretch of exactly n blocks is cut into n.
+        count = int(np.floor((metres[-1] - metres[0]) / block_m + 1e-9))
+        cuts = _times_at(times, metres, metres[0] + block_m * np.arange(count + 1))
+        centres = metres[0] + block_m * (np.arange(count) + 0.5)
+        begin.append(cuts[:-1])
+        end.append(cuts[1:])
+        middle.append(_times_at(times, metres, centres))
+        travelled.append(centres)
+        stretch.append(np.full(count, number, dtype=np.int64))
+    times_ns = np.concatenate(middle)
+    if not len(times_ns):
+        raise DatasetError(f"the drive is shorter than one block of {block_m} m", recording.folder)
+    return Nodes(
+        times_ns,
+        recording.odometry.at(times_ns),
+        np.concatenate(travelled),
+        np.concatenate(stretch),
+        np.concatenate(begin),
+        np.concatenate(end),
+    )
+
+
+def way_along(recording: FieldRecording) -> Way:
+    """The way driven while a lidar measured. Raises DatasetError if odometry and lidars share no time."""
+    spans = [(int(lidar.times_ns[0]), int(lidar.times_ns[-1])) for lidar in recording.lidars if len(lidar.times_ns)]
+    if not spans:
+        raise DatasetError("no lidar scans; the ground truth is made from them", recording.folder)
+    odometry = recording.odometry
+    first, last = min(s[0] for s in spans), max(s[1] for s in spans)
+    between = odometry.times_ns[(odometry.times_ns > first) & (odometry.times_ns < last)]
+    knots = np.unique(np.concatenate([[first], between, [last]]).astype(np.int64))
+    knots = knots[odometry.covers(knots)]
+    if not len(knots):
+        raise DatasetError("the odometry covers no time at which a lidar measured", recording.folder)
+    positions = odometry.at(knots)[:, :3, 3]
+    starts = np.concatenate([[True], ~_joined(odometry, knots)])
+    stretch = np.cumsum(starts, dtype=np.int64) - 1
+    return Way(knots, _travelled(np.ascontiguousarray(positions), starts, _ANCHOR_M), stretch)
+
+
+def _joined(odometry: Trajectory, knots: Times) -> NDArray[np.bool_]:
+    """(N - 1,) whether poses are told between neighbouring knots."""
+    return odometry.covers(knots[:-1] + (knots[1:] - knots[:-1]) // 2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _travelled(positions: Array, starts: NDArray[np.bool_], anchor_m: float) -> Array:
+    """(N,) way along poses; between anchors it grows by how far poses came in the direction of the next anchor."""
+    n = len(positions)
+    way = np.zeros(n)
+    anchor = 0
+    for i in range(1, n):
+        if starts[i]:
+            for k in range(anchor + 1, i):
+                way[k] = way[anchor]
+            way[i] = way[anchor]
+            anchor = i
+            continue
+        leg = positions[i] - positions[anchor]
+        length = np.sqrt(np.sum(leg * leg))
+        if length < anchor_m:
+            continue
+        for k in range(anchor + 1, i):
+            come = np.sum((positions[k] - positions[anchor]) * leg) / length
+            way[k] = max(way[k - 1], way[anchor] + min(max(come, 0.0), length))
+        way[i] = way[anchor] + length
+        anchor = i
+    for k in range(anchor + 1, n):
+        way[k] = way[anchor]
+    return way
+
+
+def _times_at(times_ns: Times, metres: Array, wanted: Array) -> Times:
+    """(M,) when each way had first been driven."""
+    right = np.clip(np.searchsorted(metres, wanted, side="left"), 0, len(metres) - 1)
+    left = np.maximum(right - 1, 0)
+    step = metres[right] - metres[left]
+    share = np.where(step > 0, (wanted - metres[left]) / np.where(step > 0, step, 1.0), 1.0)
+    spent = (times_ns[right] - times_ns[left]).astype(np.float64)
+    return times_ns[left] + np.rint(np.clip(share, 0.0, 1.0) * spent).astype(np.int64)

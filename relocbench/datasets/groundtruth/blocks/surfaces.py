@@ -1,0 +1,220 @@
+"""What points lie on: planes fitted to their neighbours, and whether those are the ground.
+
+A normal is the direction in which the neighbours of a point spread least (the eigenvector of the smallest eigenvalue
+of their covariance). A plane fits if that spread is no more than noise and the others are much larger.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.blocks.blocks import Surface
+from relocbench.datasets.groundtruth.voxels.voxels import Grid, cell_of, make_grid, pack
+from relocbench.kernels import njit
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class SurfaceOptions:
+    """When neighbours lie in a plane, and which planes are ground."""
+
+    radius_m: float = 0.35
+    """of the neighbourhood"""
+    wide_radius_m: float = 0.8
+    """where the first holds too few points, or points on a line: far from the lidar"""
+    fewest: int = 8
+    """neighbours that tell a plane, the point itself among them"""
+    plane_m: float = 0.04
+    """standard deviation of distances from a plane, at most"""
+    flatness: float = 0.3
+    """thickness over breadth, at most, both as standard deviations"""
+    line: float = 0.2
+    """breadth over length below which the neighbours lie on a line, which tells no plane"""
+    ground_m: float = 0.25
+    """by how much ground may be higher or lower than the wheels"""
+    ground_slope: float = 0.06
+    """and by how much more for each metre away from the path"""
+    ground_tilt_deg: float = 20.0
+    """between the ground and the car's floor"""
+
+
+def fit_normals(points: Array, wanted: Indices, options: SurfaceOptions) -> NDArray[np.float32]:
+    """Normals (M, 3) of the wanted points, of either sign; 0 where no plane fits.
+
+    Args:
+        points: (N, 3) of several blocks, in one frame.
+        wanted: (M,) rows.
+    """
+    normals = np.zeros((len(wanted), 3), dtype=np.float32)
+    open_ = np.arange(len(wanted))
+    for radius in (options.radius_m, options.wide_radius_m):
+        grid = make_grid(points, radius)
+        found, told = _fit(
+            points, wanted[open_], grid, radius, options.fewest, options.plane_m, options.flatness, options.line
+        )
+        normals[open_] = found
+        open_ = open_[~told]
+    return normals
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fit(
+    points: Array, wanted: Indices, grid: Grid, radius: float, fewest: int, plane_m: float, flatness: float, line: float
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Normals (M, 3), and (M,) whether the neighbours were enough to tell."""
+    normals = np.zeros((len(wanted), 3), dtype=np.float32)
+    told = np.zeros(len(wanted), dtype=np.bool_)
+    size = grid.size_m
+    for w in range(len(wanted)):
+        i = wanted[w]
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        cx, cy, cz = int(np.floor(px / size)), int(np.floor(py / size)), int(np.floor(pz / size))
+        n = 0
+        sx = sy = sz = sxx = sxy = sxz = syy = syz = szz = 0.0
+        for ix in range(cx - 1, cx + 2):
+            for iy in range(cy - 1, cy + 2):
+                for iz in range(cz - 1, cz + 2):
+                    cell = cell_of(pack(ix, iy, iz), grid.keys, grid.cells)
+                    if cell < 0:
+                        continue
+                    for k in range(grid.starts[cell], grid.starts[cell + 1]):
+                        j = grid.order[k]
+                        dx, dy, dz = points[j, 0] - px, points[j, 1] - py, points[j, 2] - pz
+                        if dx * dx + dy * dy + dz * dz > radius * radius:
+                            continue
+                        n += 1
+                        sx += dx
+                        sy += dy
+                        sz += dz
+                        sxx += dx * dx
+                        sxy += dx * dy
+                        sxz += dx * dz
+                        syy += dy * dy
+                        syz += dy * dz
+                        szz += dz * dz
+        if n < fewest:
+            continue
+        mx, my, mz = sx / n, sy / n, sz / n
+        cov = (sxx / n - mx * mx, sxy / n - mx * my, sxz / n - mx * mz,
+               syy / n - my * my, syz / n - my * mz, szz / n - mz * mz)  # fmt: skip
+        low, middle, high, nx, ny, nz = smallest_eigenvector(cov)
+        if middle < line * line * high:
+            continue
+        told[w] = True
+        if low <= plane_m * plane_m and low <= flatness * flatness * middle:
+            normals[w, 0], normals[w, 1], normals[w, 2] = nx, ny, nz
+    return normals, told
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def smallest_eigenvector(
+    cov: tuple[float, float, float, float, float, float],
+) -> tuple[float, float, float, float, float, float]:
+    """Eigenvalues of a symmetric matrix (xx, xy, xz, yy, yz, zz), rising, and the unit eigenvector of the first.
+
+    Jacobi's method: turns in one plane after another make the matrix diagonal; exact to rounding.
+    """
+    a = np.empty((3, 3))
+    a[0, 0], a[0, 1], a[0, 2], a[1, 1], a[1, 2], a[2, 2] = cov
+    a[1, 0], a[2, 0], a[2, 1] = a[0, 1], a[0, 2], a[1, 2]
+    v = np.eye(3)
+    for _ in range(20):
+        off = a[0, 1] ** 2 + a[0, 2] ** 2 + a[1, 2] ** 2
+        if off <= 1e-30 * (a[0, 0] ** 2 + a[1, 1] ** 2 + a[2, 2] ** 2):
+            break
+        for p in range(2):
+            for q in range(p + 1, 3):
+                if a[p, q] == 0.0:
+                    continue
+                theta = (a[q, q] - a[p, p]) / (2 * a[p, q])
+                t = (1.0 if theta >= 0 else -1.0) / (abs(theta) + np.sqrt(theta * theta + 1))
+                c = 1 / np.sqrt(t * t + 1)
+                s = t * c
+                for k in range(3):
+                    kp, kq = a[k, p], a[k, q]
+                    a[k, p], a[k, q] = c * kp - s * kq, s * kp + c * kq
+                for k in range(3):
+                    pk, qk = a[p, k], a[q, k]
+                    a[p, k], a[q, k] = c * pk - s * qk, s * pk + c * qk
+                for k in range(3):
+                    kp, kq = v[k, p], v[k, q]
+                    v[k, p], v[k, q] = c * kp - s * kq, s * kp + c * kq
+    low = 0
+    for k in range(1, 3):
+        if a[k, k] < a[low, low]:
+            low = k
+    one, two = a[(low + 1) % 3, (low + 1) % 3], a[(low + 2) % 3, (low + 2) % 3]
+    return max(a[low, low], 0.0), min(one, two), max(one, two), v[0, low], v[1, low], v[2, low]
+
+
+def towards(
+    normals: NDArray[np.float32], points: NDArray[np.float32], origins: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Normals (N, 3) turned to the side from which their points were seen."""
+    away = np.einsum("ni,ni->n", normals, origins - points) < 0
+    return np.where(away[:, None], -normals, normals).astype(np.float32)
+
+
+def classify(
+    points: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    T_node_path: Array,
+    wheel_height_m: float,
+    options: SurfaceOptions,
+) -> NDArray[np.uint8]:
+    """:class:`Surface` of points (N, 3) with normals (N, 3; 0 where no plane fits).
+
+    Args:
+        T_node_path: (P, 4, 4) poses of the rig along the drive, in the points' frame.
+        wheel_height_m: of the road under the rig, in the rig's frame; nan where it is not known: nothing is ground.
+    """
+    plane = np.any(normals != 0, axis=1)
+    out = np.where(plane, Surface.STRUCTURE, Surface.ROUGH).astype(np.uint8)
+    if not np.isfinite(wheel_height_m) or not len(points):
+        return out
+    height, level, away = _over_path(points.astype(np.float64), normals.astype(np.float64), T_node_path)
+    near = np.abs(height - wheel_height_m) <= options.ground_m + options.ground_slope * away
+    flat = np.abs(level) >= np.cos(np.radians(options.ground_tilt_deg))
+    out[plane & near & flat] = Surface.GROUND
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _over_path(points: Array, normals: Array, poses: Array) -> tuple[Array, Array, Array]:
+    """Of each point by the pose nearest in plan: height over its floor, the normal's share of up, distance in plan."""
+    n = len(points)
+    height, level, away = np.empty(n), np.empty(n), np.empty(n)
+    for i in range(n):
+        best, nearest = 0, np.inf
+        for k in range(len(poses)):
+            dx, dy = points[i, 0] - poses[k, 0, 3], points[i, 1] - poses[k, 1, 3]
+            if dx * dx + dy * dy < nearest:
+                best, nearest = k, dx * dx + dy * dy
+        up = poses[best, :3, 2]
+        height[i] = 0.0
+        level[i] = 0.0
+        for axis in range(3):
+            height[i] += up[axis] * (points[i, axis] - poses[best, axis, 3])
+            level[i] += up[axis] * normals[i, axis]
+        away[i] = np.sqrt(nearest)
+    return height, level, away
+
+
+def level_under(points: Array, beside_m: float = 6.0, bin_m: float = 0.04, fewest: int = 200) -> float:
+    """Height of the road under the rig: where most points (N, 3) near it lie, in its frame; nan if there are few."""
+    near = np.hypot(points[:, 0], points[:, 1]) < beside_m
+    z = points[near, 2]
+    z = z[z < 0.5]  # overhead wires and bridges are no road, wherever the rig's origin is
+    if len(z) < fewest:
+        return float("nan")
+    bins = np.floor(z / bin_m).astype(np.int64)
+    counts = np.bincount(bins - bins.min())
+    # Two bins side by side: the road may lie on the border between two.
+    pairs = counts + np.append(counts[1:], 0)
+    low = (int(np.argmax(pairs)) + int(bins.min())) * bin_m
+    return float(np.median(z[(z >= low - bin_m) & (z < low + 3 * bin_m)]))

@@ -1,0 +1,1 @@
+"""Depth images from submaps, and how stereo agrees with them."""

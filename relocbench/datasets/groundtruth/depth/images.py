@@ -1,0 +1,180 @@
+"""Depth images of a drive's frames, from its submaps or by stereo, made by workers."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core import images
+from relocbench.datasets.groundtruth.depth.depth import (
+    DepthImage,
+    DepthOptions,
+    Scenery,
+    fit_sigma,
+    make_scenery,
+    scenery_depth,
+)
+from relocbench.datasets.groundtruth.depth.stereo_check import Agreement, cross_check
+from relocbench.datasets.groundtruth.depth.stereo_partner import StereoPair
+from relocbench.datasets.groundtruth.submaps.drive import Drive
+from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
+from relocbench.errors import ConfigError
+from relocbench.execution import Run, chunks, run_units
+from relocbench.geometry import Camera, invert
+from relocbench.progress import Reporter
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+DepthSource = Literal["lidar", "stereo"]
+
+_IMAGES_A_UNIT = 8
+_SIGMA_FROM = 12
+"""images, evenly along the drive, that the model of depth's sigma is fitted to"""
+
+
+@dataclass(frozen=True)
+class DepthFrame:
+    """One image that wants depth."""
+
+    time_ns: int
+    path: Path
+
+
+@dataclass(frozen=True, eq=False)
+class DepthView:
+    """One camera of a drive, and where its depth comes from."""
+
+    drive: Drive
+    camera: Camera
+    T_rig_cam: Array
+    source: DepthSource
+    pair: StereoPair | None
+    """where the rig has one"""
+    length_m: float
+    """of the submap that each image is drawn from"""
+    options: DepthOptions
+
+    def at(self, time_ns: int) -> DepthImage:
+        """Depth of the image at a time."""
+        return self.by_stereo(time_ns) if self.source == "stereo" else self.by_lidar(time_ns)
+
+    def by_lidar(self, time_ns: int) -> DepthImage:
+        """From the submap of the node nearest in time."""
+        drive = self.drive
+        node = int(np.argmin(np.abs(drive.nodes.times_ns - time_ns)))
+        T_odom_rig = drive.recording.odometry.at(np.array([time_ns], dtype=np.int64))[0]
+        T_cam_node = invert(T_odom_rig @ self.T_rig_cam) @ drive.nodes.T_odom_node[node]
+        scenery = _scenery(_Around(drive, self.length_m, self.options), node)
+        return scenery_depth(scenery, self.camera, T_cam_node, self.options)
+
+    def by_stereo(self, time_ns: int) -> DepthImage:
+        """By matching the two images."""
+        if self.pair is None:
+            raise ConfigError(f"--depth stereo: a camera of {self.drive.name} has no rectified partner to its right")
+        return self.pair.depth(time_ns)
+
+
+@dataclass(frozen=True)
+class _Task:
+    frame: DepthFrame
+    missing: bool
+    sampled: bool
+    """whether it tells how certain depth is"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Unit:
+    """Images of one camera side by side along the road."""
+
+    view: DepthView
+    tasks: tuple[_Task, ...]
+
+    def __str__(self) -> str:
+        return f"depth of {self.view.drive.name} at {self.tasks[0].frame.time_ns}"
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    depth: DepthImage
+    by_other: Floats | None
+    """depth from what the dataset's does not come from"""
+
+
+def make_depth(
+    view: DepthView, frames: Sequence[DepthFrame], missing: Collection[int], reporter: Reporter, run: Run
+) -> tuple[tuple[float, float, float], Agreement | None]:
+    """Write depth images, and tell how certain they are.
+
+    Args:
+        frames: all that have depth, in the order of the road.
+        missing: times of those that are not there yet.
+
+    Returns:
+        (a, b, c) of ``sigma = a + b z + c z^2``, from some of the images; and how depth by lidar and by stereo agree
+        in these, if there are both.
+    """
+    step = max(1, -(-len(frames) // _SIGMA_FROM))
+    tasks = [_Task(frame, frame.time_ns in missing, k % step == 0) for k, frame in enumerate(frames)]
+    units = [_Unit(view, tuple(part)) for part in chunks([t for t in tasks if t.missing or t.sampled], _IMAGES_A_UNIT)]
+    samples: dict[int, list[_Sample]] = {}
+    with reporter.stage(f"depth of {view.drive.name}", sum(len(unit.tasks) for unit in units)) as advance:
+        for index, found in run_units(_draw, units, run):
+            samples[index] = found
+            advance(len(units[index].tasks))
+    ordered = [sample for index in sorted(samples) for sample in samples[index]]
+    if view.source == "stereo" and view.pair is not None:
+        return view.pair.geometry.depth_sigma, _agreement(view, ordered)
+    return fit_sigma(sample.depth for sample in ordered), _agreement(view, ordered)
+
+
+def _draw(unit: _Unit) -> list[_Sample]:
+    view, samples = unit.view, []
+    common = view.pair.common_times() if view.pair is not None else frozenset[int]()
+    for task in unit.tasks:
+        time = task.frame.time_ns
+        found = view.at(time)
+        if task.missing:
+            images.write_depth(task.frame.path, found.depth)
+        if task.sampled:
+            other = view.by_lidar if view.source == "stereo" else view.by_stereo
+            samples.append(_Sample(found, other(time).depth if time in common else None))
+    return samples
+
+
+def _agreement(view: DepthView, samples: Sequence[_Sample]) -> Agreement | None:
+    both = [(sample.depth.depth, sample.by_other) for sample in samples if sample.by_other is not None]
+    if not both or view.pair is None:
+        return None
+    own, other = np.stack([one for one, _ in both]), np.stack([two for _, two in both])
+    lidar, stereo = (own, other) if view.source == "lidar" else (other, own)
+    return cross_check(lidar, stereo, view.camera, view.pair.baseline_m)
+
+
+class _Around:
+    """The submaps of a drive, alike for the same drive and settings: a worker's windows are told apart by this."""
+
+    def __init__(self, drive: Drive, length_m: float, options: DepthOptions) -> None:
+        self.drive, self.length_m, self.options = drive, length_m, options
+        self._key = (str(drive.blocks), length_m, repr(options))
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Around) and self._key == other._key
+
+
+@lru_cache(maxsize=2)
+def _window(around: _Around) -> SubmapWindow:
+    return around.drive.window(around.length_m)
+
+
+@lru_cache(maxsize=4)
+def _scenery(around: _Around, node: int) -> Scenery:
+    return make_scenery(_window(around).at(node), around.options)

@@ -1,0 +1,53 @@
+"""The camera of a rig that makes a rectified stereo pair with another, if there is one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.depth.depth import DepthImage
+from relocbench.datasets.groundtruth.depth.stereo_check import depth_by_stereo, rectified
+from relocbench.datasets.sensors.recording import CameraStream
+from relocbench.datasets.sensors.stereo import StereoGeometry
+from relocbench.errors import ConfigError
+from relocbench.geometry import invert
+
+
+@dataclass(frozen=True, eq=False)
+class StereoPair:
+    """A camera and the one to its right, whose rows see the same planes."""
+
+    left: CameraStream
+    right: CameraStream
+    geometry: StereoGeometry
+    baseline_m: float
+
+    def common_times(self) -> frozenset[int]:
+        """Times at which both took an image."""
+        return frozenset(self.left.times_ns.tolist()) & frozenset(self.right.times_ns.tolist())
+
+    def depth(self, time_ns: int) -> DepthImage:
+        """Of the left image at a time that both have. Raises DatasetError with the file of a damaged image."""
+        return depth_by_stereo(_image(self.left, time_ns), _image(self.right, time_ns), self.geometry)
+
+
+def stereo_pair(cameras: Mapping[str, CameraStream], left: str) -> StereoPair | None:
+    """The first camera that stands to the right of ``left``, looks the same way and has the same lens."""
+    one = cameras[left]
+    for name, other in cameras.items():
+        if name == left:
+            continue
+        T_right_left = invert(other.T_rig_cam) @ one.T_rig_cam
+        try:
+            geometry = rectified(one.camera, other.camera, T_right_left)
+        except ConfigError:
+            continue
+        return StereoPair(one, other, geometry, -float(T_right_left[0, 3]))
+    return None
+
+
+def _image(stream: CameraStream, time_ns: int) -> NDArray[np.uint8]:
+    return stream.read(int(stream.times_ns.searchsorted(time_ns)))

@@ -1,0 +1,276 @@
+"""Surfels: the points of a submap as small pieces of surface, grown until they meet their neighbours and no further.
+
+Each point with a normal becomes a star in its tangent plane: in each of eight directions it reaches a little beyond
+the middle to its nearest neighbour of the same surface (Pfister et al., Surfels, 2000, with the radius taken from the
+sampling at hand, direction by direction). Lines of a push-broom scanner lie further apart than the points within
+them, and at a rim there is no neighbour at all; a round disk would leave gaps there or reach into the air.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.submaps.submaps import Submap
+from relocbench.errors import ConfigError
+from relocbench.kernels import njit
+
+Floats = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
+SECTORS = 8
+_OVERLAP = 0.8
+"""of the way to a neighbour that a star reaches: pieces of a square or a triangular grid then leave no gap"""
+_RIM = 0.25
+"""of the smallest way to a neighbour that it reaches where there is none"""
+_SAME_M = 0.01
+"""points nearer to each other than this are one point measured twice"""
+_RISE = 0.2
+"""a neighbour may stand off a surfel's plane by so much of the way to it: surfaces are curved"""
+_LARGEST_GRID = 40_000_000
+
+
+@dataclass(frozen=True)
+class SurfelOptions:
+    """Which points belong to one surface."""
+
+    gap_m: float = 0.4
+    """points of a surface that lie further apart leave a hole between them"""
+    veil_m: float = 1.5
+    """a hole that is narrower shows nothing of what lies behind it: a window in a wall, a dark door"""
+    offset_m: float = 0.05
+    """how far a neighbour may stand off a surfel's plane"""
+    cosine: float = 0.7
+    """of the largest angle between the normals of neighbours"""
+    adopt_m: float = 0.03
+    """a point without a plane takes that of the nearest surfel in whose plane it lies, to so much; 0: none"""
+    rough_m: float = 0.12
+    """radius within which a point without a plane hides what lies behind it"""
+    rough_reach_m: float = 0.06
+    """radius of the small disk, facing the camera, that it shows; 0: it shows nothing"""
+    crowd: int = 3
+    """a point without a plane that has fewer others within ``gap_m`` is noise: a drop, a flake, a stray echo"""
+    steady: float = 0.5
+    """points less steady than this moved, and are left out"""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.gap_m <= self.veil_m or self.offset_m <= 0 or self.rough_m < 0:
+            raise ConfigError("surfels need 0 < gap_m <= veil_m, a positive offset_m and rough_m >= 0")
+
+
+@dataclass(frozen=True, eq=False)
+class Surfels:
+    """Stars in the frame of the submap's node."""
+
+    points: Floats
+    """(N, 3)"""
+    normals: Floats
+    """(N, 3) unit, towards the sensor; 0 for what has no plane"""
+    axes: Floats
+    """(N, 3) unit, along the surface: where the first direction points"""
+    reach: Floats
+    """(N, 8) metres that the surfel covers in each direction, anticlockwise about its normal; 0: it shows nothing"""
+    veil: Floats
+    """(N, 8) metres that it hides, at least as much as it covers"""
+    origins: Floats
+    """(N, 3) where the sensor was"""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def make_surfels(submap: Submap, options: SurfelOptions | None = None) -> Surfels:
+    """Surfels of a submap's steady points, in their order."""
+    options = options or SurfelOptions()
+    kept = (submap.steady >= options.steady) & np.isfinite(submap.points).all(axis=1)
+    points = np.ascontiguousarray(submap.points[kept], dtype=np.float32)
+    normals = np.ascontiguousarray(submap.normals[kept], dtype=np.float32)
+    length = np.linalg.norm(normals, axis=1)
+    normals[length <= 0.5] = 0
+    crowd = np.zeros(len(points), np.int32)
+    if len(points):
+        normals, crowd = _adopted(points, normals, *_grid(points, options.gap_m), options.gap_m, options.adopt_m)
+        length = np.linalg.norm(normals, axis=1)
+    plane = length > 0.5
+    normals = np.where(plane[:, None], normals / np.maximum(length, 1e-6)[:, None], 0).astype(np.float32)
+    axes = _tangents(normals)
+    way = np.full((len(points), SECTORS), np.inf, dtype=np.float32)
+    far = way.copy()
+    chosen = np.flatnonzero(plane)
+    if len(chosen):
+        of = (points[chosen], normals[chosen], axes[chosen])
+        limits = (options.offset_m, _RISE, options.cosine)
+        everything = np.arange(len(chosen))
+        near = np.asarray(_ways(*of, everything, *_grid(of[0], options.gap_m), options.gap_m, *limits))
+        way[chosen] = far[chosen] = near
+        # Only surfels beside a hole look further, among points thin enough that this is quick.
+        rim = np.flatnonzero(~np.isfinite(near).all(axis=1))
+        if len(rim) and options.veil_m > options.gap_m:
+            thin = _thinned(of[0], options.gap_m / 1.5)
+            p, n, a = (np.ascontiguousarray(np.concatenate([array[rim], array[thin]])) for array in of)
+            grid = _grid(p, options.veil_m, first=len(rim))
+            wide = _ways(p, n, a, np.arange(len(rim)), *grid, options.veil_m, *limits)
+            far[chosen[rim]] = np.minimum(near[rim], wide)
+    reach, veil = _stars(way, far, plane, options)
+    stray = ~plane & (crowd < options.crowd)
+    reach[stray] = veil[stray] = 0
+    return Surfels(points, normals, axes, reach, veil, np.ascontiguousarray(submap.origins[kept], dtype=np.float32))
+
+
+def _tangents(normals: Floats) -> Floats:
+    """(N, 3) unit vectors at right angles to the normals (N, 3): level, or x where the normal is upright."""
+    level = np.stack([-normals[:, 1], normals[:, 0], np.zeros(len(normals), np.float32)], axis=1)
+    size = np.linalg.norm(level, axis=1)
+    upright = size < 0.3
+    level[upright] = np.stack([normals[:, 2], np.zeros(len(normals)), -normals[:, 0]], axis=1)[upright]
+    size = np.maximum(np.linalg.norm(level, axis=1), 1e-6)
+    return (level / size[:, None]).astype(np.float32)
+
+
+def _stars(way: Floats, far: Floats, plane: NDArray[np.bool_], options: SurfelOptions) -> tuple[Floats, Floats]:
+    """How far surfels reach and hide, from the ways to their neighbours (N, 8), infinite where there are none."""
+    met = np.isfinite(way)
+    nearest = np.min(way, axis=1, initial=options.gap_m)
+    alone = np.asarray(~met.any(axis=1))
+    rim = np.where(met, _OVERLAP * np.where(met, way, 0), _RIM * nearest[:, None])
+    reach = np.where(alone[:, None], 0, rim)
+    veil = np.where(np.isfinite(far), np.maximum(_OVERLAP * np.where(np.isfinite(far), far, 0), reach), reach)
+    reach[~plane] = options.rough_reach_m
+    veil[~plane | alone] = options.rough_m
+    return reach.astype(np.float32), veil.astype(np.float32)
+
+
+def _thinned(points: Floats, cell_m: float) -> Indices:
+    """The first point of each cell, in order."""
+    cells = np.floor(points / np.float32(cell_m)).astype(np.int64)
+    cells -= cells.min(axis=0)
+    size = cells.max(axis=0) + 1
+    keys = (cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2]
+    return np.sort(np.unique(keys, return_index=True)[1])
+
+
+def _grid(
+    points: Floats, cell_m: float, first: int = 0
+) -> tuple[NDArray[np.float32], float, Indices, NDArray[np.int32], NDArray[np.int32]]:
+    """Points from row ``first`` on by cell: low corner, cell size, shape, start of each cell and rows by cell.
+
+    The cell is at least ``cell_m``; it grows until the grid fits into memory.
+    """
+    low = points.min(axis=0)
+    extent = (points.max(axis=0) - low).astype(np.float64)
+    while np.prod(np.floor(extent / cell_m) + 1) > _LARGEST_GRID:
+        cell_m *= 1.5
+    shape = np.floor(extent / cell_m).astype(np.int64) + 1
+    starts, rows = _sorted_by_cell(points, low, np.float32(1 / cell_m), shape, first)
+    return low, float(cell_m), shape, starts, rows
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sorted_by_cell(points, low, inverse, shape, first):  # type: ignore[no-untyped-def]
+    count = len(points)
+    cell = np.empty(count, np.int64)
+    starts = np.zeros(shape[0] * shape[1] * shape[2] + 1, np.int32)
+    for i in range(first, count):
+        x = min(np.int64((points[i, 0] - low[0]) * inverse), shape[0] - 1)
+        y = min(np.int64((points[i, 1] - low[1]) * inverse), shape[1] - 1)
+        z = min(np.int64((points[i, 2] - low[2]) * inverse), shape[2] - 1)
+        cell[i] = (x * shape[1] + y) * shape[2] + z
+        starts[cell[i] + 1] += 1
+    for k in range(len(starts) - 1):
+        starts[k + 1] += starts[k]
+    rows = np.empty(count - first, np.int32)
+    filled = starts[:-1].copy()
+    for i in range(first, count):
+        rows[filled[cell[i]]] = i
+        filled[cell[i]] += 1
+    return starts, rows
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _adopted(points, normals, low, cell_m, shape, starts, rows, gap_m, adopt_m):  # type: ignore[no-untyped-def]
+    """(N, 3) normals, those missing taken from the nearest point whose plane goes through; and, of these points, (N,)
+    how many others there are within ``gap_m``."""
+    out = normals.copy()
+    crowd = np.zeros(len(points), np.int32)
+    inverse = np.float32(1.0 / cell_m)
+    for i in range(len(points)):
+        if normals[i, 0] != 0 or normals[i, 1] != 0 or normals[i, 2] != 0:
+            continue
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        cx = min(np.int64((px - low[0]) * inverse), shape[0] - 1)
+        cy = min(np.int64((py - low[1]) * inverse), shape[1] - 1)
+        cz = min(np.int64((pz - low[2]) * inverse), shape[2] - 1)
+        best, nearest = -1, np.float32(gap_m * gap_m)
+        for x in range(max(cx - 1, 0), min(cx + 2, shape[0])):
+            for y in range(max(cy - 1, 0), min(cy + 2, shape[1])):
+                row = (x * shape[1] + y) * shape[2]
+                for m in range(starts[row + max(cz - 1, 0)], starts[row + min(cz + 2, shape[2])]):
+                    j = rows[m]
+                    nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
+                    dx, dy, dz = points[j, 0] - px, points[j, 1] - py, points[j, 2] - pz
+                    square = dx * dx + dy * dy + dz * dz
+                    if j != i and square < gap_m * gap_m:
+                        crowd[i] += 1
+                    if nx == 0 and ny == 0 and nz == 0:
+                        continue
+                    if square < nearest and abs(dx * nx + dy * ny + dz * nz) <= adopt_m:
+                        best, nearest = j, square
+        if best >= 0:
+            out[i] = normals[best]
+    return out, crowd
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _ways(  # type: ignore[no-untyped-def]
+    points, normals, axes, asked, low, cell_m, shape, starts, rows, gap_m, offset_m, rise, cosine
+):
+    """(M, 8) metres from each point asked to its nearest neighbour of the same surface, by direction; inf if none.
+
+    A neighbour counts in the two directions that it lies between.
+    """
+    out = np.full((len(asked), SECTORS), np.inf, np.float32)
+    inverse = np.float32(1.0 / cell_m)
+    farthest = gap_m * gap_m
+    for k in range(len(asked)):
+        i = asked[k]
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        ax, ay, az = axes[i, 0], axes[i, 1], axes[i, 2]
+        bx, by, bz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
+        cx = min(np.int64((px - low[0]) * inverse), shape[0] - 1)
+        cy = min(np.int64((py - low[1]) * inverse), shape[1] - 1)
+        cz = min(np.int64((pz - low[2]) * inverse), shape[2] - 1)
+        for x in range(max(cx - 1, 0), min(cx + 2, shape[0])):
+            for y in range(max(cy - 1, 0), min(cy + 2, shape[1])):
+                row = (x * shape[1] + y) * shape[2]
+                for m in range(starts[row + max(cz - 1, 0)], starts[row + min(cz + 2, shape[2])]):
+                    j = rows[m]
+                    dx, dy, dz = points[j, 0] - px, points[j, 1] - py, points[j, 2] - pz
+                    square = dx * dx + dy * dy + dz * dz
+                    if square > farthest:
+                        continue
+                    if nx * normals[j, 0] + ny * normals[j, 1] + nz * normals[j, 2] < cosine:
+                        continue
+                    u, v = dx * ax + dy * ay + dz * az, dx * bx + dy * by + dz * bz
+                    length = np.sqrt(u * u + v * v)
+                    if length < _SAME_M or abs(dx * nx + dy * ny + dz * nz) > offset_m + rise * length:
+                        continue
+                    s = _octant(u, v)
+                    t = (s + 1) % SECTORS
+                    out[k, s] = min(out[k, s], length)
+                    out[k, t] = min(out[k, t], length)
+    return out
+
+
+@njit(cache=True, inline="always")
+def _octant(u, v):  # type: ignore[no-untyped-def]
+    """Number of the eighth of a turn, anticlockwise from (1, 0), that (u, v) lies in."""
+    if v >= 0:
+        if u >= 0:
+            return 0 if u > v else 1
+        return 2 if v > -u else 3
+    if u < 0:
+        return 4 if -u > -v else 5
+    return 6 if -v > u else 7

@@ -1,0 +1,1 @@
+"""The pose between two submaps, from a prediction."""

@@ -1,0 +1,111 @@
+"""Refinement by this package, by Open3D or by small_gicp, behind one signature.
+
+Ours is the default: it reuses what was prepared of a submap, balances directions, allows for odometry's drift, and
+says how certain it is. The others start from the same prediction and end with our linearisation, so that their
+information means the same.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.icp.icp import Refined, RefinementOptions, assess, refine
+from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, thinned
+from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.errors import ConfigError
+from relocbench.geometry import project_to_rotation
+
+Array = NDArray[np.float64]
+Backend = Literal["own", "open3d", "small_gicp"]
+BACKENDS: tuple[Backend, ...] = ("own", "open3d", "small_gicp")
+
+_THINNING_M = 0.15
+
+
+def refine_with(
+    backend: Backend,
+    ref: Prepared,
+    query: Prepared,
+    T_ref_query: Array,
+    options: RefinementOptions,
+    levels: Sequence[int] | None = None,
+) -> Refined:
+    """The pose near a prediction; see :func:`relocbench.datasets.groundtruth.icp.icp.refine`.
+
+    Raises:
+        ConfigError: no such backend, or its package is not installed.
+    """
+    if backend == "own":
+        return refine(ref.planes, query.planes, T_ref_query, options, levels=levels)
+    if backend not in BACKENDS:
+        raise ConfigError(f"no registration backend '{backend}'; there is {', '.join(BACKENDS)}")
+    solve = _open3d if backend == "open3d" else _small_gicp
+    T, iterations = np.array(T_ref_query, dtype=np.float64), 0
+    for k in range(len(options.levels)) if levels is None else levels:
+        reach = min(ref.planes.options.reach_m[options.levels[k]], query.planes.options.reach_m[options.levels[k]])
+        T, steps = solve(ref.planes, query.planes, T, reach, options.scales_m[k], options.iterations[k])
+        iterations += steps
+    T[:3, :3] = project_to_rotation(T[:3, :3])
+    return assess(ref.planes, query.planes, T, options, iterations)
+
+
+def _thin(planes: PlaneMap) -> tuple[Array, Array]:
+    points, normals = planes.points, planes.normals
+    keep = thinned(points, _THINNING_M)
+    return points[keep], normals[keep]
+
+
+def _open3d(
+    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, reach_m: float, scale_m: float, iterations: int
+) -> tuple[Array, int]:
+    """Point to plane with the same kernel; single precision would cost millimetres."""
+    import open3d as o3d
+
+    registration = o3d.pipelines.registration
+    target, source = (_cloud(o3d, *_thin(side)) for side in (ref, query))
+    result = registration.registration_icp(
+        source,
+        target,
+        reach_m,
+        T_ref_query,
+        registration.TransformationEstimationPointToPlane(registration.GMLoss(scale_m)),
+        registration.ICPConvergenceCriteria(1e-7, 1e-7, iterations),
+    )
+    return np.array(result.transformation, dtype=np.float64), iterations
+
+
+def _cloud(o3d: Any, points: Array, normals: Array) -> Any:
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    cloud.normals = o3d.utility.Vector3dVector(normals)
+    return cloud
+
+
+def _small_gicp(
+    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, reach_m: float, scale_m: float, iterations: int
+) -> tuple[Array, int]:
+    try:
+        small_gicp = importlib.import_module("small_gicp")
+    except ImportError:
+        raise ConfigError(
+            "backend 'small_gicp' needs the package small_gicp: pip install 'relocbench[registration]', or use 'own'"
+        ) from None
+    target, source = (small_gicp.PointCloud(_thin(side)[0]) for side in (ref, query))
+    tree = small_gicp.KdTree(target, num_threads=1)
+    for cloud, own in ((target, tree), (source, None)):
+        small_gicp.estimate_covariances(cloud, own or small_gicp.KdTree(cloud, num_threads=1), 20, 1)
+    result = small_gicp.align(
+        target,
+        source,
+        tree,
+        init_T_target_source=T_ref_query,
+        registration_type="GICP",
+        max_correspondence_distance=reach_m,
+        num_threads=1,
+        max_iterations=iterations,
+    )
+    return np.array(result.T_target_source, dtype=np.float64), int(result.iterations)

@@ -1,0 +1,185 @@
+"""From recordings of one road to a dataset: the first is the reference, all others ask about it.
+
+Everything that took long lies in ``OUT/groundtruth`` as soon as it is done, and a killed build goes on from there:
+``blocks/TRAVERSAL`` (points), ``registrations/REF__QUERY.csv`` (what was found at each node, and the evidence),
+``graph/REF__QUERY.csv`` (where the graph puts the nodes). Depth and images are kept file by file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import parse_pose
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.groundtruth.alignment.registration_job import register_drives
+from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose
+from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.groundtruth.jobs.writing import Frames, choose_frames, rig_poses, write_traversal
+from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
+from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, Paired, PairingUnit, pair_up
+from relocbench.datasets.groundtruth.pairs.reasons import by_kind
+from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive, write_graph
+from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
+from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.datasets.pairs.correspondences import write_pair_set
+from relocbench.datasets.sensors.recording import FieldRecording
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run, run_units
+from relocbench.progress import Reporter
+
+
+def build_ground_truth(
+    recordings: Sequence[FieldRecording], writer: DatasetWriter, options: FieldOptions, reporter: Reporter, run: Run
+) -> Dataset:
+    """The dataset of a reference drive and the drives that ask about it.
+
+    Args:
+        recordings: as :func:`check` lets them pass.
+
+    Raises:
+        ConfigError: an option that does not fit the recordings.
+        DatasetError: something in a recording is damaged; or no pair could be accepted, with the reason.
+    """
+    cameras, first = check(recordings, options)
+    folder = writer.layout.root / "groundtruth"
+    if not options.use_prior:
+        recordings = [replace(recording, prior=None) for recording in recordings]
+    block_m, blocks = options.alignment.block_m, options.alignment.blocks
+    drives = [make_drive(r, folder / "blocks" / r.name, block_m, blocks, reporter, run) for r in recordings]
+    frames = [
+        {name: choose_frames(r, drive, name, options, is_reference=r is recordings[0]) for name in cameras}
+        for r, drive in zip(recordings, drives, strict=True)
+    ]
+    reference, queries = drives[0], drives[1:]
+    registrations = register_drives(
+        reference, queries, folder / "registrations", options.alignment, first, reporter, run
+    )
+    units = [
+        _unit(reference, query, registrations[query.name], (frames[0], asking), options)
+        for query, asking in zip(queries, frames[1:], strict=True)
+    ]
+    paired = _pair(units, folder / "graph", reporter, run)
+    _refuse_nothing(paired, [q.name for q in queries], folder / "registrations")
+    poses = rig_poses(recordings, frames, paired)
+    for recording, drive, chosen, known in zip(recordings, drives, frames, poses, strict=True):
+        write_traversal(writer, recording, drive, chosen, known, options, reporter, run)
+    for query, answer in zip(queries, paired, strict=True):
+        for camera, outcomes in answer.outcomes.items():
+            write_pair_set(
+                writer,
+                reference.name,
+                query.name,
+                camera,
+                [outcome.pair() for outcome in outcomes],
+                count=options.correspondences,
+                seed=options.seed,
+                reporter=reporter,
+                run=run,
+            )
+            reporter.note(_summary(query.name, camera, outcomes))
+    return writer.finish()
+
+
+def check(recordings: Sequence[FieldRecording], options: FieldOptions) -> tuple[tuple[str, ...], FirstPose | None]:
+    """The cameras whose images are paired, and the first pair given by hand.
+
+    Raises:
+        ConfigError: fewer than two drives, a camera that one of them does not have, a first pair that is none or lies
+            outside the drives.
+        DatasetError: a drive has no images.
+    """
+    if len(recordings) < 2:
+        raise ConfigError(f"ground truth across drives needs a reference and at least one other, got {len(recordings)}")
+    there = recordings[0].cameras
+    asked = options.cameras or tuple(there)[:1]
+    if not asked:
+        raise DatasetError("holds no images", recordings[0].folder)
+    for recording in recordings:
+        for name in asked:
+            if name not in recording.cameras:
+                known = ", ".join(recording.cameras) or "none"
+                raise ConfigError(f"--cameras: {recording.name} has no images of a camera '{name}'; it has {known}")
+    return asked, _first_pose(recordings, options)
+
+
+def _first_pose(recordings: Sequence[FieldRecording], options: FieldOptions) -> FirstPose | None:
+    """With several query drives it is that of the one whose times it names."""
+    if not options.first_pose:
+        return None
+    words = options.first_pose.replace(",", " ").split()
+    try:
+        ref_ns, query_ns = (int(word) for word in words[:2])
+        pose = parse_pose(words[2:], Path("--first-pose"), 1)
+    except (ValueError, DatasetError):
+        raise ConfigError("--first-pose is 'REF_NS QUERY_NS tx ty tz qx qy qz qw'") from None
+    for time, drives in ((ref_ns, recordings[:1]), (query_ns, recordings[1:])):
+        if not any(r.odometry.times_ns[0] <= time <= r.odometry.times_ns[-1] for r in drives):
+            names = ", ".join(r.name for r in drives)
+            raise ConfigError(f"--first-pose: {time} is no time (in nanoseconds) of {names}")
+    return ref_ns, query_ns, pose
+
+
+def _unit(
+    reference: Drive,
+    query: Drive,
+    registrations: Sequence[Registration],
+    frames: tuple[Mapping[str, Frames], Mapping[str, Frames]],
+    options: FieldOptions,
+) -> PairingUnit:
+    cameras = tuple(
+        CameraFrames(name, there.stream.T_rig_cam, frames[1][name].stream.T_rig_cam, there.times, frames[1][name].times)
+        for name, there in frames[0].items()
+    )
+    limits = (options.limits, options.max_angle)
+    return PairingUnit(reference, query, tuple(registrations), cameras, options.alignment, *limits)
+
+
+def _pair(units: Sequence[PairingUnit], folder: Path, reporter: Reporter, run: Run) -> list[Paired]:
+    out: dict[int, Paired] = {}
+    with reporter.stage("pose graphs and pairs", len(units)) as advance:
+        for index, paired in run_units(pair_up, units, run):
+            unit = units[index]
+            _write_graph(folder / f"{unit.reference.name}__{unit.query.name}.csv", unit, paired)
+            out[index] = paired
+            advance(1)
+    return [out[k] for k in range(len(units))]
+
+
+def _write_graph(path: Path, unit: PairingUnit, paired: Paired) -> None:
+    count = len(unit.reference.nodes)
+    before, after = paired.way_to_trusted[:count], paired.way_to_trusted[count:]
+    verdicts = {r.query: verdict for r, verdict in zip(unit.registrations, paired.verdicts, strict=True)}
+    write_graph(
+        path,
+        PlacedDrive(unit.reference.name, unit.reference.nodes.times_ns, paired.T_world_ref, before, {}),
+        PlacedDrive(unit.query.name, unit.query.nodes.times_ns, paired.T_world_query, after, verdicts),
+    )
+
+
+def _refuse_nothing(paired: Sequence[Paired], queries: Sequence[str], folder: Path) -> None:
+    """Raises DatasetError where not one pair was accepted."""
+    everything = [o for p in paired for outcomes in p.outcomes.values() for o in outcomes]
+    if any(o.accepted for o in everything):
+        return
+    kinds = by_kind(o.reason for o in everything)
+    often = next(iter(kinds.values()))[0] if kinds else "there are no images"
+    raise DatasetError(
+        f"no pair of {', '.join(queries)} could be accepted; most often: {often} (all registrations lie here)", folder
+    )
+
+
+def _summary(query: str, camera: str, outcomes: Sequence[PairOutcome]) -> str:
+    """One line for a person: how many pairs, how certain, and why the others are not in."""
+    accepted = [o for o in outcomes if o.accepted]
+    text = f"{query}, {camera}: {len(accepted)} of {len(outcomes)} pairs accepted"
+    if accepted:
+        metres = np.median([o.sigma_translation_m for o in accepted if o.sigma_translation_m is not None])
+        degrees = np.median([o.sigma_rotation_deg for o in accepted if o.sigma_rotation_deg is not None])
+        text += f", median sigma {100 * metres:.1f} cm and {degrees:.3f} deg"
+    kinds = by_kind(o.reason for o in outcomes if not o.accepted)
+    return "; ".join([text, *(f"{len(reasons)}: {reasons[0]}" for reasons in list(kinds.values())[:3])])

@@ -1,0 +1,44 @@
+"""Which images of a drive take part: one every so many metres of road."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.sensors.recording import CameraStream, FieldRecording
+
+Times = NDArray[np.int64]
+
+
+def chosen_images(
+    recording: FieldRecording, stream: CameraStream, nodes: Nodes, apart_m: float, *, in_gaps: bool = False
+) -> list[int]:
+    """Indices of images at least ``apart_m`` of road apart, within the drive's nodes; standing still gives one.
+
+    Args:
+        in_gaps: also images of times that the odometry does not know, as many as at the drive's mean speed, so that a
+            refusal of theirs is on record.
+    """
+    times = stream.times_ns
+    inside = (times >= nodes.times_ns[0]) & (times <= nodes.times_ns[-1])
+    known = recording.odometry.covers(times)
+    rows = np.flatnonzero(inside if in_gaps else inside & known)
+    if not len(rows):
+        return []
+    seconds = (times - nodes.times_ns[0]) / 1e9
+    at_nodes = (nodes.times_ns - nodes.times_ns[0]) / 1e9
+    way = np.interp(seconds, at_nodes, nodes.travelled_m)
+    pieces = nodes.stretches()
+    same = pieces[1:] == pieces[:-1]
+    driven, spent = np.diff(nodes.travelled_m)[same].sum(), np.diff(at_nodes)[same].sum()
+    wait_s = apart_m * spent / driven if driven > 0 else np.inf
+    chosen: list[int] = []
+    for index in rows.tolist():
+        if chosen:
+            last = chosen[-1]
+            waited = not (known[index] and known[last]) and seconds[index] - seconds[last] >= wait_s - 1e-9
+            if not waited and way[index] - way[last] < apart_m - 1e-6:
+                continue
+        chosen.append(index)
+    return chosen

@@ -1,0 +1,154 @@
+"""The drives of a dataset: descriptions, poses, images and depth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core import images
+from relocbench.datasets.core.layout import DatasetLayout
+from relocbench.datasets.core.schema import CameraEntry, TraversalFile
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.groundtruth.depth.depth import DepthOptions
+from relocbench.datasets.groundtruth.depth.images import DepthFrame, DepthView, make_depth
+from relocbench.datasets.groundtruth.depth.stereo_partner import StereoPair, stereo_pair
+from relocbench.datasets.groundtruth.jobs.frames import chosen_images
+from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.groundtruth.pairs.pairing import Paired
+from relocbench.datasets.groundtruth.submaps.drive import Drive
+from relocbench.datasets.sensors.recording import CameraStream, FieldRecording
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run, chunks, run_units
+from relocbench.geometry import invert
+from relocbench.progress import Reporter
+
+Array = NDArray[np.float64]
+_IMAGES_A_UNIT = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """The images of one camera of one drive that take part."""
+
+    stream: CameraStream
+    pair: StereoPair | None
+    """of this camera with another one of its rig"""
+    indices: tuple[int, ...]
+
+    @property
+    def times(self) -> tuple[int, ...]:
+        return tuple(int(self.stream.times_ns[i]) for i in self.indices)
+
+
+def choose_frames(
+    recording: FieldRecording, drive: Drive, camera: str, options: FieldOptions, *, is_reference: bool
+) -> Frames:
+    """Raises ConfigError where stereo is asked for and there is none, DatasetError where no image can take part."""
+    stream, pair = recording.cameras[camera], stereo_pair(recording.cameras, camera)
+    if options.depth == "stereo" and pair is None:
+        raise ConfigError(f"--depth stereo: {recording.name} has no camera to the right of {camera}, rectified with it")
+    apart = options.keyframe_distance if is_reference else options.query_distance
+    # Without a pose there is no keyframe; that a query has none is to be on record.
+    indices = chosen_images(recording, stream, drive.nodes, apart, in_gaps=not is_reference)
+    if options.depth == "stereo" and pair is not None:
+        both = pair.common_times()
+        indices = [i for i in indices if int(stream.times_ns[i]) in both]
+    if not indices:
+        raise DatasetError(f"no image of {camera} was taken while lidar and odometry ran", recording.folder)
+    return Frames(stream, pair, tuple(indices))
+
+
+def rig_poses(
+    recordings: Sequence[FieldRecording], frames: Sequence[Mapping[str, Frames]], paired: Sequence[Paired]
+) -> list[dict[int, Array]]:
+    """timestamp_ns -> ``T_world_rig`` of each drive. The world is the reference's odometry; a query image lies where
+    its accepted pair puts it."""
+    reference = recordings[0]
+    times = sorted({time for chosen in frames[0].values() for time in chosen.times})
+    T_world_ref = dict(zip(times, reference.odometry.at(np.array(times, dtype=np.int64)), strict=True))
+    out = [T_world_ref]
+    for recording, answer in zip(recordings[1:], paired, strict=True):
+        poses: dict[int, Array] = {}
+        for camera, outcomes in answer.outcomes.items():
+            T_rig_refcam, T_rig_cam = reference.cameras[camera].T_rig_cam, recording.cameras[camera].T_rig_cam
+            for o in outcomes:
+                if o.accepted and o.T_query_ref is not None and o.query_timestamp_ns not in poses:
+                    T_world_refcam = T_world_ref[o.ref_timestamp_ns] @ T_rig_refcam
+                    poses[o.query_timestamp_ns] = T_world_refcam @ invert(o.T_query_ref) @ invert(T_rig_cam)
+        out.append(poses)
+    return out
+
+
+def write_traversal(
+    writer: DatasetWriter,
+    recording: FieldRecording,
+    drive: Drive,
+    frames: Mapping[str, Frames],
+    poses: Mapping[int, Array],
+    options: FieldOptions,
+    reporter: Reporter,
+    run: Run,
+) -> None:
+    """Description, poses, images and depth of one drive; depth where there is a pose."""
+    name, length, entries = recording.name, options.depth_submap, {}
+    for camera, chosen in frames.items():
+        _write_images(writer, name, chosen, options, reporter, run)
+        stream = chosen.stream
+        view = DepthView(drive, stream.camera, stream.T_rig_cam, options.depth, chosen.pair, length, DepthOptions())
+        path = writer.layout.traversal(name).depth
+        wanted = [DepthFrame(time, path(camera, time)) for time in chosen.times if time in poses]
+        missing = {frame.time_ns for frame in wanted if writer.needs_depth(name, camera, frame.time_ns)}
+        sigma, agreement = make_depth(view, wanted, missing, reporter, run)
+        if agreement is not None and chosen.pair is not None:
+            reporter.note(f"{name}, {camera}: lidar against stereo with {chosen.pair.right.name}: {agreement}")
+        entries[camera] = CameraEntry.of(stream.camera, stream.T_rig_cam, sigma)
+    origin = f"lidar submaps of {length:g} m" if options.depth == "lidar" else "stereo"
+    file = TraversalFile(
+        name=name,
+        condition=options.conditions.get(name, recording.condition),
+        location=recording.location,
+        cameras=entries,
+        source=f"recording {recording.folder.name}, depth from {origin}",
+    )
+    writer.traversal(file, dict(poses))
+
+
+@dataclass(frozen=True, eq=False)
+class _ImageUnit:
+    """Images that have to be developed before they can be written."""
+
+    stream: CameraStream
+    layout: DatasetLayout
+    traversal: str
+    indices: tuple[int, ...]
+
+
+def _write_images(
+    writer: DatasetWriter, traversal: str, chosen: Frames, options: FieldOptions, reporter: Reporter, run: Run
+) -> None:
+    stream, developed = chosen.stream, []
+    with reporter.stage(f"images of {traversal}", len(chosen.indices)) as advance:
+        for index, time in zip(chosen.indices, chosen.times, strict=True):
+            source = stream.file(index)
+            if source is None and writer.needs_image(traversal, stream.name, time):
+                developed.append(index)
+                continue
+            if source is not None:
+                writer.link_image(traversal, stream.name, time, source, copy=options.copy_images)
+            advance(1)
+        units = [
+            _ImageUnit(stream, writer.layout, traversal, tuple(part)) for part in chunks(developed, _IMAGES_A_UNIT)
+        ]
+        for _, done in run_units(_develop, units, run):
+            advance(done)
+
+
+def _develop(unit: _ImageUnit) -> int:
+    for index in unit.indices:
+        time = int(unit.stream.times_ns[index])
+        path = unit.layout.traversal(unit.traversal).image(unit.stream.name, time)
+        images.write_image(path, unit.stream.read(index))
+    return len(unit.indices)

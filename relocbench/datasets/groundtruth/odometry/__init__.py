@@ -1,0 +1,1 @@
+"""Odometry from lidar, for drives that have none."""

@@ -1,0 +1,43 @@
+"""Odometry computed from lidar, kept on disk: it takes longer than most of what is made of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from relocbench.datasets.core.pairfile import pose_fields
+from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
+from relocbench.datasets.sensors.recording import LidarStream, Trajectory
+from relocbench.datasets.sensors.trajectories import read_trajectory
+from relocbench.errors import DatasetError
+from relocbench.files import atomic_write
+from relocbench.progress import Reporter
+
+
+def kept_in(path: Path) -> FromLidar:
+    """Odometry that is read from ``path`` where it is there, and computed and written there where it is not.
+
+    The file has a line ``timestamp_ns,tx,ty,tz,qx,qy,qz,qw`` a scan: the rig seen from its first pose.
+    """
+
+    def odometry(
+        lidar: LidarStream, reporter: Reporter | None = None, /, *, max_gap_ns: int = 1_000_000_000
+    ) -> Trajectory:
+        if not path.exists():
+            _write(path, lidar_odometry(lidar, reporter, max_gap_ns=max_gap_ns))
+        # What is used is what a resumed build would read.
+        poses = read_trajectory(path)
+        times = np.array(list(poses), dtype=np.int64)
+        if len(times) < 2 or not np.isin(times, lidar.times_ns).all():
+            raise DatasetError(f"is no odometry of the scans of {lidar.name}; remove it and build again", path)
+        return Trajectory(times, np.array(list(poses.values())), max_gap_ns)
+
+    return odometry
+
+
+def _write(path: Path, odometry: Trajectory) -> None:
+    with atomic_write(path) as stream:
+        stream.write("# timestamp_ns,tx,ty,tz,qx,qy,qz,qw\n")
+        for time, pose in zip(odometry.times_ns.tolist(), odometry.T_odom_rig, strict=True):
+            stream.write(f"{','.join([str(time), *pose_fields(pose)])}\n")

@@ -1,0 +1,146 @@
+"""Odometry from a spinning lidar, where a drive has none: KISS-ICP finds each step, planes make it exact.
+
+Vizzo et al., KISS-ICP: In Defense of Point-to-Point ICP, RA-L 2023.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.odometry.plane_map import PlaneMap
+from relocbench.datasets.sensors.recording import LidarStream, Scan, Trajectory
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.geometry import apply, invert, make_transform, project_to_rotation, se3_exp, se3_log
+from relocbench.progress import Reporter, Silent
+
+Array = NDArray[np.float64]
+
+_FEWEST_POINTS = 100
+"""a scan with fewer says nothing about motion"""
+_START_SCANS = 4
+"""scans that tell how fast the drive begins"""
+_SLICES = 64
+"""the motion during a scan is worked out at so many times, and points are interpolated between them"""
+
+
+class FromLidar(Protocol):
+    """Gives the odometry of a lidar: :func:`lidar_odometry`, or something that keeps what it found."""
+
+    def __call__(
+        self, lidar: LidarStream, reporter: Reporter | None = None, /, *, max_gap_ns: int = 1_000_000_000
+    ) -> Trajectory: ...
+
+
+def lidar_odometry(
+    lidar: LidarStream,
+    reporter: Reporter | None = None,
+    *,
+    nearest_m: float = 3.0,
+    max_gap_ns: int = 1_000_000_000,
+) -> Trajectory:
+    """The rig's motion, in the frame of its first pose, at the times of the scans.
+
+    Points are brought to their scan's time by the speed of the step before, as KISS-ICP does; steps of unequal length
+    are allowed for. One thread: the same scans give the same bytes.
+
+    Args:
+        nearest_m: nearer points are left out: they belong to the car itself.
+        max_gap_ns: longest time between two scans; the trajectory is broken at longer ones.
+
+    Raises:
+        ConfigError: the lidar does not spin; single planes of a push-broom lidar cannot be registered.
+        DatasetError: a scan is damaged, or too few have points.
+    """
+    if lidar.pattern != "spinning":
+        raise ConfigError(f"odometry from lidar needs a spinning one; {lidar.name} is {lidar.pattern}")
+    times = lidar.times_ns
+    started = _Registration(lidar, nearest_m)
+    if _is_skewed(lidar.read(0)):
+        # The first scan is straightened only if the speed is known; a rough one comes from scans taken as they are.
+        for i in range(min(_START_SCANS, len(times))):
+            started.add(int(times[i]), lidar.read(i))
+    run = _Registration(lidar, nearest_m, started.twist)
+    with (reporter or Silent()).stage(f"odometry from {lidar.name}", len(times)) as advance:
+        for i, time in enumerate(times.tolist()):
+            run.add(time, lidar.read(i))
+            advance(1)
+    if len(run.times) < 2:
+        raise DatasetError(f"{lidar.name} has {len(run.times)} scans with enough points; odometry needs at least 2")
+    T_first_lidar = np.array(run.poses)
+    T_first_lidar = make_transform(project_to_rotation(T_first_lidar[:, :3, :3]), T_first_lidar[:, :3, 3])
+    T_odom_rig = lidar.T_rig_lidar @ invert(T_first_lidar[0]) @ T_first_lidar @ invert(lidar.T_rig_lidar)
+    return Trajectory(np.array(run.times, dtype=np.int64), T_odom_rig, max_gap_ns)
+
+
+class _Registration:
+    """Scan after scan against the map of those before."""
+
+    def __init__(self, lidar: LidarStream, nearest_m: float, twist: Array | None = None) -> None:
+        self._icp = _kiss_icp(lidar.max_range_m, nearest_m)
+        self._planes = PlaneMap()
+        self._nearest_m = nearest_m
+        self.twist = np.zeros(6) if twist is None else twist
+        """(6,) motion in a nanosecond"""
+        self.times: list[int] = []
+        self.poses: list[Array] = []
+
+    def add(self, time_ns: int, scan: Scan) -> None:
+        """Register a scan; one without points is passed over."""
+        if len(scan.points) < _FEWEST_POINTS:
+            return
+        elapsed = time_ns - self.times[-1] if self.times else 0
+        self._icp.last_delta = se3_exp(self.twist * elapsed)
+        points = straightened(scan, time_ns, self.twist)
+        self._icp.register_frame(points, np.empty(0))
+        outside = points[np.sum(points**2, axis=1) >= self._nearest_m**2]
+        pose = np.eye(4)
+        if self.times:
+            pose = self._planes.fit(outside, self.poses[-1] @ self._icp.last_delta)
+            self.twist = se3_log(invert(self.poses[-1]) @ pose) / elapsed
+        self._planes.insert(outside, pose)
+        self.times.append(time_ns)
+        self.poses.append(pose)
+
+
+def straightened(scan: Scan, time_ns: int, twist: Array) -> Array:
+    """(N, 3) points as they would have been measured at one time, all at once, by a lidar that moves evenly.
+
+    Args:
+        twist: (6,) its motion in a nanosecond, in its own frame.
+    """
+    offsets = (scan.times_ns - time_ns).astype(np.float64)
+    if not len(offsets) or not _is_skewed(scan):
+        return scan.points
+    knots = np.linspace(offsets.min(), offsets.max(), _SLICES + 1)
+    left = np.clip(np.searchsorted(knots, offsets, side="right") - 1, 0, _SLICES - 1)
+    fraction = ((offsets - knots[left]) / (knots[1] - knots[0]))[:, None]
+    moves = se3_exp(twist * knots[:, None])
+    points = scan.points[:, None, :]
+    return np.asarray(
+        apply(moves[left], points)[:, 0] * (1 - fraction) + apply(moves[left + 1], points)[:, 0] * fraction
+    )
+
+
+def _is_skewed(scan: Scan) -> bool:
+    return bool(len(scan.times_ns)) and bool(np.ptp(scan.times_ns) > 0)
+
+
+def _kiss_icp(farthest_m: float, nearest_m: float) -> Any:
+    """KISS-ICP with every setting given, so that no environment variable has a say."""
+    from kiss_icp.config import KISSConfig
+    from kiss_icp.config.config import AdaptiveThresholdConfig, DataConfig, MappingConfig, RegistrationConfig
+    from kiss_icp.kiss_icp import KissICP
+
+    reach = min(farthest_m, 100.0)
+    return KissICP(
+        KISSConfig(
+            out_dir="",
+            data=DataConfig(max_range=reach, min_range=nearest_m, deskew=False),
+            mapping=MappingConfig(voxel_size=reach / 100.0, max_points_per_voxel=20),
+            registration=RegistrationConfig(max_num_iterations=500, convergence_criterion=1e-4, max_num_threads=1),
+            adaptive_threshold=AdaptiveThresholdConfig(fixed_threshold=None, initial_threshold=2.0, min_motion_th=0.1),
+        )
+    )

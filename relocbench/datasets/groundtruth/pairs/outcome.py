@@ -1,0 +1,274 @@
+"""What becomes of a pair: its pose and how certain it is, or why it is refused."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.pose_graph.graph import Solution
+from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.datasets.sensors.recording import Trajectory
+from relocbench.errors import ConfigError
+from relocbench.geometry import adjoint, interpolate, invert
+
+Array = NDArray[np.float64]
+SOURCE = "lidar registration, pose graph"
+
+
+@dataclass(frozen=True)
+class OutcomeLimits:
+    """What a pair needs to be accepted."""
+
+    distance_m: float = 10.0
+    """between the cameras"""
+    evidence_m: float = 15.0
+    """along both drives to the nearest trusted registration"""
+    both_sides_m: float = 30.0
+    """along the query's drive to trusted registrations before and after; beyond one of them the sigmas are cut"""
+    one_sided: float = 0.5
+    """share of the limits on sigmas that holds where there is no trusted registration on one side"""
+    sigma_along_m: float = 0.05
+    sigma_across_m: float = 0.05
+    sigma_height_m: float = 0.05
+    sigma_rotation_deg: float = 0.15
+    contradiction_m: float = 30.0
+    """along either drive, from an odometry edge that registrations contradict"""
+
+    def __post_init__(self) -> None:
+        sigmas = (self.sigma_along_m, self.sigma_across_m, self.sigma_height_m, self.sigma_rotation_deg)
+        ways = (self.distance_m, self.evidence_m, self.both_sides_m, self.one_sided, self.contradiction_m)
+        if not all(v > 0 for v in (*sigmas, *ways)):
+            raise ConfigError("limits of an outcome must be positive")
+
+
+@dataclass(frozen=True, eq=False)
+class PairOutcome:
+    """One (keyframe, query), accepted or refused."""
+
+    ref_timestamp_ns: int
+    query_timestamp_ns: int
+    T_query_ref: Array | None
+    """(4, 4) camera to camera; None where nothing can be said"""
+    covariance: Array | None
+    """(6, 6) of ``xi`` in ``T_ref_query @ se3_exp(xi)``, camera to camera, in the query camera's axes"""
+    sigma_along_m: float | None
+    """standard deviation of the query camera's centre along the query rig's x"""
+    sigma_across_m: float | None
+    """along its y"""
+    sigma_height_m: float | None
+    """along its z"""
+    sigma_rotation_deg: float | None
+    """of an axis: ``sqrt(trace / 3)``"""
+    reason: str = ""
+    """why it is refused; empty if it is accepted"""
+
+    @property
+    def accepted(self) -> bool:
+        return not self.reason
+
+    @property
+    def sigma_translation_m(self) -> float | None:
+        """Of a direction: ``sqrt(trace / 3)``."""
+        return None if self.covariance is None else float(np.sqrt(np.trace(self.covariance[:3, :3]) / 3))
+
+    def refused(self, reason: str) -> PairOutcome:
+        """The same, refused."""
+        return replace(self, reason=reason)
+
+    def pair(self, group: str = "", overlap: float | None = None) -> Pair:
+        """As a row of a pair set."""
+        return Pair(
+            self.ref_timestamp_ns,
+            self.query_timestamp_ns,
+            self.T_query_ref if self.accepted else None,
+            group=group,
+            overlap=overlap,
+            sigma_translation_m=self.sigma_translation_m,
+            sigma_rotation_deg=self.sigma_rotation_deg,
+            source=SOURCE,
+            accepted=self.accepted,
+            reason=self.reason,
+            sigma_along_m=self.sigma_along_m,
+            sigma_across_m=self.sigma_across_m,
+            sigma_height_m=self.sigma_height_m,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Where the rig was at some time, by the graph."""
+
+    node: int
+    """nearest in way, of its own drive"""
+    T_world_rig: Array
+    """(4, 4)"""
+    way_m: float
+    """from that node"""
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One of the two drives."""
+
+    nodes: Nodes
+    odometry: Trajectory
+    T_world_node: Array
+    """(K, 4, 4) by the graph"""
+
+    def place(self, time_ns: int) -> Place | None:
+        """The rig at a time: along the odometry from the nodes around it. None where the odometry has no pose.
+
+        Between two nodes both speak, each in proportion to its nearness, so that corrections of the graph go over
+        smoothly.
+        """
+        if not bool(self.odometry.covers(np.array([time_ns]))[0]):
+            return None
+        T_odom_rig = self.odometry.at(np.array([time_ns]))[0]
+        times = self.nodes.times_ns
+        after = int(np.searchsorted(times, time_ns, side="right"))
+        around = [n for n in (after - 1, after) if 0 <= n < len(times)]
+        if self.nodes.stretch is not None and len(around) == 2:
+            around = self._same_piece(around, time_ns)
+        steps = [invert(self.nodes.T_odom_node[n]) @ T_odom_rig for n in around]
+        ways = [float(np.linalg.norm(T[:3, 3])) for T in steps]
+        said = [self.T_world_node[n] @ T for n, T in zip(around, steps, strict=True)]
+        nearest = int(np.argmin(ways))
+        if len(around) == 1 or sum(ways) < 1e-9:
+            return Place(around[nearest], said[nearest], ways[nearest])
+        T_world_rig = interpolate(said[0], said[1], ways[0] / (ways[0] + ways[1]))
+        return Place(around[nearest], T_world_rig, ways[nearest])
+
+    def _same_piece(self, around: list[int], time_ns: int) -> list[int]:
+        """Of two nodes, those that the odometry reaches without a gap."""
+        pieces = self.nodes.stretch
+        if pieces is None or pieces[around[0]] == pieces[around[1]]:
+            return around
+        # The gap lies on one side of the time: the node on the other side is reached through poses without a gap.
+        poses = self.odometry.times_ns
+        inner = poses[(poses >= self.nodes.times_ns[around[0]]) & (poses <= time_ns)]
+        whole = len(inner) < 2 or int(np.diff(np.append(inner, time_ns)).max()) <= self.odometry.max_gap_ns
+        return [around[0] if whole else around[1]]
+
+
+class Outcomes:
+    """Answers for every pair of two drives. Ask in the order of the road: neighbours share work."""
+
+    def __init__(
+        self,
+        solution: Solution,
+        reference: tuple[Nodes, Trajectory],
+        query: tuple[Nodes, Trajectory],
+        registrations: Sequence[Registration] = (),
+        limits: OutcomeLimits | None = None,
+    ) -> None:
+        """Args:
+        reference, query: the nodes of each drive and its odometry.
+        registrations: those that the solution was made from; they tell why there is no trusted one.
+        """
+        self.solution = solution
+        self.limits = limits or OutcomeLimits()
+        self.reference = Side(*reference, solution.T_world_ref)
+        self.query = Side(*query, solution.T_world_query)
+        self._registrations = registrations
+
+    @cached_property
+    def _way_to_contradiction(self) -> Array:
+        """(N,) metres along its drive from each node to the nearest odometry edge that registrations contradict."""
+        bad = [node for first, second, _ in self.solution.stressed_odometry() for node in (first, second)]
+        return self.solution.drives.way_to(np.array(bad, dtype=np.int64)).min(axis=1)
+
+    def of(self, ref_ns: int, query_ns: int, T_rig_refcam: Array, T_rig_querycam: Array) -> PairOutcome:
+        """The outcome of a keyframe (its nearest one, if the distance is to mean anything) and a query.
+
+        Args:
+            ref_ns, query_ns: when the images were taken.
+            T_rig_refcam, T_rig_querycam: (4, 4) extrinsics of both cameras.
+        """
+        there, here = self.reference.place(ref_ns), self.query.place(query_ns)
+        if there is None or here is None:
+            which = "keyframe" if there is None else "query"
+            return self._unknown(ref_ns, query_ns, f"no odometry at the time of the {which}")
+        if not self.solution.connected(there.node, here.node):
+            return self._unknown(ref_ns, query_ns, f"not registered: {self._why(here.node)}")
+        covariance = self._covariance(there, here, T_rig_refcam, T_rig_querycam)
+        T_query_ref = invert(here.T_world_rig @ T_rig_querycam) @ there.T_world_rig @ T_rig_refcam
+        # The query camera's axes are turned into its rig's, x along the street.
+        R = T_rig_querycam[:3, :3]
+        along, across, height = np.sqrt(np.diagonal(R @ covariance[:3, :3] @ R.T)).tolist()
+        rotation = float(np.degrees(np.sqrt(np.trace(covariance[3:, 3:]) / 3)))
+        reason = self._refusal(there, here, T_query_ref, (along, across, height, rotation))
+        return PairOutcome(ref_ns, query_ns, T_query_ref, covariance, along, across, height, rotation, reason)
+
+    def _unknown(self, ref_ns: int, query_ns: int, reason: str) -> PairOutcome:
+        return PairOutcome(ref_ns, query_ns, None, None, None, None, None, None, reason)
+
+    def _covariance(self, there: Place, here: Place, T_rig_refcam: Array, T_rig_querycam: Array) -> Array:
+        """(6, 6) of the twist on the right of ``T_refcam_querycam``.
+
+        The nodes' own, and that of odometry from each node to its image, are carried to the query camera.
+        """
+        solution = self.solution
+        _, nodes = solution.relative(there.node, here.node)
+        T_querynode_cam = invert(solution.T_world_query[here.node]) @ here.T_world_rig @ T_rig_querycam
+        T_refrig_cam = invert(there.T_world_rig) @ here.T_world_rig @ T_rig_querycam
+        out = np.zeros((6, 6))
+        for T, cov in (
+            (T_querynode_cam, nodes),
+            (T_rig_querycam, self._motion(here.way_m)),
+            (T_refrig_cam, self._motion(there.way_m)),
+        ):
+            A = adjoint(invert(T))
+            out += A @ cov @ A.T
+        return out
+
+    def _motion(self, way_m: float) -> Array:
+        """(6, 6) of odometry from a node; nothing is added at the node itself."""
+        noise = self.solution.noise
+        return np.diag(way_m * noise.sigma**2)
+
+    def _refusal(self, there: Place, here: Place, T_query_ref: Array, sigmas: tuple[float, float, float, float]) -> str:
+        """Why a pair is refused, the plainest reason first; empty if it is not."""
+        limits, count = self.limits, self.solution.drives.reference_count
+        apart = float(np.linalg.norm(T_query_ref[:3, 3]))
+        if apart > limits.distance_m:
+            return f"no keyframe within {limits.distance_m:g} m: nearest {apart:.0f} m"
+        before, after = self.solution.way_to_trusted[count + here.node].tolist()
+        nearest = max(min(before, after), float(self.solution.way_to_trusted[there.node].min()))
+        if nearest > limits.evidence_m:
+            return f"not registered within {limits.evidence_m:g} m, {_metres(nearest)}: {self._why(here.node)}"
+        contradiction = min(self._way_to_contradiction[there.node], self._way_to_contradiction[count + here.node])
+        if contradiction <= limits.contradiction_m:
+            return f"odometry and registrations contradict each other {contradiction:.0f} m away"
+        one_sided = max(before, after) > limits.both_sides_m
+        share = limits.one_sided if one_sided else 1.0
+        end = ", with registrations on one side only" if one_sided else ""
+        allowed = (limits.sigma_along_m, limits.sigma_across_m, limits.sigma_height_m)
+        for name, sigma, limit in zip(("along", "across", "above"), sigmas[:3], allowed, strict=True):
+            if sigma > share * limit:
+                return f"sigma {name} the street {sigma:.2f} m exceeds {share * limit:g} m{end}"
+        if sigmas[3] > share * limits.sigma_rotation_deg:
+            return f"sigma of rotation {sigmas[3]:.2f} deg exceeds {share * limits.sigma_rotation_deg:g} deg{end}"
+        return ""
+
+    def _why(self, query_node: int) -> str:
+        """What is said most often of the registrations that were tried near a query node."""
+        nodes, at = self.query.nodes, self.query.nodes.travelled_m[query_node]
+        said = [
+            verdict or "its registration is checked by no other"
+            for registration, verdict, trusted in zip(
+                self._registrations, self.solution.verdicts, self.solution.trusted, strict=False
+            )
+            if abs(nodes.travelled_m[registration.query] - at) <= self.limits.evidence_m and not trusted
+        ]
+        return Counter(said).most_common(1)[0][0] if said else "no registration was found there"
+
+
+def _metres(way_m: float) -> str:
+    return "nor anywhere along the drive" if np.isinf(way_m) else f"nearest {way_m:.0f} m"

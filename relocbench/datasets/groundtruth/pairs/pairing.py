@@ -1,0 +1,129 @@
+"""Which keyframe each image of a query drive is paired with, and what becomes of the pair."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, map_prior, solve_drive
+from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome, Side
+from relocbench.datasets.groundtruth.pose_graph.graph import Solution
+from relocbench.datasets.groundtruth.submaps.drive import Drive
+from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.geometry import rotation_angle
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFrames:
+    """The images of one camera that take part, of both drives."""
+
+    camera: str
+    T_rig_refcam: Array
+    T_rig_querycam: Array
+    ref_ns: tuple[int, ...]
+    query_ns: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PairingUnit:
+    """One query drive: its registrations, and the images to pair."""
+
+    reference: Drive
+    query: Drive
+    registrations: tuple[Registration, ...]
+    cameras: tuple[CameraFrames, ...]
+    options: AlignmentOptions
+    limits: OutcomeLimits
+    max_angle_deg: float
+
+    def __str__(self) -> str:
+        return f"pairs of {self.query.name} with {self.reference.name}"
+
+
+@dataclass(frozen=True, eq=False)
+class Paired:
+    """What came of it."""
+
+    outcomes: dict[str, list[PairOutcome]]
+    """camera -> one a query image"""
+    T_world_ref: Array
+    """(R, 4, 4) the reference's nodes"""
+    T_world_query: Array
+    """(Q, 4, 4)"""
+    verdicts: tuple[str, ...]
+    """why each registration did not take part in the graph; empty if it did"""
+    way_to_trusted: Array
+    """(R + Q, 2) metres back to the last and on to the next node with a trusted registration"""
+
+
+def pair_up(unit: PairingUnit) -> Paired:
+    """Solve the graph of two drives and decide every pair."""
+    solution = solve_drive(unit.reference, unit.query, unit.registrations, unit.options)
+    outcomes = Outcomes(
+        solution,
+        (unit.reference.nodes, unit.reference.recording.odometry),
+        (unit.query.nodes, unit.query.recording.odometry),
+        unit.registrations,
+        unit.limits,
+    )
+    found = {frames.camera: _of_camera(unit, frames, solution, outcomes) for frames in unit.cameras}
+    return Paired(found, solution.T_world_ref, solution.T_world_query, solution.verdicts, solution.way_to_trusted)
+
+
+def _of_camera(unit: PairingUnit, frames: CameraFrames, solution: Solution, outcomes: Outcomes) -> list[PairOutcome]:
+    keyframes = _Placed.of(outcomes.reference, solution, frames.ref_ns, frames.T_rig_refcam)
+    prior = map_prior(unit.reference, unit.query)
+    out = []
+    for time in frames.query_ns:
+        place = outcomes.query.place(time)
+        node = place.node if place is not None else int(np.argmin(np.abs(unit.query.nodes.times_ns - time)))
+        nearest, reason = None, ""
+        if place is not None:
+            part = int(solution.part[solution.drives.reference_count + node])
+            T_world_cam = place.T_world_rig @ frames.T_rig_querycam
+            nearest, reason = keyframes.nearest(T_world_cam, part, unit.max_angle_deg)
+        if nearest is None and prior is not None and prior.nearest(node) >= 0:
+            # Where nothing is registered, the map says which keyframe is refused.
+            there = unit.reference.nodes.times_ns[prior.nearest(node)]
+            nearest = frames.ref_ns[int(np.argmin(np.abs(np.array(frames.ref_ns) - there)))]
+        found = outcomes.of(
+            frames.ref_ns[0] if nearest is None else nearest, time, frames.T_rig_refcam, frames.T_rig_querycam
+        )
+        out.append(found.refused(reason) if reason and found.accepted else found)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """Keyframes where the graph puts them."""
+
+    times: tuple[int, ...]
+    T_world_cam: Array
+    part: NDArray[np.int64]
+    """which nodes each one's pose can be compared with"""
+
+    @classmethod
+    def of(cls, side: Side, solution: Solution, times: Sequence[int], T_rig_cam: Array) -> _Placed:
+        places = [(time, place) for time in times if (place := side.place(time)) is not None]
+        poses = np.array([place.T_world_rig @ T_rig_cam for _, place in places], dtype=np.float64)
+        nodes = np.array([place.node for _, place in places], dtype=np.int64)
+        return cls(tuple(time for time, _ in places), poses.reshape(-1, 4, 4), solution.part[nodes])
+
+    def nearest(self, T_world_cam: Array, part: int, max_angle_deg: float) -> tuple[int | None, str]:
+        """The nearest keyframe of a part of the graph that looks about the same way; if none does, the nearest and why
+        it will not do. None where the part holds no keyframe."""
+        here = self.part == part
+        if not here.any():
+            return None, ""
+        apart = np.linalg.norm(self.T_world_cam[:, :3, 3] - T_world_cam[:3, 3], axis=1)
+        relative = np.swapaxes(self.T_world_cam[:, :3, :3], -1, -2) @ T_world_cam[:3, :3]
+        turned = np.degrees(rotation_angle(relative))
+        fit = here & (turned <= max_angle_deg)
+        best = int(np.argmin(np.where(fit if fit.any() else here, apart, np.inf)))
+        reason = "" if fit.any() else f"no keyframe within {max_angle_deg:g} deg: {turned[best]:.0f} deg"
+        return self.times[best], reason

@@ -1,0 +1,138 @@
+"""Graphs on disk: where the nodes of two drives lie, in one frame, for people and for pictures.
+
+``REF__QUERY.csv`` has the reference's nodes first, then those of the query.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.pairfile import parse_pose
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.errors import DatasetError
+from relocbench.files import atomic_write, parse_timestamp, read_csv
+from relocbench.geometry import interpolate, transform_to_tq
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+GRAPH_COLUMNS = (
+    *("traversal", "node", "timestamp_ns", "tx", "ty", "tz", "qx", "qy", "qz", "qw"),
+    *("m_since_trusted", "m_to_trusted", "registered", "verdict"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedDrive:
+    """One drive's nodes where the graph puts them."""
+
+    name: str
+    times_ns: Times
+    """(K,)"""
+    T_world_node: Array
+    """(K, 4, 4)"""
+    way_to_trusted: Array
+    """(K, 2) metres back to the last and on to the next trusted registration; inf where there is none"""
+    verdicts: Mapping[int, str]
+    """node -> why its registration did not take part in the graph, empty if it did; of nodes that were tried"""
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
+
+    @property
+    def travelled_m(self) -> Array:
+        """(K,) metres from node to node."""
+        steps = np.linalg.norm(np.diff(self.T_world_node[:, :3, 3], axis=0), axis=1)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @property
+    def connected(self) -> NDArray[np.bool_]:
+        """(K,) whether the other drive's registrations reach each node, so that the two can be compared."""
+        return np.asarray(np.isfinite(self.way_to_trusted).any(axis=1))
+
+    def nodes(self) -> Nodes:
+        """As submaps need them, laid out by the graph."""
+        return Nodes(self.times_ns, self.T_world_node, self.travelled_m)
+
+    def nearest(self, time_ns: int) -> int:
+        """The node nearest in time."""
+        return int(np.argmin(np.abs(self.times_ns - time_ns)))
+
+    def way_at(self, time_ns: int) -> float:
+        """Metres driven up to a time."""
+        start = int(self.times_ns[0])
+        return float(np.interp((time_ns - start) / 1e9, (self.times_ns - start) / 1e9, self.travelled_m))
+
+    def at(self, time_ns: int) -> Array:
+        """(4, 4) ``T_world_rig`` between the nodes around a time: good for pictures, to centimetres."""
+        after = int(np.clip(np.searchsorted(self.times_ns, time_ns), 1, max(len(self) - 1, 1)))
+        if len(self) == 1:
+            return np.asarray(self.T_world_node[0])
+        begin, end = int(self.times_ns[after - 1]), int(self.times_ns[after])
+        share = min(max((time_ns - begin) / max(end - begin, 1), 0.0), 1.0)
+        return interpolate(self.T_world_node[after - 1], self.T_world_node[after], share)
+
+
+def write_graph(path: Path, reference: PlacedDrive, query: PlacedDrive) -> None:
+    """``T_world_node`` of both drives, and how far along the road the nearest trusted registrations are."""
+    with atomic_write(path) as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(GRAPH_COLUMNS)
+        t, q = transform_to_tq(np.concatenate([reference.T_world_node, query.T_world_node]))
+        poses = iter(np.hstack([t, q]).tolist())
+        for drive in (reference, query):
+            for node, ways in enumerate(drive.way_to_trusted.tolist()):
+                verdict = drive.verdicts.get(node)
+                table.writerow(
+                    [
+                        drive.name,
+                        node,
+                        int(drive.times_ns[node]),
+                        *map(repr, next(poses)),
+                        *("" if np.isinf(way) else f"{way:.3f}" for way in ways),
+                        int(verdict == ""),
+                        verdict or "",
+                    ]
+                )
+
+
+def read_graph(path: Path, reference: str, query: str) -> tuple[PlacedDrive, PlacedDrive]:
+    """Both drives as :func:`write_graph` wrote them; ways are rounded to millimetres.
+
+    Raises:
+        DatasetError: with the line, where it is not such a table, or not of these drives.
+    """
+    rows = read_csv(path, "where the pose graph puts the nodes", DatasetError)
+    if next(rows, (1, []))[1] != list(GRAPH_COLUMNS):
+        raise DatasetError("expected a table of a pose graph; remove it and build again", path, 1)
+    lines: dict[str, list[tuple[int, dict[str, str]]]] = {reference: [], query: []}
+    for number, row in rows:
+        if len(row) != len(GRAPH_COLUMNS) or row[0] not in lines:
+            raise DatasetError(f"expected a node of {reference} or {query}", path, number)
+        lines[row[0]].append((number, dict(zip(GRAPH_COLUMNS, row, strict=True))))
+    first, second = (_drive(name, lines[name], path) for name in (reference, query))
+    return first, second
+
+
+def _drive(name: str, lines: list[tuple[int, dict[str, str]]], path: Path) -> PlacedDrive:
+    if not lines:
+        raise DatasetError(f"no node of {name}", path)
+    times, poses, ways, verdicts = [], [], [], {}
+    for node, (number, row) in enumerate(lines):
+        if row["node"] != str(node):
+            raise DatasetError(f"node is '{row['node']}', expected {node}", path, number)
+        times.append(parse_timestamp(row["timestamp_ns"], path, number, DatasetError))
+        poses.append(parse_pose([row[c] for c in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")], path, number))
+        try:
+            ways.append([float(row[c]) if row[c] else np.inf for c in ("m_since_trusted", "m_to_trusted")])
+        except ValueError:
+            raise DatasetError("the ways to trusted registrations are no numbers", path, number) from None
+        if row["registered"] == "1" or row["verdict"]:
+            verdicts[node] = row["verdict"]
+    return PlacedDrive(name, np.array(times, dtype=np.int64), np.array(poses), np.array(ways), verdicts)

@@ -1,0 +1,183 @@
+"""All registrations of one drive against another at once: a pose graph of both drives' nodes, with covariances.
+
+The reference's first node lies at the world's origin of its own odometry. Stretches that gaps in the odometry part are
+tied by registrations alone. Several query drives are solved one by one against the same reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.pose_graph.consensus import agree
+from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind, components
+from relocbench.datasets.groundtruth.pose_graph.initialisation import place
+from relocbench.datasets.groundtruth.pose_graph.least_squares import Covariances
+from relocbench.datasets.groundtruth.pose_graph.node_numbers import Drives
+from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise
+from relocbench.datasets.groundtruth.pose_graph.odometry_scale import scales_of
+from relocbench.datasets.groundtruth.pose_graph.outlier_test import Tested
+from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions, Selected, select
+from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.geometry import invert, rotation_angle
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_CONTROLLED = 1.0
+"""redundancy, of six, with which others check a registration"""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Poses of both drives in one world, and how certain they are."""
+
+    drives: Drives
+    T_world_node: Array
+    """(N, 4, 4) the R nodes of the reference, then those of the query"""
+    edges: Edges
+    """all that took part, with the weights it had"""
+    noise: OdometryNoise
+    """of odometry, as the graph was solved with"""
+    trusted: Mask
+    """(E,) registrations that took part and that others check"""
+    verdicts: tuple[str, ...]
+    """(E,) why a registration did not take part; empty if it did"""
+    tested: Tested
+    """(E,) registrations against all else"""
+    odometry_tested: Tested
+    """odometry edges against all else"""
+    way_to_trusted: Array
+    """(N, 2) metres from each node back to the last, and on to the next, node with a trusted registration"""
+    information_factor: float = 1.0
+    """the registrations' information was divided by this"""
+
+    @property
+    def T_world_ref(self) -> Array:
+        """(R, 4, 4)"""
+        return self.T_world_node[: self.drives.reference_count]
+
+    @property
+    def T_world_query(self) -> Array:
+        """(Q, 4, 4)"""
+        return self.T_world_node[self.drives.reference_count :]
+
+    @cached_property
+    def part(self) -> NDArray[np.int64]:
+        """(N,) nodes that odometry and registrations connect have the same number; 0 is that of the first node."""
+        return components(len(self.drives), self.edges.first, self.edges.second)
+
+    def connected(self, ref: int, query: int) -> bool:
+        """Whether the graph says how the two nodes lie to each other."""
+        return bool(self.part[ref] == self.part[self.drives.reference_count + query])
+
+    def pose(self, ref: int, query: int) -> Array:
+        """(4, 4) ``T_ref_query``, node to node."""
+        return np.asarray(invert(self.T_world_ref[ref]) @ self.T_world_query[query])
+
+    @cached_property
+    def _covariances(self) -> Covariances:
+        return Covariances(self.T_world_node, self.edges, scales_of(self.drives, self.edges))
+
+    def relative(self, ref: int, query: int) -> tuple[Array, Array]:
+        """``T_ref_query`` (4, 4) and the covariance (6, 6) of ``xi = (rho, phi)`` in ``T_ref_query @ se3_exp(xi)``.
+
+        Neighbouring pairs share most of the work: ask in the order of the road.
+
+        Raises:
+            ValueError: nothing connects the two nodes.
+        """
+        if not self.connected(ref, query):
+            raise ValueError(f"nothing connects reference node {ref} with query node {query}")
+        nodes = np.array([ref]), np.array([query + self.drives.reference_count])
+        return self.pose(ref, query), self._covariances.relative(*nodes)[0]
+
+    def stressed_odometry(self, significance: float = 1e-9) -> list[tuple[int, int, float]]:
+        """Odometry edges that registrations contradict: node, next node (both numbered through), excess of chi2.
+
+        A run of wrong registrations that agree with each other, as a facade's period makes them, shows at its ends.
+        """
+        odometry = self.edges[self.edges.kind != Kind.REGISTRATION]
+        bad = np.flatnonzero(self.odometry_tested.p_value < significance)
+        excess = self.odometry_tested.chi2 / np.maximum(self.odometry_tested.freedom, 1)
+        return [(int(odometry.first[e]), int(odometry.second[e]), float(excess[e])) for e in bad]
+
+
+def optimise(
+    nodes_ref: Nodes,
+    nodes_query: Nodes,
+    registrations: Sequence[Registration],
+    odometry_noise: OdometryNoise | None = None,
+    options: GraphOptions | None = None,
+) -> Solution:
+    """Poses of all nodes from both odometries and the registrations between them.
+
+    Args:
+        registrations: in any order; those that are not trusted take no part and keep their reason as verdict.
+        odometry_noise: to start from; it is estimated unless the options say otherwise.
+    """
+    options = options or GraphOptions()
+    drives = Drives.of(nodes_ref, nodes_query)
+    cross = registration_edges(drives, registrations)
+    trusted = np.array([r.trusted for r in registrations], dtype=bool)
+    believed = np.flatnonzero(trusted)
+    runs = agree(cross[believed], drives, options.runs)
+    candidates, doubtful = trusted.copy(), np.zeros(len(cross), dtype=bool)
+    candidates[believed], doubtful[believed] = runs.won, runs.doubtful
+    start = place(cross[candidates], drives.T_odom_node, drives.travelled_m, drives.stretch)
+    found = select(drives, cross, candidates, start, odometry_noise or OdometryNoise(), options)
+    verdicts = _verdicts(registrations, cross, candidates, doubtful, found)
+    controlled = found.used & (found.tested.redundancy >= _CONTROLLED)
+    return Solution(
+        drives,
+        found.T_world_node,
+        found.edges,
+        found.noise,
+        controlled,
+        verdicts,
+        found.tested,
+        found.odometry_tested,
+        drives.way_to(np.concatenate([cross.first[controlled], cross.second[controlled]])),
+        found.information_factor,
+    )
+
+
+def registration_edges(drives: Drives, registrations: Sequence[Registration]) -> Edges:
+    """Registrations as edges, in their order."""
+    count = len(registrations)
+    return Edges(
+        np.array([r.ref for r in registrations], dtype=np.int64),
+        np.array([r.query + drives.reference_count for r in registrations], dtype=np.int64),
+        np.array([r.T_ref_query for r in registrations], dtype=np.float64).reshape(count, 4, 4),
+        np.array([r.information for r in registrations], dtype=np.float64).reshape(count, 6, 6),
+        np.full(count, Kind.REGISTRATION, dtype=np.int64),
+    )
+
+
+def _verdicts(
+    registrations: Sequence[Registration], cross: Edges, candidates: Mask, doubtful: Mask, found: Selected
+) -> tuple[str, ...]:
+    """Why each registration took no part, with how far it is off."""
+    T = found.T_world_node
+    offset = invert(cross.T_first_second) @ cross.apart(T)
+    metres = np.linalg.norm(offset[:, :3, 3], axis=1)
+    degrees = np.degrees(rotation_angle(offset[:, :3, :3]))
+    out = []
+    for e, registration in enumerate(registrations):
+        off = f"{metres[e]:.2f} m, {degrees[e]:.2f} deg off"
+        if found.used[e]:
+            out.append("")
+        elif registration.reason:
+            out.append(registration.reason)
+        elif doubtful[e]:
+            out.append("runs of registrations contradict each other and none is much longer")
+        elif candidates[e]:
+            out.append(f"contradicts both odometries and other registrations: {off}")
+        else:
+            out.append(f"contradicts a longer run of registrations: {off}")
+    return tuple(out)

@@ -1,0 +1,49 @@
+"""Where to start: every node placed by the registration nearest to it, along its drive's odometry."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.pose_graph.edges import Edges
+from relocbench.geometry import invert
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+def place(edges: Edges, T_odom_node: Array, travelled_m: Array, stretch: Indices) -> Array:
+    """First poses of all nodes; the world is the odometry of the first stretch.
+
+    Stretch after stretch is laid against those that already lie, each node by the registration nearest to it along its
+    own drive, so that neighbours of different drives start near each other however far both have drifted.
+
+    Args:
+        edges: registrations that can be believed.
+        T_odom_node: (N, 4, 4) of all nodes, each in its own odometry.
+        travelled_m: (N,)
+        stretch: (N,) piece of odometry of each node.
+
+    Returns:
+        (N, 4, 4) ``T_world_node``; stretches that no registration ties keep their odometry's frame.
+    """
+    T_world_node = T_odom_node.copy()
+    placed = stretch == stretch[0]
+    while True:
+        forward = placed[edges.first] & ~placed[edges.second]
+        backward = placed[edges.second] & ~placed[edges.first]
+        if not (forward.any() or backward.any()):
+            return T_world_node
+        known = np.concatenate([edges.first[forward], edges.second[backward]])
+        new = np.concatenate([edges.second[forward], edges.first[backward]])
+        T_known_new = np.concatenate([edges.T_first_second[forward], invert(edges.T_first_second[backward])])
+        # The stretch that most registrations tie goes first.
+        names, counts = np.unique(stretch[new], return_counts=True)
+        chosen = names[np.argmax(counts)]
+        links = np.flatnonzero(stretch[new] == chosen)
+        nodes = np.flatnonzero(stretch == chosen)
+        apart = np.abs(travelled_m[nodes, None] - travelled_m[None, new[links]])
+        by = links[np.argmin(apart, axis=1)]
+        T_new_node = invert(T_odom_node[new[by]]) @ T_odom_node[nodes]
+        T_world_node[nodes] = T_world_node[known[by]] @ T_known_new[by] @ T_new_node
+        placed[nodes] = True

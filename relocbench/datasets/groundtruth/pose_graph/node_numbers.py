@@ -1,0 +1,78 @@
+"""Nodes of two drives numbered through, and the odometry edges along each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.blocks.blocks import Nodes
+from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
+from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise
+from relocbench.geometry import invert
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Drives:
+    """N nodes: the R of the reference first, then those of the query."""
+
+    reference_count: int
+    T_odom_node: Array
+    """(N, 4, 4) each in its own drive's odometry"""
+    travelled_m: Array
+    """(N,) along its own drive"""
+    stretch: Indices
+    """(N,) piece of odometry without a gap, numbered through"""
+
+    @classmethod
+    def of(cls, reference: Nodes, query: Nodes) -> Drives:
+        stretches = [
+            np.zeros(len(n), dtype=np.int64) if n.stretch is None else n.stretch.astype(np.int64)
+            for n in (reference, query)
+        ]
+        after = int(stretches[0].max(initial=-1)) + 1
+        return cls(
+            len(reference),
+            np.concatenate([reference.T_odom_node, query.T_odom_node]),
+            np.concatenate([reference.travelled_m, query.travelled_m]),
+            np.concatenate([stretches[0], stretches[1] + after]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.T_odom_node)
+
+    def odometry(self, noise: OdometryNoise) -> Edges:
+        """Edges from each node to the next, none across the gaps."""
+        first = np.arange(len(self) - 1)
+        first = first[(self.stretch[1:] == self.stretch[:-1]) & (first + 1 != self.reference_count)]
+        kind = np.where(first < self.reference_count, Kind.REFERENCE_ODOMETRY, Kind.QUERY_ODOMETRY)
+        T = invert(self.T_odom_node[first]) @ self.T_odom_node[first + 1]
+        return Edges(first, first + 1, T, noise.information(self.way(first, first + 1)), kind.astype(np.int64))
+
+    def way(self, first: Indices, second: Indices) -> Array:
+        """Metres driven between nodes of one drive."""
+        return np.abs(self.travelled_m[second] - self.travelled_m[first])
+
+    def way_to(self, nodes: Indices) -> Array:
+        """(N, 2) metres along its own stretch from each node back to the last, and on to the next, of some nodes.
+
+        A node among them is 0 away both ways; ``inf`` where there is none.
+        """
+        out = np.full((len(self), 2), np.inf)
+        chosen = np.zeros(len(self), dtype=bool)
+        chosen[nodes] = True
+        for piece in np.unique(self.stretch).tolist():
+            members = np.flatnonzero(self.stretch == piece)
+            at = self.travelled_m[members]
+            stops = at[chosen[members]]
+            if not len(stops):
+                continue
+            after = np.searchsorted(stops, at, side="left")
+            before = np.searchsorted(stops, at, side="right") - 1
+            out[members, 0] = np.where(before >= 0, at - stops[np.maximum(before, 0)], np.inf)
+            out[members, 1] = np.where(after < len(stops), stops[np.minimum(after, len(stops) - 1)] - at, np.inf)
+        return out

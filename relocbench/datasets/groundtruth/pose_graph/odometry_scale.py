@@ -1,0 +1,108 @@
+"""Odometry's scale, as the graph finds it.
+
+The scale of visual odometry is wrong by a percent that changes slowly. Between nodes that is no noise: it adds up over
+tens of metres, and what little a street says about the way along it would have to fight it block by block. So steps are
+measured by the graph over a stretch, and each drive's odometry is stretched by that before the last adjustment. Only
+the ratio of two drives can be seen; each is given half of it.
+
+What is left of the scale is no noise either: where nothing holds the way along the street, its error grows with the way
+and not with the root of it. Covariances therefore have it as unknowns of their own (:class:`Scales`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
+from relocbench.datasets.groundtruth.pose_graph.least_squares import Scales
+from relocbench.datasets.groundtruth.pose_graph.node_numbers import Drives
+from relocbench.errors import ConfigError
+from relocbench.geometry import invert
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_NEAR = 3.0
+"""nodes further away than so many standard deviations say nothing about the scale here"""
+
+
+@dataclass(frozen=True)
+class ScaleNoise:
+    """How far the scale of odometry may be off, and how fast that changes."""
+
+    sigma: float = 0.02
+    wander: float = 0.0015
+    """after one metre of road; ``sqrt(d)`` times as much after d metres"""
+    piece_m: float = 10.0
+    """of road on which one scale holds"""
+
+    def __post_init__(self) -> None:
+        if min(self.sigma, self.wander, self.piece_m) <= 0:
+            raise ConfigError("noise of the odometry's scale must be positive")
+
+
+def scales_of(drives: Drives, edges: Edges, noise: ScaleNoise | None = None) -> Scales:
+    """An unknown scale for each piece of each drive, wandering from piece to piece.
+
+    Args:
+        edges: E of both drives; only those of odometry have a scale.
+    """
+    noise = noise or ScaleNoise()
+    of_node = np.zeros(len(drives), dtype=np.int64)
+    count = 0
+    neighbours: list[tuple[int, int]] = []
+    begins = []
+    for stretch in np.unique(drives.stretch).tolist():
+        members = np.flatnonzero(drives.stretch == stretch)
+        piece = ((drives.travelled_m[members] - drives.travelled_m[members[0]]) // noise.piece_m).astype(np.int64)
+        of_node[members] = count + piece
+        begins.append(count)
+        neighbours += [(count + k, count + k + 1) for k in range(int(piece[-1]))]
+        count += int(piece[-1]) + 1
+    number = np.where(edges.kind == Kind.REGISTRATION, -1, of_node[edges.first])
+    return Scales(
+        number,
+        np.array(begins, dtype=np.int64),
+        noise.sigma,
+        np.array(neighbours, dtype=np.int64).reshape(-1, 2),
+        noise.wander * float(np.sqrt(noise.piece_m)),
+    )
+
+
+def rescaled(drives: Drives, T_world_node: Array, stretch_m: float) -> Drives:
+    """The drives with odometry whose steps are as long as those of the graph, on the mean over a stretch.
+
+    Args:
+        T_world_node: (N, 4, 4) poses by the graph.
+        stretch_m: standard deviation of the weights along the way.
+    """
+    T_steps = invert(drives.T_odom_node[:-1]) @ drives.T_odom_node[1:]
+    by_odometry = np.linalg.norm(T_steps[:, :3, 3], axis=1)
+    by_graph = np.linalg.norm((invert(T_world_node[:-1]) @ T_world_node[1:])[:, :3, 3], axis=1)
+    begins = np.flatnonzero(np.diff(drives.stretch, prepend=-1))
+    T_odom_node = drives.T_odom_node.copy()
+    for begin, end in zip(begins, [*begins[1:], len(drives)], strict=True):
+        steps = slice(begin, end - 1)
+        ratio = _scale(drives.travelled_m[begin:end], by_odometry[steps], by_graph[steps], stretch_m)
+        for node in range(begin, end - 1):
+            T_step = T_steps[node].copy()
+            T_step[:3, 3] *= ratio[node - begin]
+            T_odom_node[node + 1] = T_odom_node[node] @ T_step
+    return replace(drives, T_odom_node=T_odom_node)
+
+
+def _scale(travelled_m: Array, by_odometry: Array, by_graph: Array, stretch_m: float) -> Array:
+    """(K - 1,) weighted mean of the graph's steps over that of odometry's, around each step of K nodes."""
+    middle = 0.5 * (travelled_m[1:] + travelled_m[:-1])
+    ratio = np.ones(len(middle))
+    first = np.searchsorted(middle, middle - _NEAR * stretch_m)
+    last = np.searchsorted(middle, middle + _NEAR * stretch_m)
+    for k, (a, b) in enumerate(zip(first, last, strict=True)):
+        weight = np.exp(-0.5 * np.square((middle[a:b] - middle[k]) / stretch_m))
+        expected = float(weight @ by_odometry[a:b])
+        if expected > 0:
+            ratio[k] = float(weight @ by_graph[a:b]) / expected
+    return ratio

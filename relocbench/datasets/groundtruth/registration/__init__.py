@@ -1,0 +1,1 @@
+"""One drive registered against another, submap by submap."""

@@ -1,0 +1,166 @@
+"""The ground truth of a built dataset as its files tell it: what pictures and tables for the eye are made from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.groundtruth.blocks.store import BlockStore
+from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common, kind_of
+from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive, read_graph
+from relocbench.datasets.groundtruth.registration.files import read_registrations
+from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
+from relocbench.datasets.groundtruth.verification.evidence import Registration
+from relocbench.errors import DatasetError
+from relocbench.geometry import invert
+
+Array = NDArray[np.float64]
+
+_KINDS = 4
+"""kinds of rejection that are drawn; the table names all"""
+_FOLDER = "groundtruth"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Above these a pair was rejected; None where the dataset does not say."""
+
+    sigma_m: float | None
+    sigma_deg: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class InspectedSet:
+    """One pair set with the drives it came from."""
+
+    pair_set: PairSet
+    conditions: str
+    """``reference → query``"""
+    reference: PlacedDrive
+    query: PlacedDrive
+    registrations: Sequence[Registration]
+    """one a node of the query that was tried"""
+    stores: tuple[BlockStore, BlockStore]
+    """of the reference and the query"""
+    limits: Limits
+
+    @property
+    def name(self) -> str:
+        return self.pair_set.name
+
+    def window(self, side: int, half_length_m: float) -> SubmapWindow:
+        """Submaps laid out by the graph, of the reference (0) or the query (1); all points stay."""
+        drive = (self.reference, self.query)[side]
+        return SubmapWindow(drive.nodes(), self.stores[side], half_length_m, voxel_m=0.0)
+
+    def connected(self, pair: Pair) -> bool:
+        """Whether the graph says how the query lies to the reference."""
+        i, j = self.reference.nearest(pair.ref_timestamp_ns), self.query.nearest(pair.query_timestamp_ns)
+        return bool(self.reference.connected[i] and self.query.connected[j])
+
+
+@dataclass(frozen=True, eq=False)
+class Spot:
+    """A place that is drawn, and why."""
+
+    pair: Pair
+    why: str
+
+
+def inspected_sets(dataset: Dataset, pair_sets: Sequence[PairSet]) -> list[InspectedSet]:
+    """Those of the pair sets whose truth came from lidar.
+
+    Raises:
+        DatasetError: none of them did, or a file of the ground truth is missing or damaged.
+    """
+    folder = dataset.root / _FOLDER
+    if not folder.is_dir():
+        sources = sorted({p.source for s in pair_sets for p in s.pairs if p.source})
+        told = f"; its truth is of '{', '.join(sources)}'" if sources else ""
+        raise DatasetError(f"no ground truth from lidar (there is no folder {_FOLDER}){told}", dataset.root)
+    found = [s for s in pair_sets if _graph_file(folder, s).exists()]
+    if not found:
+        names = ", ".join(s.name for s in pair_sets) or "any pair set"
+        raise DatasetError(f"no pose graph of {names}", folder / "graph")
+    return [_inspect(dataset, folder, pair_set) for pair_set in found]
+
+
+def _graph_file(folder: Path, pair_set: PairSet) -> Path:
+    return folder / "graph" / f"{pair_set.reference}__{pair_set.query}.csv"
+
+
+def _inspect(dataset: Dataset, folder: Path, pair_set: PairSet) -> InspectedSet:
+    names = pair_set.reference, pair_set.query
+    drives = read_graph(_graph_file(folder, pair_set), *names)
+    conditions = [str(dataset.traversal(name).condition) for name in names]
+    options = dataset.file.made_by.get("options", {})
+    limits = [options.get(key) for key in ("max_sigma", "max_sigma_rotation")] if isinstance(options, dict) else []
+    known = [float(v) if isinstance(v, int | float) else None for v in limits] or [None, None]
+    return InspectedSet(
+        pair_set,
+        " → ".join(conditions),
+        *drives,
+        read_registrations(folder / "registrations" / f"{names[0]}__{names[1]}.csv"),
+        (BlockStore(folder / "blocks" / names[0]), BlockStore(folder / "blocks" / names[1])),
+        Limits(known[0], known[1]),
+    )
+
+
+def chosen_spots(pairs: Sequence[Pair], count: int) -> list[Spot]:
+    """The least certain accepted pair, ``count`` accepted ones evenly along the drive, and one of each kind of
+    rejection, the most frequent kinds first."""
+    accepted = [p for p in pairs if p.accepted]
+    spots: list[Spot] = []
+    known = [p for p in accepted if p.sigma_translation_m is not None]
+    if known:
+        worst = max(known, key=lambda p: p.sigma_translation_m or 0.0)
+        spots.append(Spot(worst, "the least certain accepted pair"))
+    rows = np.unique(np.rint(np.linspace(0, len(accepted) - 1, min(count, len(accepted)))).astype(int)).tolist()
+    even = [accepted[row] for row in rows]
+    spots += [Spot(p, "evenly along the drive") for p in even if not spots or p.key != spots[0].pair.key]
+    rejected = [p for p in pairs if not p.accepted]
+    for kind, same in list(by_kind(_reason(p) for p in rejected).items())[:_KINDS]:
+        members = [p for p in rejected if kind_of(_reason(p)) == kind]
+        spots.append(Spot(members[len(members) // 2], f"one of {len(members)} rejected: {common(same)}"))
+    return spots
+
+
+def _reason(pair: Pair) -> str:
+    return pair.reason or "no reason given"
+
+
+@dataclass(frozen=True, eq=False)
+class Relative:
+    """How two nodes lie to each other, and who says so."""
+
+    ref: int
+    query: int
+    T_ref_query: Array | None
+    """(4, 4) node to node; None where nobody says anything"""
+    said_by: str
+
+
+def relative_pose(found: InspectedSet, pair: Pair) -> Relative:
+    """By the graph, where registrations tie both drives together; else by the nearest registration that was refused.
+
+    By the graph the reference's node is the nearest one to the query, even if its keyframes lie further away.
+    """
+    j = found.query.nearest(pair.query_timestamp_ns)
+    i = found.reference.nearest(pair.ref_timestamp_ns)
+    if found.connected(pair):
+        apart = np.linalg.norm((found.reference.T_world_node - found.query.T_world_node[j])[:, :3, 3], axis=1)
+        i = int(np.argmin(np.where(found.reference.connected, apart, np.inf)))
+        return Relative(i, j, invert(found.reference.T_world_node[i]) @ found.query.T_world_node[j], "pose graph")
+    tried = [r for r in found.registrations if np.isfinite(r.T_ref_query).all() and 0 <= r.ref < len(found.reference)]
+    if tried:
+        near = min(tried, key=lambda r: abs(r.query - j))
+        if abs(near.query - j) <= 3:
+            return Relative(near.ref, near.query, near.T_ref_query, f"a refused registration ({near.reason})")
+    return Relative(i, j, None, "")

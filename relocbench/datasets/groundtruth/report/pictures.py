@@ -1,0 +1,85 @@
+"""``relocbench inspect --ground-truth``: all pictures of a dataset's ground truth and the page that shows them.
+
+``OUT/index.html``, ``OUT/residuals.png``, and for each pair set ``OUT/PAIRSET/map.png``, ``overlay_NN.png`` and
+``keyframe_NN.png``; overlay and keyframe of one number are of the same pair.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.images import write_image
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.groundtruth.report.inspected import InspectedSet, Spot, chosen_spots, inspected_sets
+from relocbench.datasets.groundtruth.report.overlay_picture import write_overlay
+from relocbench.datasets.groundtruth.report.page import DrawnSet, DrawnSpot, write_page
+from relocbench.datasets.groundtruth.report.residual_picture import measure_residuals, write_residuals
+from relocbench.datasets.groundtruth.report.road_picture import write_map
+from relocbench.datasets.inspect.overlay import draw_pair, measure_agreement
+from relocbench.datasets.pairs.visibility import DepthView
+from relocbench.progress import Reporter
+
+
+def write_ground_truth(
+    dataset: Dataset, pair_sets: Sequence[PairSet], folder: Path, count: int, seed: int, reporter: Reporter
+) -> Path:
+    """The page of a dataset's ground truth from lidar.
+
+    Args:
+        count: places a pair set, evenly along the drive; the least certain pair and one of each kind of rejection come
+            on top.
+        seed: of the keyframe points that are drawn.
+
+    Returns:
+        the page.
+
+    Raises:
+        DatasetError: no truth of these pair sets came from lidar, or a file of it is missing or damaged.
+    """
+    found = inspected_sets(dataset, pair_sets)
+    spots = [chosen_spots(one.pair_set.all_pairs, count) for one in found]
+    drawn = []
+    with reporter.stage("drawing ground truth", sum(2 + len(some) for some in spots)) as advance:
+        for one, some in zip(found, spots, strict=True):
+            residuals = measure_residuals(one)
+            advance(1)
+            write_map(folder / one.name / "map.png", one, some)
+            advance(1)
+            pictures = []
+            for number, spot in enumerate(some, start=1):
+                pictures.append(_write_spot(dataset, one, spot, number, folder, seed))
+                advance(1)
+            drawn.append(DrawnSet(one, residuals, f"{one.name}/map.png", tuple(pictures)))
+    write_residuals(folder / "residuals.png", [(d.found, d.residuals) for d in drawn])
+    write_page(folder / "index.html", dataset, drawn, "residuals.png")
+    return folder / "index.html"
+
+
+def _write_spot(dataset: Dataset, found: InspectedSet, spot: Spot, number: int, folder: Path, seed: int) -> DrawnSpot:
+    overlay = f"{found.name}/overlay_{number:02d}.png"
+    write_overlay(folder / overlay, found, spot, number)
+    if spot.pair.T_query_ref is None:
+        return DrawnSpot(spot, number, overlay, None, None)
+    keyframe = f"{found.name}/keyframe_{number:02d}.png"
+    agrees = _write_keyframe(folder / keyframe, dataset, found, spot.pair, number, seed)
+    return DrawnSpot(spot, number, overlay, keyframe, agrees)
+
+
+def _write_keyframe(path: Path, dataset: Dataset, found: InspectedSet, pair: Pair, number: int, seed: int) -> bool:
+    """The keyframe's points in the query's image; whether grey levels agree best at the truth."""
+    assert pair.T_query_ref is not None
+    pair_set = found.pair_set
+    reference, query = dataset.reference(pair_set, pair), dataset.query(pair_set, pair)
+    traversal = dataset.traversal(pair_set.query)
+    depth = traversal.depth(pair_set.camera, pair.query_timestamp_ns)
+    view = DepthView(query.camera, depth, traversal.file.cameras[pair_set.camera].depth_sigma)
+    rng = np.random.default_rng([seed, *(time % 2**64 for time in pair.key)])
+    agreement = measure_agreement(reference, query, pair.T_query_ref)
+    title = f"{number}   {found.name}   keyframe {pair.ref_timestamp_ns}   query {pair.query_timestamp_ns}"
+    write_image(path, draw_pair(reference, query, view, pair, agreement, title, rng))
+    return agreement.truth_is_best

@@ -1,0 +1,119 @@
+"""``residuals.png``: how far points of one drive lie off the planes of the other, at the poses of the graph.
+
+Each registration of the graph is looked at block by block, both ways, all points counting the same: a two-sided
+picture of what the registrations had to work with, and of what changed between the drives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.icp.icp import linearise
+from relocbench.datasets.groundtruth.report.figures import QUERY, REFERENCE, shortened, write_figure
+from relocbench.datasets.groundtruth.report.inspected import InspectedSet
+from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions
+from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
+from relocbench.geometry import invert
+
+Array = NDArray[np.float64]
+
+_REACH_M = 0.3
+_OPTIONS = PlaneOptions(thinning_m=(0.0,), reach_m=(_REACH_M,), samples=(1500,), near_m=(1e9,))
+_AROUND_M = 6.0
+"""planes of so much road before and after a block are looked at"""
+_PLACES = 40
+_SHOWN_M = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Signed distances from points to planes, positive on the side that the lidar was on."""
+
+    to_reference_m: Array
+    """(N,) from the query's points to the reference's planes"""
+    to_query_m: Array
+    """(M,) the other way"""
+    places: int
+    """registrations that were looked at"""
+
+    @property
+    def sigmas_m(self) -> tuple[float, float]:
+        """Robust standard deviations: 1.4826 times the median without sign; nan of none."""
+        return robust_sigma(self.to_reference_m), robust_sigma(self.to_query_m)
+
+
+def robust_sigma(residuals: Array) -> float:
+    """1.4826 times the median of (N,) residuals without sign; nan of none."""
+    return 1.4826 * float(np.median(np.abs(residuals))) if residuals.size else float("nan")
+
+
+def measure_residuals(found: InspectedSet) -> Residuals:
+    """Of up to 40 registrations that the graph kept, evenly along the drive.
+
+    Raises:
+        DatasetError: a block is missing or damaged.
+    """
+    kept = [n for n, verdict in sorted(found.query.verdicts.items()) if not verdict and found.query.connected[n]]
+    some = [kept[row] for row in np.unique(np.rint(np.linspace(0, len(kept) - 1, min(_PLACES, len(kept)))).astype(int))]
+    blocks = [found.window(side, 0.1) for side in (0, 1)]
+    around = [found.window(side, _AROUND_M) for side in (0, 1)]
+    centres = found.reference.T_world_node[:, :3, 3]
+    there, back = [np.zeros(0)], [np.zeros(0)]
+    for j in some:
+        i = int(np.argmin(np.linalg.norm(centres - found.query.T_world_node[j][:3, 3], axis=1)))
+        T_ref_query = invert(found.reference.T_world_node[i]) @ found.query.T_world_node[j]
+        there.append(_distances(around[0], i, blocks[1], j, T_ref_query))
+        back.append(_distances(around[1], j, blocks[0], i, invert(T_ref_query)))
+    return Residuals(np.concatenate(there), np.concatenate(back), len(some))
+
+
+def _distances(planes: SubmapWindow, to: int, points: SubmapWindow, of: int, T_to_of: Array) -> Array:
+    level = PlaneMap(planes.at(to), _OPTIONS).level(0)
+    sample = PlaneMap(points.at(of), _OPTIONS).sample(0)
+    return linearise(level, sample.points, sample.normals, T_to_of, _REACH_M).residuals
+
+
+def write_residuals(path: Path, measured: Sequence[tuple[InspectedSet, Residuals]]) -> None:
+    """One row a pair set: both ways in one histogram, and the share that lies within so many centimetres."""
+    write_figure(path, (11, 0.8 + 2.6 * len(measured)), lambda figure: _draw(figure, measured))
+
+
+def _draw(figure: Figure, measured: Sequence[tuple[InspectedSet, Residuals]]) -> None:
+    figure.suptitle("distances from points to the other drive's planes, at the poses of the graph", fontsize=11)
+    rows = figure.subplots(len(measured), 2, squeeze=False, width_ratios=(1.6, 1))
+    for (left, right), (found, residuals) in zip(rows, measured, strict=True):
+        ways = (
+            (residuals.to_reference_m, QUERY, "query's points to the reference's planes", "-"),
+            (residuals.to_query_m, REFERENCE, "reference's points to the query's planes", "--"),
+        )
+        for values, colour, name, style in ways:
+            if not values.size:
+                continue
+            edges = np.linspace(-_SHOWN_M, _SHOWN_M, 101)
+            weights = np.full(values.size, 100 / values.size)
+            sigma, middle = 100 * robust_sigma(values), 100 * float(np.median(values))
+            label = f"{name}\nrobust sigma {sigma:.2f} cm, median {middle:+.2f} cm"
+            left.hist(100 * values, 100 * edges, weights=weights, histtype="step", color=colour, linestyle=style,
+                      linewidth=1.5, label=label)  # fmt: skip
+            ordered = 100 * np.sort(np.abs(values))
+            right.plot(ordered, 100 * np.arange(1, len(ordered) + 1) / len(ordered), style, color=colour)
+        title = f"{found.conditions}: {shortened(found.name, 60)}\n{residuals.places} registrations"
+        left.set_title(title, fontsize=9, loc="left")
+        left.set_xlim(-100 * _SHOWN_M, 100 * _SHOWN_M)
+        left.set_ylabel("% of points")
+        if left.get_legend_handles_labels()[0]:
+            left.legend(fontsize=7, frameon=False, loc="upper left")
+        left.axvline(0, color="#999999", linewidth=0.6)
+        right.set_xlim(0, 100 * _REACH_M)
+        right.set_ylim(0, 101)
+        right.set_ylabel("% within")
+        for axes in (left, right):
+            axes.grid(True, color="#dddddd", linewidth=0.6)
+    rows[-1][0].set_xlabel("distance (cm), positive towards the lidar")
+    rows[-1][1].set_xlabel(f"distance without sign (cm); found up to {100 * _REACH_M:.0f}")

@@ -1,0 +1,1 @@
+"""Blocks laid together along the odometry, and what registration makes of them."""

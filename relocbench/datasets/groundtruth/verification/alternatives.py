@@ -1,0 +1,102 @@
+"""The mistakes that registration makes on streets, made on purpose: slid along, and turned round.
+
+Facades repeat. How well a query fits is measured along the whole street, and each place where it fits about as well as
+anywhere is another guess. What fits is not what is right: verification decides between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.submaps.planes import PlaneMap
+from relocbench.geometry import apply, make_transform, so3_exp
+
+Array = NDArray[np.float64]
+
+_LEVEL = 1
+_COSINE = 0.7
+
+
+@dataclass(frozen=True)
+class SlideOptions:
+    """Where alternatives are looked for."""
+
+    reach_m: float = 30.0
+    """along the street, both ways"""
+    step_m: float = 0.4
+    near_m: float = 0.4
+    """a point finds its surface again within this"""
+    apart_m: float = 1.5
+    """alternatives lie at least so far apart"""
+    share: float = 0.75
+    """of the best fit: what fits worse is no alternative"""
+    most: int = 6
+    """alternatives of each kind"""
+    points: int = 1500
+
+
+def street_direction(planes: PlaneMap) -> Array:
+    """(3,) unit vector of the submap's axes along which it was driven; x where it stood still."""
+    origins = planes.submap.origins.astype(np.float64)
+    centred = origins - origins.mean(axis=0)
+    values, vectors = np.linalg.eigh(centred.T @ centred / len(origins))
+    direction = vectors[:, -1] if values[-1] > 1.0 else np.array([1.0, 0.0, 0.0])
+    return np.asarray(direction * (1.0 if direction[0] >= 0 else -1.0))
+
+
+def fit(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOptions) -> float:
+    """Share of the query's planes, drawn evenly over directions, that find one of the reference's."""
+    sample, planes = query.sample(_LEVEL), ref.level(_LEVEL)
+    rows = np.arange(0, len(sample), max(len(sample) // options.points, 1))
+    there = apply(T_ref_query, sample.points[rows])
+    match = planes.nearest(there, sample.normals[rows] @ T_ref_query[:3, :3].T, options.near_m, _COSINE)
+    return float(np.mean(match >= 0)) if len(rows) else 0.0
+
+
+def slides(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOptions | None = None) -> list[Array]:
+    """Poses along the street where the query fits about as well as anywhere, the best first."""
+    o = options or SlideOptions()
+    along = street_direction(ref)
+    steps = np.arange(-round(o.reach_m / o.step_m), round(o.reach_m / o.step_m) + 1) * o.step_m
+    moved = [make_transform(np.eye(3), s * along) @ T_ref_query for s in steps]
+    fits = np.array([fit(ref, query, T, o) for T in moved])
+    kept: list[int] = []
+    for i in np.argsort(-fits, kind="stable"):
+        if len(kept) == o.most or fits[i] < o.share * fits.max():
+            break
+        if all(abs(steps[i] - steps[k]) >= o.apart_m for k in kept):
+            kept.append(int(i))
+    return [moved[i] for i in kept]
+
+
+def period(ref: PlaneMap, options: SlideOptions | None = None) -> float | None:
+    """Metres after which a street repeats: the slide, 1.5 m or more, at which a submap fits itself best; None of none.
+
+    The first local maximum of the fit that stands out by a fifth over the lowest fit before it.
+    """
+    o = options or SlideOptions()
+    along = street_direction(ref)
+    steps = np.arange(0, round(o.reach_m / o.step_m) + 1) * o.step_m
+    fits = [fit(ref, ref, make_transform(np.eye(3), s * along), o) for s in steps]
+    lowest = np.minimum.accumulate(fits)
+    for i in range(1, len(steps) - 1):
+        rises = fits[i] >= fits[i - 1] and fits[i] > fits[i + 1]
+        if steps[i] >= o.apart_m and rises and fits[i] > 1.2 * lowest[i]:
+            return float(steps[i])
+    return None
+
+
+def turned_round(T_ref_query: Array) -> Array:
+    """The same place, looking the other way: turned about the query's vertical."""
+    return np.asarray(T_ref_query @ make_transform(so3_exp([0.0, 0.0, np.pi]), [0.0, 0.0, 0.0]))
+
+
+def alternatives(
+    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOptions | None = None
+) -> list[Array]:
+    """A guess, its slides and those of the guess turned round."""
+    slid = slides(ref, query, T_ref_query, options)
+    return [T_ref_query, *slid, *slides(ref, query, turned_round(T_ref_query), options)]

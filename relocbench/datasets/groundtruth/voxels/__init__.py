@@ -1,0 +1,1 @@
+"""Points by the cube of space that they lie in."""

@@ -1,0 +1,67 @@
+"""One point a voxel: the measured one nearest to the mean of all that fell in it.
+
+A measured point keeps its own beam, which free space is told from, and its own noise. Coordinates are summed as whole
+micrometres, so that neither the choice nor its order depends on the order in which points come.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
+from relocbench.kernels import njit
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_UNIT_M = 1e-6
+
+
+def thin(points: Array, voxel_m: float) -> Indices:
+    """The points of (N, 3) to keep, voxel after voxel. Of equal points any one is kept: they are the same."""
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    keys = voxel_keys(points, voxel_m)
+    order = np.argsort(keys, kind="stable")
+    return _nearest_to_mean(points, keys, order)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _nearest_to_mean(points: Array, keys: Indices, order: Indices) -> Indices:
+    n = len(order)
+    kept = np.empty(n, dtype=np.int64)
+    count = 0
+    begin = 0
+    while begin < n:
+        key = keys[order[begin]]
+        end = begin
+        sx = sy = sz = 0
+        while end < n and keys[order[end]] == key:
+            p = order[end]
+            sx += int(np.rint(points[p, 0] / _UNIT_M))
+            sy += int(np.rint(points[p, 1] / _UNIT_M))
+            sz += int(np.rint(points[p, 2] / _UNIT_M))
+            end += 1
+        size = end - begin
+        best = order[begin]
+        best_distance = np.inf
+        for i in range(begin, end):
+            p = order[i]
+            dx = size * int(np.rint(points[p, 0] / _UNIT_M)) - sx
+            dy = size * int(np.rint(points[p, 1] / _UNIT_M)) - sy
+            dz = size * int(np.rint(points[p, 2] / _UNIT_M)) - sz
+            distance = float(dx) * dx + float(dy) * dy + float(dz) * dz
+            if distance < best_distance or (distance == best_distance and _before(points, p, best)):
+                best, best_distance = p, distance
+        kept[count] = best
+        count += 1
+        begin = end
+    return kept[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _before(points: Array, a: int, b: int) -> bool:
+    for axis in range(3):
+        if points[a, axis] != points[b, axis]:
+            return bool(points[a, axis] < points[b, axis])
+    return False

@@ -1,0 +1,103 @@
+"""Space cut into cubes: the number of the cube that a point lies in, and the points of each cube."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.kernels import njit
+
+Indices = NDArray[np.int64]
+
+_BITS = 21
+_HALF = 1 << (_BITS - 1)
+_MASK = (1 << _BITS) - 1
+EMPTY = -1
+"""number of no cube"""
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def pack(x: int, y: int, z: int) -> int:
+    """Number of the cube (x, y, z); they repeat after two million cubes."""
+    return (((x + _HALF) & _MASK) << (2 * _BITS)) | (((y + _HALF) & _MASK) << _BITS) | ((z + _HALF) & _MASK)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def voxel_keys(points: NDArray[np.floating], size_m: float) -> Indices:
+    """(N,) numbers of the cubes that points (N, 3) lie in; the origin is a corner."""
+    keys = np.empty(len(points), dtype=np.int64)
+    for i in range(len(points)):
+        keys[i] = pack(
+            int(np.floor(points[i, 0] / size_m)),
+            int(np.floor(points[i, 1] / size_m)),
+            int(np.floor(points[i, 2] / size_m)),
+        )
+    return keys
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def slot_of(key: int, mask: int) -> int:
+    """Where a search for a key begins in a table of ``mask + 1`` slots (Fibonacci hashing)."""
+    mixed = key * 0x9E3779B97F4A7C1
+    return (mixed ^ (mixed >> 29)) & mask
+
+
+class Grid(NamedTuple):
+    """Points sorted by cube. Within a cube they keep their order."""
+
+    size_m: float
+    order: Indices
+    """(N,) points, cube after cube"""
+    starts: Indices
+    """(C + 1,) where each cube begins in ``order``"""
+    keys: Indices
+    """(S,) open-addressed table of numbers of cubes; EMPTY where there is none"""
+    cells: NDArray[np.int32]
+    """(S,) the cube of each slot"""
+
+
+def make_grid(points: NDArray[np.floating], size_m: float) -> Grid:
+    """Sort points (N, 3) into cubes."""
+    keys = voxel_keys(points, size_m)
+    order = np.argsort(keys, kind="stable")
+    ordered = keys[order]
+    first = np.flatnonzero(np.diff(ordered, prepend=ordered[:1] - 1)) if len(ordered) else np.zeros(0, np.int64)
+    size = 8
+    while size < 3 * len(first):
+        size *= 2
+    table, cells = _fill(ordered[first], size)
+    return Grid(size_m, order, np.append(first, len(keys)).astype(np.int64), table, cells)
+
+
+def cubes_of(grid: Grid) -> Indices:
+    """(N,) the cube of each point, as ``starts`` counts them."""
+    out = np.empty(len(grid.order), dtype=np.int64)
+    out[grid.order] = np.repeat(np.arange(len(grid.starts) - 1), np.diff(grid.starts))
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill(unique: Indices, size: int) -> tuple[Indices, NDArray[np.int32]]:
+    keys = np.full(size, EMPTY, dtype=np.int64)
+    cells = np.zeros(size, dtype=np.int32)
+    for c in range(len(unique)):
+        slot = slot_of(unique[c], size - 1)
+        while keys[slot] != EMPTY:
+            slot = (slot + 1) & (size - 1)
+        keys[slot] = unique[c]
+        cells[slot] = c
+    return keys, cells
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def cell_of(key: int, keys: Indices, cells: NDArray[np.int32]) -> int:
+    """The cube of a number, or -1 if no point lies in it."""
+    mask = len(keys) - 1
+    slot = slot_of(key, mask)
+    while keys[slot] != EMPTY:
+        if keys[slot] == key:
+            return int(cells[slot])
+        slot = (slot + 1) & mask
+    return -1

@@ -1,0 +1,1 @@
+"""Recordings of 4Seasons and MLAD."""

@@ -1,0 +1,282 @@
+"""4Seasons and MLAD recordings: rectified images, sparse keyframe points, GNSS-fused poses, relocalization files.
+
+The rig's frame is the rectified left camera (cam0). Poses are ``GNSSPoses.txt`` times its scale, or MLAD's
+``poses.txt``. Recordings are brought to the SLAM world of the first one by way of the earth,
+``inv(T_e_w_first) @ T_e_w``, each from its ``Transformations.txt``; ECEF coordinates themselves never reach a file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from relocbench.datasets.core import images
+from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.schema import CameraEntry, TraversalFile
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.importers.assembly import check_conditions, condition_of, configuration, write_pairs
+from relocbench.datasets.importers.four_seasons.calibration import (
+    StereoCalibration,
+    find_calibration,
+    read_calibration,
+)
+from relocbench.datasets.importers.four_seasons.files import read_keyframe
+from relocbench.datasets.importers.four_seasons.pairs import (
+    ListedPair,
+    pairs_of_files,
+    read_relocalization_files,
+)
+from relocbench.datasets.importers.four_seasons.receiver import agreement, read_gga
+from relocbench.datasets.importers.four_seasons.recording import (
+    CAMERAS,
+    TRACK,
+    Recording,
+    common_frames,
+    read_recording,
+)
+from relocbench.datasets.pairs.correspondences import write_pair_set
+from relocbench.datasets.sensors.trajectories import traversal_names
+from relocbench.errors import DatasetError
+from relocbench.execution import Run, run_units
+from relocbench.files import fitting_name
+from relocbench.geometry import Camera, apply, invert
+from relocbench.progress import Reporter
+
+Array = NDArray[np.float64]
+_INTRINSICS_TOLERANCE_PX = 0.05
+_CAM0, _CAM1 = CAMERAS
+
+
+class Options(ImportOptions):
+    """Options of the four-seasons importer."""
+
+    calibration: Path | None = Field(
+        None, description="calibration folder; default: Calibration or calibration in the recording or beside it"
+    )
+    relocalization_files: tuple[Path, ...] = Field(
+        (), description="relocalization files, or folders of them: their pairs take the place of pairs by rule"
+    )
+    withheld_truth: Literal["leave", "from-poses"] = Field(
+        "leave",
+        description="pairs of relocalization files without poses: leave their truth out, or take it from the poses of "
+        "the two recordings",
+    )
+    point_filter: Literal["usual", "none"] = Field(
+        "usual", description="'usual': only certain points seen from far enough apart; 'none': all of them"
+    )
+
+
+def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+    """Import one or more recordings; the first is the reference.
+
+    Raises:
+        DatasetError: with file and line: a recording that is incomplete or contradicts itself, no pair.
+        ConfigError: a condition for a recording that is not imported.
+    """
+    assert isinstance(options, Options)
+    names = traversal_names(sources)
+    check_conditions(options, names)
+    writer = DatasetWriter(
+        out,
+        options.name or fitting_name("four-seasons-" + "-".join(names)),
+        configuration("four-seasons", sources, options),
+        options.licence,
+    )
+    if writer.complete:
+        return Dataset(out)
+    recordings = [read_recording(source, name) for source, name in zip(sources, names, strict=True)]
+    frames = common_frames(recordings, reporter)
+    listed = read_relocalization_files(options.relocalization_files, recordings)
+    if not options.relocalization_files:
+        _check_rule_can_pair(recordings, frames)
+    calibrations = _calibrations(recordings, options, reporter)
+    for recording in recordings:
+        _check_track(recording, reporter)
+        _Import(writer, recording, calibrations[recording.name], options, reporter, run).write(
+            frames.get(recording.name, np.eye(4)), _listed_times(listed, recording)
+        )
+    if options.relocalization_files:
+        count = options.correspondences
+        sets = pairs_of_files(listed, frames, options.withheld_truth == "from-poses", reporter)
+        for key, pairs in sets.items():
+            write_pair_set(writer, *key, _CAM0, pairs, count=count, seed=options.seed, reporter=reporter, run=run)
+    else:
+        reference, *others = recordings
+        for query in others or [reference]:
+            if reference.has_images and query.has_images and query.name in frames:
+                _write_by_rule(writer, reference, query, options, reporter, run)
+    return writer.finish()
+
+
+@dataclass(frozen=True, eq=False)
+class _Import:
+    """One recording on its way into the dataset."""
+
+    writer: DatasetWriter
+    recording: Recording
+    calibration: StereoCalibration
+    options: Options
+    reporter: Reporter
+    run: Run
+
+    def write(self, T_common_w: Array, listed: set[int]) -> None:
+        """Rig, poses, images of posed and listed frames, and keyframe points."""
+        recording = self.recording
+        poses = {t: T_common_w @ T_w_cam for t, T_w_cam in recording.T_w_cam.items()}
+        self.writer.traversal(self._traversal_file(), poses)
+        self._link_images({*poses, *recording.keyframes, *listed})
+        self._write_points()
+
+    def _traversal_file(self) -> TraversalFile:
+        stereo = self.calibration
+        cameras = {_CAM0: CameraEntry.of(stereo.cam0)}
+        if stereo.cam1 is not None and stereo.T_cam1_cam0 is not None and self.recording.images[_CAM1]:
+            cameras[_CAM1] = CameraEntry.of(stereo.cam1, invert(stereo.T_cam1_cam0))
+        return TraversalFile(
+            name=self.recording.name,
+            condition=condition_of(self.options, self.recording.name),
+            cameras=cameras,
+            source=f"4Seasons recording {self.recording.name}, rig frame rectified cam0",
+        )
+
+    def _link_images(self, times: set[int]) -> None:
+        name = self.recording.name
+        units = [(c, t, p) for c in CAMERAS for t, p in self.recording.images[c].items() if t in times]
+        if not self.recording.has_images:
+            self.reporter.note(
+                f"{name} has no undistorted_images/{_CAM0}: its poses and points are imported for inspection, but no "
+                "pair of it can be evaluated"
+            )
+            return
+        with self.reporter.stage(f"images of {name}", len(units)) as advance:
+            for camera, time, path in units:
+                self.writer.link_image(name, camera, time, path, copy=self.options.copy_images)
+                advance(1)
+
+    def _write_points(self) -> None:
+        recording = self.recording
+        layout = self.writer.layout.traversal(recording.name)
+        seen = recording.images[_CAM0]
+        chosen = {t: p for t, p in recording.keyframes.items() if t in seen or not recording.has_images}
+        if len(chosen) < len(recording.keyframes):
+            self.reporter.note(f"{len(recording.keyframes) - len(chosen)} keyframes of {recording.name} have no image")
+        if not recording.scales and chosen and recording.default_scale == 1.0:
+            self.reporter.note(f"{recording.name} gives no GNSS scale: its keyframe points are taken to be in metres")
+        units = [
+            _KeyframeUnit(
+                path,
+                layout.points(_CAM0, time),
+                self.calibration.cam0,
+                recording.scale(time),
+                self.options.point_filter == "usual",
+            )
+            for time, path in chosen.items()
+        ]
+        empty = 0
+        with self.reporter.stage(f"keyframe points of {recording.name}", len(units)) as advance:
+            for _, count in run_units(_write_keyframe, units, self.run):
+                empty += count == 0
+                advance(1)
+        if empty:
+            self.reporter.note(f"{empty} keyframes of {recording.name} have no point that passes the filter")
+
+
+@dataclass(frozen=True, eq=False)
+class _KeyframeUnit:
+    """One keyframe file, as a worker needs it."""
+
+    source: Path
+    target: Path
+    camera: Camera
+    scale: float
+    filtered: bool
+
+
+def _write_keyframe(unit: _KeyframeUnit) -> int:
+    """Points of one keyframe; how many there are. Without any, no file is written."""
+    keyframe = read_keyframe(unit.source)
+    own, rectified = keyframe.camera, unit.camera
+    # A keyframe prints its own intrinsics, which differ from file to file in the sixth digit.
+    apart = np.abs(own.matrix - rectified.matrix).max()
+    if own.size != rectified.size or apart > _INTRINSICS_TOLERANCE_PX:
+        raise DatasetError(
+            f"was made with other intrinsics ({apart:.3g} px apart, {own.width}x{own.height}) than the calibration's "
+            f"rectified cam0 ({rectified.width}x{rectified.height})",
+            unit.source,
+        )
+    points = keyframe.points(unit.scale, keyframe.reliable if unit.filtered else None)
+    if len(points):
+        images.write_points(unit.target, points)
+    return len(points)
+
+
+def _calibrations(
+    recordings: Sequence[Recording], options: Options, reporter: Reporter
+) -> Mapping[str, StereoCalibration]:
+    """Traversal name -> its rectified cameras; a recording without its own has the first one's."""
+    found: dict[str, StereoCalibration] = {}
+    for recording in recordings:
+        folder = options.calibration or find_calibration(recording.root)
+        if folder is not None:
+            found[recording.name] = read_calibration(folder)
+        elif found:
+            found[recording.name] = found[recordings[0].name]
+            reporter.note(f"{recording.name} has no calibration folder; the one of {recordings[0].name} is taken")
+        elif recording.keyframes:
+            found[recording.name] = StereoCalibration(read_keyframe(next(iter(recording.keyframes.values()))).camera)
+            reporter.note(f"{recording.name} has no calibration folder; the intrinsics of its first keyframe are taken")
+        else:
+            raise DatasetError("no calibration folder and no keyframe; give --calibration", recording.root)
+    return found
+
+
+def _check_track(recording: Recording, reporter: Reporter) -> None:
+    """Poses against the receiver's track, where the recording has one: a wrong scale or frame shows here."""
+    if recording.T_e_w is None or not (recording.root / TRACK).exists():
+        return
+    positions = {t: apply(recording.T_e_w, T_w_cam[None, :3, 3])[0] for t, T_w_cam in recording.T_w_cam.items()}
+    found = agreement(positions, read_gga(recording.root / TRACK))
+    if found is not None:
+        reporter.note(
+            f"{recording.name} against its GNSS track: path length ratio {found.path_ratio:.4f}, median distance "
+            f"{found.horizontal_m:.1f} m across and {abs(found.vertical_m):.1f} m in height"
+        )
+
+
+def _listed_times(listed: Sequence[ListedPair], recording: Recording) -> set[int]:
+    references = {p.line.ref_timestamp_ns for p in listed if p.reference is recording}
+    return references | {p.line.query_timestamp_ns for p in listed if p.query is recording}
+
+
+def _check_rule_can_pair(recordings: Sequence[Recording], frames: Mapping[str, Array]) -> None:
+    """Before hours of work: recordings with images, of which no two can be related, give no pair."""
+    reference, *queries = recordings
+    if queries and all(r.has_images for r in recordings) and not any(q.name in frames for q in queries):
+        raise DatasetError(
+            f"no pair: its frame and the queries' cannot be related without Transformations.txt and GNSSPoses.txt of "
+            f"both; give --relocalization-files, or import {reference.name} alone",
+            reference.root,
+        )
+
+
+def _write_by_rule(
+    writer: DatasetWriter, reference: Recording, query: Recording, options: Options, reporter: Reporter, run: Run
+) -> None:
+    write_pairs(
+        writer,
+        reference.name,
+        query.name,
+        _CAM0,
+        options,
+        source=query.pose_source,
+        where=query.root,
+        reporter=reporter,
+        run=run,
+    )

@@ -1,0 +1,289 @@
+"""The files of a 4Seasons or MLAD recording, each read into what it says and nothing more.
+
+Frames: ``cam`` is the rectified left camera (cam0), ``w`` the world of the recording's own SLAM, ``gpsw`` a world
+aligned with gravity and north, ``e`` the earth (ECEF).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.pairfile import parse_pose
+from relocbench.datasets.sensors.trajectories import parse_time
+from relocbench.errors import DatasetError
+from relocbench.files import lines_of, parse_floats, parse_timestamp, read_rows, read_text
+from relocbench.geometry import Camera, invert
+from relocbench.tracking import KeyframePoints
+
+Array = NDArray[np.float64]
+
+PATCH_OFFSETS = ((0, -2), (-1, -1), (1, -1), (-2, 0), (0, 0), (2, 0), (-1, 1), (0, 2))
+"""(du, dv) of the eight grey values kept with a point (Engel et al. 2018, pattern 8)"""
+_POINT_FIELDS = "u v idepth idepth_hessian maxRelBaseline numGoodRes status"
+_PATCH_FIELDS = " ".join(f"grey{i}" for i in range(len(PATCH_OFFSETS)))
+
+MAX_IDEPTH_VARIANCE = 0.001
+MAX_DEPTH_VARIANCE = 0.001
+MIN_RELATIVE_BASELINE = 0.1
+_HESSIAN_FLOOR = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class GpsFix:
+    """The receiver's fix that some keyframes carry."""
+
+    covariance: Array
+    """(3, 3) m^2"""
+    point: Array
+    """(3,) metres, in gpsw"""
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframeFile:
+    """``KeyFrameData/KeyFrame_TIMESTAMP.txt``: one keyframe of the direct odometry and the points it hosts.
+
+    Lengths are in the units of ``w``: the GNSS scale makes metres of them.
+    """
+
+    timestamp_ns: int
+    camera: Camera
+    T_w_cam: Array
+    """(4, 4), as the odometry had it; not the fused pose of GNSSPoses.txt"""
+    exposure_ms: float
+    gps: GpsFix | None
+    uv: Array
+    """(N, 2) pixels"""
+    inverse_depth: Array
+    """(N,)"""
+    hessian: Array
+    """(N,) of the inverse depth: its variance is 1 / hessian"""
+    relative_baseline: Array
+    """(N,) greatest baseline over depth among the frames that saw the point"""
+    patch: Array
+    """(N, 8) grey values at :data:`PATCH_OFFSETS`"""
+
+    def __len__(self) -> int:
+        return len(self.uv)
+
+    @property
+    def reliable(self) -> NDArray[np.bool_]:
+        """(N,) The usual choice of points for localization: positive, certain, seen from far enough apart."""
+        variance = 1.0 / (self.hessian + _HESSIAN_FLOOR)
+        with np.errstate(divide="ignore"):
+            depth_variance = variance / self.inverse_depth**4
+        return (
+            (self.inverse_depth > 0)
+            & (depth_variance <= MAX_DEPTH_VARIANCE)
+            & (variance <= MAX_IDEPTH_VARIANCE)
+            & (self.relative_baseline >= MIN_RELATIVE_BASELINE)
+        )
+
+    def points(self, scale: float = 1.0, keep: NDArray[np.bool_] | None = None) -> KeyframePoints:
+        """Points in metres: a depth d of ``w`` is ``scale * d``, so that inverse depth and sigma shrink by it.
+
+        Args:
+            scale: metres for one unit of ``w``.
+            keep: (N,) which points; those without a positive inverse depth are left out in any case.
+        """
+        chosen = self.inverse_depth > 0
+        if keep is not None:
+            chosen = chosen & keep
+        sigma = 1.0 / np.sqrt(self.hessian[chosen] + _HESSIAN_FLOOR)
+        return KeyframePoints(self.uv[chosen], self.inverse_depth[chosen] / scale, sigma / scale)
+
+
+@dataclass(frozen=True, eq=False)
+class GnssPose:
+    """One line of ``GNSSPoses.txt``."""
+
+    T_w_cam: Array
+    """(4, 4), translation in the units of ``w``"""
+    scale: float
+    """metres for one unit of ``w``"""
+    fusion_quality: float | None
+
+    @property
+    def metric(self) -> Array:
+        """(4, 4) ``T_w_cam`` in metres."""
+        pose = self.T_w_cam.copy()
+        pose[:3, 3] *= self.scale
+        return pose
+
+
+@dataclass(frozen=True, eq=False)
+class Transformations:
+    """``Transformations.txt``, in its fixed order."""
+
+    S_AS: Array
+    TS_cam_imu: Array
+    w_gpsw: Array
+    gps_imu: Array
+    e_gpsw: Array
+    scale: float
+
+    @cached_property
+    def T_e_w(self) -> Array:
+        """(4, 4) earth from the SLAM world in metres: ``p_e = e_gpsw inv(w_gpsw) (scale p_w)``."""
+        return self.e_gpsw @ invert(self.w_gpsw)
+
+
+_TRANSFORMATIONS = ("S_AS", "TS_cam_imu", "w_gpsw", "gps_imu", "e_gpsw", "scale")
+
+
+def read_keyframe(path: Path) -> KeyframeFile:
+    """Parse a keyframe file.
+
+    Raises:
+        DatasetError: with file and line: a part is missing, a number is none, fewer or more points than announced,
+            another timestamp than the file's name.
+    """
+    rows = list(read_rows(path, "a keyframe (timestamp, camera, pose, exposure, points)", DatasetError))
+    if len(rows) < 4:
+        raise DatasetError("expected timestamp, camera, pose and exposure before the points", path)
+    (time_line, time), (camera_line, intrinsics), (pose_line, pose), (exposure_line, exposure) = rows[:4]
+    timestamp = parse_timestamp(" ".join(time), path, time_line, DatasetError)
+    if path.stem.startswith("KeyFrame_") and path.stem != f"KeyFrame_{timestamp}":
+        raise DatasetError(f"timestamp {timestamp} is not the one of the file's name", path, time_line)
+    fx, fy, cx, cy, width, height, count = parse_floats(
+        intrinsics, path, camera_line, "fx fy cx cy width height npoints", DatasetError
+    )
+    try:
+        camera = Camera("pinhole", int(width), int(height), fx, fy, cx, cy)
+    except ValueError as bad:
+        raise DatasetError(str(bad), path, camera_line) from None
+    body = rows[4:]
+    gps = None
+    if body and len(body[0][1]) == 9:
+        gps, body = _parse_gps(body, path), body[2:]
+    if len(body) != 2 * int(count):
+        raise DatasetError(
+            f"holds {len(body) / 2:g} points (two lines each), its header announces {int(count)}", path, camera_line
+        )
+    table = [parse_floats(f, path, n, _POINT_FIELDS, DatasetError) for n, f in body[0::2]]
+    patches = [parse_floats(f, path, n, _PATCH_FIELDS, DatasetError) for n, f in body[1::2]]
+    values = np.array(table, dtype=np.float64).reshape(-1, 7)
+    negative = np.nonzero(values[:, 3] < 0)[0]
+    if negative.size:
+        raise DatasetError("idepth_hessian is negative", path, body[2 * int(negative[0])][0])
+    return KeyframeFile(
+        timestamp_ns=timestamp,
+        camera=camera,
+        T_w_cam=parse_pose(pose, path, pose_line),
+        exposure_ms=parse_floats(exposure, path, exposure_line, "exposure_ms", DatasetError)[0],
+        gps=gps,
+        uv=values[:, :2].copy(),
+        inverse_depth=values[:, 2].copy(),
+        hessian=values[:, 3].copy(),
+        relative_baseline=values[:, 4].copy(),
+        patch=np.array(patches, dtype=np.float64).reshape(-1, 8),
+    )
+
+
+def _parse_gps(rows: list[tuple[int, list[str]]], path: Path) -> GpsFix:
+    line, fields = rows[0]
+    covariance = parse_floats(fields, path, line, " ".join(f"cov{i}" for i in range(9)), DatasetError)
+    if len(rows) < 2:
+        raise DatasetError("expected the GPS point after its covariance", path, line)
+    line, fields = rows[1]
+    point = parse_floats(fields, path, line, "x y z", DatasetError)
+    return GpsFix(np.array(covariance).reshape(3, 3), np.array(point))
+
+
+def keyframe_files(recording: Path) -> dict[int, Path]:
+    """Timestamp of each keyframe file of a recording, in time order. Raises DatasetError on a name of another form."""
+    found = {}
+    for path in (recording / "KeyFrameData").glob("KeyFrame_*.txt"):
+        found[parse_timestamp(path.stem.removeprefix("KeyFrame_"), path, None, DatasetError)] = path
+    return dict(sorted(found.items()))
+
+
+def read_gnss_poses(path: Path) -> dict[int, GnssPose]:
+    """``GNSSPoses.txt``: timestamp_ns -> the fused pose of a keyframe.
+
+    Columns: timestamp_ns tx ty tz qx qy qz qw scale [fusion_quality ...].
+
+    Raises:
+        DatasetError: with file and line.
+    """
+    poses: dict[int, GnssPose] = {}
+    for line, fields in read_rows(path, "GNSS poses (timestamp_ns tx ty tz qx qy qz qw scale ...)", DatasetError):
+        if len(fields) < 9:
+            raise DatasetError(
+                f"expected 9 columns or more (... qw scale fusion_quality), found {len(fields)}", path, line
+            )
+        time = parse_timestamp(fields[0], path, line, DatasetError)
+        if time in poses:
+            raise DatasetError(f"timestamp {time} occurs again", path, line)
+        scale = _parse_scale(fields[8], path, line)
+        quality = parse_floats(fields[9:10], path, line, "fusion_quality", DatasetError)[0] if fields[9:] else None
+        poses[time] = GnssPose(parse_pose(fields[1:8], path, line), scale, quality)
+    return dict(sorted(poses.items()))
+
+
+def read_poses(path: Path) -> dict[int, Array]:
+    """MLAD's ``poses.txt``, ``timestamp tx ty tz qx qy qz qw``: timestamp_ns -> (4, 4) world from cam, metres."""
+    poses: dict[int, Array] = {}
+    for line, fields in read_rows(path, "poses (timestamp tx ty tz qx qy qz qw)", DatasetError):
+        if len(fields) != 8:
+            raise DatasetError(f"expected 8 columns (timestamp tx ty tz qx qy qz qw), found {len(fields)}", path, line)
+        time = _parse_time(fields[0], path, line)
+        if time in poses:
+            raise DatasetError(f"timestamp {fields[0]} occurs again", path, line)
+        poses[time] = parse_pose(fields[1:], path, line)
+    return dict(sorted(poses.items()))
+
+
+def read_times(path: Path) -> dict[int, float]:
+    """``times.txt``, ``timestamp_ns seconds exposure_ms``: timestamp_ns -> exposure in milliseconds.
+
+    Raises:
+        DatasetError: with file and line, also when the two times of a line differ by a microsecond or more.
+    """
+    times = {}
+    for line, fields in read_rows(path, "frame times (timestamp_ns seconds exposure_ms)", DatasetError):
+        time = parse_timestamp(fields[0], path, line, DatasetError)
+        _, exposure = parse_floats(fields[1:], path, line, "seconds exposure_ms", DatasetError)
+        if abs(_parse_time(fields[1], path, line) - time) >= 1000:
+            raise DatasetError(f"{fields[0]} ns and {fields[1]} s are not the same time", path, line)
+        times[time] = exposure
+    return times
+
+
+def read_transformations(path: Path) -> Transformations:
+    """``Transformations.txt``: five transforms ``tx,ty,tz,qx,qy,qz,qw`` and the GNSS scale, named by the line before.
+
+    Raises:
+        DatasetError: with file and line: a part is missing, or stands out of the fixed order.
+    """
+    lines = lines_of(read_text(path, "the transformations of a recording", DatasetError))
+    rows = list(read_rows(path, "the transformations of a recording", DatasetError))
+    if len(rows) != len(_TRANSFORMATIONS):
+        raise DatasetError(f"holds {len(rows)} parts, expected {', '.join(_TRANSFORMATIONS)} in this order", path)
+    for name, (line, _) in zip(_TRANSFORMATIONS, rows, strict=True):
+        titles = [text for text in lines[: line - 1] if text.strip().startswith("#")]
+        if titles and name not in titles[-1]:
+            raise DatasetError(f"expected {name} here, its title is '{titles[-1].strip('# ')}'", path, line)
+    S_AS, TS_cam_imu, w_gpsw, gps_imu, e_gpsw = (parse_pose(fields, path, line) for line, fields in rows[:5])
+    line, fields = rows[5]
+    if len(fields) != 1:
+        raise DatasetError(f"expected the scale alone, found {len(fields)} numbers", path, line)
+    return Transformations(S_AS, TS_cam_imu, w_gpsw, gps_imu, e_gpsw, _parse_scale(fields[0], path, line))
+
+
+def _parse_time(text: str, path: Path, line: int) -> int:
+    try:
+        return parse_time(text)
+    except ValueError as bad:
+        raise DatasetError(str(bad), path, line) from None
+
+
+def _parse_scale(text: str, path: Path, line: int) -> float:
+    scale = parse_floats([text], path, line, "scale", DatasetError)[0]
+    if scale <= 0:
+        raise DatasetError(f"scale is {text}, expected a positive number", path, line)
+    return scale

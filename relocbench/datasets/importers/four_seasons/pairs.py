@@ -1,0 +1,162 @@
+"""Relocalization files: which recordings their lines speak of, and with what truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.pairfile import Pair, PairKey, PoseLine, read_pose_lines
+from relocbench.datasets.importers.four_seasons.recording import CAMERAS, Recording
+from relocbench.datasets.pairs.pairing import relative_pose
+from relocbench.errors import DatasetError
+from relocbench.geometry import invert, rotation_angle
+from relocbench.progress import Reporter
+
+Array = NDArray[np.float64]
+SetKey = tuple[str, str]
+"""(reference traversal, query traversal)"""
+DIFFICULTIES = ("easy", "moderate", "hard")
+
+
+@dataclass(frozen=True, eq=False)
+class ListedPair:
+    """One line of a relocalization file."""
+
+    reference: Recording
+    query: Recording
+    line: PoseLine
+    file: Path
+
+    @property
+    def group(self) -> str:
+        """``easy``, ``moderate`` or ``hard`` where the file's name ends so."""
+        ending = self.file.stem.rpartition("_")[2]
+        return ending if ending in DIFFICULTIES else ""
+
+
+def read_relocalization_files(paths: Sequence[Path], recordings: Sequence[Recording]) -> list[ListedPair]:
+    """All lines of files, or of the ``*.txt`` of folders, each with the recordings that its timestamps are of.
+
+    Raises:
+        DatasetError: with file and line: a timestamp that no recording has, a pair that occurs twice.
+    """
+    listed: list[ListedPair] = []
+    first: dict[PairKey, ListedPair] = {}
+    for file in _expand(paths):
+        for line in read_pose_lines(file):
+            reference = _owner(line.ref_timestamp_ns, "reference", recordings, file, line.line)
+            query = _owner(line.query_timestamp_ns, "query", recordings, file, line.line)
+            pair = ListedPair(reference, query, line, file)
+            if line.key in first:
+                before = first[line.key]
+                where = f"{before.file.name}:{before.line.line}"
+                raise DatasetError(f"pair {line.key[0]} {line.key[1]} stands in {where} already", file, line.line)
+            first[line.key] = pair
+            listed.append(pair)
+    return listed
+
+
+def pairs_of_files(
+    listed: Sequence[ListedPair], frames: Mapping[str, Array], from_poses: bool, reporter: Reporter
+) -> dict[SetKey, list[Pair]]:
+    """Pair sets of relocalization files.
+
+    Args:
+        frames: traversal name -> (4, 4) common frame from its own; see ``common_frames``.
+        from_poses: where a line has no pose, take the truth from the two recordings' poses, if they are related.
+
+    Raises:
+        DatasetError: with file and line: a frame whose image is missing though its recording has images.
+    """
+    sets: dict[SetKey, list[Pair]] = {}
+    for pair in listed:
+        if pair.reference.has_images and pair.query.has_images:
+            _check_images(pair)
+            key = pair.reference.name, pair.query.name
+            sets.setdefault(key, []).append(_with_truth(pair, frames, from_poses))
+    left_out = sum(not (p.reference.has_images and p.query.has_images) for p in listed)
+    if left_out:
+        reporter.note(f"{left_out} listed pairs are left out: their recordings have no undistorted_images/{CAMERAS[0]}")
+    bare = {p.line.ref_timestamp_ns for p in listed if p.line.ref_timestamp_ns not in p.reference.keyframes}
+    if bare:
+        reporter.note(f"{len(bare)} listed references have no keyframe file: a method that needs points fails there")
+    _compare_with_poses(listed, frames, reporter)
+    for key, pairs in sets.items():
+        withheld = sum(p.T_query_ref is None for p in pairs)
+        if withheld:
+            reporter.note(f"{withheld} of {len(pairs)} pairs of {' and '.join(key)} have no truth: it is withheld")
+    return sets
+
+
+def _with_truth(pair: ListedPair, frames: Mapping[str, Array], from_poses: bool) -> Pair:
+    T_query_ref, source = pair.line.T_query_ref, pair.file.name
+    if T_query_ref is None and from_poses:
+        T_query_ref = pose_between(pair, frames)
+        source += f", pose from {pair.reference.pose_source}" if T_query_ref is not None else ""
+    return Pair(*pair.line.key, T_query_ref, group=pair.group, source=source)
+
+
+def pose_between(pair: ListedPair, frames: Mapping[str, Array]) -> Array | None:
+    """(4, 4) ``T_query_ref`` by the recordings' own poses; None where they do not say."""
+    reference, query = pair.reference, pair.query
+    T_wr_ref = reference.T_w_cam.get(pair.line.ref_timestamp_ns)
+    T_wq_query = query.T_w_cam.get(pair.line.query_timestamp_ns)
+    if T_wr_ref is None or T_wq_query is None:
+        return None
+    if reference is query:
+        return relative_pose(T_wq_query, T_wr_ref)
+    if reference.name not in frames or query.name not in frames:
+        return None
+    return relative_pose(frames[query.name] @ T_wq_query, frames[reference.name] @ T_wr_ref)
+
+
+def _compare_with_poses(listed: Sequence[ListedPair], frames: Mapping[str, Array], reporter: Reporter) -> None:
+    """Given truth against the recordings' poses, where both are known: a swapped or misread file shows here."""
+    differences = []
+    for pair in listed:
+        given, own = pair.line.T_query_ref, pose_between(pair, frames)
+        if given is not None and own is not None:
+            differences.append(invert(given) @ own)
+    if differences:
+        stack = np.array(differences)
+        metres = np.median(np.linalg.norm(stack[:, :3, 3], axis=1))
+        degrees = np.degrees(np.median(np.asarray(rotation_angle(stack[:, :3, :3]))))
+        reporter.note(
+            f"{len(stack)} listed poses differ from the recordings' own by {metres:.3g} m and {degrees:.3g} deg "
+            "(median)"
+        )
+
+
+def _check_images(pair: ListedPair) -> None:
+    for recording, time in (
+        (pair.reference, pair.line.ref_timestamp_ns),
+        (pair.query, pair.line.query_timestamp_ns),
+    ):
+        if time not in recording.images[CAMERAS[0]]:
+            folder = f"undistorted_images/{CAMERAS[0]}"
+            raise DatasetError(f"{recording.name}/{folder} has no image {time}", pair.file, pair.line.line)
+
+
+def _owner(time: int, what: str, recordings: Sequence[Recording], file: Path, line: int) -> Recording:
+    for recording in recordings:
+        if time in recording.times:
+            return recording
+    names = ", ".join(r.name for r in recordings)
+    raise DatasetError(f"{what} {time} is a frame of none of the recordings ({names})", file, line)
+
+
+def _expand(paths: Sequence[Path]) -> list[Path]:
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(path.glob("*.txt"))
+            if not inside:
+                raise DatasetError("holds no relocalization file (*.txt)", path)
+            files.extend(inside)
+        else:
+            files.append(path)
+    return files

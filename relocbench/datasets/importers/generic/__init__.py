@@ -1,0 +1,1 @@
+"""Recordings in this project's own minimal layout."""

@@ -1,0 +1,323 @@
+"""The generic folder: images, a camera, poses, and depth or points where there are any.
+
+What lies in it is described in ``docs/file-formats.md``. One folder is one traversal; the first one is the reference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from relocbench.datasets.core import images
+from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.schema import CameraEntry, Condition, Strict, Transform, TraversalFile
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.importers.assembly import check_conditions, configuration, write_pairs
+from relocbench.datasets.sensors.trajectories import read_trajectory, timed_files, traversal_names
+from relocbench.errors import DatasetError
+from relocbench.execution import Run, run_units
+from relocbench.files import check_distinct, check_name, fitting_name, load_yaml, load_yaml_values
+from relocbench.geometry import Camera, interpolate_trajectory
+from relocbench.progress import Reporter
+from relocbench.tracking import KeyframePoints
+
+Array = NDArray[np.float64]
+CAMERA_FILE, POSE_FILE = "camera.yaml", "poses.txt"
+_ONLY_CAMERA = "cam0"
+
+
+class Options(ImportOptions):
+    """Options of the generic importer."""
+
+    max_pose_gap: float = Field(
+        1.0,
+        gt=0,
+        description="longest time in seconds between two poses to interpolate over; images in longer gaps have no pose",
+    )
+
+
+class GenericCamera(CameraEntry):
+    """One camera of ``camera.yaml``."""
+
+    T_rig_cam: Transform = Transform(translation_m=(0.0, 0.0, 0.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
+    depth_scale: float | None = Field(None, gt=0, allow_inf_nan=False)
+    """metres for one unit of the depth images"""
+
+
+class SingleCameraFile(GenericCamera):
+    """``camera.yaml`` of a folder with one camera."""
+
+    condition: Condition = Condition()
+    location: str = ""
+    rate_hz: float | None = None
+
+
+class RigFile(Strict):
+    """``camera.yaml`` of a folder with several cameras."""
+
+    cameras: dict[str, GenericCamera] = Field(min_length=1)
+    condition: Condition = Condition()
+    location: str = ""
+    rate_hz: float | None = None
+
+    @model_validator(mode="after")
+    def _plain_names(self) -> Self:
+        for name in self.cameras:
+            check_name(name, "camera name")
+        check_distinct(self.cameras, "camera names")
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFolder:
+    """The files of one camera of a generic folder, by time."""
+
+    camera: GenericCamera
+    images: dict[int, Path]
+    depth: dict[int, Path]
+    points: dict[int, Path]
+
+
+@dataclass(frozen=True, eq=False)
+class GenericFolder:
+    """A generic folder, looked through."""
+
+    name: str
+    root: Path
+    condition: Condition
+    location: str
+    rate_hz: float | None
+    cameras: dict[str, CameraFolder]
+    T_world_rig: dict[int, Array] = field(repr=False)
+    """timestamp_ns -> (4, 4), as poses.txt has them"""
+
+    @property
+    def image_times(self) -> list[int]:
+        return sorted({t for camera in self.cameras.values() for t in camera.images})
+
+
+def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+    """Import one or more generic folders; the first is the reference.
+
+    Raises:
+        DatasetError: with file and line: a part of a folder is missing or contradicts another, no pair.
+        ConfigError: a condition for a folder that is not imported.
+    """
+    assert isinstance(options, Options)
+    names = traversal_names(sources)
+    check_conditions(options, names)
+    writer = DatasetWriter(
+        out,
+        options.name or fitting_name("generic-" + "-".join(names)),
+        configuration("generic", sources, options),
+        options.licence,
+    )
+    if writer.complete:
+        return Dataset(out)
+    folders = [read_folder(source, name) for source, name in zip(sources, names, strict=True)]
+    reference, *others = folders
+    for folder in folders:
+        _write_traversal(writer, folder, options, reporter, run)
+    for query in others or [reference]:
+        cameras = [c for c in reference.cameras if c in query.cameras]
+        if not cameras:
+            raise DatasetError(f"has no camera of {reference.name} ({', '.join(reference.cameras)})", query.root)
+        for camera in cameras:
+            write_pairs(
+                writer,
+                reference.name,
+                query.name,
+                camera,
+                options,
+                source=POSE_FILE,
+                where=query.root,
+                reporter=reporter,
+                run=run,
+            )
+    return writer.finish()
+
+
+def read_folder(root: Path, name: str, need_poses: bool = True) -> GenericFolder:
+    """Look through a generic folder; images are not opened.
+
+    Args:
+        need_poses: read ``poses.txt``, which a recording with lidar can do without.
+
+    Raises:
+        DatasetError: with file and line.
+    """
+    file = root / CAMERA_FILE
+    single = "cameras" not in load_yaml_values(file, "the camera or cameras of the folder", DatasetError)[0]
+    model: type[SingleCameraFile] | type[RigFile] = SingleCameraFile if single else RigFile
+    header = load_yaml(file, model, "a camera description", DatasetError)
+    cameras = header.cameras if isinstance(header, RigFile) else {_ONLY_CAMERA: header}
+    return GenericFolder(
+        name=name,
+        root=root,
+        condition=header.condition,
+        location=header.location,
+        rate_hz=header.rate_hz,
+        cameras={c: _read_camera_folder(root, "" if single else c, entry) for c, entry in cameras.items()},
+        T_world_rig=read_trajectory(root / POSE_FILE) if need_poses else {},
+    )
+
+
+def _read_camera_folder(root: Path, subfolder: str, entry: GenericCamera) -> CameraFolder:
+    folder = CameraFolder(
+        entry,
+        timed_files(root / "images" / subfolder),
+        timed_files(root / "depth" / subfolder, (".png",)),
+        timed_files(root / "points" / subfolder, (".csv",)),
+    )
+    if not folder.images:
+        raise DatasetError("holds no image; expected TIMESTAMP.png or .jpg", root / "images" / subfolder)
+    if folder.depth and entry.depth_scale is None:
+        raise DatasetError("key 'depth_scale' is missing; expected metres for one unit of depth", root / CAMERA_FILE)
+    for kind, files in (("depth", folder.depth), ("points", folder.points)):
+        for time, path in files.items():
+            if time not in folder.images:
+                raise DatasetError(f"{kind} of a time that has no image", path)
+    return folder
+
+
+def poses_at_images(folder: GenericFolder, max_gap_s: float) -> dict[int, Array]:
+    """timestamp_ns of each image -> (4, 4) ``T_world_rig``, interpolated; none outside the trajectory or in its gaps.
+
+    Args:
+        max_gap_s: longest time between two poses that is interpolated over. An image at a pose's own time has it.
+    """
+    if not folder.T_world_rig:
+        return {}
+    times = np.array(list(folder.T_world_rig), dtype=np.int64)
+    wanted = np.array(folder.image_times, dtype=np.int64)
+    after = np.searchsorted(times, wanted)
+    exact = times[np.minimum(after, len(times) - 1)] == wanted
+    between = (after > 0) & (after < len(times))
+    gap = np.where(between, times[np.minimum(after, len(times) - 1)] - times[np.maximum(after - 1, 0)], 0)
+    posed = wanted[exact | (between & (gap <= max_gap_s * 1e9))]
+    if not posed.size:
+        return {}
+    if len(times) == 1:
+        return {int(t): folder.T_world_rig[int(t)] for t in posed}
+    poses = interpolate_trajectory(times, np.array(list(folder.T_world_rig.values())), posed)
+    return {int(t): pose for t, pose in zip(posed, poses, strict=True)}
+
+
+def _write_traversal(
+    writer: DatasetWriter, folder: GenericFolder, options: Options, reporter: Reporter, run: Run
+) -> None:
+    """Rig, poses, and the images, depth and points of the posed frames."""
+    poses = poses_at_images(folder, options.max_pose_gap)
+    if not poses:
+        raise DatasetError(_why_no_pose(folder), folder.root / POSE_FILE)
+    without = len(folder.image_times) - len(poses)
+    if without:
+        reporter.note(f"{without} image times of {folder.name} have no pose (before, after or in a gap of {POSE_FILE})")
+    writer.traversal(
+        TraversalFile(
+            name=folder.name,
+            condition=options.conditions.get(folder.name, folder.condition),
+            location=folder.location,
+            rate_hz=folder.rate_hz,
+            cameras={name: _undistorted_entry(c.camera) for name, c in folder.cameras.items()},
+            source=f"generic folder {folder.name}",
+        ),
+        poses,
+    )
+    units = [
+        _FrameUnit(writer, folder.name, name, time, c.camera, path, c.depth.get(time), c.points.get(time), options)
+        for name, c in folder.cameras.items()
+        for time, path in c.images.items()
+        if time in poses
+    ]
+    with reporter.stage(f"frames of {folder.name}", len(units)) as advance:
+        for _ in run_units(_write_frame, units, run):
+            advance(1)
+
+
+@dataclass(frozen=True, eq=False)
+class _FrameUnit:
+    """One image with its depth and points, as a worker needs it."""
+
+    writer: DatasetWriter
+    traversal: str
+    camera_name: str
+    timestamp_ns: int
+    camera: GenericCamera
+    image: Path
+    depth: Path | None
+    points: Path | None
+    options: Options
+
+
+def _write_frame(unit: _FrameUnit) -> None:
+    """Link what a pinhole camera saw; undistort what another did."""
+    where = unit.traversal, unit.camera_name, unit.timestamp_ns
+    camera, writer = unit.camera.camera, unit.writer
+    distorted = camera.model != "pinhole"
+    if not distorted:
+        images.read_image(unit.image, partial(check_size, camera, unit.image))
+        writer.link_image(*where, unit.image, copy=unit.options.copy_images)
+    elif writer.needs_image(*where):
+        image = images.read_image(unit.image, partial(check_size, camera, unit.image))
+        writer.image(*where, undistort(image, camera))
+    if unit.depth is not None and writer.needs_depth(*where):
+        assert unit.camera.depth_scale is not None
+        depth = images.read_raw_depth(unit.depth, unit.camera.depth_scale, partial(check_size, camera, unit.depth))
+        writer.depth(*where, undistort(depth, camera, nearest=True) if distorted else depth)
+    if unit.points is not None:
+        points = images.read_points(unit.points)
+        outside = np.nonzero(~camera.contains(points.uv, border=-0.5))[0]
+        if outside.size:
+            raise DatasetError("the point is not on the image", unit.points, int(outside[0]) + 2)
+        writer.points(*where, undistort_points(points, camera) if distorted else points)
+
+
+def undistort(image: NDArray[Any], camera: Camera, nearest: bool = False) -> NDArray[Any]:
+    """The image (H, W) or (H, W, 3) that ``camera.pinhole()`` would have taken; 0 where the camera did not look.
+
+    Args:
+        nearest: take the nearest pixel (depth must not be mixed across an edge) instead of interpolating.
+    """
+    u, v = _undistortion_map(camera)
+    return np.asarray(cv2.remap(image, u, v, cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR))
+
+
+def undistort_points(points: KeyframePoints, camera: Camera) -> KeyframePoints:
+    """Points of a distorted image on the one of ``camera.pinhole()``; those whose ray is not known are left out."""
+    pixels, valid = camera.undistort(points.uv, camera.pinhole())
+    return KeyframePoints(pixels[valid], points.inverse_depth[valid], points.sigma[valid])
+
+
+@lru_cache(maxsize=8)
+def _undistortion_map(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    return camera.undistortion_map()
+
+
+def _undistorted_entry(camera: GenericCamera) -> CameraEntry:
+    return CameraEntry.of(camera.camera.pinhole(), camera.T_rig_cam.matrix, camera.depth_sigma)
+
+
+def check_size(camera: Camera, path: Path, size: tuple[int, int]) -> None:
+    """Raises DatasetError where an image of that size, (width, height), is not the camera's."""
+    if size != camera.size:
+        told = f"is {size[0]}x{size[1]}, {CAMERA_FILE} says {camera.width}x{camera.height}"
+        raise DatasetError(told, path)
+
+
+def _why_no_pose(folder: GenericFolder) -> str:
+    if not folder.T_world_rig:
+        return "holds no pose; expected lines t tx ty tz qx qy qz qw"
+    poses, frames = list(folder.T_world_rig), folder.image_times
+    return (
+        f"no image has a pose: poses span {poses[0]} to {poses[-1]} ns, images {frames[0]} to {frames[-1]} ns "
+        "(an integer is nanoseconds, a number with a decimal point seconds)"
+    )

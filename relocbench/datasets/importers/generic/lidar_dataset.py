@@ -1,0 +1,61 @@
+"""Kind ``generic-lidar``: folders of the generic layout with ``lidar.yaml``, with ground truth across them from it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field
+
+from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.importers.assembly import check_conditions, configuration
+from relocbench.datasets.sensors.trajectories import traversal_names
+from relocbench.errors import ConfigError
+from relocbench.execution import Run
+from relocbench.progress import Reporter
+
+if TYPE_CHECKING:
+    from relocbench.datasets.core.dataset import Dataset
+
+
+class Options(FieldOptions):
+    """Options of ``relocbench build-dataset generic-lidar``."""
+
+    odometry: Literal["auto", "poses", "lidar"] = Field(
+        "auto", description="motion between scans: poses.txt, or by registering the scans of a spinning lidar"
+    )
+    max_gap: float = Field(1.0, gt=0, description="longest time between two poses that is interpolated over, seconds")
+
+
+def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+    """A dataset of a reference drive (the first source) and the drives that ask about it.
+
+    Raises:
+        DatasetError: with file and line, what is missing or wrong in a recording; or that no pair can be accepted.
+        ConfigError: options that do not fit the recordings.
+    """
+    from relocbench.datasets.groundtruth.jobs.build import build_ground_truth
+    from relocbench.datasets.groundtruth.odometry.files import kept_in
+    from relocbench.datasets.importers.generic.recording import read_generic
+
+    assert isinstance(options, Options)
+    names = traversal_names(sources)
+    if len(names) < 2:
+        raise ConfigError(f"ground truth across drives needs a reference and at least one other, got {len(names)}")
+    check_conditions(options, names)
+    name = options.name or "generic_lidar_" + names[0]
+    writer = DatasetWriter(out, name, configuration("generic-lidar", sources, options), options.licence)
+    recordings = [
+        read_generic(
+            source,
+            name=title,
+            odometry=options.odometry,
+            max_gap_s=options.max_gap,
+            reporter=reporter,
+            from_lidar=kept_in(out / "groundtruth" / "odometry" / f"{title}.csv"),
+        )
+        for source, title in zip(sources, names, strict=True)
+    ]
+    return build_ground_truth(recordings, writer, options, reporter, run)

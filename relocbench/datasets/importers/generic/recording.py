@@ -1,0 +1,140 @@
+"""A generic folder with lidar as a recording. What lies in it is described in ``docs/file-formats.md``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core import images
+from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
+from relocbench.datasets.importers.generic.dataset import (
+    CAMERA_FILE,
+    POSE_FILE,
+    CameraFolder,
+    check_size,
+    read_folder,
+    undistort,
+)
+from relocbench.datasets.importers.generic.scans import LIDAR_FILE, read_lidar_file, read_lidars
+from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
+from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
+from relocbench.errors import DatasetError
+from relocbench.geometry import Camera, invert, make_transform
+from relocbench.progress import Reporter, Silent
+
+Array = NDArray[np.float64]
+OdometrySource = Literal["auto", "poses", "lidar"]
+
+PRIOR_FILE = "prior.txt"
+_T_NEW_RIG: dict[str, Array] = {
+    "forward-left-up": np.eye(4),
+    "right-down-forward": make_transform(
+        np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), [0.0, 0.0, 0.0]
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class GenericCameraStream:
+    """Images of one camera."""
+
+    name: str
+    distorted: Camera
+    T_rig_cam: Array
+    files: tuple[Path, ...]
+    times_ns: NDArray[np.int64]
+
+    @property
+    def camera(self) -> Camera:
+        return self.distorted.pinhole()
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """(H, W) or (H, W, 3) RGB, undistorted. Raises DatasetError with the file."""
+        path = self.files[index]
+        image = images.read_image(path, partial(check_size, self.distorted, path))
+        return image if self.distorted.model == "pinhole" else undistort(image, self.distorted)
+
+    def file(self, index: int) -> Path | None:
+        """The image itself where a pinhole camera took it."""
+        return self.files[index] if self.distorted.model == "pinhole" else None
+
+
+def read_generic(
+    folder: Path,
+    *,
+    name: str | None = None,
+    odometry: OdometrySource = "auto",
+    max_gap_s: float = 1.0,
+    reporter: Reporter | None = None,
+    from_lidar: FromLidar = lidar_odometry,
+) -> FieldRecording:
+    """Look through a generic folder that has ``lidar.yaml``; compute odometry where it has none.
+
+    Args:
+        name: of the recording; default: after the folder.
+        odometry: ``poses`` takes ``poses.txt``, ``lidar`` registers the scans of the first spinning lidar, ``auto``
+            does the first if the file is there.
+        max_gap_s: longest time between two poses that is interpolated over.
+        from_lidar: computes odometry from scans.
+
+    Raises:
+        DatasetError: with file and line: something needed is missing or damaged.
+        ConfigError: odometry from a lidar that does not spin.
+    """
+    report = reporter or Silent()
+    title = name or traversal_names([folder])[0]
+    header = read_lidar_file(folder)
+    T_new_rig = _T_NEW_RIG[header.rig_axes]
+    lidars = read_lidars(folder, T_new_rig)
+    max_gap_ns = round(max_gap_s * 1e9)
+    cameras: dict[str, CameraStream] = {}
+    condition, location = Condition(), ""
+    if (folder / CAMERA_FILE).exists():
+        files = read_folder(folder, title, need_poses=False)
+        condition, location = files.condition, files.location
+        cameras = {camera: _camera(camera, entry, T_new_rig) for camera, entry in files.cameras.items()}
+    if odometry == "poses" or (odometry == "auto" and (folder / POSE_FILE).exists()):
+        motion = _trajectory(folder / POSE_FILE, T_new_rig, max_gap_ns)
+        motion = Trajectory(motion.times_ns, invert(motion.T_odom_rig[0]) @ motion.T_odom_rig, max_gap_ns)
+    else:
+        motion = from_lidar(_spinning(lidars, folder), report, max_gap_ns=max_gap_ns)
+    prior = folder / PRIOR_FILE
+    return FieldRecording(
+        name=title,
+        folder=folder,
+        condition=condition,
+        odometry=motion,
+        lidars=lidars,
+        cameras=cameras,
+        prior=_trajectory(prior, T_new_rig, max_gap_ns) if prior.exists() else None,
+        location=location,
+    )
+
+
+def _camera(name: str, entry: CameraFolder, T_new_rig: Array) -> GenericCameraStream:
+    times = np.array(list(entry.images), dtype=np.int64)
+    T_rig_cam = T_new_rig @ entry.camera.T_rig_cam.matrix
+    return GenericCameraStream(name, entry.camera.camera, T_rig_cam, tuple(entry.images.values()), times)
+
+
+def _trajectory(path: Path, T_new_rig: Array, max_gap_ns: int) -> Trajectory:
+    poses = read_trajectory(path)
+    if len(poses) < 2:
+        raise DatasetError(f"holds {len(poses)} poses; a trajectory has at least 2", path)
+    T_world_rig = np.array(list(poses.values())) @ invert(T_new_rig)
+    return Trajectory(np.array(list(poses), dtype=np.int64), T_world_rig, max_gap_ns)
+
+
+def _spinning(lidars: tuple[LidarStream, ...], folder: Path) -> LidarStream:
+    for lidar in lidars:
+        if lidar.pattern == "spinning":
+            return lidar
+    raise DatasetError(
+        f"no {POSE_FILE}, and no spinning lidar in {LIDAR_FILE} that could take its place; expected one of them", folder
+    )

@@ -1,0 +1,203 @@
+"""Lidar scans of a generic folder: ``lidar.yaml`` and ``lidar/NAME/TIMESTAMP.{ply,pcd,bin,npy}``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from relocbench.datasets.core.npy import parse_npy
+from relocbench.datasets.core.schema import Strict, Transform
+from relocbench.datasets.sensors.point_clouds import read_point_cloud
+from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
+from relocbench.datasets.sensors.recording import Scan
+from relocbench.datasets.sensors.trajectories import timed_files
+from relocbench.errors import DatasetError
+from relocbench.files import check_distinct, check_name, load_yaml, read_bytes
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+LIDAR_FILE = "lidar.yaml"
+SUFFIXES = (".ply", ".pcd", ".bin", ".npy")
+_FAR_NS = 1_000_000_000
+_FLOAT_NS = 4096
+"""a float's step at the largest times, and more"""
+_NS: dict[str, float] = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
+
+
+class GenericLidar(Strict):
+    """One lidar of ``lidar.yaml``."""
+
+    pattern: Literal["spinning", "push-broom"]
+    T_rig_lidar: Transform = Transform(translation_m=(0.0, 0.0, 0.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
+    max_range: float = Field(100.0, gt=0, allow_inf_nan=False)
+    """metres; farther points are left out"""
+    min_range: float = Field(0.1, ge=0, allow_inf_nan=False)
+    """metres; nearer points, such as (0, 0, 0) where nothing came back, are left out"""
+    sigma: float = Field(0.03, gt=0, allow_inf_nan=False)
+    """metres, one standard deviation of a range"""
+    columns: tuple[str, ...] = ("x", "y", "z", "intensity")
+    """of .bin files and of plain .npy arrays"""
+    dtype: Literal["float32", "float64"] = "float32"
+    """of .bin files"""
+    time: str | None = None
+    """column or property that holds the time of each point; none: the scan's, its motion taken out"""
+    time_unit: Literal["s", "ms", "us", "ns"] = "s"
+    time_from: Literal["scan", "epoch"] = "scan"
+    """whether it is counted from the scan's timestamp or absolute"""
+
+    @model_validator(mode="after")
+    def _has_columns(self) -> Self:
+        missing = [name for name in ("x", "y", "z") if name not in self.columns]
+        if missing or len(set(self.columns)) != len(self.columns):
+            raise ValueError("columns must name x, y and z, and none twice")
+        if self.min_range >= self.max_range:
+            raise ValueError("min_range must be below max_range")
+        return self
+
+
+class LidarFile(Strict):
+    """``lidar.yaml``."""
+
+    lidars: dict[str, GenericLidar] = Field(min_length=1)
+    rig_axes: Literal["forward-left-up", "right-down-forward"] = "forward-left-up"
+    """axes that poses.txt and all extrinsics of the folder mean; the second are those of a camera"""
+
+    @model_validator(mode="after")
+    def _plain_names(self) -> Self:
+        for name in self.lidars:
+            check_name(name, "lidar name")
+        check_distinct(self.lidars, "lidar names")
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class GenericLidarStream:
+    """Scans of one lidar."""
+
+    name: str
+    settings: GenericLidar
+    T_rig_lidar: Array
+    files: tuple[Path, ...]
+    times_ns: Times
+
+    @property
+    def pattern(self) -> Literal["spinning", "push-broom"]:
+        return self.settings.pattern
+
+    @property
+    def max_range_m(self) -> float:
+        return self.settings.max_range
+
+    @property
+    def sigma_m(self) -> float:
+        return self.settings.sigma
+
+    def read(self, index: int) -> Scan:
+        """A scan, without points that are not finite or out of range. Raises DatasetError with the file."""
+        path, settings = self.files[index], self.settings
+        fields = _fields(path, settings)
+        wanted = ("x", "y", "z") if settings.time is None else ("x", "y", "z", settings.time)
+        missing = [name for name in wanted if name not in fields]
+        if missing:
+            raise DatasetError(f"has no {', '.join(missing)}; it holds {', '.join(fields) or 'nothing'}", path)
+        points = np.column_stack([np.asarray(fields[axis], dtype=np.float64) for axis in "xyz"])
+        times = np.full(len(points), self.times_ns[index], dtype=np.int64)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is left out
+            distance = np.sqrt(np.sum(points**2, axis=1))
+        kept = np.isfinite(distance) & (distance >= settings.min_range) & (distance <= settings.max_range)
+        if settings.time is not None:
+            times = _point_times(fields[settings.time], kept, int(self.times_ns[index]), settings, path)
+        return Scan(points[kept], times[kept])
+
+
+def read_lidars(root: Path, T_new_rig: Array) -> tuple[GenericLidarStream, ...]:
+    """The lidars of a folder, in the order of ``lidar.yaml``.
+
+    Args:
+        T_new_rig: (4, 4) to the axes that recordings have (:func:`read_lidar_file` says from which).
+
+    Raises:
+        DatasetError: with file and line: ``lidar.yaml``, a scan's name that is no time, no scan.
+    """
+    streams = []
+    for name, settings in read_lidar_file(root).lidars.items():
+        files = timed_files(root / "lidar" / name, SUFFIXES)
+        if not files:
+            raise DatasetError(f"holds no scan; expected TIMESTAMP{', '.join(SUFFIXES)}", root / "lidar" / name)
+        times = np.array(list(files), dtype=np.int64)
+        T_rig_lidar = T_new_rig @ settings.T_rig_lidar.matrix
+        streams.append(GenericLidarStream(name, settings, T_rig_lidar, tuple(files.values()), times))
+    return tuple(streams)
+
+
+def read_lidar_file(root: Path) -> LidarFile:
+    """Raises DatasetError with file and line."""
+    return load_yaml(root / LIDAR_FILE, LidarFile, "the lidar or lidars of the folder", DatasetError)
+
+
+def _point_times(
+    values: NDArray[Any], kept: NDArray[np.bool_], scan_ns: int, settings: GenericLidar, path: Path
+) -> Times:
+    if not np.all(np.isfinite(np.asarray(values[kept], dtype=np.float64))):
+        raise DatasetError(f"{settings.time} holds a time that is not finite", path)
+    factor = _NS[settings.time_unit]
+    # Held against the scan's time as floats first: as 64-bit integers, times far off would come round to near ones.
+    with np.errstate(over="ignore"):
+        away = values[kept].astype(np.float64) * factor - (scan_ns if settings.time_from == "epoch" else 0)
+    if np.any(np.abs(away) > _FAR_NS + _FLOAT_NS):
+        raise _far(settings, path)
+    values = np.where(kept, values, values.dtype.type(0))
+    if values.dtype.kind in "iu":
+        ns = values.astype(np.int64) * int(factor)
+    else:
+        # Seconds since 1970 as float64 are good to a quarter of a microsecond, which no lidar needs.
+        ns = np.rint(values.astype(np.float64) * factor).astype(np.int64)
+    times = ns if settings.time_from == "epoch" else ns + scan_ns
+    if np.any(np.abs(times[kept] - scan_ns) > _FAR_NS):
+        raise _far(settings, path)
+    return np.asarray(times, dtype=np.int64)
+
+
+def _far(settings: GenericLidar, path: Path) -> DatasetError:
+    told = f"{settings.time} lies more than a second from the scan's time; check time_unit and time_from"
+    return DatasetError(told, path)
+
+
+def _fields(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
+    """Name -> (N,) of a scan, whatever its format."""
+    suffix = path.suffix.lower()
+    if suffix == ".bin":
+        return _columns(_binary(path, settings), settings.columns, path)
+    if suffix == ".npy":
+        return _numpy(path, settings)
+    return read_point_cloud(path)
+
+
+def _binary(path: Path, settings: GenericLidar) -> NDArray[Any]:
+    data = read_bytes(path, "a lidar scan", DatasetError, MOST_SCAN_BYTES)
+    width = np.dtype(settings.dtype).itemsize * len(settings.columns)
+    if len(data) % width:
+        what = f"{settings.dtype} {' '.join(settings.columns)}"
+        raise DatasetError(f"{len(data)} bytes are no whole number of points ({what})", path)
+    return np.frombuffer(data, dtype=np.dtype(settings.dtype).newbyteorder("<")).reshape(-1, len(settings.columns))
+
+
+def _numpy(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
+    values = parse_npy(read_bytes(path, "a lidar scan", DatasetError, MOST_SCAN_BYTES), path)
+    if values.dtype.names:
+        return {name: np.ravel(values[name]) for name in values.dtype.names if values.dtype[name].shape == ()}
+    if values.ndim != 2:
+        raise DatasetError(f"is an array of shape {values.shape}, expected (points, {len(settings.columns)})", path)
+    return _columns(values, settings.columns, path)
+
+
+def _columns(values: NDArray[Any], names: tuple[str, ...], path: Path) -> dict[str, NDArray[Any]]:
+    if values.shape[1] != len(names):
+        raise DatasetError(f"has {values.shape[1]} columns, {LIDAR_FILE} names {len(names)} ({' '.join(names)})", path)
+    return {name: values[:, i] for i, name in enumerate(names)}

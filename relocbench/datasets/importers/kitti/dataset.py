@@ -1,0 +1,302 @@
+"""KITTI odometry layout: ``sequences/NN/{image_0..3,velodyne,calib.txt,times.txt}``, ``poses/NN.txt``.
+
+Depth of the keyframes is computed from stereo or projected from lidar scans. Frame i has line i of the poses and of
+the times, whichever frames the folder holds. Geiger et al., Are we ready for autonomous driving?, CVPR 2012.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from relocbench.datasets.core import images
+from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.schema import CameraEntry, TraversalFile
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.importers.assembly import (
+    check_conditions,
+    check_folder,
+    condition_of,
+    configuration,
+    write_pairs,
+)
+from relocbench.datasets.importers.kitti.files import Sequence
+from relocbench.datasets.pairs.pairing import PosedFrames, make_pairs
+from relocbench.datasets.sensors.stereo import StereoGeometry, stereo_depth
+from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, project_scan, read_scan
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run, run_units
+from relocbench.geometry import Camera, invert
+from relocbench.progress import Reporter
+
+Array = NDArray[np.float64]
+CameraName = Literal["image_0", "image_1", "image_2", "image_3"]
+
+
+class Options(ImportOptions):
+    """Options of ``relocbench build-dataset kitti``."""
+
+    sequence: tuple[str, ...] = Field(
+        (),
+        max_length=2,
+        description="one sequence, such as 06, or reference and query, whose poses must share a world (KITTI's own do "
+        "not); default: the only one there is",
+    )
+    depth: Literal["auto", "stereo", "velodyne"] = Field(
+        "auto", description="where depth comes from; auto: stereo if there are right images, else velodyne"
+    )
+    camera: CameraName = Field("image_0", description="camera to use (stereo depth: a left one, image_0 or image_2)")
+    rate_hz: float = Field(10.0, gt=0, description="frames a second where times.txt is missing")
+    max_depth: float = Field(80.0, gt=0, lt=256, description="farthest depth to keep, metres")
+    max_disparity: int = Field(128, ge=16, le=512, multiple_of=16, description="pixels searched by stereo matching")
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What of a sequence goes into the dataset."""
+
+    sequence: Sequence
+    frames: dict[int, Path]
+    """frame number -> image, of the frames with a pose and a time"""
+    poses: list[Array]
+    """``T_world_cam0`` of frame 0, 1, 2, ..."""
+    times: list[int]
+    """nanoseconds of frame 0, 1, 2, ..."""
+    kind: Literal["stereo", "velodyne"] | None
+    depth_files: dict[int, Path]
+    """frame number -> right image or scan"""
+    camera: Camera
+
+    def posed_frames(self) -> PosedFrames:
+        """For pairing; the rig's frame, camera 0, stands for the camera."""
+        numbers = tuple(self.frames)
+        return PosedFrames(
+            tuple(self.times[i] for i in numbers),
+            np.array([self.poses[i] for i in numbers]),
+            frozenset(self.times[i] for i in self.depth_files),
+            numbers,
+        )
+
+
+@dataclass(frozen=True)
+class _StereoUnit:
+    left: Path
+    right: Path
+    depth: Path
+    geometry: StereoGeometry
+
+
+@dataclass(frozen=True)
+class _LidarUnit:
+    scan: Path
+    depth: Path
+    camera: Camera
+    T_cam_lidar: Array
+    max_depth: float
+
+
+def _compute_depth(unit: _StereoUnit | _LidarUnit) -> None:
+    if isinstance(unit, _LidarUnit):
+        depth = project_scan(read_scan(unit.scan), unit.camera, unit.T_cam_lidar, unit.max_depth)
+    else:
+        left = images.read_image(unit.left)
+
+        def check_size(size: tuple[int, int]) -> None:
+            if size != left.shape[1::-1]:
+                raise DatasetError(f"size differs from that of the left image {unit.left}", unit.right)
+
+        right = images.read_image(unit.right, check_size)
+        depth = stereo_depth(left, right, unit.geometry)
+    images.write_depth(unit.depth, depth)
+
+
+def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+    """A dataset of one sequence, or of a reference and a query sequence.
+
+    Args:
+        sources: the folder that holds ``sequences`` and ``poses``, or one sequence folder.
+
+    Raises:
+        DatasetError: with file and line, what is missing or wrong in the recording.
+        ConfigError: options that do not fit it.
+    """
+    assert isinstance(options, Options)
+    sequences = _find_sequences(sources, options)
+    check_conditions(options, [s.traversal for s in sequences])
+    default_name = "kitti_" + "_".join(s.name for s in sequences)
+    settings = configuration("kitti", sources, options)
+    plans = [_read(s, options, needs_depth=s is sequences[0], reporter=reporter) for s in sequences]
+    reference, query = plans[0], plans[-1]
+    if query is not reference and all(np.allclose(p.poses[0], np.eye(4), atol=1e-6) for p in plans):
+        reporter.note(
+            f"the poses of {reference.sequence.name} and {query.sequence.name} both begin at the identity, as KITTI's "
+            "own do: each is then in a world of its own, and pairs across them have no true pose. Bring "
+            f"{query.sequence.poses_file} into the world of {reference.sequence.name} first"
+        )
+    # Options that give no pair are told before the depth of a long recording is computed.
+    make_pairs(
+        reference.posed_frames(),
+        query.posed_frames(),
+        options,
+        same_traversal=query is reference,
+        source="",
+        where=reference.sequence.folder,
+    )
+    writer = DatasetWriter(out, options.name or default_name, settings, options.licence)
+    for plan in plans:
+        _write_traversal(writer, plan, options, reporter, run)
+    write_pairs(
+        writer,
+        reference.sequence.traversal,
+        query.sequence.traversal,
+        options.camera,
+        options,
+        source="KITTI odometry poses",
+        where=reference.sequence.folder,
+        reporter=reporter,
+        run=run,
+        numbers={reference.times[i]: i for i in reference.frames},
+    )
+    return writer.finish()
+
+
+def _find_sequences(sources: list[Path], options: Options) -> list[Sequence]:
+    if len(sources) != 1:
+        raise ConfigError(f"kitti takes one folder (with sequences/ and poses/), got {len(sources)}; see --sequence")
+    root = sources[0].resolve()
+    if (root / "calib.txt").exists() and root.parent.name == "sequences":
+        asked: tuple[str, ...] = options.sequence or (root.name,)
+        root = root.parent.parent
+    else:
+        check_folder(root / "sequences", "the sequences of a KITTI odometry folder")
+        there = sorted(p.name for p in (root / "sequences").iterdir() if p.is_dir())
+        if not options.sequence and len(there) != 1:
+            raise ConfigError(f"--sequence is needed: {root} holds {', '.join(there) or 'none'}")
+        asked = options.sequence or (there[0],)
+    found = [Sequence(root, name) for name in dict.fromkeys(asked)]
+    for sequence in found:
+        check_folder(sequence.folder, f"KITTI sequence {sequence.name}")
+    return found
+
+
+def _read(sequence: Sequence, options: Options, needs_depth: bool, reporter: Reporter) -> _Plan:
+    """What a sequence holds that can be used; nothing is written."""
+    found = sequence.frames(options.camera, ".png") or sequence.frames(options.camera, ".jpg")
+    if not found:
+        raise DatasetError("no images (000000.png, ...)", sequence.folder / options.camera)
+    poses = sequence.poses()
+    times = sequence.times(options.rate_hz, len(poses), reporter)
+    frames = {i: path for i, path in found.items() if i < min(len(poses), len(times))}
+    if len(frames) < len(found):
+        reporter.note(f"{sequence.name}: {len(found) - len(frames)} images left out, they have no pose or no time")
+    if not frames:
+        raise DatasetError(f"holds {len(poses)} poses, none for the images there are", sequence.poses_file)
+    kind = _depth_kind(sequence, options, needs_depth)
+    depth_files = {i: path for i, path in _depth_files(sequence, options, kind).items() if i in frames}
+    if kind and len(depth_files) < len(frames):
+        lacking = "right image" if kind == "stereo" else "lidar scan"
+        reporter.note(
+            f"{sequence.name}: {len(frames) - len(depth_files)} of {len(frames)} frames are no keyframes, "
+            f"they have no {lacking}"
+        )
+    camera = _camera(sequence, options.camera, next(iter(frames.values())))
+    return _Plan(sequence, frames, poses, times, kind, depth_files, camera)
+
+
+def _write_traversal(writer: DatasetWriter, plan: _Plan, options: Options, reporter: Reporter, run: Run) -> None:
+    """One traversal with its images and what depth there is."""
+    name, calibration = plan.sequence.traversal, plan.sequence.calibration
+    sigma = (0.0, 0.0, 0.0)
+    if plan.kind:
+        sigma = _stereo_geometry(plan.sequence, options).depth_sigma if plan.kind == "stereo" else (LIDAR_SIGMA, 0, 0)
+    file = TraversalFile(
+        name=name,
+        condition=condition_of(options, name),
+        rate_hz=_rate(plan.times),
+        cameras={options.camera: CameraEntry.of(plan.camera, calibration.T_cam0_cam(options.camera), sigma)},
+        source=f"KITTI odometry sequence {plan.sequence.name}, depth from {plan.kind or 'nothing'}",
+    )
+    writer.traversal(file, {plan.times[i]: plan.poses[i] for i in plan.frames})
+    with reporter.stage(f"images of {name}", len(plan.frames)) as advance:
+        for i, path in plan.frames.items():
+            writer.link_image(name, options.camera, plan.times[i], path, copy=options.copy_images)
+            advance(1)
+    units = _depth_units(writer, plan, options)
+    with reporter.stage(f"depth of {name} from {plan.kind}", len(units)) as advance:
+        for _ in run_units(_compute_depth, units, run):
+            advance(1)
+
+
+def _depth_units(writer: DatasetWriter, plan: _Plan, options: Options) -> list[_StereoUnit | _LidarUnit]:
+    """The depth images that are not there yet."""
+    name, sequence = plan.sequence.traversal, plan.sequence
+    units: list[_StereoUnit | _LidarUnit] = []
+    for i, source in plan.depth_files.items():
+        if not writer.needs_depth(name, options.camera, plan.times[i]):
+            continue
+        path = writer.layout.traversal(name).depth(options.camera, plan.times[i])
+        if plan.kind == "stereo":
+            units.append(_StereoUnit(plan.frames[i], source, path, _stereo_geometry(sequence, options)))
+        else:
+            T_cam_lidar = invert(sequence.calibration.T_cam0_cam(options.camera)) @ sequence.calibration.T_cam0_lidar()
+            units.append(_LidarUnit(source, path, plan.camera, T_cam_lidar, options.max_depth))
+    return units
+
+
+def _depth_kind(sequence: Sequence, options: Options, needs_depth: bool) -> Literal["stereo", "velodyne"] | None:
+    """Where the depth of a sequence comes from; None where a query sequence has none."""
+    right = _right_of(options.camera)
+    has_right = right is not None and bool(sequence.frames(right, ".png") or sequence.frames(right, ".jpg"))
+    has_scans = bool(sequence.frames("velodyne", ".bin"))
+    if options.depth == "stereo" and right is None:
+        raise ConfigError(f"stereo depth is that of a left camera (image_0 or image_2), not of {options.camera}")
+    if options.depth != "velodyne" and has_right:
+        return "stereo"
+    if options.depth != "stereo" and has_scans:
+        return "velodyne"
+    if not needs_depth:
+        return None
+    wanted = {"auto": f"{right or 'image_1'}/ or velodyne/", "stereo": f"{right}/", "velodyne": "velodyne/"}
+    raise DatasetError(f"no depth for the keyframes; expected {wanted[options.depth]}", sequence.folder)
+
+
+def _right_of(camera: str) -> str | None:
+    return {"image_0": "image_1", "image_2": "image_3"}.get(camera)
+
+
+def _depth_files(sequence: Sequence, options: Options, kind: str | None) -> dict[int, Path]:
+    """Frame number -> right image or scan."""
+    if kind == "stereo":
+        right = str(_right_of(options.camera))
+        return sequence.frames(right, ".png") or sequence.frames(right, ".jpg")
+    return sequence.frames("velodyne", ".bin") if kind == "velodyne" else {}
+
+
+def _stereo_geometry(sequence: Sequence, options: Options) -> StereoGeometry:
+    left = sequence.calibration.projection(options.camera)
+    right = sequence.calibration.matrix(f"P{int(options.camera[-1]) + 1}", "stereo depth")
+    focal_baseline = float(left[0, 3] - right[0, 3])
+    if focal_baseline <= 0:
+        raise DatasetError("the right camera does not lie to the right of the left one", sequence.calibration.path)
+    offset = float(left[0, 2] - right[0, 2])
+    return StereoGeometry(focal_baseline, offset, options.max_depth, options.max_disparity)
+
+
+def _camera(sequence: Sequence, camera: str, example: Path) -> Camera:
+    """Intrinsics from P, size from an image."""
+    p = sequence.calibration.projection(camera)
+    height, width = images.read_image(example).shape[:2]
+    try:
+        return Camera("pinhole", width, height, p[0, 0], p[1, 1], p[0, 2], p[1, 2])
+    except ValueError as bad:
+        raise DatasetError(f"line 'P{camera[-1]}:' is no projection ({bad})", sequence.calibration.path) from None
+
+
+def _rate(times: list[int]) -> float | None:
+    return round(1e9 / float(np.median(np.diff(times))), 3) if len(times) > 1 else None

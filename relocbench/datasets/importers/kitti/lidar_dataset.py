@@ -1,0 +1,85 @@
+"""Kind ``kitti-lidar``: sequences in the layout of KITTI odometry, with ground truth across them from their lidar."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from pydantic import Field, field_validator
+
+from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.groundtruth.jobs.options import FieldOptions
+from relocbench.datasets.importers.assembly import check_conditions, check_folder, configuration
+from relocbench.errors import ConfigError
+from relocbench.execution import Run
+from relocbench.files import fitting_name
+from relocbench.progress import Reporter
+
+if TYPE_CHECKING:
+    from relocbench.datasets.core.dataset import Dataset
+
+
+class Options(FieldOptions):
+    """Options of ``relocbench build-dataset kitti-lidar``."""
+
+    sequence: tuple[str, ...] = Field(
+        (), description="sequences, such as 00,01: the reference, and those that ask about it"
+    )
+    odometry: Literal["lidar", "poses"] = Field(
+        "lidar", description="motion between scans: by registering them, or poses/NN.txt (KITTI's own jump locally)"
+    )
+    motion: Literal["compensated", "distorted"] = Field(
+        "compensated", description="'distorted': the car's own motion is still in the scans; KITTI has taken it out"
+    )
+    elevation: float = Field(
+        0.0, gt=-5, lt=5, description="degrees by which beams are turned up; the real KITTI lidar wants 0.205"
+    )
+    rate_hz: float = Field(10.0, gt=0, description="frames a second where times.txt is missing")
+
+    @field_validator("sequence")
+    @classmethod
+    def _each_once(cls, sequence: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(sequence)) != len(sequence):
+            raise ValueError("names a sequence twice")
+        return sequence
+
+
+def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+    """A dataset of a reference sequence and the sequences that ask about it.
+
+    Raises:
+        DatasetError: with file and line, what is missing or wrong in a sequence; or that no pair can be accepted.
+        ConfigError: options that do not fit the recordings.
+    """
+    from relocbench.datasets.groundtruth.jobs.build import build_ground_truth
+    from relocbench.datasets.groundtruth.odometry.files import kept_in
+    from relocbench.datasets.importers.kitti.recording import read_kitti
+
+    assert isinstance(options, Options)
+    if len(sources) != 1:
+        raise ConfigError(f"kitti-lidar takes one folder with sequences/ in it, got {len(sources)}; see --sequence")
+    check_folder(sources[0], "KITTI odometry (sequences, poses)")
+    if len(options.sequence) < 2:
+        raise ConfigError("--sequence: ground truth across drives needs two sequences or more, such as 00,01")
+    for sequence in options.sequence:
+        check_folder(sources[0] / "sequences" / sequence, "a sequence of KITTI odometry")
+    names = [f"kitti_{sequence}" for sequence in options.sequence]
+    check_conditions(options, names)
+    name = options.name or fitting_name(f"kitti_lidar_{'_'.join(options.sequence)}")
+    writer = DatasetWriter(out, name, configuration("kitti-lidar", sources, options), options.licence)
+    recordings = [
+        read_kitti(
+            sources[0],
+            sequence,
+            name=title,
+            odometry=options.odometry,
+            motion=options.motion,
+            elevation_deg=options.elevation,
+            rate_hz=options.rate_hz,
+            reporter=reporter,
+            from_lidar=kept_in(out / "groundtruth" / "odometry" / f"{title}.csv"),
+        )
+        for sequence, title in zip(options.sequence, names, strict=True)
+    ]
+    return build_ground_truth(recordings, writer, options, reporter, run)

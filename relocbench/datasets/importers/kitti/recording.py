@@ -1,0 +1,200 @@
+"""A sequence in the layout of KITTI odometry as a recording: velodyne, rectified cameras, odometry.
+
+The rig is the lidar: x forward, y left, z up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Several
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core import images
+from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
+from relocbench.datasets.importers.kitti.files import Sequence
+from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Scan, Trajectory
+from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, read_scan
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.geometry import Camera, invert
+from relocbench.progress import Reporter, Silent
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+ScanMotion = Literal["compensated", "distorted"]
+OdometrySource = Literal["lidar", "poses"]
+
+CAMERAS = ("image_0", "image_1", "image_2", "image_3")
+REAL_ELEVATION_DEG = 0.205
+"""by which the beams of the real KITTI point too low, Deschaud, IMLS-SLAM, ICRA 2018, as KISS-ICP applies it"""
+_TURN_NS = 100_000_000
+_MAX_RANGE_M = 120.0
+
+
+@dataclass(frozen=True, eq=False)
+class VelodyneStream:
+    """Scans of the velodyne; the rig's frame is its own."""
+
+    files: tuple[Path, ...]
+    times_ns: Times
+    motion: ScanMotion
+    elevation_deg: float
+    name: str = "velodyne"
+    pattern: Literal["spinning"] = "spinning"
+    max_range_m: float = _MAX_RANGE_M
+    sigma_m: float = LIDAR_SIGMA
+
+    @property
+    def T_rig_lidar(self) -> Array:
+        return np.eye(4)
+
+    def read(self, index: int) -> Scan:
+        """A scan. Where the car's motion is still in it, a point's azimuth tells when its beam was fired: the lidar
+        turns clockwise seen from above, ten times a second, and looks forward at the scan's time.
+
+        Raises:
+            DatasetError: the file is missing or cut off.
+        """
+        points = read_scan(self.files[index])
+        times = np.full(len(points), self.times_ns[index], dtype=np.int64)
+        if self.motion == "distorted":
+            azimuth = np.arctan2(points[:, 1], points[:, 0])
+            times -= np.rint(azimuth / (2 * np.pi) * _TURN_NS).astype(np.int64)
+        return Scan(raised(points, self.elevation_deg) if self.elevation_deg else points, times)
+
+
+def raised(points: Array, elevation_deg: float) -> Array:
+    """(N, 3) points turned up by an angle, each within the vertical plane of its own beam."""
+    level = np.hypot(points[:, 0], points[:, 1])
+    c, s = np.cos(np.radians(elevation_deg)), np.sin(np.radians(elevation_deg))
+    scale = c - s * points[:, 2] / np.maximum(level, 1e-9)
+    return np.column_stack([points[:, 0] * scale, points[:, 1] * scale, c * points[:, 2] + s * level])
+
+
+@dataclass(frozen=True, eq=False)
+class RectifiedCamera:
+    """Rectified images: they can be linked to as they are."""
+
+    name: str
+    camera: Camera
+    T_rig_cam: Array
+    files: tuple[Path, ...]
+    times_ns: Times
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """(H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
+        path = self.files[index]
+
+        def check_size(size: tuple[int, int]) -> None:
+            if size != self.camera.size:
+                wanted = f"{self.camera.width}x{self.camera.height}"
+                raise DatasetError(f"is {size[0]}x{size[1]}, the first image of {self.name} {wanted}", path)
+
+        return images.read_image(path, check_size)
+
+    def file(self, index: int) -> Path | None:
+        return self.files[index]
+
+
+def read_kitti(
+    root: Path,
+    sequence: str,
+    *,
+    name: str | None = None,
+    odometry: OdometrySource = "lidar",
+    cameras: Several[str] | None = None,
+    motion: ScanMotion = "compensated",
+    elevation_deg: float = 0.0,
+    rate_hz: float = 10.0,
+    condition: Condition | None = None,
+    reporter: Reporter | None = None,
+    from_lidar: FromLidar = lidar_odometry,
+) -> FieldRecording:
+    """Look through a sequence, and compute its odometry where none is taken from it.
+
+    Args:
+        root: holds ``sequences`` and ``poses``.
+        odometry: ``lidar`` registers scan after scan; ``poses`` takes ``poses/NN.txt``, whose real ones are smoothed
+            GNSS/INS and locally wrong by up to a quarter of a step.
+        cameras: which to read; default: those whose folders hold images.
+        motion: whether the car's own motion is still in the scans (``distorted``) or not, as in KITTI's own.
+        elevation_deg: turn beams up; the real lidar's want :data:`REAL_ELEVATION_DEG`.
+        rate_hz: frames a second where ``times.txt`` is missing.
+        from_lidar: computes odometry from scans; called when everything else was found good.
+
+    Raises:
+        DatasetError: with file and line: something needed is missing or damaged.
+        ConfigError: a camera that KITTI does not have.
+    """
+    report = reporter or Silent()
+    files = Sequence(root, sequence)
+    scans = files.frames("velodyne", ".bin")
+    if not scans:
+        raise DatasetError("holds no lidar scan; expected velodyne/NNNNNN.bin", files.folder)
+    found = _image_files(files, cameras)
+    frames = 1 + max(max(numbers) for numbers in (scans, *found.values()))
+    times = _times(files, rate_hz, frames, report)
+    missing = 1 + max(scans) - min(scans) - len(scans)
+    if missing:
+        report.note(f"{files.traversal}: {missing} scans between the first and the last are missing")
+    lidar = VelodyneStream(tuple(scans.values()), times[list(scans)], motion, elevation_deg)
+    streams = {camera: _camera(files, camera, numbers, times) for camera, numbers in found.items()}
+    return FieldRecording(
+        name=name or files.traversal,
+        folder=files.folder,
+        condition=condition or Condition(),
+        odometry=_poses(files, times) if odometry == "poses" else from_lidar(lidar, report),
+        lidars=(lidar,),
+        cameras=streams,
+    )
+
+
+def _image_files(files: Sequence, cameras: Several[str] | None) -> dict[str, dict[int, Path]]:
+    """Camera -> frame number -> file."""
+    for name in cameras or ():
+        if name not in CAMERAS:
+            raise ConfigError(f"KITTI has no camera '{name}'; there is {', '.join(CAMERAS)}")
+    found: dict[str, dict[int, Path]] = {}
+    for name in CAMERAS if cameras is None else dict.fromkeys(cameras):
+        numbers = files.frames(name, ".png") or files.frames(name, ".jpg")
+        if numbers:
+            found[name] = numbers
+        elif cameras is not None:
+            raise DatasetError("holds no image; expected NNNNNN.png", files.folder / name)
+    return found
+
+
+def _times(files: Sequence, rate_hz: float, frames: int, reporter: Reporter) -> Times:
+    times = files.times(rate_hz, frames, reporter)
+    if len(times) < frames:
+        raise DatasetError(f"holds {len(times)} times, there are {frames} frames", files.folder / "times.txt")
+    return np.array(times, dtype=np.int64)
+
+
+def _poses(files: Sequence, times: Times) -> Trajectory:
+    """``poses/NN.txt``, which is of camera 0, as the motion of the lidar."""
+    T_world_cam0 = files.poses()
+    if len(T_world_cam0) < 2:
+        raise DatasetError(f"holds {len(T_world_cam0)} poses; odometry needs at least 2", files.poses_file)
+    if len(times) < len(T_world_cam0):
+        # Times made up from a rate go on as long as there are poses.
+        T_world_cam0 = T_world_cam0[: len(times)]
+    T_cam0_rig = files.calibration.T_cam0_lidar()
+    T_world_rig = np.array(T_world_cam0) @ T_cam0_rig
+    return Trajectory(times[: len(T_world_rig)], invert(T_world_rig[0]) @ T_world_rig)
+
+
+def _camera(files: Sequence, name: str, numbers: dict[int, Path], times: Times) -> CameraStream:
+    projection = files.calibration.projection(name)
+    height, width = images.read_image(next(iter(numbers.values()))).shape[:2]
+    fx, fy, cx, cy = (float(projection[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    try:
+        camera = Camera("pinhole", width, height, fx, fy, cx, cy)
+    except ValueError as bad:
+        raise DatasetError(f"line 'P{name[-1]}:' is no projection ({bad})", files.calibration.path) from None
+    T_rig_cam = invert(files.calibration.T_cam0_lidar()) @ files.calibration.T_cam0_cam(name)
+    return RectifiedCamera(name, camera, T_rig_cam, tuple(numbers.values()), times[list(numbers)])

@@ -1,0 +1,1 @@
+"""Datasets for which nothing was recorded: rendered towns, and their buildings from above."""

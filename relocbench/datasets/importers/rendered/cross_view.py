@@ -1,0 +1,134 @@
+"""Kind ``cross-view``: buildings of procedural towns from a drone, a satellite and the street. Nothing is downloaded.
+
+The layout is University-1652's, so that whatever reads that reads this. Places of train and of test stand in towns that
+share no street.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import Field, field_validator
+
+from relocbench.datasets.core.schema import Strict
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.conditions.presets import conditions_of
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run
+from relocbench.progress import Reporter
+
+if TYPE_CHECKING:
+    from relocbench.datasets.cross_view import CrossViewSet
+
+
+class Options(Strict):
+    """Options of ``relocbench build-dataset cross-view``."""
+
+    name: str = Field("", description="name of the set; default: cross-view-SPLIT")
+    licence: str = Field("CC0-1.0", description="licence, kept in dataset.yaml")
+    split: Literal["train", "test", "all"] = Field("all", description="folders to make; train and test share no town")
+    places: int = Field(60, ge=2, description="places (classes) of each split")
+    distractors: int = Field(0, ge=0, description="places of test that are in galleries and nobody asks for")
+    towns: int | None = Field(None, ge=1, le=1000, description="towns a split; default: one to 50 places")
+    conditions: tuple[str, ...] = Field(
+        ("Sunny", "Overcast", "Rain", "Snow"),
+        description="the satellite's condition, then those of drone and street images in turn; the first may be among "
+        "them again; one alone is everybody's",
+    )
+    factors: dict[str, Factors] = Field({}, description="conditions of your own, name -> factors; YAML only")
+    drone_views: int = Field(54, ge=1, le=1000, description="drone images a place, along three descending rounds")
+    street_views: int = Field(0, ge=0, le=20, description="street images a place")
+    size: int = Field(256, ge=32, le=2048, description="pixels of a side")
+    far: float = Field(
+        110.0,
+        ge=60,
+        le=300,
+        description="distance in metres at which the drone's flight begins; it ends at 0.475 of it",
+    )
+    satellite_side: float = Field(80.0, ge=30, le=200, description="metres of ground that a satellite image covers")
+    satellite_heading: Literal["north", "random"] = Field("north", description="what is up in satellite images")
+    spacing: float = Field(25.0, ge=10, le=200, description="least distance between places in metres")
+    extent: float = Field(350.0, ge=190, le=1000, description="side of a town in metres")
+    seed: int = Field(0, ge=0, description="seed of every random choice")
+
+    @field_validator("conditions")
+    @classmethod
+    def _some(cls, conditions: tuple[str, ...]) -> tuple[str, ...]:
+        if not conditions or len(set(conditions[1:])) != len(conditions[1:]):
+            raise ValueError("conditions are the satellite's and then those of the others, each of these once")
+        return conditions
+
+
+def build_places(sources: list[Path], options: Strict, out: Path, reporter: Reporter, run: Run) -> CrossViewSet:
+    """A rendered cross-view set; it takes no sources.
+
+    Raises:
+        ConfigError: sources were named, a condition that there is not, or more places than the towns have room for.
+        DatasetError: ``out`` holds something else.
+    """
+    from relocbench.datasets.core.writer import DatasetWriter
+    from relocbench.datasets.cross_view.opening import open_cross_view
+    from relocbench.datasets.cross_view.rendered import writing
+    from relocbench.datasets.cross_view.rendered.flight import Optics
+    from relocbench.datasets.cross_view.rendered.plan import Views, choose_places, photos_of
+    from relocbench.datasets.cross_view.rendered.work import render_missing
+    from relocbench.datasets.synthetic.renderer.revision import RENDERER_REVISION
+
+    assert isinstance(options, Options)
+    if sources:
+        raise ConfigError(f"cross-view is rendered and takes no recordings, got {sources[0]}")
+    if options.distractors and options.split == "train":
+        raise ConfigError("--distractors are of the test split")
+    above, below = options.conditions[0], options.conditions[1:] or options.conditions
+    named = conditions_of(tuple(dict.fromkeys(options.conditions)), options.factors, None, 0)
+    factors = {name: condition.factors for name, condition in named.items()}
+    record: dict[str, Any] = {"kind": "cross-view", "sources": [], "options": options.model_dump(mode="json")}
+    record["renderer"] = RENDERER_REVISION
+    record["factors"] = {name: f.model_dump(mode="json") for name, f in factors.items()}
+    name = options.name or f"cross-view-{options.split}"
+    writer = DatasetWriter(out, name, record, options.licence)
+    if writer.complete:
+        try:
+            return open_cross_view(out, reporter)
+        except DatasetError as bad:
+            reporter.note(f"{bad}; what is missing is made again")
+    views = Views(
+        Optics(options.size, options.satellite_side),
+        options.drone_views,
+        options.street_views,
+        options.far,
+        options.satellite_heading == "random",
+        above,
+        below,
+    )
+    places, photos = [], []
+    for split in ("train", "test") if options.split == "all" else (options.split,):
+        distractors = options.distractors if split == "test" else 0
+        chosen = choose_places(
+            split,
+            options.places,
+            distractors,
+            options.towns,
+            options.spacing,
+            options.extent,
+            options.seed,
+            reporter,
+        )
+        for place, network in chosen:
+            places.append(place)
+            photos += photos_of(place, network, views, split, options.seed)
+    writing.refuse_strangers(out, photos)
+    render_missing(out, photos, factors, views, reporter, run)
+    writing.link_again(out, photos)
+    writing.write_poses(out, photos)
+    writing.write_places(out, places)
+    made = {
+        "towns": sorted({f"{p.town.split}-{p.town.seed}" for p in places}),
+        "places": {split: sum(p.town.split == split for p in places) for split in ("train", "test")},
+        "images": len(photos),
+        "satellite_up": "north" if options.satellite_heading == "north" else "random",
+        "cameras": {v: views.optics.camera(v).to_dict() for v in ("drone", "satellite", "street")},
+    }
+    writing.finish(out, name, options.licence, writer.configuration, made, photos)
+    return open_cross_view(out, reporter)

@@ -1,0 +1,234 @@
+"""The text files of an Oxford RobotCar traversal and of its calibration.
+
+Times are microseconds in the files and nanoseconds here. Six numbers ``x y z roll pitch yaw`` are a transform with
+``R = Rz(yaw) Ry(pitch) Rx(roll)``. The vehicle's axes are x forward, y right, z down.
+Maddern et al., 1 Year, 1000 km: The Oxford RobotCar Dataset, IJRR 2017.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from relocbench.datasets.core.schema import Condition
+from relocbench.errors import DatasetError, quoted
+from relocbench.files import lines_of, load_yaml_value, parse_floats, read_rows, read_text
+from relocbench.geometry import is_rotation, make_transform, project_to_rotation
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+POSE_COLUMNS = "x y z roll pitch yaw"
+VO_COLUMNS = ("source_timestamp", "destination_timestamp", *POSE_COLUMNS.split())
+INS_COLUMNS = ("timestamp", "ins_status", "northing", "easting", "down", "utm_zone", "roll", "pitch", "yaw")
+_GOOD_STATUS = ("INS_SOLUTION_GOOD", "INS_ALIGNMENT_COMPLETE")
+_MOST_US = (2**63 - 1) // 1000
+_ROTATION_TOLERANCE = 1e-3
+_WEATHER = {"snow": "snow", "rain": "rain", "overcast": "overcast", "clouds": "cloudy", "sun": "sunny"}
+"""tag -> weather; the first of a traversal's tags in this order names it"""
+_TIMES_OF_DAY = ("night", "dusk")
+_SEASONS = ("winter", "spring", "summer", "autumn")
+
+
+def transform_from_xyzrpy(values: ArrayLike) -> Array:
+    """(..., 4, 4) of x, y, z, roll, pitch, yaw (..., 6): metres, radians."""
+    v = np.asarray(values, dtype=np.float64)
+    # Lower-case axes are fixed ones: about x first, about z last.
+    rotation = Rotation.from_euler("xyz", v[..., 3:].reshape(-1, 3)).as_matrix()
+    return make_transform(rotation.reshape(*v.shape[:-1], 3, 3), v[..., :3])
+
+
+def parse_microseconds(text: str, path: Path, line: int | None = None) -> int:
+    """Nanoseconds of a time in microseconds since 1970. Raises DatasetError with file and line."""
+    if not re.fullmatch(r"[0-9]{1,19}", text) or int(text) > _MOST_US:
+        raise DatasetError(f"{quoted(text, 30)} is not a time in integer microseconds", path, line)
+    return int(text) * 1000
+
+
+def read_timestamps(path: Path) -> Times:
+    """(N,) of a ``*.timestamps`` file: a time and a chunk's number a line.
+
+    Raises:
+        DatasetError: with file and line: no time, or one that does not come after the one before.
+    """
+    times: list[int] = []
+    for line, fields in read_rows(path, "timestamps (microseconds, chunk)", DatasetError):
+        if len(fields) > 2:
+            raise DatasetError(f"expected a time in microseconds and a chunk, found {len(fields)} columns", path, line)
+        times.append(parse_microseconds(fields[0], path, line))
+        _check_order(times, fields[0], path, line)
+    return np.array(times, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Visual odometry as the file has it, in the vehicle's axes."""
+
+    earlier_ns: Times
+    """(N,) destination of each row"""
+    later_ns: Times
+    """(N,) source of each row, increasing; rows do not overlap"""
+    T_earlier_later: Array
+    """(N, 4, 4)"""
+
+
+def read_visual_odometry(path: Path) -> Steps:
+    """``vo.csv``: a row is the pose of the vehicle at the source's time seen from where it was at the destination's.
+
+    The source is the *later* image, and rows multiply from left to right.
+
+    Raises:
+        DatasetError: with file and line: columns, numbers, a row that does not come after the one before.
+    """
+    earlier: list[int] = []
+    later: list[int] = []
+    values: list[list[float]] = []
+    for line, row in _read_table(path, VO_COLUMNS, "visual odometry"):
+        source, destination = (parse_microseconds(text, path, line) for text in row[:2])
+        if source <= destination:
+            raise DatasetError("source_timestamp does not come after destination_timestamp", path, line)
+        if later and destination < later[-1]:
+            raise DatasetError(f"the step from {row[1]} begins before the one above has ended", path, line)
+        values.append(parse_floats(row[2:], path, line, POSE_COLUMNS, DatasetError))
+        earlier.append(destination)
+        later.append(source)
+    if not later:
+        raise DatasetError("holds no step of visual odometry", path)
+    return Steps(np.array(earlier, np.int64), np.array(later, np.int64), transform_from_xyzrpy(values))
+
+
+@dataclass(frozen=True, eq=False)
+class InertialTrack:
+    """GNSS/INS as the file has it: positions on the UTM grid, attitudes in north, east, down."""
+
+    times_ns: Times
+    """(N,) strictly increasing"""
+    T_ned_ins: Array
+    """(N, 4, 4) northing, easting and down, of the instrument's own axes (forward, right, down)"""
+    zone: str
+    """of the UTM grid"""
+    left_out: int
+    """solutions that the receiver itself did not call good"""
+
+
+def read_inertial(path: Path) -> InertialTrack:
+    """``ins.csv``, solutions that are good alone.
+
+    Raises:
+        DatasetError: with file and line: columns, numbers, times that do not increase, another zone, none good.
+    """
+    times: list[int] = []
+    values: list[list[float]] = []
+    last = -1
+    zone = ""
+    left_out = 0
+    for line, row in _read_table(path, INS_COLUMNS, "GNSS/INS solutions"):
+        time, status, *numbers = row[0], row[1], *row[2:5], *row[6:]
+        now = parse_microseconds(time, path, line)
+        if now <= last:
+            raise DatasetError(f"time {time} does not come after the one before", path, line)
+        last = now
+        if status not in _GOOD_STATUS:
+            left_out += 1
+            continue
+        if zone and row[5] != zone:
+            raise DatasetError(f"utm_zone changes from {zone} to {row[5]}; one grid is expected", path, line)
+        zone = row[5]
+        values.append(parse_floats(numbers, path, line, "northing easting down roll pitch yaw", DatasetError))
+        times.append(now)
+    if not times:
+        raise DatasetError(f"holds no good solution (ins_status {' or '.join(_GOOD_STATUS)})", path)
+    return InertialTrack(np.array(times, np.int64), transform_from_xyzrpy(values), zone, left_out)
+
+
+def read_extrinsics(path: Path) -> Array:
+    """(4, 4) of ``extrinsics/SENSOR.txt``: a line of six numbers.
+
+    That of a camera maps from the vehicle to the camera, those of all other sensors from the sensor to the vehicle.
+    """
+    rows = list(read_rows(path, f"extrinsics ({POSE_COLUMNS})", DatasetError))
+    if len(rows) != 1:
+        raise DatasetError(f"expected one line ({POSE_COLUMNS}), found {len(rows)}", path)
+    line, fields = rows[0]
+    return transform_from_xyzrpy(parse_floats(fields, path, line, POSE_COLUMNS, DatasetError))
+
+
+@dataclass(frozen=True, eq=False)
+class LensModel:
+    """``models/NAME.txt``: the pinhole camera that the look-up table undistorts to."""
+
+    path: Path
+    intrinsics: tuple[float, float, float, float]
+    """fx, fy, cx, cy"""
+    T_camera_image: Array
+    """(4, 4) from image axes (x right, y down, z forward) to camera axes (x forward, y right, z down)"""
+
+
+def read_lens_model(path: Path) -> LensModel:
+    """``fx fy cx cy``, then the 4x4 ``G_camera_image``. Raises DatasetError with file and line."""
+    rows = list(read_rows(path, "a camera model (fx fy cx cy, then a 4x4 matrix)", DatasetError))
+    if len(rows) != 5:
+        raise DatasetError(f"expected 5 lines (fx fy cx cy, then a 4x4 matrix), found {len(rows)}", path)
+    line, fields = rows[0]
+    fx, fy, cx, cy = parse_floats(fields, path, line, "fx fy cx cy", DatasetError)
+    matrix = np.array([parse_floats(f, path, n, "m0 m1 m2 m3", DatasetError) for n, f in rows[1:]])
+    if not is_rotation(matrix[:3, :3], _ROTATION_TOLERANCE):
+        raise DatasetError("the 4x4 matrix holds no rotation", path)
+    pose = make_transform(project_to_rotation(matrix[:3, :3]), matrix[:3, 3])
+    return LensModel(path, (fx, fy, cx, cy), pose)
+
+
+def read_tags(path: Path) -> tuple[str, ...]:
+    """``tags/TRAVERSAL.yaml``: a list of words. Raises DatasetError naming the file."""
+    found = load_yaml_value(path, "a list of tags", DatasetError)
+    if found is None:
+        return ()
+    if not isinstance(found, list) or not all(isinstance(tag, str) for tag in found):
+        raise DatasetError("expected a list of tags", path)
+    return tuple(dict.fromkeys(found))
+
+
+def condition_of(tags: Sequence[str], month: int | None = None) -> Condition:
+    """Weather, time of day and season of a traversal; tags that these do not tell are kept as they are.
+
+    Args:
+        month: of the drive, 1 to 12; seasons are those of the northern hemisphere. None: the season is not known.
+    """
+    weather = next((tag for tag in _WEATHER if tag in tags), None)
+    time_of_day = next((tag for tag in _TIMES_OF_DAY if tag in tags), None)
+    # No tag speaks of daylight; but where weather was noted and neither night nor dusk was, it was day.
+    by_default = "day" if weather is not None else "unknown"
+    return Condition(
+        weather="unknown" if weather is None else _WEATHER[weather],
+        season="unknown" if month is None else _SEASONS[month % 12 // 3],
+        time_of_day=time_of_day or by_default,
+        tags=tuple(tag for tag in tags if tag not in (weather, time_of_day)),
+    )
+
+
+def _read_table(path: Path, columns: Sequence[str], what: str) -> Iterator[tuple[int, list[str]]]:
+    """Line number and the fields of ``columns``, in that order, of a CSV file with a header."""
+    lines = lines_of(read_text(path, f"{what} ({','.join(columns)})", DatasetError))
+    header = [name.strip() for name in lines[0].split(",")] if lines else []
+    missing = [name for name in columns if name not in header]
+    if missing:
+        raise DatasetError(f"the header has no column {', '.join(missing)}", path, 1)
+    wanted = [header.index(name) for name in columns]
+    for number, line in enumerate(lines[1:], start=2):
+        if not line.strip():
+            continue
+        fields = line.split(",")
+        if len(fields) != len(header):
+            raise DatasetError(f"expected {len(header)} columns, found {len(fields)}", path, number)
+        yield number, [fields[i].strip() for i in wanted]
+
+
+def _check_order(times: Sequence[int], text: str, path: Path, line: int) -> None:
+    if len(times) > 1 and times[-1] <= times[-2]:
+        raise DatasetError(f"time {text} does not come after the one before", path, line)

@@ -1,0 +1,304 @@
+"""A traversal of the Oxford RobotCar dataset as a recording: lidar, cameras, visual odometry, GNSS/INS, conditions.
+
+The rig's origin is the vehicle's, which is the left lens of the stereo camera; its axes are x forward, y left, z up.
+``extrinsics``, ``models`` and ``tags`` are those of the dataset's SDK. They are looked for in the traversal's folder
+and in the two folders above it. LD-MRS scans are not read.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.schema import Condition
+from relocbench.datasets.importers.robotcar import files
+from relocbench.datasets.importers.robotcar.sensors import LmsStream, RobotCarCamera, image_size, present_times
+from relocbench.datasets.importers.robotcar.track import (
+    T_RIG_VEHICLE,
+    MapOrigin,
+    map_trajectory,
+    visual_trajectory,
+)
+from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
+from relocbench.datasets.sensors.trajectories import traversal_names
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.files import read_csv
+from relocbench.geometry import Camera, invert, make_transform
+from relocbench.progress import Reporter, Silent
+
+Array = NDArray[np.float64]
+OdometrySource = Literal["vo", "ins"]
+
+LIDARS = ("lms_front", "lms_rear")
+_PRIOR_SIGMA_M = 10.0
+_POOR_PRIOR_SIGMA_M = 30.0
+"""of traversals that are tagged poor-gps"""
+_NAME = re.compile(r"([0-9]{4})-([0-9]{2})-([0-9]{2})-[0-9]{2}-[0-9]{2}-[0-9]{2}")
+
+
+@dataclass(frozen=True)
+class Lens:
+    """One camera of the car."""
+
+    folder: str
+    model: str
+    bayer: Literal["GBRG", "RGGB"]
+
+    @property
+    def sensor(self) -> str:
+        """Whose timestamps and extrinsics it shares."""
+        return self.folder.split("/")[0]
+
+
+CAMERAS: dict[str, Lens] = {
+    "stereo_left": Lens("stereo/left", "stereo_wide_left", "GBRG"),
+    "stereo_centre": Lens("stereo/centre", "stereo_narrow_left", "GBRG"),
+    "stereo_right": Lens("stereo/right", "stereo_wide_right", "GBRG"),
+    "mono_left": Lens("mono_left", "mono_left", "RGGB"),
+    "mono_right": Lens("mono_right", "mono_right", "RGGB"),
+    "mono_rear": Lens("mono_rear", "mono_rear", "RGGB"),
+}
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Folders of the dataset's SDK."""
+
+    extrinsics: Path
+    models: Path | None
+    tags: Path | None
+
+    def T_vehicle_sensor(self, sensor: str) -> Array:
+        """(4, 4) of a lidar or the INS, whose files map from the sensor to the vehicle."""
+        return files.read_extrinsics(self.extrinsics / f"{sensor}.txt")
+
+    def T_camera_vehicle(self, sensor: str) -> Array:
+        """(4, 4) of a camera, whose file maps from the vehicle to the camera."""
+        return files.read_extrinsics(self.extrinsics / f"{sensor}.txt")
+
+
+def read_robotcar(
+    folder: Path,
+    *,
+    name: str | None = None,
+    extrinsics: Path | None = None,
+    models: Path | None = None,
+    tags: Path | None = None,
+    lidars: Sequence[str] | None = None,
+    cameras: Sequence[str] | None = None,
+    odometry: OdometrySource = "vo",
+    origin: MapOrigin | None = None,
+    reporter: Reporter | None = None,
+) -> FieldRecording:
+    """Look through a traversal; scans and images are opened when they are asked for.
+
+    Args:
+        folder: of the traversal (``lms_front``, ``stereo``, ``vo``, ``gps``).
+        name: of the recording; default: after the folder.
+        extrinsics, models, tags: folders of the SDK; default: in the traversal's folder or the two above it.
+        lidars, cameras: which to read (:data:`LIDARS`, :data:`CAMERAS`); default: those whose folders are there.
+        odometry: ``vo`` chains visual odometry, ``ins`` takes GNSS/INS for it.
+        origin: of the map that priors are in; give that of the first drive (:func:`map_origin`) to all others.
+            Default: this drive's own.
+
+    Raises:
+        DatasetError: with file and line: something needed is missing or damaged.
+        ConfigError: a lidar or camera that the data set does not have.
+    """
+    report = reporter or Silent()
+    title = name or traversal_names([folder])[0]
+    calibration = _find_calibration(folder, extrinsics, models, tags)
+    streams = _lidars(folder, calibration, lidars, title, report)
+    tagged = _tags(calibration, folder)
+    prior, found_origin = _prior(folder, calibration, tagged, origin, required=odometry == "ins", reporter=report)
+    if odometry == "ins":
+        assert prior is not None
+        motion = prior
+    else:
+        steps = files.read_visual_odometry(folder / "vo" / "vo.csv")
+        motion = visual_trajectory(steps, prior)
+        if motion.breaks:
+            report.note(f"{title}: visual odometry is interrupted {len(motion.breaks)} times")
+    if found_origin is not None and origin is None:
+        report.note(f"{title}: positions by GNSS are relative to {found_origin}")
+    return FieldRecording(
+        name=title,
+        folder=folder,
+        condition=_condition(folder, tagged),
+        odometry=motion,
+        lidars=streams,
+        cameras=_cameras(folder, calibration, cameras, title, report),
+        prior=prior,
+        prior_sigma_m=_POOR_PRIOR_SIGMA_M if "poor-gps" in tagged else _PRIOR_SIGMA_M,
+    )
+
+
+def read_robotcar_drives(folders: Sequence[Path], **options: object) -> list[FieldRecording]:
+    """Several traversals whose priors share a map, that of the first traversal with GNSS.
+
+    Args:
+        options: of :func:`read_robotcar`, for all.
+    """
+    origin = next((found for folder in folders if (found := map_origin(folder)) is not None), None)
+    names = traversal_names(folders)
+    return [
+        read_robotcar(folder, name=name, origin=origin, **options)  # type: ignore[arg-type]
+        for folder, name in zip(folders, names, strict=True)
+    ]
+
+
+def map_origin(folder: Path) -> MapOrigin | None:
+    """Where a traversal's own map begins; None without GNSS/INS. Raises DatasetError with file and line."""
+    path = folder / "gps" / "ins.csv"
+    return MapOrigin.of(files.read_inertial(path)) if path.exists() else None
+
+
+def _find_calibration(folder: Path, extrinsics: Path | None, models: Path | None, tags: Path | None) -> Calibration:
+    def find(given: Path | None, name: str) -> Path | None:
+        if given is not None:
+            if not given.is_dir():
+                raise DatasetError(f"no such folder; expected the {name} of the dataset's SDK", given)
+            return given
+        here = folder.resolve()
+        return next((p / name for p in (here, here.parent, here.parent.parent) if (p / name).is_dir()), None)
+
+    found = find(extrinsics, "extrinsics")
+    if found is None:
+        raise DatasetError("no folder 'extrinsics' in it or above it; expected that of the dataset's SDK", folder)
+    return Calibration(found, find(models, "models"), find(tags, "tags"))
+
+
+def _lidars(
+    folder: Path, calibration: Calibration, chosen: Sequence[str] | None, title: str, reporter: Reporter
+) -> tuple[LidarStream, ...]:
+    streams: list[LidarStream] = []
+    for name in _chosen(chosen, LIDARS, "lidar"):
+        if not (folder / name).is_dir():
+            if chosen is not None:
+                raise DatasetError("no such folder; expected lidar scans", folder / name)
+            continue
+        what = f"scans of {title}/{name}"
+        times = present_times(folder / name, folder / f"{name}.timestamps", ".bin", what, reporter)
+        if len(times):
+            T_rig_lidar = T_RIG_VEHICLE @ calibration.T_vehicle_sensor(name)
+            streams.append(LmsStream(name, folder / name, T_rig_lidar, times))
+    if not streams:
+        raise DatasetError(f"holds no lidar scan; expected {' or '.join(f'{n}/TIME.bin' for n in LIDARS)}", folder)
+    return tuple(streams)
+
+
+def _cameras(
+    folder: Path, calibration: Calibration, chosen: Sequence[str] | None, title: str, reporter: Reporter
+) -> dict[str, CameraStream]:
+    streams: dict[str, CameraStream] = {}
+    as_they_are: list[str] = []
+    for name in _chosen(chosen, tuple(CAMERAS), "camera"):
+        lens = CAMERAS[name]
+        where = folder / lens.folder
+        if not where.is_dir():
+            if chosen is not None:
+                raise DatasetError("no such folder; expected images", where)
+            continue
+        what = f"images of {title}/{name}"
+        times = present_times(where, folder / f"{lens.sensor}.timestamps", ".png", what, reporter)
+        if not len(times):
+            continue
+        if calibration.models is None:
+            raise DatasetError("no folder 'models' in it or above it; expected that of the dataset's SDK", folder)
+        model = files.read_lens_model(calibration.models / f"{lens.model}.txt")
+        table = calibration.models / f"{lens.model}_distortion_lut.bin"
+        if not table.exists():
+            as_they_are.append(name)
+        size = image_size(where / f"{int(times[0]) // 1000}.png")
+        try:
+            camera = Camera("pinhole", *size, *model.intrinsics)
+        except ValueError as bad:
+            raise DatasetError(f"the camera model is impossible ({bad})", model.path) from None
+        T_rig_cam = T_RIG_VEHICLE @ _T_vehicle_image(calibration, lens, model)
+        found = table if table.exists() else None
+        streams[name] = RobotCarCamera(name, where, camera, T_rig_cam, times, lens.bayer, found)
+    if as_they_are:
+        reporter.note(f"{title}: no look-up table for {', '.join(as_they_are)}; images are not undistorted")
+    return streams
+
+
+def _T_vehicle_image(calibration: Calibration, lens: Lens, model: files.LensModel) -> Array:
+    """(4, 4) from image axes to the vehicle.
+
+    The narrow pair of the published models counts from the centre lens, the wide pair from the left one, which is the
+    vehicle's origin. The right lens is in both: it tells how far the centre lens stands from the left one.
+    """
+    T_camera_vehicle = calibration.T_camera_vehicle(lens.sensor)
+    T_left_camera = np.eye(4)
+    if lens.model == "stereo_narrow_left" and calibration.models is not None:
+        wide, narrow = (
+            files.read_lens_model(calibration.models / f"stereo_{pair}_right.txt").T_camera_image[:3, 3]
+            for pair in ("wide", "narrow")
+        )
+        T_left_camera = make_transform(np.eye(3), wide - narrow)
+    return np.asarray(invert(T_camera_vehicle) @ T_left_camera @ model.T_camera_image)
+
+
+def _prior(
+    folder: Path,
+    calibration: Calibration,
+    tags: Sequence[str],
+    origin: MapOrigin | None,
+    required: bool,
+    reporter: Reporter,
+) -> tuple[Trajectory | None, MapOrigin | None]:
+    """``T_map_rig`` by GNSS/INS, and where the map begins."""
+    path = folder / "gps" / "ins.csv"
+    if not required:
+        if "no-gps" in tags:
+            reporter.note(f"{folder.name} is tagged no-gps; its GNSS/INS is not used")
+            return None, None
+        if not path.exists():
+            reporter.note(f"{folder.name}: no gps/ins.csv, so that places are found without GNSS")
+            return None, None
+    track = files.read_inertial(path)
+    if track.left_out:
+        reporter.note(f"{path}: {track.left_out} solutions are not good by their own status and left out")
+    start = origin or MapOrigin.of(track)
+    if start.zone != track.zone:
+        raise DatasetError(f"is on the UTM grid of zone {track.zone}, the other drives of zone {start.zone}", path)
+    T_rig_ins = T_RIG_VEHICLE @ calibration.T_vehicle_sensor("ins")
+    return map_trajectory(track, start, T_rig_ins), start
+
+
+def _tags(calibration: Calibration, folder: Path) -> tuple[str, ...]:
+    if calibration.tags is None:
+        return ()
+    path = calibration.tags / f"{folder.resolve().name}.yaml"
+    return files.read_tags(path) if path.exists() else ()
+
+
+def _condition(folder: Path, tags: Sequence[str]) -> Condition:
+    """From the tags and the date in the folder's name.
+
+    A simulated drive's date is made up; ``drives.csv`` beside it names its condition, which becomes a tag.
+    """
+    path = folder.resolve()
+    table = next((p / "drives.csv" for p in (path.parent, path.parent.parent) if (p / "drives.csv").is_file()), None)
+    if table is not None:
+        rows = read_csv(table, "which drive is which", DatasetError)
+        header = next(rows, (1, []))[1]
+        drives = [dict(zip(header, row, strict=False)) for _, row in rows]
+        named = [drive.get("condition", "") for drive in drives if drive.get("name") == path.name]
+        return files.condition_of([*tags, *named])
+    date = _NAME.fullmatch(path.name)
+    month = int(date[2]) if date and 1 <= int(date[2]) <= 12 else None
+    return files.condition_of(tags, month)
+
+
+def _chosen(asked: Sequence[str] | None, known: Sequence[str], what: str) -> tuple[str, ...]:
+    for name in asked or ():
+        if name not in known:
+            raise ConfigError(f"RobotCar has no {what} '{name}'; there is {', '.join(known)}")
+    return tuple(known if asked is None else dict.fromkeys(asked))

@@ -1,0 +1,176 @@
+"""Scans and images of an Oxford RobotCar traversal, as streams that a worker can read."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core import images
+from relocbench.datasets.core.image_header import MOST_PIXELS
+from relocbench.datasets.importers.robotcar.files import parse_microseconds, read_timestamps
+from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
+from relocbench.datasets.sensors.recording import Scan
+from relocbench.errors import DatasetError
+from relocbench.files import read_bytes
+from relocbench.geometry import Camera
+from relocbench.progress import Reporter
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+_POINT_BYTES = 24
+_BEAMS = 541
+_BEAM_STEP = np.radians(0.5)
+_TURN_NS = 20_000_000
+"""the mirror of an LMS-151 turns 50 times a second; 541 beams over 270 degrees take 15 ms of that"""
+_NEAREST_M = 0.1
+"""the scanner measures from 0.5 m on; beams without a return stand in the files as (0, 0, 0)"""
+
+
+@dataclass(frozen=True, eq=False)
+class LmsStream:
+    """A SICK LMS-151: one file a scan, float64 x, y, reflectance; 541 beams over 270 degrees at 50 Hz."""
+
+    name: str
+    folder: Path
+    T_rig_lidar: Array
+    times_ns: Times
+    pattern: Literal["push-broom"] = "push-broom"
+    max_range_m: float = 50.0
+    sigma_m: float = 0.012
+    """data sheet"""
+
+    def read(self, index: int) -> Scan:
+        """A scan; each point at the time of its own beam, the middle one at the scan's.
+
+        The mirror turns counter-clockwise seen from the scanner's +z. A point's place in a whole scan tells when its
+        beam was fired; where beams were left out of the file, its azimuth does, the middle beam looking along x.
+
+        Raises:
+            DatasetError: the file is missing, is no whole number of points, or holds a value that is not finite.
+        """
+        path = self.folder / f"{int(self.times_ns[index]) // 1000}.bin"
+        data = read_bytes(path, "a lidar scan", DatasetError, MOST_SCAN_BYTES)
+        check_scan_size(path, len(data))
+        values = np.frombuffer(data, dtype="<f8").reshape(-1, 3)
+        if not np.isfinite(values).all():
+            raise DatasetError("holds a value that is not finite; expected x, y, reflectance", path)
+        if len(values) == _BEAMS:
+            angle = (np.arange(_BEAMS) - _BEAMS // 2) * _BEAM_STEP
+        else:
+            angle = np.arctan2(values[:, 1], values[:, 0])
+        times = self.times_ns[index] + np.rint(angle / (2 * np.pi) * _TURN_NS).astype(np.int64)
+        returned = np.hypot(values[:, 0], values[:, 1]) >= _NEAREST_M
+        points = np.column_stack([values[:, :2], np.zeros(len(values))])
+        return Scan(points[returned], times[returned])
+
+
+def check_scan_size(path: Path, size: int) -> None:
+    """Raises DatasetError where a file of this size is no scan."""
+    if size == 0:
+        raise DatasetError("is empty; expected a lidar scan (float64 x, y, reflectance)", path)
+    if size % _POINT_BYTES:
+        raise DatasetError(f"{size} bytes are no whole number of points (float64 x, y, reflectance)", path)
+
+
+@dataclass(frozen=True, eq=False)
+class RobotCarCamera:
+    """Images of one lens: Bayer mosaics as recorded, developed and undistorted when read."""
+
+    name: str
+    folder: Path
+    camera: Camera
+    T_rig_cam: Array
+    times_ns: Times
+    bayer: Literal["GBRG", "RGGB"]
+    """colours of the top left 2x2 pixels"""
+    look_up_table: Path | None
+    """of the undistortion; None: images are taken as a pinhole camera's"""
+
+    _CODES: ClassVar[dict[str, int]] = {"GBRG": cv2.COLOR_BayerGBRG2RGB, "RGGB": cv2.COLOR_BayerRGGB2RGB}
+
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """(H, W, 3) RGB, black where the lens did not look. Raises DatasetError with the file."""
+        path = self.folder / f"{int(self.times_ns[index]) // 1000}.png"
+
+        def check_size(size: tuple[int, int]) -> None:
+            if size != self.camera.size:
+                wanted = f"{self.camera.width}x{self.camera.height}"
+                raise DatasetError(f"is {size[0]}x{size[1]}, the first image of this camera {wanted}", path)
+
+        image = images.read_image(path, check_size)
+        # Converted copies of the data set hold colour images already.
+        colour = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, self._CODES[self.bayer]), dtype=np.uint8)
+        if self.look_up_table is None:
+            return colour
+        u, v = read_look_up_table(self.look_up_table, *self.camera.size)
+        return np.asarray(cv2.remap(colour, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def file(self, index: int) -> Path | None:
+        """None: every image has to be developed."""
+        return None
+
+
+@lru_cache(maxsize=8)
+def read_look_up_table(path: Path, width: int, height: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """u and v, (H, W) each: where each pixel of the undistorted image lies in the recorded one.
+
+    The file holds all u, then all v, float64, row by row.
+
+    Raises:
+        DatasetError: missing, of an image of another size, or with values that are not finite.
+    """
+    data = read_bytes(path, "a look-up table", DatasetError, 16 * MOST_PIXELS)
+    if len(data) != 16 * width * height:
+        raise DatasetError(f"{len(data)} bytes are no look-up table of images of {width}x{height}", path)
+    table = np.frombuffer(data, dtype="<f8").astype(np.float32)
+    if not np.isfinite(table).all():
+        raise DatasetError("the look-up table holds a value that is not finite", path)
+    u, v = table.reshape(2, height, width)
+    return u, v
+
+
+def present_times(folder: Path, timestamps: Path, suffix: str, what: str, reporter: Reporter) -> Times:
+    """(N,) times that ``timestamps`` lists and whose files are there; how many are not is told.
+
+    Few are missing in the data set itself, many where only some of its chunks were fetched. Files that are not listed
+    are left out. Without the list, the files' names tell the times.
+
+    Raises:
+        DatasetError: a list out of order, a file's name that is no time, a scan that is cut off.
+    """
+    found: set[int] = set()
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            path = folder / entry.name
+            if path.suffix != suffix or entry.name.startswith("."):
+                continue
+            found.add(parse_microseconds(path.stem, path))
+            if suffix == ".bin":
+                if not path.exists():
+                    raise DatasetError("a link to a file that is gone; expected a scan", path)
+                check_scan_size(path, entry.stat().st_size)
+    if not timestamps.exists():
+        if found:
+            reporter.note(f"{timestamps} is missing; times of {what} are taken from the names of the files")
+        return np.array(sorted(found), dtype=np.int64)
+    listed = read_timestamps(timestamps)
+    times = listed[np.isin(listed, np.array(sorted(found), dtype=np.int64))]
+    if len(times) < len(listed):
+        reporter.note(f"{len(listed) - len(times)} of {len(listed)} {what} that {timestamps.name} lists are missing")
+    if len(times) < len(found):
+        reporter.note(f"{len(found) - len(times)} {what} that {timestamps.name} does not list are left out")
+    return times
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(width, height). Raises DatasetError naming the file."""
+    image: NDArray[Any] = images.read_image(path)
+    return image.shape[1], image.shape[0]

@@ -1,0 +1,1 @@
+"""Recordings in the layout of TUM RGB-D."""

@@ -1,0 +1,272 @@
+"""TUM RGB-D layout: ``rgb.txt``, ``depth.txt``, ``groundtruth.txt`` and the images they list.
+
+Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012. Depth is registered to the colour
+camera, so that both share its intrinsics. Images and depth are undistorted to a pinhole camera of the same K.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from relocbench.datasets.core import images
+from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.schema import CameraEntry, TraversalFile
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.importers.assembly import (
+    check_conditions,
+    check_folder,
+    condition_of,
+    configuration,
+    write_pairs,
+)
+from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.execution import Run, run_units
+from relocbench.files import fitting_name, parse_seconds, read_rows
+from relocbench.geometry import Camera, interpolate_trajectory
+from relocbench.progress import Reporter
+
+Array = NDArray[np.float64]
+Preset = Literal["fr1", "fr2", "fr3", "ros-default"]
+
+CAMERA = "rgb"
+KINECT_SIGMA = (0.0, 0.0, 1.425e-3)
+"""sigma_z = 1.425e-3 z^2 m: Khoshelham and Oude Elberink, Accuracy and Resolution of Kinect Depth Data, Sensors 2012"""
+INTRINSICS: dict[Preset, Camera] = {
+    "fr1": Camera(
+        "radtan", 640, 480, 517.3, 516.5, 318.6, 255.3, distortion=(0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+    ),
+    "fr2": Camera(
+        "radtan", 640, 480, 520.9, 521.0, 325.1, 249.7, distortion=(0.2312, -0.7849, -0.0033, -0.0001, 0.9172)
+    ),
+    "fr3": Camera("pinhole", 640, 480, 535.4, 539.2, 320.1, 247.6),
+    "ros-default": Camera("pinhole", 640, 480, 525.0, 525.0, 319.5, 239.5),
+}
+"""the calibration that the benchmark publishes for each of its cameras"""
+
+
+class Options(ImportOptions):
+    """Options of ``relocbench build-dataset tum-rgbd``."""
+
+    # A hand-held camera turns more than a car does.
+    max_angle: float = Field(90.0, gt=0, le=180, description="widest pair in degrees (nearest rule)")
+    intrinsics: tuple[Literal["auto", "fr1", "fr2", "fr3", "ros-default"], ...] = Field(
+        ("auto",),
+        min_length=1,
+        max_length=2,
+        description="camera calibration, one or one a recording; auto: by freiburg1..3 in the folder's name",
+    )
+    time_offset: tuple[float, ...] = Field(
+        (0.0,),
+        min_length=1,
+        max_length=2,
+        description="seconds, one or one a recording: the truth of an image of time t is that of t + time_offset "
+        "(-0.02 mends the clock of freiburg1)",
+    )
+    max_time_difference: float = Field(
+        0.02, ge=0, description="seconds between an image and its depth image at the most"
+    )
+    max_truth_gap: float = Field(0.1, gt=0, description="seconds of missing truth to interpolate over at the most")
+    depth_scale: float = Field(5000.0, gt=0, description="stored depth of one metre")
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """One image, and what belongs to it."""
+
+    time: int
+    image: Path
+    depth: Path | None
+    T_world_cam: Array
+
+
+@dataclass(frozen=True)
+class _Unit:
+    """A file to write from a file of the recording."""
+
+    source: Path
+    target: Path
+    camera: Camera
+    metres_per_unit: float | None
+    """of a depth image; None for an image"""
+
+
+def _convert(unit: _Unit) -> None:
+    """Undistort to the pinhole camera; depth without interpolation, which would invent surfaces between two."""
+    if unit.metres_per_unit is None:
+        image = images.read_image(unit.source, partial(_check_size, unit))
+        images.write_image(unit.target, _undistort(image, unit.camera, cv2.INTER_LINEAR))
+    else:
+        depth = images.read_raw_depth(unit.source, unit.metres_per_unit, partial(_check_size, unit))
+        images.write_depth(unit.target, _undistort(depth, unit.camera, cv2.INTER_NEAREST))
+
+
+def _undistort(image: NDArray[Any], camera: Camera, interpolation: int) -> NDArray[Any]:
+    if not camera.distortion:
+        return image
+    u, v = _undistortion_map(camera)
+    return np.asarray(cv2.remap(image, u, v, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
+
+
+@lru_cache(maxsize=2)
+def _undistortion_map(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    return camera.undistortion_map()
+
+
+def _check_size(unit: _Unit, size: tuple[int, int]) -> None:
+    if size != unit.camera.size:
+        raise DatasetError(
+            f"image is {size[0]}x{size[1]}, expected {unit.camera.width}x{unit.camera.height}", unit.source
+        )
+
+
+def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
+    """A dataset of one recording, or of a reference and a query recording that share the world's frame.
+
+    Args:
+        sources: one or two sequence folders: reference, query.
+
+    Raises:
+        DatasetError: with file and line, what is missing or wrong in the recording.
+        ConfigError: options that do not fit it.
+    """
+    assert isinstance(options, Options)
+    if not 1 <= len(sources) <= 2:
+        raise ConfigError(f"tum-rgbd takes one or two sequence folders (reference, query), got {len(sources)}")
+    for source in sources:
+        check_folder(source, "a TUM RGB-D sequence")
+    names = traversal_names(sources)
+    check_conditions(options, names)
+    settings = configuration("tum-rgbd", sources, options)
+    writer = DatasetWriter(out, options.name or fitting_name("_to_".join(names)), settings, options.licence)
+    for index, (source, name) in enumerate(zip(sources, names, strict=True)):
+        _write_traversal(writer, source, name, index, options, reporter, run)
+    write_pairs(
+        writer,
+        names[0],
+        names[-1],
+        CAMERA,
+        options,
+        source="TUM RGB-D motion capture",
+        where=sources[0],
+        reporter=reporter,
+        run=run,
+    )
+    return writer.finish()
+
+
+def _write_traversal(
+    writer: DatasetWriter, source: Path, name: str, index: int, options: Options, reporter: Reporter, run: Run
+) -> None:
+    camera = _intrinsics(source, options.intrinsics[min(index, len(options.intrinsics) - 1)])
+    time_offset = options.time_offset[min(index, len(options.time_offset) - 1)]
+    frames = _frames(source, name, time_offset, options, reporter)
+    file = TraversalFile(
+        name=name,
+        condition=condition_of(options, name),
+        cameras={CAMERA: CameraEntry.of(camera.pinhole(), depth_sigma=KINECT_SIGMA)},
+        source=f"TUM RGB-D sequence {source.resolve().name}, truth at t {time_offset:+g} s",
+    )
+    writer.traversal(file, {f.time: f.T_world_cam for f in frames})
+    target = writer.layout.traversal(name)
+    units = []
+    for frame in frames:
+        if not camera.distortion:
+            writer.link_image(name, CAMERA, frame.time, frame.image, copy=options.copy_images)
+        elif writer.needs_image(name, CAMERA, frame.time):
+            units.append(_Unit(frame.image, target.image(CAMERA, frame.time), camera, None))
+        if frame.depth and writer.needs_depth(name, CAMERA, frame.time):
+            units.append(_Unit(frame.depth, target.depth(CAMERA, frame.time), camera, 1.0 / options.depth_scale))
+    with reporter.stage(f"images of {name}", len(units)) as advance:
+        for _ in run_units(_convert, units, run):
+            advance(1)
+
+
+def _intrinsics(source: Path, asked: str) -> Camera:
+    if asked != "auto":
+        return INTRINSICS[asked]  # type: ignore[index]  # pydantic has checked it
+    folder = source.resolve().name.lower()
+    for number in ("1", "2", "3"):
+        if f"freiburg{number}" in folder or f"fr{number}" in folder:
+            return INTRINSICS[f"fr{number}"]  # type: ignore[index]
+    raise ConfigError(
+        f"{source}: --intrinsics is needed (fr1, fr2, fr3 or ros-default); the folder's name does not tell the camera"
+    )
+
+
+def _frames(source: Path, name: str, time_offset: float, options: Options, reporter: Reporter) -> list[_Frame]:
+    """The images that are there and have a pose, each with the depth image nearest in time."""
+    listed, depths = _listed(source / "rgb.txt"), _listed(source / "depth.txt")
+    there = {t: p for t, p in listed.items() if p.exists()}
+    if len(there) < len(listed):
+        reporter.note(f"{name}: {len(listed) - len(there)} of {len(listed)} images in rgb.txt are not there")
+    if not there:
+        raise DatasetError("none of the images it lists are there", source / "rgb.txt")
+    depths = {t: p for t, p in depths.items() if p.exists()}
+    poses = _poses_at(source / "groundtruth.txt", list(there), round(time_offset * 1e9), options.max_truth_gap)
+    if len(poses) < len(there):
+        reporter.note(f"{name}: {len(there) - len(poses)} of {len(there)} images left out, the truth has a gap there")
+    if not poses:
+        raise DatasetError("holds no pose at the time of any image", source / "groundtruth.txt")
+    limit = round(options.max_time_difference * 1e9)
+    frames = [_Frame(t, there[t], _nearest(depths, t, limit), poses[t]) for t in sorted(poses)]
+    bare = sum(frame.depth is None for frame in frames)
+    if bare:
+        reporter.note(
+            f"{name}: {bare} of {len(frames)} images are no keyframes, no depth image lies within "
+            f"{options.max_time_difference:g} s"
+        )
+    return frames
+
+
+def _listed(path: Path) -> dict[int, Path]:
+    """Time in nanoseconds -> file, of a list ``seconds path``. Raises DatasetError with file and line."""
+    files: dict[int, Path] = {}
+    for line, fields in read_rows(path, "a list of images (seconds path)", DatasetError):
+        if len(fields) != 2:
+            raise DatasetError(f"expected 2 columns (seconds path), found {len(fields)}", path, line)
+        time = parse_seconds(fields[0], path, line, DatasetError)
+        if time in files:
+            raise DatasetError(f"time {fields[0]} occurs again", path, line)
+        files[time] = path.parent / fields[1]
+    if not files:
+        raise DatasetError("lists nothing; expected images (seconds path)", path)
+    return files
+
+
+def _poses_at(path: Path, times: list[int], offset_ns: int, max_gap: float) -> dict[int, Array]:
+    """``T_world_cam`` of the times that the truth, read at t + offset, covers without a gap.
+
+    Raises:
+        DatasetError: with file and line, an impossible pose.
+    """
+    truth = read_trajectory(path)
+    if not truth:
+        raise DatasetError("holds no pose", path)
+    stamps = np.array(list(truth), dtype=np.int64)
+    wanted = np.array(times, dtype=np.int64) + offset_ns
+    right = np.clip(np.searchsorted(stamps, wanted), 1, max(len(stamps) - 1, 1))
+    inside = (wanted >= stamps[0]) & (wanted <= stamps[-1])
+    covered = inside & ((stamps[right % len(stamps)] - stamps[right - 1]) <= round(max_gap * 1e9))
+    if not np.any(covered):
+        return {}
+    poses = interpolate_trajectory(stamps, np.array(list(truth.values())), wanted[covered])
+    return {times[i]: pose for i, pose in zip(np.nonzero(covered)[0], poses, strict=True)}
+
+
+def _nearest(files: dict[int, Path], time: int, limit: int) -> Path | None:
+    """The file nearest in time, if it is within the limit."""
+    times = np.array(sorted(files), dtype=np.int64)
+    if not times.size:
+        return None
+    best = int(times[np.argmin(np.abs(times - time))])
+    return files[best] if abs(best - time) <= limit else None

@@ -1,0 +1,294 @@
+"""Pictures that let a person check the truth of a pair by eye.
+
+Four panels: the keyframe with its points, coloured by depth; the query with the same points where the truth says they
+are; and the keyframe warped into the query by the truth, once in squares that alternate with the query (of a sparse
+keyframe: in patches on it) and once in red over the query in cyan. Where the truth is right, numbered corners sit on
+the same things, edges run on, and the last panel is without coloured fringes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.images import write_image
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.inspect.drawing import (
+    RED,
+    WHITE,
+    YELLOW,
+    Colour,
+    Image,
+    compose,
+    depth_colours,
+    draw_points,
+    enlarge,
+    match_brightness,
+    mixed,
+    red_cyan,
+    rgb,
+)
+from relocbench.datasets.pairs.correspondences import spread_sample
+from relocbench.datasets.pairs.visibility import DepthView, ReferencePoints, reference_z_buffer, see, warp
+from relocbench.geometry import Camera, invert, make_transform, so3_exp
+from relocbench.progress import Reporter
+from relocbench.tracking import Query, Reference
+
+Array = NDArray[np.float64]
+
+_POINTS = 3000
+"""drawn at most; more hide the image"""
+_CORNERS = (5, 3)
+"""numbered corners: one in each cell of so many columns and rows"""
+_TURN = 0.004
+"""how far the image moves under the turned poses that the truth is compared with, by its width; a pixel at least"""
+_SPARSE = 0.3
+"""a keyframe with depth at fewer of its pixels is filled in around them for the warped view"""
+_PATCH_RADIUS = 5
+"""pixels of an image 1000 pixels wide"""
+_PANEL_WIDTH = 640
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How well the images agree under a pose: mean absolute difference in grey levels at the same surface points.
+
+    The keyframe's grey levels are brought to the query's mean and contrast before.
+    """
+
+    difference: float
+    """under the truth"""
+    difference_turned: float
+    """the least of those under poses turned left, right, up and down by 0.4 % of the image's width"""
+
+    @property
+    def truth_is_best(self) -> bool:
+        """Whether no turned pose agrees better. A hint: across seasons a right truth may miss it."""
+        return self.difference < self.difference_turned
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture and what it says."""
+
+    file: str
+    pair_set: str
+    ref_timestamp_ns: int
+    query_timestamp_ns: int
+    distance_m: float | None
+    angle_deg: float | None
+    overlap: float | None
+    source: str
+    difference: float
+    difference_turned: float
+    truth_is_best: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def write_pictures(
+    dataset: Dataset, pair_sets: list[PairSet], folder: Path, count: int, seed: int, reporter: Reporter
+) -> list[Picture]:
+    """``PAIRSET_REF_QUERY.png`` for ``count`` pairs of each set, spread evenly along the drive.
+
+    Args:
+        seed: of the points that are drawn.
+    """
+    chosen = [(s, pair) for s in pair_sets for pair in spread_pairs(s.pairs, count)]
+    pictures = []
+    with reporter.stage("drawing pairs", len(chosen)) as advance:
+        for pair_set, pair in chosen:
+            pictures.append(_write_picture(dataset, pair_set, pair, folder, seed))
+            advance(1)
+    return pictures
+
+
+def spread_pairs(pairs: list[Pair], count: int) -> list[Pair]:
+    """Up to ``count`` of the pairs whose truth is known, evenly spread over the set, first and last among them."""
+    known = [p for p in pairs if p.T_query_ref is not None]
+    rows = np.unique(np.rint(np.linspace(0, len(known) - 1, min(count, len(known)))).astype(int))
+    return [known[row] for row in rows]
+
+
+def _write_picture(dataset: Dataset, pair_set: PairSet, pair: Pair, folder: Path, seed: int) -> Picture:
+    assert pair.T_query_ref is not None
+    reference, query = dataset.reference(pair_set, pair), dataset.query(pair_set, pair)
+    depth = dataset.traversal(pair_set.query).depth(pair_set.camera, pair.query_timestamp_ns)
+    sigma = dataset.traversal(pair_set.query).file.cameras[pair_set.camera].depth_sigma
+    view = DepthView(query.camera, depth, sigma)
+    rng = np.random.default_rng([seed, *(time % 2**64 for time in pair.key)])
+    agreement = measure_agreement(reference, query, pair.T_query_ref)
+    title = f"{pair_set.name}   keyframe {pair.ref_timestamp_ns}   query {pair.query_timestamp_ns}"
+    image = draw_pair(reference, query, view, pair, agreement, title, rng)
+    path = folder / f"{pair_set.name}_{pair.ref_timestamp_ns}_{pair.query_timestamp_ns}.png"
+    write_image(path, image)
+    return Picture(
+        path.name,
+        pair_set.name,
+        *pair.key,
+        pair.distance_m,
+        pair.angle_deg,
+        pair.overlap,
+        pair.source,
+        agreement.difference,
+        agreement.difference_turned,
+        agreement.truth_is_best,
+    )
+
+
+def measure_agreement(reference: Reference, query: Query, T_query_ref: Array, count: int = 20_000) -> Agreement:
+    """Compare grey levels under ``T_query_ref`` and under poses turned a little, over the same points."""
+    points = ReferencePoints.of(reference)
+    points = points.take(spread_sample(points.uv, reference.camera, count, np.random.default_rng(0)))
+    grey_ref, grey_query = _smooth_grey(reference.image), _smooth_grey(query.image)
+    turns = [np.zeros(3), *_turns(query.camera)]
+    poses = [make_transform(so3_exp(turn), np.zeros(3)) @ T_query_ref for turn in turns]
+    stacked = np.column_stack([points.uv, points.depth])
+    warped = [warp(stacked, reference.camera, query.camera, pose)[0] for pose in poses]
+    inside = np.all([query.camera.contains(uv) for uv in warped], axis=0)
+    if np.count_nonzero(inside) < 2:
+        return Agreement(np.nan, np.nan)
+    values = _sample(grey_ref, points.uv[inside])
+    differences = [_difference(values, _sample(grey_query, uv[inside])) for uv in warped]
+    return Agreement(differences[0], min(differences[1:]))
+
+
+def _turns(camera: Camera) -> list[Array]:
+    angle = max(1.0, _TURN * camera.width) / camera.fx
+    return [np.array(axis) * angle for axis in ((0.0, 1, 0), (0.0, -1, 0), (1.0, 0, 0), (-1.0, 0, 0))]
+
+
+def _difference(a: Array, b: Array) -> float:
+    gain = b.std() / a.std() if a.std() > 0 else 1.0
+    return float(np.mean(np.abs((a - a.mean()) * gain + b.mean() - b)))
+
+
+def warp_image(reference: Reference, query: Camera, T_query_ref: Array) -> tuple[Image, NDArray[np.bool_]]:
+    """The keyframe as the query would see it, (H, W[, 3]), and where that is known (H, W).
+
+    The keyframe's depth is drawn into the query; each pixel q with depth z then takes the keyframe's colour at
+    ``pi(T_ref_query pi^-1(q, z))``.
+    """
+    depth = _filled_depth(reference)
+    z = reference_z_buffer(T_query_ref, DepthView(reference.camera, depth), DepthView(query))
+    v, u = np.nonzero(np.isfinite(z))
+    uv, _, valid = warp(np.column_stack([u, v, z[v, u]]), query, reference.camera, invert(T_query_ref))
+    valid &= reference.camera.contains(uv)
+    where = np.full((*z.shape, 2), -1.0, dtype=np.float32)
+    where[v[valid], u[valid]] = uv[valid]
+    image = cv2.remap(reference.image, where[..., 0], where[..., 1], cv2.INTER_LINEAR)
+    return np.asarray(image), where[..., 0] >= 0
+
+
+def is_sparse(reference: Reference) -> bool:
+    """Whether the warped view of a keyframe has to be made of patches around its points."""
+    inverse = reference.inverse_depth_map
+    return bool(np.count_nonzero(inverse) < _SPARSE * inverse.size)
+
+
+def _filled_depth(reference: Reference) -> NDArray[np.float32]:
+    """Dense depth for the warped view; around sparse points a patch takes the depth of the nearest surface."""
+    inverse = reference.inverse_depth_map
+    if is_sparse(reference):
+        radius = max(1, round(_PATCH_RADIUS * reference.camera.width / 1000))
+        patch = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+        inverse = np.asarray(cv2.dilate(inverse, patch), dtype=np.float32)
+    depth = np.zeros_like(inverse)
+    np.divide(1.0, inverse, out=depth, where=inverse > 0)
+    return depth
+
+
+def draw_pair(
+    reference: Reference,
+    query: Query,
+    view: DepthView,
+    pair: Pair,
+    agreement: Agreement,
+    title: str,
+    rng: np.random.Generator,
+) -> Image:
+    """The four panels with their captions, (H, W, 3)."""
+    assert pair.T_query_ref is not None
+    points = ReferencePoints.of(reference)
+    points = points.take(spread_sample(points.uv, reference.camera, _POINTS, rng))
+    seen = see(points, pair.T_query_ref, DepthView(reference.camera, reference.depth, reference.depth_sigma), view)
+    colours = depth_colours(points.depth)
+    corners = _corner_rows(reference.image, points.uv, seen.visible)
+    everywhere = np.ones(len(points), dtype=np.bool_)
+    warped, known = warp_image(reference, query.camera, pair.T_query_ref)
+    other = rgb(query.image)
+    warped = match_brightness(rgb(warped), other, known)
+    near, far = np.percentile(points.depth, [5, 95]) if len(points) else (np.nan, np.nan)
+    scale = max(1, round(_PANEL_WIDTH / query.camera.width))
+    panels = [
+        (
+            f"keyframe: points, red {near:.3g} m to blue {far:.3g} m",
+            draw_points(rgb(reference.image), points.uv, colours, everywhere, corners, scale),
+        ),
+        (
+            f"query: the same points by the truth; {np.count_nonzero(seen.visible)} seen, "
+            f"{np.count_nonzero(seen.inside & ~seen.visible)} hidden (grey)",
+            draw_points(other, seen.uv_query, colours, seen.visible, corners, scale, seen.inside),
+        ),
+        mixed(warped, known, other, scale, patches=is_sparse(reference)),
+        ("keyframe warped in red, query in cyan; no fringes", enlarge(red_cyan(warped, known, other), scale)),
+    ]
+    return compose(panels, _captions(pair, agreement, title))
+
+
+def _captions(pair: Pair, agreement: Agreement, title: str) -> list[tuple[str, Colour]]:
+    facts = [f"{pair.distance_m:.3f} m", f"{pair.angle_deg:.2f} deg"]
+    if pair.overlap is not None:
+        facts.append(f"overlap {pair.overlap:.2f}")
+    if pair.sigma_translation_m is not None:
+        facts.append(f"sigma {pair.sigma_translation_m:.3g} m")
+    if pair.source:
+        facts.append(f"truth: {pair.source}")
+    if not np.isfinite(agreement.difference):
+        return [(title, WHITE), (", ".join(facts), WHITE), ("THE QUERY SEES NO POINT BY THE TRUTH", RED)]
+    verdict = "lowest at the truth" if agreement.truth_is_best else "NOT LOWEST AT THE TRUTH"
+    said = (
+        f"grey levels differ by {agreement.difference:.1f}; turned left, right, up, down by 0.4 % of the width: "
+        f"{agreement.difference_turned:.1f} or more: {verdict}"
+    )
+    return [(title, WHITE), (", ".join(facts), WHITE), (said, YELLOW if agreement.truth_is_best else RED)]
+
+
+def _corner_rows(image: Image, uv: Array, visible: NDArray[np.bool_]) -> list[int]:
+    """Rows of the points that are easiest to find again: the best corner of each cell of the keyframe."""
+    grey = _smooth_grey(image).astype(np.float32)
+    response = _sample(cv2.cornerMinEigenVal(grey, 5), uv)
+    columns, rows = _CORNERS
+    height, width = grey.shape
+    cell = np.floor(uv[:, 1] * rows / height) * columns + np.floor(uv[:, 0] * columns / width)
+    border = 0.03 * width
+    central = (uv[:, 0] > border) & (uv[:, 0] < width - border) & (uv[:, 1] > border) & (uv[:, 1] < height - border)
+    found = []
+    for index in range(columns * rows):
+        candidates = np.nonzero((cell == index) & visible & central)[0]
+        if candidates.size:
+            found.append(int(candidates[np.argmax(response[candidates])]))
+    return found
+
+
+def _smooth_grey(image: Image) -> Array:
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return np.asarray(cv2.GaussianBlur(grey, (0, 0), 1.0), dtype=np.float64)
+
+
+def _sample(image: NDArray[Any], uv: Array) -> Array:
+    """(N,) values between pixels."""
+    v, u = np.clip(uv[:, 1], 0, image.shape[0] - 1), np.clip(uv[:, 0], 0, image.shape[1] - 1)
+    v0, u0 = np.minimum(v.astype(int), image.shape[0] - 2), np.minimum(u.astype(int), image.shape[1] - 2)
+    fv, fu = v - v0, u - u0
+    top = image[v0, u0] * (1 - fu) + image[v0, u0 + 1] * fu
+    bottom = image[v0 + 1, u0] * (1 - fu) + image[v0 + 1, u0 + 1] * fu
+    return np.asarray(top * (1 - fv) + bottom * fv, dtype=np.float64)

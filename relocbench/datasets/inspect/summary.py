@@ -1,0 +1,142 @@
+"""What is in a dataset, as numbers for people."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.traversal import Traversal
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Least, median and greatest of some values."""
+
+    least: float
+    median: float
+    greatest: float
+
+    @classmethod
+    def of(cls, values: Sequence[float | None]) -> Spread | None:
+        """None where no value is known."""
+        known = [v for v in values if v is not None]
+        return cls(min(known), float(np.median(known)), max(known)) if known else None
+
+
+@dataclass(frozen=True)
+class TraversalSummary:
+    """One traversal."""
+
+    name: str
+    condition: str
+    location: str
+    cameras: dict[str, str]
+    """name -> model and size"""
+    images: int
+    keyframes: int
+    poses: int
+    length_m: float
+    """of the way from pose to pose"""
+
+
+@dataclass(frozen=True)
+class PairSetInventory:
+    """One pair set."""
+
+    name: str
+    reference: str
+    query: str
+    camera: str
+    reference_condition: str
+    query_condition: str
+    pairs: int
+    rejected: dict[str, int]
+    """why -> how many"""
+    groups: dict[str, int]
+    """group -> how many accepted pairs"""
+    has_truth: bool
+    sources: dict[str, int]
+    distance_m: Spread | None
+    angle_deg: Spread | None
+    overlap: Spread | None
+    sigma_translation_m: Spread | None
+    sigma_rotation_deg: Spread | None
+
+
+@dataclass(frozen=True)
+class Inventory:
+    """All of a dataset."""
+
+    name: str
+    licence: str
+    fingerprint: str
+    made_by: dict[str, Any]
+    splits: dict[str, tuple[str, ...]]
+    traversals: list[TraversalSummary]
+    pair_sets: list[PairSetInventory]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for scripts."""
+        return asdict(self)
+
+
+def take_inventory(dataset: Dataset) -> Inventory:
+    """Count and measure what a dataset holds; no image is read.
+
+    Raises:
+        DatasetError: a description, pose or pair file is bad.
+    """
+    return Inventory(
+        name=dataset.name,
+        licence=dataset.file.licence,
+        fingerprint=dataset.fingerprint,
+        made_by=dict(dataset.file.made_by),
+        splits=dict(dataset.splits),
+        traversals=[summarize_traversal(dataset.traversal(name)) for name in dataset.traversal_names],
+        pair_sets=[summarize_pair_set(dataset, pair_set) for pair_set in dataset.pair_sets()],
+    )
+
+
+def summarize_traversal(traversal: Traversal) -> TraversalSummary:
+    """Counts, and the length of the way driven."""
+    centres = np.array([T_world_rig[:3, 3] for T_world_rig in traversal.poses.values()]).reshape(-1, 3)
+    cameras = {name: traversal.camera(name) for name in traversal.cameras}
+    return TraversalSummary(
+        name=traversal.name,
+        condition=str(traversal.condition),
+        location=traversal.file.location,
+        cameras={name: f"{camera.model} {camera.width}x{camera.height}" for name, camera in cameras.items()},
+        images=sum(len(traversal.timestamps(camera)) for camera in cameras),
+        keyframes=sum(len(traversal.keyframe_timestamps(camera)) for camera in cameras),
+        poses=len(centres),
+        length_m=float(np.sum(np.linalg.norm(np.diff(centres, axis=0), axis=1))),
+    )
+
+
+def summarize_pair_set(dataset: Dataset, pair_set: PairSet) -> PairSetInventory:
+    """Counts and how far apart its pairs are."""
+    pairs = pair_set.pairs
+    return PairSetInventory(
+        name=pair_set.name,
+        reference=pair_set.reference,
+        query=pair_set.query,
+        camera=pair_set.camera,
+        reference_condition=str(dataset.traversal(pair_set.reference).condition),
+        query_condition=str(dataset.traversal(pair_set.query).condition),
+        pairs=len(pairs),
+        rejected=dict(Counter(p.reason or "no reason given" for p in pair_set.rejected)),
+        groups=dict(Counter(p.group for p in pairs if p.group)),
+        has_truth=pair_set.has_truth,
+        sources=dict(Counter(p.source for p in pairs if p.source)),
+        distance_m=Spread.of([p.distance_m for p in pairs]),
+        angle_deg=Spread.of([p.angle_deg for p in pairs]),
+        overlap=Spread.of([p.overlap for p in pairs]),
+        sigma_translation_m=Spread.of([p.sigma_translation_m for p in pairs]),
+        sigma_rotation_deg=Spread.of([p.sigma_rotation_deg for p in pairs]),
+    )

@@ -1,0 +1,232 @@
+"""Which keyframe is paired with which query, by rule, from camera poses alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.core.traversal import Traversal
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.geometry import invert, rotation_angle
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PosedFrames:
+    """The posed frames of one camera of one traversal, in time order."""
+
+    timestamps: tuple[int, ...]
+    """nanoseconds, increasing"""
+    T_world_cam: Array
+    """(N, 4, 4)"""
+    keyframes: frozenset[int]
+    """times of the frames with depth or points"""
+    numbers: tuple[int, ...] = ()
+    """frame numbers as the recording counts them, with its gaps; default: 0, 1, 2, ..."""
+
+    def __post_init__(self) -> None:
+        if not self.numbers:
+            object.__setattr__(self, "numbers", tuple(range(len(self.timestamps))))
+        if not len(self.timestamps) == len(self.numbers) == len(self.T_world_cam):
+            raise ValueError(
+                f"posed frames need as many times ({len(self.timestamps)}) as poses ({len(self.T_world_cam)}) "
+                f"and numbers ({len(self.numbers)})"
+            )
+
+    @property
+    def keyframe_rows(self) -> list[int]:
+        """Positions in :attr:`timestamps` of the keyframes."""
+        return [i for i, t in enumerate(self.timestamps) if t in self.keyframes]
+
+
+def posed_frames(traversal: Traversal, camera: str, numbers: dict[int, int] | None = None) -> PosedFrames:
+    """The frames of a traversal on disk that have an image and a pose.
+
+    Args:
+        numbers: timestamp_ns -> frame number, where the recording's own count has gaps.
+    """
+    times = [t for t in traversal.timestamps(camera) if t in traversal.poses]
+    poses = [traversal.T_world_cam(camera, t) for t in times]
+    return PosedFrames(
+        tuple(times),
+        np.array(poses, dtype=np.float64).reshape(-1, 4, 4),
+        frozenset(traversal.keyframe_timestamps(camera)),
+        tuple(numbers[t] for t in times) if numbers is not None else (),
+    )
+
+
+def make_pairs(
+    reference: PosedFrames,
+    query: PosedFrames,
+    options: ImportOptions,
+    *,
+    same_traversal: bool,
+    source: str,
+    where: Path | None = None,
+    sigma_translation_m: float | None = None,
+    sigma_rotation_deg: float | None = None,
+) -> list[Pair]:
+    """Pairs by the rule of the options: ``step`` within one traversal and ``nearest`` across two, unless told.
+
+    Args:
+        source: how the poses were obtained, kept with each pair.
+        where: the recording, for messages.
+        sigma_translation_m, sigma_rotation_deg: one standard deviation of ``T_query_ref``, where it is known.
+
+    Raises:
+        DatasetError: no pair came of it; the message says how near the nearest were.
+        ConfigError: steps are asked for across two traversals.
+    """
+    rule = options.pair_rule or ("step" if same_traversal else "nearest")
+    if rule == "step" and not same_traversal:
+        raise ConfigError("--pair-rule step counts frames within one traversal; use nearest for two recordings")
+    if not reference.keyframe_rows:
+        raise DatasetError("no frame has both depth and a pose: there is no keyframe to pair", where)
+    if not query.timestamps:
+        raise DatasetError("no query frame has a pose: there is nothing to pair", where)
+    if rule == "step":
+        found = step_matches(reference, options.pair_step)
+    else:
+        limits = options.max_distance, options.max_angle
+        found = nearest_matches(reference, query, *limits, same_traversal=same_traversal)
+    if not found:
+        why = (
+            _why_no_step(reference, options.pair_step)
+            if rule == "step"
+            else _why_none_near(reference, query, options, same_traversal)
+        )
+        raise DatasetError(why, where)
+    return [
+        Pair(
+            reference.timestamps[r],
+            query.timestamps[q],
+            relative_pose(query.T_world_cam[q], reference.T_world_cam[r]),
+            group=group,
+            source=source,
+            sigma_translation_m=sigma_translation_m,
+            sigma_rotation_deg=sigma_rotation_deg,
+        )
+        for r, q, group in found
+    ]
+
+
+def relative_pose(T_world_query: Array, T_world_ref: Array) -> Array:
+    """``T_query_ref = T_query_world @ T_world_ref``, (4, 4)."""
+    return invert(T_world_query) @ T_world_ref
+
+
+def step_matches(frames: PosedFrames, steps: Sequence[int]) -> list[tuple[int, int, str]]:
+    """(reference row, query row, group ``step_k``): the keyframe numbered i with the frame numbered i + k.
+
+    A gap in the numbers is a gap: frame i + k is the one of that number, or there is no pair.
+    """
+    row_of = {number: row for row, number in enumerate(frames.numbers)}
+    keyframes = frames.keyframe_rows
+    return [
+        (r, row_of[frames.numbers[r] + k], f"step_{k}")
+        for k in steps
+        for r in keyframes
+        if frames.numbers[r] + k in row_of
+    ]
+
+
+def nearest_matches(
+    reference: PosedFrames, query: PosedFrames, max_distance: float, max_angle: float, *, same_traversal: bool
+) -> list[tuple[int, int, str]]:
+    """(reference row, query row, group ``nearest``): each query frame with the nearest admissible keyframe.
+
+    Args:
+        max_distance: metres between the camera centres.
+        max_angle: degrees of the relative rotation.
+
+    Within the same traversal a frame is never paired with itself. Of keyframes equally near the earlier wins.
+    """
+    rows = reference.keyframe_rows
+    found = []
+    for q, near, distances, angles in _within(reference, query, max_distance, same_traversal):
+        admissible = angles <= max_angle
+        if np.any(admissible):
+            best = near[admissible][np.argmin(distances[admissible])]
+            found.append((rows[best], q, "nearest"))
+    return found
+
+
+def _within(
+    reference: PosedFrames, query: PosedFrames, max_distance: float, same_traversal: bool
+) -> Iterator[tuple[int, NDArray[np.int64], Array, Array]]:
+    """For each query row: keyframes (as positions in ``keyframe_rows``) within reach, their distances and angles."""
+    rows = reference.keyframe_rows
+    keys = reference.T_world_cam[rows]
+    key_times = np.array([reference.timestamps[r] for r in rows], dtype=np.int64)
+    tree = cKDTree(keys[:, :3, 3])
+    for q, T_world_query in enumerate(query.T_world_cam):
+        centre = T_world_query[:3, 3]
+        near = np.array(tree.query_ball_point(centre, max_distance, return_sorted=True), dtype=np.int64)
+        if same_traversal:
+            near = near[key_times[near] != query.timestamps[q]]
+        if near.size:
+            distances = np.linalg.norm(keys[near, :3, 3] - centre, axis=1)
+            yield q, near, distances, _angles_deg(T_world_query, keys[near])
+
+
+def _angles_deg(T_world_query: Array, T_world_ref: Array) -> Array:
+    """Degrees between one camera and (N, 4, 4) others."""
+    relative = np.swapaxes(T_world_query[:3, :3], -1, -2) @ T_world_ref[..., :3, :3]
+    return np.degrees(np.asarray(rotation_angle(relative)))
+
+
+def _why_none_near(reference: PosedFrames, query: PosedFrames, options: ImportOptions, same_traversal: bool) -> str:
+    limits = f"--max-distance is {options.max_distance:g} m, --max-angle {options.max_angle:g} deg"
+    within = [
+        (a, d)
+        for _, _, ds, angles in _within(reference, query, options.max_distance, same_traversal)
+        for a, d in zip(angles.round(6), ds, strict=True)
+    ]
+    if within:
+        angle, distance = min(within)
+        return (
+            f"no pair: of the keyframes within reach of a query the best aligned is {distance:.3g} m and "
+            f"{angle:.3g} deg away; {limits}: widen --max-angle"
+        )
+    everywhere = [
+        (float(d.min()), float(a[d.argmin()])) for _, _, d, a in _within(reference, query, np.inf, same_traversal)
+    ]
+    if not everywhere:
+        return f"no pair: the only keyframe is the only query ({limits})"
+    distance, angle = min(everywhere)
+    widen = "--max-distance" if angle <= options.max_angle else "--max-distance and --max-angle"
+    return (
+        f"no pair: the nearest keyframe to any query is {distance:.3g} m and {angle:.3g} deg away; {limits}: "
+        f"widen {widen}"
+    )
+
+
+def _why_no_step(frames: PosedFrames, steps: Sequence[int]) -> str:
+    numbers = np.array(frames.numbers)
+    nearest: tuple[int, int] | None = None
+    for row in frames.keyframe_rows:
+        for other in (row - 1, row + 1):
+            if 0 <= other < len(numbers):
+                step = int(numbers[other] - numbers[row])
+                if nearest is None or abs(step) < abs(nearest[1]):
+                    nearest = row, step
+    asked = ",".join(map(str, steps))
+    span = f"frames {frames.numbers[0]} to {frames.numbers[-1]}, {len(frames.keyframe_rows)} of them keyframes"
+    if nearest is None:
+        return f"no pair at --pair-step {asked}: there is one posed frame only"
+    row, step = nearest
+    other = frames.numbers.index(frames.numbers[row] + step)
+    T_query_ref = relative_pose(frames.T_world_cam[other], frames.T_world_cam[row])
+    return (
+        f"no pair at --pair-step {asked} ({span}); the nearest frame to a keyframe is {step:+d} frames away "
+        f"({np.linalg.norm(T_query_ref[:3, 3]):.3g} m, {np.degrees(rotation_angle(T_query_ref[:3, :3])):.3g} deg): "
+        f"try --pair-step {step}"
+    )

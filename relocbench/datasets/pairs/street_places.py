@@ -1,0 +1,214 @@
+"""Place recognition in the street: the drives of a dataset as a retrieval set.
+
+A task is a pair set of two traversals: the keyframes of the reference traversal's camera are the gallery, the images
+of the query traversal's camera the queries, in the order of the drive.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property, partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.layout import TraversalLayout
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.traversal import Traversal
+from relocbench.errors import ConfigError, DatasetError
+from relocbench.geometry import invert
+from relocbench.metrics import Relevance, relevance_from_lists, relevance_within
+from relocbench.metrics.retrieval.relevance import PLACE_RADIUS_M
+from relocbench.retrieval import Image, ImageView, RetrievalTask
+
+Array = NDArray[np.float64]
+Positives = Literal["radius", "pairs"]
+VIEW = "street"
+_ONE_WORLD_M = 2.0
+"""a pair's pose and the poses of its traversals may differ by so much, in the median, and be in one world"""
+_VERSION = 1
+"""counted up when the same options mean other tasks"""
+
+
+@dataclass(frozen=True, eq=False)
+class StreetPlaces:
+    """A relocbench dataset as a :class:`~relocbench.retrieval.RetrievalSet`.
+
+    With ``positives="radius"`` an image of the gallery is right if its camera stood within ``radius_m`` of the query's
+    and, with ``heading_deg``, looked the same way up to that angle between the optical axes. Queries without a pose
+    are left out. With ``positives="pairs"`` it is right if the pair set holds the pair, which is a tracker's reach;
+    the queries are those of the pairs.
+    """
+
+    dataset: Dataset
+    radius_m: float = PLACE_RADIUS_M
+    heading_deg: float | None = None
+    rule: Positives = "radius"
+
+    def __post_init__(self) -> None:
+        if self.rule == "pairs" and self.heading_deg is not None:
+            raise ConfigError("--heading limits positives within a radius; it has no meaning with --positives pairs")
+        if not 0 < self.radius_m < np.inf:
+            raise ConfigError(f"--radius must be a positive number of metres, got {self.radius_m}")
+        if self.heading_deg is not None and not 0 < self.heading_deg <= 180:
+            raise ConfigError(f"--heading must be degrees in 0..180, got {self.heading_deg}")
+
+    @property
+    def name(self) -> str:
+        """Of the dataset, with what is right: each choice is a set of its own."""
+        if self.rule == "pairs":
+            return f"{self.dataset.name}.places-pairs"
+        heading = "" if self.heading_deg is None else f"-{self.heading_deg:g}deg"
+        return f"{self.dataset.name}.places-{self.radius_m:g}m{heading}"
+
+    @property
+    def positives(self) -> str:
+        """In words."""
+        if self.rule == "pairs":
+            return "keyframes that the pair set pairs with the query"
+        heading = "" if self.heading_deg is None else f" that look the same way within {self.heading_deg:g}°"
+        return f"keyframes within {self.radius_m:g} m{heading}"
+
+    @property
+    def options(self) -> dict[str, float | str]:
+        """Of the command line, that make this set."""
+        if self.rule == "pairs":
+            return {"positives": "pairs"}
+        heading: dict[str, float | str] = {} if self.heading_deg is None else {"heading": self.heading_deg}
+        return {"radius": self.radius_m, **heading}
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the dataset and of what is right."""
+        return self._with_what_is_right(self.dataset.fingerprint)
+
+    @property
+    def question(self) -> str:
+        """The same for every copy of the dataset, whose images may differ in last digits."""
+        return self._with_what_is_right(self.dataset.question)
+
+    def _with_what_is_right(self, dataset: str) -> str:
+        radius = None if self.rule == "pairs" else self.radius_m
+        asked = {"version": _VERSION, "rule": self.rule, "radius_m": radius, "heading_deg": self.heading_deg}
+        return hashlib.sha256(json.dumps({"dataset": dataset, **asked}, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def splits(self) -> dict[str, tuple[str, ...]]:
+        """Split -> its tasks."""
+        names = {s.name for s in self.pair_sets}
+        return {split: tuple(n for n in of if n in names) for split, of in self.dataset.splits.items()}
+
+    @cached_property
+    def pair_sets(self) -> list[PairSet]:
+        """Those of two different traversals; within one a query would find itself."""
+        return [s for s in self.dataset.pair_sets() if s.reference != s.query]
+
+    def tasks(self) -> Sequence[RetrievalTask]:
+        """One a pair set.
+
+        Raises:
+            DatasetError: no pair set of two traversals, no keyframe or query with a pose, poses in different worlds.
+        """
+        if not self.pair_sets:
+            raise DatasetError(
+                "holds no pair set of two different traversals to recognise places between", self.dataset.root
+            )
+        return tuple(self.task(s) for s in self.pair_sets)
+
+    def task(self, pair_set: PairSet) -> RetrievalTask:
+        """Of one pair set. Raises DatasetError."""
+        reference, query = self.dataset.traversal(pair_set.reference), self.dataset.traversal(pair_set.query)
+        camera = pair_set.camera
+        keyframes = reference.keyframe_timestamps(camera)
+        if self.rule == "radius":
+            keyframes = [t for t in keyframes if t in reference.poses]
+            times = [t for t in query.timestamps(camera) if t in query.poses]
+        else:
+            times = sorted({p.query_timestamp_ns for p in pair_set.pairs})
+        if not keyframes or not times:
+            missing = f"{reference.name} has no keyframe" if not keyframes else f"{query.name} has no image"
+            posed = " with a pose" if self.rule == "radius" else ""
+            raise DatasetError(f"{missing} of camera '{camera}'{posed}", self.dataset.layout.pair_file(pair_set.name))
+        if self.rule == "radius":
+            relevance = self._within(pair_set, reference, query, keyframes, times)
+        else:
+            relevance = _paired(pair_set, keyframes, times)
+        return RetrievalTask(
+            name=pair_set.name,
+            queries=tuple(_view(query, camera, t) for t in times),
+            gallery=tuple(_view(reference, camera, t) for t in keyframes),
+            relevance=relevance,
+            condition_query=str(query.condition),
+            condition_gallery=str(reference.condition),
+        )
+
+    def _within(
+        self, pair_set: PairSet, reference: Traversal, query: Traversal, keyframes: list[int], times: list[int]
+    ) -> Relevance:
+        _check_one_world(pair_set, reference, query)
+        at = [
+            np.stack([t.T_world_cam(pair_set.camera, time) for time in of])
+            for t, of in ((query, times), (reference, keyframes))
+        ]
+        near = relevance_within(at[0][:, :3, 3], at[1][:, :3, 3], self.radius_m)
+        if self.heading_deg is None:
+            return near
+        cosine = np.cos(np.radians(self.heading_deg)) - 1e-9
+        axes = [poses[:, :3, 2] for poses in at]
+        same_way = [near.of(q)[axes[1][near.of(q)] @ axes[0][q] >= cosine] for q in range(len(times))]
+        return relevance_from_lists(same_way, len(keyframes))
+
+
+def _paired(pair_set: PairSet, keyframes: list[int], times: list[int]) -> Relevance:
+    place = {time: index for index, time in enumerate(keyframes)}
+    found: dict[int, list[int]] = {time: [] for time in times}
+    for pair in pair_set.pairs:
+        if pair.ref_timestamp_ns not in place:
+            raise DatasetError(
+                f"pairs name the keyframe {pair.ref_timestamp_ns}, which has neither depth nor points",
+                pair_set.layout.pair_file(pair_set.name),
+            )
+        found[pair.query_timestamp_ns].append(place[pair.ref_timestamp_ns])
+    return relevance_from_lists(list(found.values()), len(keyframes))
+
+
+def _check_one_world(pair_set: PairSet, reference: Traversal, query: Traversal) -> None:
+    """Positions of two drives can be compared only in one frame; the pairs' own poses tell whether they are."""
+    camera = pair_set.camera
+    off = []
+    for pair in pair_set.pairs[:: max(1, len(pair_set.pairs) // 100)]:
+        known = pair.ref_timestamp_ns in reference.poses and pair.query_timestamp_ns in query.poses
+        if pair.T_query_ref is not None and known:
+            T_world_ref = reference.T_world_cam(camera, pair.ref_timestamp_ns)
+            T_world_query = query.T_world_cam(camera, pair.query_timestamp_ns)
+            off.append(float(np.linalg.norm((T_world_ref @ invert(pair.T_query_ref))[:3, 3] - T_world_query[:3, 3])))
+    if off and np.median(off) > _ONE_WORLD_M:
+        raise DatasetError(
+            f"poses of {query.name} and {reference.name} are {np.median(off):.1f} m from what the pairs say: they are "
+            "not in one world; use --positives pairs",
+            pair_set.layout.pair_file(pair_set.name),
+        )
+
+
+def _view(traversal: Traversal, camera: str, time: int) -> ImageView:
+    path = traversal.layout.find_image(camera, time) or traversal.layout.image(camera, time)
+    key = path.relative_to(traversal.layout.root.parent.parent).as_posix()
+
+    return ImageView(key, VIEW, partial(_read, traversal.layout.root, camera, time))
+
+
+def _read(root: Path, camera: str, time: int) -> Image:
+    image = _traversal(root).image(camera, time)
+    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+
+
+@cache
+def _traversal(root: Path) -> Traversal:
+    """One a process: views are sent to others."""
+    return Traversal(TraversalLayout(root))

@@ -1,0 +1,105 @@
+"""The points of a PCD file.
+
+Format: Point Cloud Library, "The PCD (Point Cloud Data) file format", version 0.7; ``ascii``, ``binary`` and
+``binary_compressed`` (LZF, field after field).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.sensors.lzf import RATIO, decompress
+from relocbench.datasets.sensors.point_table import check_count, decode_rows, parse_count, parse_rows
+from relocbench.errors import DatasetError
+
+_TYPES = {("F", 4), ("F", 8), *((kind, size) for kind in "IU" for size in (1, 2, 4, 8))}
+_HEADER_BYTES = 65536
+_MOST_VALUES = 4096
+"""of one point, over all fields: descriptors have some hundred"""
+
+
+def parse_pcd(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
+    """Name -> (N,) of each field of the points that has one value, of the file's type.
+
+    Raises:
+        DatasetError: no PCD, a header that contradicts itself or promises more than there is, text that is no number.
+    """
+    lines, body = _header(data, path)
+    words = {line.split()[0]: line.split()[1:] for line in lines if line.strip()}
+    row = _row(words, path)
+    count = parse_count(" ".join(words.get("POINTS", [])), path)
+    encoding = " ".join(words["DATA"])
+    if encoding == "ascii":
+        return _single(parse_rows(body, row, count, path, first_line=len(lines) + 1))
+    if encoding == "binary":
+        check_count(len(body) // row.itemsize, count, path)
+        return _single(decode_rows(body, row, count))
+    if encoding == "binary_compressed":
+        return _single(_compressed(body, row, count, path))
+    raise DatasetError("its DATA is none of ascii, binary, binary_compressed", path)
+
+
+def _row(words: dict[str, list[str]], path: Path) -> np.dtype[Any]:
+    """One point; padding (fields called ``_``) has names of its own."""
+    names, kinds = words.get("FIELDS", words.get("COLUMNS", [])), words.get("TYPE", [])
+    sizes = [parse_count(text, path) for text in words.get("SIZE", [])]
+    counts = [parse_count(text, path) for text in words.get("COUNT", ["1"] * len(names))]
+    if not names or not len(names) == len(kinds) == len(sizes) == len(counts):
+        raise DatasetError("its FIELDS, SIZE, TYPE and COUNT are not of one length", path)
+    if any(pair not in _TYPES for pair in zip(kinds, sizes, strict=True)):
+        raise DatasetError("its points have a field whose TYPE and SIZE are no number", path)
+    if sum(counts) > _MOST_VALUES or min(counts) < 1:
+        raise DatasetError(f"its COUNT is out of range; expected 1 or more, {_MOST_VALUES} together", path)
+    plain = [f"_ {i}" if name == "_" else name for i, name in enumerate(names)]
+    if len(set(plain)) != len(plain):
+        raise DatasetError("its points have two fields of one name", path)
+    return np.dtype(
+        [
+            (name, f"<{kind.lower()}{size}", *([(many,)] if many > 1 else []))
+            for name, kind, size, many in zip(plain, kinds, sizes, counts, strict=True)
+        ]
+    )
+
+
+def _compressed(body: bytes, row: np.dtype[Any], count: int, path: Path) -> dict[str, NDArray[Any]]:
+    packed, size = (int.from_bytes(body[at : at + 4], "little") for at in (0, 4))
+    if count == 0:
+        return decode_rows(b"", row, 0)
+    if len(body) < 8 + packed:
+        raise DatasetError(
+            f"is cut off: it promises {packed} compressed bytes, {max(len(body) - 8, 0)} are there", path
+        )
+    if size != count * row.itemsize or size > RATIO * packed:
+        raise DatasetError(f"its {packed} compressed bytes cannot hold {count} points of {row.itemsize} bytes", path)
+    values = decompress(np.frombuffer(body, np.uint8, packed, 8), size)
+    if values is None:
+        raise DatasetError("its compressed points are damaged", path)
+    out, at = {}, 0
+    for name in row.names or ():
+        field = row[name]
+        out[name] = values[at : at + count * field.itemsize].view(field.base).reshape(count, *field.shape)
+        at += count * field.itemsize
+    return out
+
+
+def _single(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {name: values for name, values in fields.items() if values.ndim == 1 and not name.startswith("_ ")}
+
+
+def _header(data: bytes, path: Path) -> tuple[list[str], bytes]:
+    """The header's lines, ``DATA`` the last, and what follows them."""
+    head = data[:_HEADER_BYTES]
+    lines: list[str] = []
+    at = 0
+    while at < len(head):
+        end = head.find(b"\n", at)
+        line = head[at : end if end >= 0 else len(head)].decode("ascii", "replace").strip()
+        at = end + 1 if end >= 0 else len(head)
+        lines.append(line)
+        if line.split(None, 1)[:1] == ["DATA"]:
+            return lines, data[at:]
+    raise DatasetError("is no PCD: it has no header", path)

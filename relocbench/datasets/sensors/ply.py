@@ -1,0 +1,70 @@
+"""The points of a PLY file: the element ``vertex``, which comes first, with numbers as properties.
+
+Format: G. Turk, The PLY Polygon File Format, 1994; ASCII and binary of either byte order. What follows the points, such
+as faces, is not read.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.sensors.point_table import check_count, decode_rows, parse_count, parse_rows
+from relocbench.errors import DatasetError
+
+_TYPES = {
+    "char": "i1", "uchar": "u1", "int8": "i1", "uint8": "u1", "short": "i2", "ushort": "u2", "int16": "i2",
+    "uint16": "u2", "int": "i4", "uint": "u4", "int32": "i4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
+}  # fmt: skip
+_ORDER = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+_HEADER_BYTES = 65536
+
+
+def parse_ply(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
+    """Name -> (N,) of each property of the points, of the file's type.
+
+    Raises:
+        DatasetError: no PLY, another layout, a header that promises more than there is, text that is no number.
+    """
+    lines, body = _header(data, path)
+    words = [line.split() for line in lines]
+    encoding = next((w[1] for w in words if w[:1] == ["format"] and len(w) > 1), "")
+    if encoding not in _ORDER:
+        raise DatasetError("its format is none of ascii, binary_little_endian, binary_big_endian", path)
+    starts = [i for i, w in enumerate(words) if w[:1] == ["element"]]
+    if not starts or len(words[starts[0]]) != 3 or words[starts[0]][1] != "vertex":
+        raise DatasetError("its first element is not 'vertex'", path)
+    count = parse_count(words[starts[0]][2], path)
+    stop = starts[1] if len(starts) > 1 else len(words)
+    properties = [w[1:] for w in words[starts[0] : stop] if w[:1] == ["property"]]
+    if any(len(p) != 2 or p[0] not in _TYPES for p in properties):
+        raise DatasetError("its points have a property that is no number", path)
+    names = [name for _, name in properties]
+    if len(set(names)) != len(names):
+        raise DatasetError("its points have two properties of one name", path)
+    row = np.dtype([(name, _ORDER[encoding] + _TYPES[kind]) for kind, name in properties])
+    if encoding == "ascii":
+        return parse_rows(body, row, count, path, first_line=len(lines) + 1)
+    check_count(len(body) // max(row.itemsize, 1), count, path)
+    return decode_rows(body, row, count)
+
+
+def _header(data: bytes, path: Path) -> tuple[list[str], bytes]:
+    """The header's lines, the last one too, and what follows them."""
+    head = data[:_HEADER_BYTES]
+    lines: list[str] = []
+    at = 0
+    while (end := head.find(b"\n", at)) >= 0:
+        lines.append(head[at:end].decode("ascii", "replace").strip())
+        at = end + 1
+        if lines[0] != "ply":
+            break
+        if lines[-1] == "end_header":
+            return lines, data[at:]
+    if head[at:].strip() == b"end_header" and lines[:1] == ["ply"]:
+        return [*lines, "end_header"], b""
+    raise DatasetError("is no PLY: it has no header", path)

@@ -1,0 +1,114 @@
+"""What importers share about the folders they are given: names of traversals, times in file names, trajectories."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.layout import IMAGE_SUFFIXES
+from relocbench.datasets.core.pairfile import parse_pose
+from relocbench.errors import DatasetError, RelocbenchError, quoted
+from relocbench.files import check_distinct, plain_name, read_rows, seconds_to_ns
+
+Array = NDArray[np.float64]
+QuaternionOrder = Literal["xyzw", "wxyz"]
+
+
+def traversal_names(sources: Sequence[Path]) -> list[str]:
+    """One name a source, after its folder; characters that a file name of a pair set cannot hold become ``-``.
+
+    Raises:
+        DatasetError: no source, a source that is no folder, two sources of the same name.
+    """
+    if not sources:
+        raise DatasetError("no recording was named; expected one or more folders")
+    names: dict[str, Path] = {}
+    for source in sources:
+        if not source.is_dir():
+            raise DatasetError("no such folder; expected a recording", source)
+        try:
+            name = plain_name(source.resolve().name, "traversal name")
+        except ValueError:
+            raise DatasetError("the folder's name cannot name a traversal; rename or link it", source) from None
+        if name in names:
+            raise DatasetError(f"is the second recording called '{name}' (first: {names[name]})", source)
+        names[name] = source
+    try:
+        check_distinct(names, "recordings")
+    except ValueError as bad:
+        raise DatasetError(str(bad)) from None
+    return list(names)
+
+
+def parse_time(text: str) -> int:
+    """Nanoseconds: an integer is nanoseconds, a number with a decimal point (or exponent) is seconds.
+
+    Raises:
+        ValueError: neither.
+    """
+    if re.fullmatch(r"[+-]?[0-9]+", text):
+        if len(text) > 30 or abs(int(text)) >= 2**63:
+            raise ValueError(f"{quoted(text, 30)} is out of range: integer nanoseconds must fit 64 bits")
+        return int(text)
+    if re.fullmatch(r"[+-]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(\.[0-9]*)?[eE][+-]?[0-9]+)", text):
+        return seconds_to_ns(text)
+    raise ValueError(f"{quoted(text)} is not a time: integer nanoseconds, or seconds with a decimal point")
+
+
+def timed_files(folder: Path, suffixes: Sequence[str] = IMAGE_SUFFIXES) -> dict[int, Path]:
+    """Time of each file that a folder holds, from its name, in time order; an absent folder holds none.
+
+    Raises:
+        DatasetError: a name that is no time, two files of the same time.
+    """
+    if not folder.is_dir():
+        return {}
+    found: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(".") or path.suffix.lower() not in suffixes:
+            continue
+        try:
+            time = parse_time(path.stem)
+        except ValueError as bad:
+            raise DatasetError(f"the file's name {bad}", path) from None
+        if time < 0:
+            raise DatasetError("the file's name is a time before 1970; expected nanoseconds or seconds", path)
+        if time in found:
+            raise DatasetError(f"has the time of {found[time].name}", path)
+        found[time] = path
+    return dict(sorted(found.items()))
+
+
+def read_trajectory(
+    path: Path, order: QuaternionOrder = "xyzw", error: type[RelocbenchError] = DatasetError
+) -> dict[int, Array]:
+    """A TUM trajectory, ``t tx ty tz qx qy qz qw`` a line: timestamp_ns -> (4, 4) pose, in the file's order.
+
+    Args:
+        order: of the quaternion; some trajectories that go by the same name have ``wxyz``.
+
+    Raises:
+        RelocbenchError: (as ``error``) with file and line: wrong number of columns, no number, a quaternion that is
+            not of norm 1, times that do not increase.
+    """
+    poses: dict[int, Array] = {}
+    last: int | None = None
+    columns = f"t tx ty tz {' '.join('q' + c for c in order)}"
+    for line, fields in read_rows(path, f"a trajectory ({columns})", error):
+        if len(fields) != 8:
+            raise error(f"expected 8 columns ({columns}), found {len(fields)}", path, line)
+        try:
+            time = parse_time(fields[0])
+        except ValueError as bad:
+            raise error(str(bad), path, line) from None
+        if last is not None and time <= last:
+            raise error(f"time {fields[0]} does not come after the one before", path, line)
+        quaternion = fields[4:] if order == "xyzw" else [*fields[5:], fields[4]]
+        poses[time] = parse_pose([*fields[1:4], *quaternion], path, line, error)
+        last = time
+    return poses

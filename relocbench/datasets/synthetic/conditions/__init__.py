@@ -1,0 +1,1 @@
+"""Weather, season and time of day, and their named combinations."""

@@ -1,0 +1,223 @@
+"""Weather, season and time of day as separate continuous factors, and the named conditions made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pydantic import Field
+
+from relocbench.datasets.core.schema import Condition, Strict
+from relocbench.errors import ConfigError
+
+
+class Factors(Strict):
+    """Everything that can differ between two traversals of one district, apart from the drive itself."""
+
+    sun_elevation_deg: float = Field(45.0, ge=-90, le=90)
+    """above the horizon; below -6 it is night"""
+    sun_azimuth_deg: float = Field(140.0, ge=0, lt=360)
+    """clockwise from north"""
+    cloud_cover: float = Field(0.0, ge=0, le=1)
+    """0 clear sky, 1 no sun and no shadows"""
+    fog_density: float = Field(0.0, ge=0)
+    """extinction by Beer-Lambert, 1/m; 0.02 hides what is beyond 150 m"""
+    rain_mm_h: float = Field(0.0, ge=0)
+    """falling rain: streaks, fewer lidar returns"""
+    lens_drops: float = Field(0.0, ge=0, le=1)
+    """share of the lens that drops may cover, of a stated worst case"""
+    wetness: float = Field(0.0, ge=0, le=1)
+    """of all surfaces that rain reaches: darker, mirror-like when flat"""
+    puddles: float = Field(0.0, ge=0, le=1)
+    """share of the road's hollows that hold water"""
+    snow_cover: float = Field(0.0, ge=0, le=1)
+    """of up-facing surfaces; 1 covers the road as well"""
+    snowfall_mm_h: float = Field(0.0, ge=0)
+    """falling snow, water equivalent"""
+    foliage: float = Field(1.0, ge=0, le=1)
+    """leaf density of what sheds its leaves; 0 is bare winter"""
+    leaf_colour: float = Field(0.3, ge=0, le=1)
+    """0 spring green, 0.5 late summer, 1 autumn yellow and red"""
+    parked_share: float = Field(0.6, ge=0, le=1)
+    """of the parking bays that are taken"""
+    parked_seed: int = Field(0, ge=0)
+    """which cars stand where"""
+    traffic: float = Field(0.0, ge=0)
+    """moving cars per 100 m of lane"""
+    exposure_ev: float = 0.0
+    """stops above what auto-exposure chooses"""
+    auto_exposure: bool = True
+    gamma: float = Field(2.2, gt=0)
+    vignetting: float = Field(0.15, ge=0, le=1)
+    """loss of light in the image's corners"""
+    read_noise: float = Field(0.6, ge=0)
+    """standard deviation in grey levels of 255 in the dark"""
+    shot_noise: float = Field(0.02, ge=0)
+    """standard deviation over the signal at full scale"""
+    street_lamps: bool = False
+    headlights: bool = False
+    """of the car that drives and of the others"""
+
+
+class NamedCondition(Strict):
+    """A condition as ``--conditions NAME`` names it."""
+
+    label: Condition
+    factors: Factors
+
+
+def _named(weather: str, season: str, time: str, **factors: object) -> NamedCondition:
+    return NamedCondition(
+        label=Condition(weather=weather, season=season, time_of_day=time), factors=Factors.model_validate(factors)
+    )
+
+
+CONDITIONS: dict[str, NamedCondition] = {
+    "Neutral": _named(
+        "partly cloudy",
+        "summer",
+        "afternoon",
+        sun_elevation_deg=48,
+        sun_azimuth_deg=255,
+        cloud_cover=0.6,
+        parked_share=0.5,
+    ),
+    "Sunny": _named("sunny", "summer", "morning", sun_elevation_deg=38, sun_azimuth_deg=120, cloud_cover=0.1),
+    "Overcast": _named(
+        "overcast",
+        "autumn",
+        "noon",
+        cloud_cover=1.0,
+        sun_elevation_deg=30,
+        leaf_colour=0.75,
+        foliage=0.8,
+        parked_seed=1,
+    ),
+    "Rain": _named(
+        "rain",
+        "autumn",
+        "afternoon",
+        cloud_cover=1.0,
+        sun_elevation_deg=22,
+        sun_azimuth_deg=230,
+        rain_mm_h=8.0,
+        lens_drops=0.3,
+        wetness=1.0,
+        puddles=0.7,
+        fog_density=0.003,
+        leaf_colour=0.9,
+        foliage=0.6,
+        parked_seed=2,
+        headlights=True,
+    ),
+    "Snow": _named(
+        "snow",
+        "winter",
+        "noon",
+        cloud_cover=0.9,
+        sun_elevation_deg=18,
+        sun_azimuth_deg=180,
+        snow_cover=0.85,
+        snowfall_mm_h=1.5,
+        foliage=0.0,
+        fog_density=0.002,
+        parked_seed=3,
+    ),
+    "Night": _named(
+        "clear",
+        "summer",
+        "night",
+        sun_elevation_deg=-20,
+        sun_azimuth_deg=330,
+        street_lamps=True,
+        headlights=True,
+        parked_seed=4,
+        parked_share=0.8,
+        read_noise=2.0,
+    ),
+    "Fog": _named(
+        "fog",
+        "autumn",
+        "morning",
+        cloud_cover=1.0,
+        sun_elevation_deg=15,
+        sun_azimuth_deg=110,
+        fog_density=0.03,
+        leaf_colour=0.8,
+        foliage=0.7,
+        wetness=0.4,
+        parked_seed=5,
+    ),
+    "WetNoon": _named(
+        "wet",
+        "summer",
+        "noon",
+        sun_elevation_deg=75,
+        sun_azimuth_deg=180,
+        cloud_cover=0.3,
+        wetness=0.9,
+        puddles=0.6,
+        parked_seed=6,
+    ),
+    "SoftRainNoon": _named(
+        "soft rain",
+        "summer",
+        "noon",
+        sun_elevation_deg=75,
+        sun_azimuth_deg=180,
+        cloud_cover=0.76,
+        rain_mm_h=2.0,
+        wetness=0.8,
+        puddles=0.4,
+        lens_drops=0.15,
+        parked_seed=7,
+    ),
+    "WetCloudySunset": _named(
+        "wet, cloudy",
+        "summer",
+        "sunset",
+        sun_elevation_deg=7,
+        sun_azimuth_deg=285,
+        cloud_cover=0.6,
+        wetness=0.9,
+        puddles=0.5,
+        parked_seed=8,
+    ),
+}
+"""The last three are those of the GN-Net benchmark, after CARLA 0.8.2's presets of these names."""
+
+
+def condition_named(name: str) -> NamedCondition:
+    """One of :data:`CONDITIONS`. Raises ConfigError, listing them, if there is none of the name."""
+    if name not in CONDITIONS:
+        raise ConfigError(f"no condition '{name}'; there is {', '.join(CONDITIONS)}")
+    return CONDITIONS[name]
+
+
+SWEEPS: dict[str, tuple[dict[str, float], dict[str, float]]] = {
+    "light": ({"sun_elevation_deg": 60, "sun_azimuth_deg": 120}, {"sun_elevation_deg": 8, "sun_azimuth_deg": 280}),
+    "clouds": ({"cloud_cover": 0.0}, {"cloud_cover": 1.0}),
+    "wetness": ({"wetness": 0.0, "puddles": 0.0}, {"wetness": 1.0, "puddles": 1.0}),
+    "leaves": ({"foliage": 1.0}, {"foliage": 0.0}),
+    "leaf-colour": ({"leaf_colour": 0.0}, {"leaf_colour": 1.0}),
+    "snow": ({"snow_cover": 0.0}, {"snow_cover": 1.0}),
+    "fog": ({"fog_density": 0.0}, {"fog_density": 0.05}),
+    "rain": ({"rain_mm_h": 0.0}, {"rain_mm_h": 20.0}),
+    "exposure": ({"exposure_ev": -2.0}, {"exposure_ev": 2.0}),
+    "parked-cars": ({"parked_share": 0.0}, {"parked_share": 1.0}),
+}
+"""One factor at a time: its value at the start and at the end; all else stays."""
+
+
+def sweep(name: str, steps: int, base: Factors | None = None) -> Sequence[Factors]:
+    """``steps`` conditions in which one factor alone moves from end to end. Raises ConfigError on an unknown name."""
+    if name not in SWEEPS:
+        raise ConfigError(f"no sweep '{name}'; there is {', '.join(SWEEPS)}")
+    if steps < 2:
+        raise ConfigError(f"a sweep needs at least 2 steps, got {steps}")
+    base = base if base is not None else CONDITIONS["Sunny"].factors
+    start, end = SWEEPS[name]
+    fractions = [i / (steps - 1) for i in range(steps)]
+    return [
+        Factors.model_validate({**base.model_dump(), **{key: (1 - f) * start[key] + f * end[key] for key in start}})
+        for f in fractions
+    ]

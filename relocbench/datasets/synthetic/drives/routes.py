@@ -1,0 +1,192 @@
+"""Routes of a district beside the common one, for recordings that are to be registered against each other.
+
+``common`` is what all traversals of a dataset follow. ``detour`` leaves it for other streets and comes back;
+``crossing`` passes one of its crossings in another direction; ``periodic`` runs along the street with repeating
+facades. What matters lies in the part that is driven, ``MARGIN_M`` from either end of the path.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Literal, Protocol
+
+import numpy as np
+
+from relocbench.datasets.synthetic.drives.drive import MARGIN_M
+from relocbench.datasets.synthetic.town.network import RUN_IN_M, Path, StreetNetwork, turns_of
+from relocbench.datasets.synthetic.town.shapes import Floats
+from relocbench.errors import ConfigError
+
+RouteName = Literal["common", "detour", "crossing", "periodic"]
+_INSIDE_M = 15.0
+"""of the drive before it parts from the common route or passes its crossing, and after it came back"""
+_SHARPEST = np.radians(125)
+_DETOUR_BLOCKS_M = 320.0
+"""longest way through other streets"""
+
+Street = tuple[int, int]
+"""nodes at its ends, the smaller first"""
+
+
+class PeriodicStreet(Protocol):
+    @property
+    def street(self) -> int: ...
+
+
+class Roads(Protocol):
+    """What routes run through: :class:`relocbench.datasets.synthetic.town.town.District`."""
+
+    @property
+    def network(self) -> StreetNetwork: ...
+
+    @property
+    def periodic(self) -> PeriodicStreet: ...
+
+
+def route(district: Roads, name: RouteName, length_m: float, seed: int) -> Path:
+    """A path of ``length_m`` metres; the common one is the network's drive of the seed.
+
+    Raises:
+        ConfigError: a drive of this length has no such place.
+    """
+    network = district.network
+    if name == "common":
+        return network.drive(length_m, seed)
+    common = network.walk(length_m + _DETOUR_BLOCKS_M, seed)
+    if name == "detour":
+        return network.path(_detour(network, common, length_m), RUN_IN_M, length_m)
+    middle = network.nodes_of(district.periodic.street)
+    if name == "crossing":
+        middle = _across(network, common, length_m)
+    chain = _extended(network, middle, length_m, _driven(network, common, length_m))
+    at = _along(network, chain)
+    first = _index_of(chain, middle)
+    centre = at[first + 1] if name == "crossing" else (at[first] + at[first + len(middle) - 1]) / 2
+    # A path knows its streets if its nodes begin where it does.
+    start = centre - length_m / 2
+    skipped = int(np.flatnonzero(at <= start - RUN_IN_M)[-1])
+    return network.path(chain[skipped:], start - at[skipped], length_m)
+
+
+def _along(network: StreetNetwork, chain: Sequence[int]) -> Floats:
+    """(N,) metres of the nodes along the middle of the road."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(network.nodes[list(chain)], axis=0), axis=1))])
+
+
+def _street(u: int, v: int) -> Street:
+    return (u, v) if u < v else (v, u)
+
+
+def _driven(network: StreetNetwork, chain: Sequence[int], length_m: float) -> set[Street]:
+    """The streets of a walk up to the end of its path."""
+    at = _along(network, chain)
+    return {_street(u, v) for k, (u, v) in enumerate(pairwise(chain)) if at[k] < RUN_IN_M + length_m}
+
+
+def _ways_on(network: StreetNetwork, before: int, here: int) -> Iterator[int]:
+    """Where one may drive on to: never back, never round a hairpin."""
+    for there in network.neighbours(here):
+        if there != before and abs(float(turns_of(network.nodes[[before, here, there]])[0])) < _SHARPEST:
+            yield there
+
+
+def _detour(network: StreetNetwork, common: Sequence[int], length_m: float) -> list[int]:
+    """The walk with a piece replaced by other streets, of about the same length and near the middle if there is one;
+    or else the walk that goes back by other streets to where it was before."""
+    at = _along(network, common) - RUN_IN_M
+    first, last = MARGIN_M + _INSIDE_M, length_m - MARGIN_M - _INSIDE_M
+    taken = _driven(network, common, length_m)
+    found: list[tuple[float, list[int]]] = []
+    for i in range(1, len(common) - 1):
+        if not first <= at[i] <= last:
+            continue
+        for j, way in _ways_back(network, common, i, taken):
+            long = float(_along(network, way)[-1])
+            if at[i] + long <= last and MARGIN_M <= at[j] <= last:
+                centred = abs(at[i] + long / 2 - length_m / 2)
+                chain = [*common[: i + 1], *way[1:-1], *common[j:]]
+                found.append((abs(long - (at[j] - at[i])) + 0.2 * centred, chain))
+    if not found:
+        raise ConfigError(
+            f"no detour leaves and meets again a route of {length_m - 2 * MARGIN_M:.0f} m; drive further or try "
+            "another seed"
+        )
+    return min(found)[1]
+
+
+def _ways_back(
+    network: StreetNetwork, common: Sequence[int], i: int, taken: set[Street]
+) -> Iterator[tuple[int, list[int]]]:
+    """Shortest ways over streets that are not taken from node i of a walk to its nodes j: (j, nodes)."""
+    start = (common[i - 1], common[i])
+    best: dict[tuple[int, int], float] = {start: 0.0}
+    before: dict[tuple[int, int], tuple[int, int]] = {}
+    waiting = [(0.0, start)]
+    while waiting:
+        long, edge = heapq.heappop(waiting)
+        if long > best[edge]:
+            continue
+        for there in _ways_on(network, *edge):
+            step = (edge[1], there)
+            reached = long + float(np.linalg.norm(network.nodes[there] - network.nodes[edge[1]]))
+            if _street(*step) in taken or reached > _DETOUR_BLOCKS_M or reached >= best.get(step, np.inf):
+                continue
+            best[step], before[step] = reached, edge
+            heapq.heappush(waiting, (reached, step))
+    for j in range(1, len(common) - 1):
+        ends = [e for e in before if e[1] == common[j] and common[j + 1] in _ways_on(network, *e)]
+        if ends:
+            edge = min(ends, key=lambda e: (best[e], e))
+            way = [edge[1]]
+            while edge != start:
+                edge = before[edge]
+                way.append(edge[1])
+            yield j, way[::-1]
+
+
+def _across(network: StreetNetwork, common: Sequence[int], length_m: float) -> list[int]:
+    """Three nodes about a crossing of a walk, by other streets than it takes, or by one other at least."""
+    at = _along(network, common) - RUN_IN_M
+    taken = _driven(network, common, length_m)
+    found: list[tuple[int, float, list[int]]] = []
+    for k in range(1, len(common) - 1):
+        if not MARGIN_M + _INSIDE_M <= at[k] <= length_m - MARGIN_M - _INSIDE_M:
+            continue
+        here = common[k]
+        for before in network.neighbours(here):
+            for there in _ways_on(network, before, here):
+                shared = (_street(before, here) in taken) + (_street(here, there) in taken)
+                if shared < 2:
+                    found.append((shared, abs(float(at[k]) - length_m / 2), [before, here, there]))
+    if not found:
+        raise ConfigError(
+            f"no crossing that leads elsewhere on a route of {length_m - 2 * MARGIN_M:.0f} m; drive further or try "
+            "another seed"
+        )
+    return min(found)[2]
+
+
+def _extended(network: StreetNetwork, middle: Sequence[int], length_m: float, avoided: set[Street]) -> list[int]:
+    """A walk through the middle that goes on far enough before and after it, by other streets where it can."""
+    ahead = _grown(network, middle, length_m, avoided)
+    return _grown(network, ahead[::-1], length_m, avoided)[::-1]
+
+
+def _grown(network: StreetNetwork, chain: Sequence[int], by_m: float, avoided: set[Street]) -> list[int]:
+    out, driven = list(chain), dict.fromkeys((_street(u, v) for u, v in pairwise(chain)), 1)
+    far = float(_along(network, chain)[-1]) + 0.7 * by_m + 60.0
+    while _along(network, out)[-1] < far:
+        here = out[-1]
+        ways = list(_ways_on(network, out[-2], here)) or [w for w in network.neighbours(here) if w != out[-2]]
+        streets = {w: _street(here, w) for w in ways}
+        out.append(min(ways, key=lambda w: (2 * driven.get(streets[w], 0) + (streets[w] in avoided), w)))
+        driven[streets[out[-1]]] = driven.get(streets[out[-1]], 0) + 1
+    return out
+
+
+def _index_of(chain: Sequence[int], part: Sequence[int]) -> int:
+    """Where a part that was extended at both ends begins, nearest to the middle."""
+    starts = [k for k in range(len(chain) - len(part) + 1) if list(chain[k : k + len(part)]) == list(part)]
+    return min(starts, key=lambda k: abs(k - (len(chain) - len(part)) / 2))

@@ -1,0 +1,60 @@
+"""Other cars on the road while a traversal is driven."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.drives.drive import RATE_HZ, Drive, Route
+from relocbench.geometry import invert
+
+Array = NDArray[np.float64]
+MovingCar = tuple[Array, int]
+"""``T_world_car`` (4, 4) and the seed of the car's look"""
+
+_NEAREST_M = 14.0
+"""a car in our lane keeps so far away, centre to centre"""
+_OWN_LANE_M = 2.2
+"""a car whose centre is less to the side is in our way"""
+
+
+def moving_cars(
+    route: Route, drive: Drive, per_100_m: float, lane_m: float, rng: np.random.Generator
+) -> list[list[MovingCar]]:
+    """The moving cars at every step of a drive.
+
+    Cars ahead and behind keep their distance to ours but for a slow wave; oncoming ones come down the other lane at
+    their own constant speeds, and one that has left the route at its start comes in again at its end.
+
+    Args:
+        per_100_m: cars in 100 m of each lane.
+        lane_m: from the middle of our lane to that of the other, which is on the left.
+    """
+    count = round(per_100_m * route.length / 100)
+    time = np.arange(len(drive.along)) / RATE_HZ
+    # A car every so many metres, each somewhere in its own stretch: never two in one place.
+    stretch = route.length / max(count, 1)
+    starts = (np.arange(count) + rng.uniform(0.0, 0.4, size=count)) * stretch
+    speed = rng.uniform(7.0, 10.0)
+    looks = rng.integers(2**31, size=(2, count)).tolist()
+    cars: list[list[MovingCar]] = [[] for _ in time]
+    gaps = starts - drive.along[0]
+    waves = np.sin(2 * np.pi * (time[:, None] / 20.0 + rng.uniform(0, 1, size=count)))
+    for k in range(count):
+        same_lane = drive.along + gaps[k] + 0.1 * min(stretch, 20.0) * waves[:, k]
+        oncoming = (starts[k] - speed * time) % route.length
+        for i in range(len(time)):
+            # Pose and direction of travel: the route's own, and turned round on the other side of the road.
+            if abs(same_lane[i] - drive.along[i]) >= _NEAREST_M and 0 <= same_lane[i] <= route.length:
+                cars[i].append((route.pose(float(same_lane[i])), looks[0][k]))
+            cars[i].append((route.pose(float(oncoming[i]), lane_m, np.pi), looks[1][k]))
+    return [
+        [car for car in present if not _in_the_way(T_world_rig, car[0])]
+        for T_world_rig, present in zip(drive.T_world_rig, cars, strict=True)
+    ]
+
+
+def _in_the_way(T_world_rig: Array, T_world_car: Array) -> bool:
+    """Where a route meets itself, cars of its other leg must not drive through ours."""
+    x, y, _ = (invert(T_world_rig) @ T_world_car)[:3, 3]
+    return bool(abs(x) < _NEAREST_M - 0.5 and abs(y) < _OWN_LANE_M)

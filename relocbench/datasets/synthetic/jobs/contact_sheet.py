@@ -1,0 +1,62 @@
+"""One place in several conditions, side by side, for people to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.drives.drive import MARGIN_M
+from relocbench.datasets.synthetic.drives.rig import rig_named
+from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.progress import Reporter
+
+_ROW_LENGTH = 5
+_ROUTE_M = 300.0
+_GAP = 4
+"""pixels between pictures"""
+_EXTENT_M = 250.0
+
+
+def contact_sheet(
+    conditions: Mapping[str, Factors], *, seed: int, split: str, at_m: float, width: int, reporter: Reporter
+) -> NDArray[np.uint8]:
+    """(H, W, 3) RGB: the front camera's view ``at_m`` metres along the drive in each condition, with its label."""
+    place = Place(seed, split, _EXTENT_M)
+    route = stage.district(place).network.drive(_ROUTE_M, seed)
+    camera, T_rig_cam = rig_named("front").cameras(width, width * 3 // 4)["front"]
+    T_world_cam = route.pose(MARGIN_M + at_m) @ T_rig_cam
+    pictures = []
+    with reporter.stage("rendering", len(conditions)) as advance:
+        for k, (label, factors) in enumerate(conditions.items()):
+            frame = stage.renderer(place, factors).render(camera, T_world_cam, stage.frame_seed(seed, k, 0, 0))
+            pictures.append(labelled(frame.rgb, label))
+            advance(1)
+    return tiled(pictures)
+
+
+def labelled(picture: NDArray[np.uint8], label: str) -> NDArray[np.uint8]:
+    """The picture (H, W, 3) with its label in white on a darkened strip along the bottom."""
+    out = np.ascontiguousarray(picture.copy())
+    scale = picture.shape[1] / 640
+    strip = out[-round(44 * scale) :]
+    strip[:] = strip // 3
+    at = round(10 * scale), picture.shape[0] - round(14 * scale)
+    cv2.putText(out, label, at, cv2.FONT_HERSHEY_SIMPLEX, scale, (255, 255, 255), max(1, round(scale)), cv2.LINE_AA)
+    return out
+
+
+def tiled(pictures: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """Pictures of one size in rows as even as they can be, on white."""
+    rows = -(-len(pictures) // _ROW_LENGTH)
+    columns = -(-len(pictures) // rows)
+    height, width = pictures[0].shape[:2]
+    sheet = np.full((rows * (height + _GAP) - _GAP, columns * (width + _GAP) - _GAP, 3), 255, dtype=np.uint8)
+    for k, picture in enumerate(pictures):
+        y, x = k // columns * (height + _GAP), k % columns * (width + _GAP)
+        sheet[y : y + height, x : x + width] = picture
+    return sheet

@@ -1,0 +1,51 @@
+"""What a build can write besides the dataset: normals, objects, classes, and what changed since the reference.
+
+``extras/TRAVERSAL/KIND/CAMERA/TIMESTAMP.png`` beside ``traversals/``: no score depends on these files, so that they
+stand in no manifest and in no fingerprint.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core import images
+from relocbench.files import write_bytes
+
+
+def extra_path(root: Path, traversal: str, kind: str, camera: str, timestamp_ns: int) -> Path:
+    """Where a picture of a kind lies below the dataset's folder."""
+    return root / "extras" / traversal / kind / camera / f"{timestamp_ns}.png"
+
+
+def write_normals(path: Path, normal: NDArray[np.float32]) -> None:
+    """(H, W, 3) unit normals in world axes as 16-bit RGB: ``(n + 1) 32767.5``; the sky's (0, 0, 0) is mid grey."""
+    _write_png(path, np.rint((np.clip(normal, -1, 1) + 1) * 32767.5).astype(np.uint16)[..., ::-1])
+
+
+def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
+    """(H, W) object numbers as 8-bit RGB: ``R + 256 G + 65536 B``."""
+    parts = [(instance >> shift & 255).astype(np.uint8) for shift in (0, 8, 16)]
+    images.write_image(path, np.stack(parts, axis=-1))
+
+
+def read_instance(path: Path) -> NDArray[np.uint32]:
+    """(H, W) object numbers."""
+    r, g, b = np.moveaxis(images.read_image(path).astype(np.uint32), -1, 0)
+    return np.asarray(r + 256 * g + 65536 * b)
+
+
+def write_mask(path: Path, mask: NDArray[np.bool_]) -> None:
+    """(H, W) as 8-bit grey: 255 where it holds."""
+    images.write_image(path, np.where(mask, 255, 0).astype(np.uint8))
+
+
+def _write_png(path: Path, image: NDArray[Any]) -> None:
+    done, data = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 4])
+    if not done:
+        raise ValueError(f"cannot encode an image of {image.dtype} {image.shape}")
+    write_bytes(path, bytes(data))

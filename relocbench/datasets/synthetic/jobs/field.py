@@ -1,0 +1,161 @@
+"""Field recordings: drives through one district after another, in the layout of a real data set.
+
+A drive for each split, condition, route and traversal. ``OUT/recording.yaml`` says what was asked for,
+``OUT/drives.csv``, written last, which drive is which. No importer needs either.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from relocbench.datasets.core.recording_folder import RecordedDrive, RecordingFolder
+from relocbench.datasets.synthetic.conditions.condition import NamedCondition
+from relocbench.datasets.synthetic.drives.routes import RouteName, route
+from relocbench.datasets.synthetic.jobs.recording import DriveOptions, prepare
+from relocbench.datasets.synthetic.jobs.recording_jobs import DriveJob, carry_out
+from relocbench.datasets.synthetic.jobs.recording_work import town_compose, town_renderer
+from relocbench.datasets.synthetic.layouts.recorded import Layout, Trajectory
+from relocbench.datasets.synthetic.town.network import Path as Route
+from relocbench.datasets.synthetic.town.town import District, make_district
+from relocbench.errors import DatasetError
+from relocbench.execution import Run
+from relocbench.files import alone_writing_to, atomic_write, dump_yaml, load_yaml_values, parse_yaml, write_text
+from relocbench.progress import Reporter
+
+_CONFIGURATION = "recording.yaml"
+_DRIVES = "drives.csv"
+
+
+@dataclass(frozen=True, eq=False)
+class FieldDrive:
+    """One drive, before it is recorded."""
+
+    split: str
+    condition: str
+    route: RouteName
+    traversal: int
+    number: int
+    """among all drives of the folder"""
+    district: District
+    path: Route
+
+
+def plan_drives(
+    splits: Sequence[str],
+    conditions: Sequence[str],
+    routes: Sequence[RouteName],
+    traversals: int,
+    length_m: float,
+    *,
+    seed: int,
+    extent_m: float,
+    reporter: Reporter,
+) -> list[FieldDrive]:
+    """The drives by split, condition, route and their own number.
+
+    Raises:
+        ConfigError: a district has no such route of this length.
+    """
+    drives: list[FieldDrive] = []
+    with reporter.stage("laying out districts", len(splits)) as advance:
+        for split in splits:
+            town = make_district(seed, split, extent_m)
+            paths = {name: route(town, name, length_m, seed) for name in routes}
+            for condition in conditions:
+                for name, path in paths.items():
+                    for k in range(traversals):
+                        drives.append(FieldDrive(split, condition, name, k, len(drives), town, path))
+            advance(1)
+    return drives
+
+
+def record_all(
+    drives: Sequence[FieldDrive],
+    conditions: Mapping[str, NamedCondition],
+    options: DriveOptions,
+    out: Path,
+    configuration: Mapping[str, Any],
+    reporter: Reporter,
+    run: Run,
+) -> RecordingFolder:
+    """Record drives into a folder. Run again, it does only what is missing.
+
+    Args:
+        options: of every drive but for its number.
+        configuration: all that determines the bytes, as plain values.
+
+    Raises:
+        ConfigError: options that no drive can be recorded with; nothing is written.
+        DatasetError: the folder holds something else, or another process is at it.
+    """
+    options.target(out)  # complains before anything is written
+    with alone_writing_to(out, DatasetError):
+        check_folder(out, configuration)
+        write_text(out / _CONFIGURATION, _text(configuration))
+        jobs: list[DriveJob] = []
+        rows: list[RecordedDrive] = []
+        with reporter.stage("planning drives", len(drives)) as advance:
+            for drive in drives:
+                factors = conditions[drive.condition].factors
+                recorded, job = prepare(drive.district, drive.path, factors, out, replace(options, number=drive.number))
+                jobs.append(job)
+                rows.append(
+                    RecordedDrive(
+                        recorded.name,
+                        str(job.layout.folder.relative_to(out.resolve())),
+                        drive.split,
+                        drive.condition,
+                        drive.route,
+                        drive.traversal,
+                        sum(len(job.layout.times[name]) for name in job.layout.cameras),
+                        sum(len(job.layout.times[name]) for name in job.layout.lidars),
+                        round(driven_m(job.trajectory, job.layout), 1),
+                    )
+                )
+                advance(1)
+        carry_out(jobs, town_renderer, town_compose, reporter, run)
+        _write_drives(out / _DRIVES, rows)
+    return RecordingFolder(out, options.layout, rows)
+
+
+def driven_m(trajectory: Trajectory, layout: Layout) -> float:
+    """Metres between a drive's first and last image or scan."""
+    times = np.concatenate(list(layout.times.values()))
+    during = (trajectory.times_ns >= times.min()) & (trajectory.times_ns <= times.max())
+    steps = np.diff(trajectory.T_world_rig[during, :3, 3], axis=0)
+    return float(np.linalg.norm(steps, axis=1).sum())
+
+
+def check_folder(out: Path, configuration: Mapping[str, Any]) -> None:
+    """Raises DatasetError where the folder holds something else than this recording."""
+    mark = out / _CONFIGURATION
+    if out.exists() and not out.is_dir():
+        raise DatasetError("is a file; expected a folder to record to", out)
+    if not out.is_dir() or not any(p != mark for p in out.iterdir()):
+        return
+    if not mark.exists():
+        raise DatasetError("holds something else; --out must be new, empty, or an unfinished recording", out)
+    before, _ = load_yaml_values(mark, "what a recording was asked for", DatasetError)
+    wanted = parse_yaml(_text(configuration))
+    if before != wanted:
+        changed = sorted(str(k) for k in before.keys() | wanted.keys() if before.get(k) != wanted.get(k))
+        raise DatasetError(
+            f"holds drives recorded with other options ({', '.join(changed)} differ); choose another --out", out
+        )
+
+
+def _text(configuration: Mapping[str, Any]) -> str:
+    return dump_yaml(dict(configuration))
+
+
+def _write_drives(path: Path, rows: Sequence[RecordedDrive]) -> None:
+    with atomic_write(path) as stream:
+        table = csv.DictWriter(stream, [field.name for field in fields(RecordedDrive)], lineterminator="\n")
+        table.writeheader()
+        table.writerows(asdict(row) for row in rows)

@@ -1,0 +1,170 @@
+"""The pair sets of a rendered dataset, each made and written by one worker."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from relocbench.datasets.core import pairfile
+from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
+from relocbench.datasets.core.pairfile import Pair, PairKey
+from relocbench.datasets.pairs.correspondences import PairCorrespondences, write_correspondences
+from relocbench.datasets.pairs.pairing import make_pairs
+from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
+from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
+from relocbench.datasets.synthetic.jobs.truth import View, exact_correspondences
+from relocbench.errors import DatasetError
+from relocbench.execution import Run, run_units
+from relocbench.geometry import Camera
+from relocbench.progress import Reporter
+
+if TYPE_CHECKING:
+    from relocbench.datasets.core.build_options import ImportOptions
+
+_WORTH_WORKERS = 600
+"""pairs: fewer are done before other processes have a district of their own"""
+
+
+@dataclass(frozen=True, eq=False)
+class PairSetUnit:
+    """One pair set, as a worker needs it."""
+
+    layout: DatasetLayout
+    name: str
+    pairs: tuple[Pair, ...]
+    """sorted by their keys"""
+    references: dict[int, View]
+    """by timestamp"""
+    queries: dict[int, View]
+    count: int
+    seed: int
+
+    def __str__(self) -> str:
+        return f"pair set {self.name}"
+
+
+def write_pair_sets(
+    asked: Sequence[tuple[TraversalPlan, TraversalPlan]],
+    cameras: Cameras,
+    layout: DatasetLayout,
+    options: ImportOptions,
+    spread: DistanceSpread,
+    reporter: Reporter,
+    run: Run,
+) -> Mapping[str, Sequence[str]]:
+    """Pair sets of (reference, query) traversals for every camera, with their correspondences: split -> names.
+
+    Sets that a former run of the same build finished are kept.
+
+    Raises:
+        DatasetError: a pair set would be empty.
+    """
+    splits: dict[str, list[str]] = {}
+    units = []
+    for reference, query in asked:
+        for camera in cameras:
+            unit = _unit(reference, query, camera, cameras, layout, options, spread, reporter)
+            splits.setdefault(reference.split, []).append(unit.name)
+            if not _is_finished(unit):
+                units.append(unit)
+    run = run if sum(len(u.pairs) for u in units) >= _WORTH_WORKERS else run.alone()
+    with reporter.stage("pairs and their correspondences", len(units)) as advance:
+        for _ in run_units(write_set, units, run):
+            advance(1)
+    return splits
+
+
+def _unit(
+    reference: TraversalPlan,
+    query: TraversalPlan,
+    camera: str,
+    cameras: Cameras,
+    layout: DatasetLayout,
+    options: ImportOptions,
+    spread: DistanceSpread,
+    reporter: Reporter,
+) -> PairSetUnit:
+    name = pair_set_name(reference.name, query.name, camera)
+    frames = reference.frames(camera, cameras), query.frames(camera, cameras)
+    same = reference is query
+    if options.pair_rule is None:
+        # The cameras of a rig share their seed: their pairs are of the same moments wherever the rig allows it.
+        rng = np.random.default_rng([options.seed, 6, reference.number, query.number])
+        pairs = drawn_pairs(*frames, spread, rng, same_traversal=same)
+    else:
+        pairs = make_pairs(
+            *frames,
+            options,
+            same_traversal=same,
+            source="rendered poses",
+            where=layout.root,
+            sigma_translation_m=0.0,
+            sigma_rotation_deg=0.0,
+        )
+    if not pairs:
+        raise DatasetError(
+            f"{name}: no keyframe is within --max-distance {spread.max_m:g} m and --max-angle "
+            f"{spread.max_angle_deg:g} deg of any query",
+            layout.root,
+        )
+    if len({p.query_timestamp_ns for p in pairs}) < len(query.times) and options.pair_rule is None:
+        reporter.note(f"{name}: {len(query.times) - len(pairs)} of {len(query.times)} queries are in no pair")
+    ordered = tuple(sorted(pairs, key=lambda p: p.key))
+    keyframes, asking = {p.ref_timestamp_ns for p in ordered}, {p.query_timestamp_ns for p in ordered}
+    return PairSetUnit(
+        layout,
+        name,
+        ordered,
+        _views(reference, *frames[0].T_world_cam, camera=cameras[camera][0], wanted=keyframes),
+        _views(query, *frames[1].T_world_cam, camera=cameras[camera][0], wanted=asking),
+        options.correspondences,
+        options.seed,
+    )
+
+
+def _views(plan: TraversalPlan, *T_world_cam: np.ndarray, camera: Camera, wanted: set[int]) -> dict[int, View]:
+    return {
+        timestamp: View(plan.place, plan.condition.factors, camera, pose, cars)
+        for timestamp, pose, cars in zip(plan.times, T_world_cam, plan.moving, strict=True)
+        if timestamp in wanted
+    }
+
+
+def write_set(unit: PairSetUnit) -> None:
+    """Measure and write one pair set: correspondences first, the pair file, which tells that all is done, last."""
+    overlaps: dict[PairKey, float] = {}
+
+    def measured() -> Iterator[tuple[PairKey, PairCorrespondences]]:
+        for pair in unit.pairs:
+            assert pair.T_query_ref is not None
+            rng = np.random.default_rng([unit.seed, 8, *pair.key])
+            views = unit.references[pair.ref_timestamp_ns], unit.queries[pair.query_timestamp_ns]
+            found = exact_correspondences(*views, pair.T_query_ref, unit.count, rng)
+            overlaps[pair.key] = found.overlap
+            yield pair.key, found
+
+    layout = unit.layout
+    if unit.count:
+        write_correspondences(layout.correspondence_file(unit.name), measured())
+    else:
+        for _ in measured():
+            pass
+    pairs = [replace(p, overlap=overlaps[p.key]) for p in unit.pairs]
+    pairfile.write_pairs(layout.pair_file(unit.name), layout.pair_table(unit.name), pairs)
+
+
+def _is_finished(unit: PairSetUnit) -> bool:
+    """Whether a former run wrote this set and its files are whole."""
+    layout = unit.layout
+    try:
+        if unit.count:
+            pq.ParquetFile(layout.correspondence_file(unit.name)).close()
+        known = pairfile.read_pairs(layout.pair_file(unit.name), layout.pair_table(unit.name))
+    except (pa.ArrowInvalid, OSError, DatasetError):
+        return False
+    return layout.pair_table(unit.name).exists() and [p.key for p in known] == [p.key for p in unit.pairs]

@@ -1,0 +1,86 @@
+"""Which keyframe a query is paired with: distances follow the distribution that was asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import gamma
+
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.pairs.pairing import PosedFrames, relative_pose
+from relocbench.geometry import rotation_angle
+
+Array = NDArray[np.float64]
+
+_SHAPE = 4.0
+"""of the gamma distribution: a standard deviation of half its mean"""
+_BOUNDS_M = (1.0, 2.0, 5.0)
+"""between the groups by distance"""
+
+
+@dataclass(frozen=True)
+class DistanceSpread:
+    """How far keyframes are to be from their queries: gamma distributed about a mean, cut off at the farthest."""
+
+    mean_m: float = 1.6
+    max_m: float = 10.0
+    max_angle_deg: float = 30.0
+
+    def draw(self, count: int, rng: np.random.Generator) -> Array:
+        """(count,) metres."""
+        law = gamma(_SHAPE, scale=self.mean_m / _SHAPE)
+        return np.asarray(law.ppf(rng.uniform(0.0, law.cdf(self.max_m), size=count)))
+
+
+def drawn_pairs(
+    reference: PosedFrames,
+    query: PosedFrames,
+    spread: DistanceSpread,
+    rng: np.random.Generator,
+    *,
+    same_traversal: bool,
+) -> list[Pair]:
+    """Each query frame with the keyframe whose distance is nearest to one drawn for it.
+
+    Keyframes farther than ``max_m`` or turned by more than ``max_angle_deg`` are not taken, nor within the same
+    traversal the frame itself; a query without any has no pair. The truth is exact: its sigma is 0.
+    """
+    rows = np.array(reference.keyframe_rows, dtype=np.int64)
+    T_world_keys = reference.T_world_cam[rows]
+    pairs = []
+    for q, wanted in enumerate(spread.draw(len(query.timestamps), rng)):
+        T_world_query = query.T_world_cam[q]
+        distance = np.linalg.norm(T_world_keys[:, :3, 3] - T_world_query[:3, 3], axis=1)
+        near = np.nonzero(distance <= spread.max_m)[0]
+        if same_traversal:
+            near = near[rows[near] != q]
+        turned = T_world_query[:3, :3].T @ T_world_keys[near, :3, :3]
+        near = near[np.degrees(rotation_angle(turned)) <= spread.max_angle_deg]
+        if not near.size:
+            continue
+        best = near[np.argmin(np.abs(distance[near] - wanted))]
+        r = int(rows[best])
+        pairs.append(
+            Pair(
+                reference.timestamps[r],
+                query.timestamps[q],
+                relative_pose(T_world_query, reference.T_world_cam[r]),
+                group=group_of(float(distance[best])),
+                source="rendered poses",
+                sigma_translation_m=0.0,
+                sigma_rotation_deg=0.0,
+            )
+        )
+    return pairs
+
+
+def group_of(distance_m: float) -> str:
+    """``under_1m``, ``1_to_2m``, ``2_to_5m`` or ``over_5m``."""
+    low, middle, high = _BOUNDS_M
+    if distance_m < low:
+        return f"under_{low:g}m"
+    if distance_m < middle:
+        return f"{low:g}_to_{middle:g}m"
+    return f"{middle:g}_to_{high:g}m" if distance_m < high else f"over_{high:g}m"

@@ -1,0 +1,113 @@
+"""Who drives when and where: all that is decided before anything is rendered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.images import DEPTH_SCALE
+from relocbench.datasets.core.schema import CameraEntry, TraversalFile
+from relocbench.datasets.pairs.pairing import PosedFrames
+from relocbench.datasets.synthetic.conditions.condition import NamedCondition
+from relocbench.datasets.synthetic.conditions.presets import SPLITS
+from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, Drive, DriveStyle, drive, route_length
+from relocbench.datasets.synthetic.drives.traffic import MovingCar, moving_cars
+from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.town.network import LANE_M
+from relocbench.geometry import Camera
+from relocbench.progress import Reporter
+
+Array = NDArray[np.float64]
+Cameras = Mapping[str, tuple[Camera, Array]]
+"""name -> (camera, ``T_rig_cam`` (4, 4))"""
+
+_DEPTH_SIGMA = (1 / DEPTH_SCALE / np.sqrt(12), 0.0, 0.0)
+"""metres: stored depth is rounded to 1/256 m"""
+_FIRST_NS = 1_000_000_000_000
+"""traversals begin so far apart"""
+
+
+@dataclass(frozen=True, eq=False)
+class TraversalPlan:
+    """One traversal, before it is rendered."""
+
+    name: str
+    number: int
+    """within the dataset's numbering of (split, condition, traversal); seeds hang on it"""
+    split: str
+    place: Place
+    condition: NamedCondition
+    reference: NamedCondition
+    """that of the traversal that the others of the split ask"""
+    drive: Drive
+    moving: tuple[tuple[MovingCar, ...], ...]
+    """the moving cars at each step"""
+
+    @property
+    def times(self) -> tuple[int, ...]:
+        """Nanoseconds of the steps."""
+        start = (self.number + 1) * _FIRST_NS
+        return tuple(start + i * STEP_NS for i in range(len(self.drive.along)))
+
+    def file(self, cameras: Cameras) -> TraversalFile:
+        """``traversal.yaml``."""
+        entries = {name: CameraEntry.of(c, T_rig_cam, _DEPTH_SIGMA) for name, (c, T_rig_cam) in cameras.items()}
+        return TraversalFile(
+            name=self.name,
+            condition=self.condition.label,
+            location=f"procedural town, {self.split} district, seed {self.place.seed}",
+            rate_hz=RATE_HZ,
+            cameras=entries,
+            source=f"rendered, seed {self.place.seed}",
+        )
+
+    def frames(self, camera: str, cameras: Cameras) -> PosedFrames:
+        """All frames of a camera; each has depth."""
+        return PosedFrames(self.times, self.drive.T_world_rig @ cameras[camera][1], frozenset(self.times))
+
+
+def make_plans(
+    splits: Sequence[str],
+    conditions: Mapping[str, NamedCondition],
+    traversals: int,
+    steps: int,
+    style: DriveStyle,
+    *,
+    seed: int,
+    extent_m: float,
+    reporter: Reporter,
+) -> list[TraversalPlan]:
+    """All traversals: by split, then condition, then their own number; those of a split follow one route.
+
+    A traversal is the same whichever other splits are built with it.
+    """
+    plans = []
+    first = next(iter(conditions.values()))
+    with reporter.stage("laying out districts", len(splits)) as advance:
+        for split in splits:
+            place = Place(seed, split, extent_m)
+            route = stage.district(place).network.drive(route_length(steps, style), seed)
+            for k, (name, condition) in enumerate(conditions.items()):
+                for number in range(traversals):
+                    identity = (SPLITS.index(split) * len(conditions) + k) * traversals + number
+                    rng = np.random.default_rng([seed, 5, SPLITS.index(split), k, number])
+                    driven = drive(route, steps, style, rng)
+                    cars = moving_cars(route, driven, condition.factors.traffic, LANE_M, rng)
+                    plans.append(
+                        TraversalPlan(
+                            f"{split}-{name}-{number}",
+                            identity,
+                            split,
+                            place,
+                            condition,
+                            first,
+                            driven,
+                            tuple(map(tuple, cars)),
+                        )
+                    )
+            advance(1)
+    return plans

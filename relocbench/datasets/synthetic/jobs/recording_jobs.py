@@ -1,0 +1,139 @@
+"""Getting the images and scans of drives made: by whom, and how long it will take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.jobs.recording_work import (
+    Composer,
+    RendererFactory,
+    Spent,
+    Stage,
+    Town,
+    Unit,
+    shared,
+    write_images,
+    write_scans,
+)
+from relocbench.datasets.synthetic.jobs.rendering import duration
+from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, Trajectory
+from relocbench.execution import Run, chunks, run_units
+from relocbench.progress import Advance, Reporter
+
+_IMAGES_A_UNIT = 8
+_SCANS_A_UNIT = 64
+_WORTH_AN_ESTIMATE = 400
+"""images: fewer are rendered soon"""
+
+Files = Sequence[tuple[str, int]]
+"""(sensor, index) of each"""
+Work = Callable[[Unit], Spent]
+
+
+@dataclass(frozen=True, eq=False)
+class DriveJob:
+    """What is left to do of a drive."""
+
+    district: Town
+    factors: Factors
+    layout: Layout
+    trajectory: Trajectory
+    tracks: Sequence[CarTrack]
+    seed: tuple[int, int]
+    truth: Path
+    scans: Files
+    pictures: Files
+
+
+def carry_out(
+    jobs: Sequence[DriveJob], renderer_factory: RendererFactory, compose: Composer, reporter: Reporter, run: Run
+) -> None:
+    """Measure and render what is missing, drive after drive; a long job is first measured on a few files."""
+    jobs = [job for job in jobs if job.scans or job.pictures]
+    with ExitStack() as stack:
+        pickled: dict[int, Path] = {}
+        for job in jobs:
+            if id(job.district) not in pickled:
+                pickled[id(job.district)] = stack.enter_context(shared(job.district, job.truth))
+        stages = [
+            Stage(
+                pickled[id(job.district)],
+                job.factors,
+                job.layout,
+                job.trajectory,
+                job.tracks,
+                job.seed,
+                renderer_factory,
+                compose,
+            )
+            for job in jobs
+        ]
+        both = list(zip(stages, jobs, strict=True))
+        scans = [Unit(stage, part) for stage, job in both for part in chunks(job.scans, _SCANS_A_UNIT)]
+        pictures = [Unit(stage, part) for stage, job in both for part in chunks(job.pictures, _IMAGES_A_UNIT)]
+        if _count(pictures) >= _WORTH_AN_ESTIMATE:
+            scans, pictures = _measured(scans, pictures, reporter, run)
+        for what, work, units in (("scanning", write_scans, scans), ("rendering", write_images, pictures)):
+            if units:
+                with reporter.stage(what, _count(units)) as advance:
+                    _do(work, units, advance, run)
+
+
+def _count(units: Sequence[Unit]) -> int:
+    return sum(len(unit.work) for unit in units)
+
+
+def _do(work: Work, units: Sequence[Unit], advance: Advance, run: Run) -> list[Spent]:
+    spent = []
+    for _, done in run_units(work, units, run):
+        spent.append(done)
+        advance(done.files)
+    return spent
+
+
+def _measured(
+    scans: Sequence[Unit], pictures: Sequence[Unit], reporter: Reporter, run: Run
+) -> tuple[list[Unit], list[Unit]]:
+    """Do the first unit of each kind in each condition and tell how long the others, which are returned, will take."""
+    lines, left = [], []
+    pilots = {what: _split(units) for what, units in (("scans", scans), ("images", pictures))}
+    with reporter.stage("measuring", sum(_count(first) for first, _ in pilots.values())) as advance:
+        for what, work in (("scans", write_scans), ("images", write_images)):
+            first, rest = pilots[what]
+            lines.append(estimate(what, _do(work, first, advance, run), rest, run.workers))
+            left.append(rest)
+    reporter.note("left to record: " + "; ".join(lines))
+    return left[0], left[1]
+
+
+def _split(units: Sequence[Unit]) -> tuple[list[Unit], list[Unit]]:
+    """The first unit of each condition in one district; and all others."""
+    first: list[Unit] = []
+    rest: list[Unit] = []
+    taken: set[Factors] = set()
+    for unit in units:
+        new = unit.stage.district == units[0].stage.district and unit.stage.factors not in taken
+        taken.add(unit.stage.factors)
+        (first if new else rest).append(unit)
+    return first, rest
+
+
+def estimate(what: str, spent: Sequence[Spent], rest: Sequence[Unit], workers: int) -> str:
+    """How long the rest will take and how much it will hold, by what the first files took."""
+    left, measured = _count(rest), sum(s.files - 1 for s in spent)
+    if not left or not measured:
+        return f"{left} {what}"
+    each = sum(s.seconds for s in spent) / measured
+    scenes = len({(unit.stage.district, unit.stage.factors) for unit in rest})
+    seconds = left * each / workers + scenes * float(np.median([s.setup_s for s in spent]))
+    size = sum(s.bytes for s in spent) / sum(s.files for s in spent) * left
+    return (
+        f"{left} {what}, about {duration(seconds)} with {workers} worker{'s' if workers != 1 else ''}, "
+        f"{size / 1e9:.1f} GB"
+    )

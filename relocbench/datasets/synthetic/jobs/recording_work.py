@@ -1,0 +1,219 @@
+"""What a worker does for a recording: some images or some scans, from a district that all workers share."""
+
+from __future__ import annotations
+
+import pickle
+import secrets
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.drives.traffic import MovingCar
+from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, SensorMotion, Trajectory, cars_at
+from relocbench.datasets.synthetic.lidar import lidar
+from relocbench.datasets.synthetic.town.cars import cars
+from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
+from relocbench.files import atomic_write
+from relocbench.geometry import Camera
+
+Array = NDArray[np.float64]
+
+_CAR_RADIUS_M = 3.5
+_MOVING_INSTANCE = 2**31
+
+
+class Town(Protocol):
+    """What is recorded: :class:`relocbench.datasets.synthetic.town.town.District`; it must be picklable."""
+
+    @property
+    def seed(self) -> int: ...
+
+    @property
+    def lamps(self) -> Array: ...
+
+
+class Picture(Protocol):
+    """What a renderer returns."""
+
+    @property
+    def rgb(self) -> NDArray[np.uint8]: ...
+
+
+class FrameRenderer(Protocol):
+    """What makes images: :class:`relocbench.datasets.synthetic.renderer.render.Renderer`."""
+
+    def render(self, camera: Camera, T_world_cam: Array, frame_seed: int, /) -> Picture: ...
+
+    @property
+    def surroundings(self) -> Any:
+        """What can be given to another renderer of the same town, with cars that move."""
+        ...
+
+
+RendererFactory = Callable[[Mesh, Factors, Array, int, Any], FrameRenderer]
+"""mesh, factors, lamps (N, 3), the seed of all surfaces' patterns, and surroundings or None"""
+Composer = Callable[[Any, Factors, Sequence[MovingCar]], Mesh]
+"""district, factors and moving cars"""
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """What all units of a recording share."""
+
+    district: Path
+    """pickled: workers read it once each"""
+    factors: Factors
+    layout: Layout
+    trajectory: Trajectory
+    tracks: Sequence[CarTrack]
+    seed: tuple[int, int]
+    make_renderer: RendererFactory
+    compose: Composer
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """Some images or some scans: (sensor, index) of each."""
+
+    stage: Stage
+    work: Sequence[tuple[str, int]]
+
+    def __str__(self) -> str:
+        sensor, index = self.work[0]
+        return f"{len(self.work)} files from {self.stage.layout.path(sensor, index)} on"
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What a unit took."""
+
+    files: int
+    setup_s: float
+    """up to the first file"""
+    seconds: float
+    """the others"""
+    bytes: int
+
+
+@contextmanager
+def shared(district: Town, folder: Path) -> Iterator[Path]:
+    """The district where workers find it, wherever they run; gone in the end (or at the next start)."""
+    pickled = folder / f".district.{secrets.token_hex(4)}.part"
+    with atomic_write(pickled, "wb") as stream:
+        pickle.dump(district, stream, protocol=pickle.HIGHEST_PROTOCOL)
+    try:
+        yield pickled
+    finally:
+        pickled.unlink(missing_ok=True)
+        _ready.clear()
+
+
+_ready: dict[str, tuple[Any, Any]] = {}
+"""of this process, by kind: the key and the latest district, static scene, renderer and cars"""
+
+
+def _latest(kind: str, key: Any, make: Callable[[], Any]) -> Any:
+    """The latest of a kind, if it was made for this key; the one before is let go before another is made."""
+    if kind not in _ready or _ready[kind][0] != key:
+        _ready.pop(kind, None)
+        _ready[kind] = (key, make())
+    return _ready[kind][1]
+
+
+def _district(stage: Stage) -> Any:
+    return _latest("district", stage.district, lambda: pickle.loads(stage.district.read_bytes()))
+
+
+def write_images(unit: Unit) -> Spent:
+    stage, layout = unit.stage, unit.stage.layout
+
+    def write(camera: str, index: int) -> None:
+        moment = int(layout.times[camera][index])
+        present = cars_at(stage.tracks, moment)
+        renderer = _renderer(stage, present)
+        mount = layout.cameras[camera]
+        pose = SensorMotion(stage.trajectory, mount.T_rig_cam)(np.array([moment]))[0]
+        number = np.random.SeedSequence([*stage.seed, 5, sorted(layout.cameras).index(camera), index])
+        picture = renderer.render(mount.camera, pose, int(number.generate_state(1)[0]))
+        layout.write_image(camera, layout.path(camera, index), picture.rgb)
+
+    return _measured(unit, write)
+
+
+def _renderer(stage: Stage, present: Sequence[MovingCar]) -> FrameRenderer:
+    def make() -> FrameRenderer:
+        town = _district(stage)
+
+        def still() -> FrameRenderer:
+            return stage.make_renderer(
+                stage.compose(town, stage.factors, ()), stage.factors, town.lamps, town.seed, None
+            )
+
+        if not present:
+            return still()
+        around = _latest("surroundings", (stage.district, stage.factors), lambda: still().surroundings)
+        mesh = stage.compose(town, stage.factors, present)
+        return stage.make_renderer(mesh, stage.factors, town.lamps, town.seed, around)
+
+    positions = tuple((pose.tobytes(), variant) for pose, variant in present)
+    renderer: FrameRenderer = _latest("renderer", (stage.district, stage.factors, positions), make)
+    return renderer
+
+
+def write_scans(unit: Unit) -> Spent:
+    stage, layout = unit.stage, unit.stage.layout
+    scene = _latest(
+        "scene",
+        (stage.district, stage.factors),
+        lambda: lidar.LidarScene(stage.compose(_district(stage), stage.factors, ())),
+    )
+    others = _latest("cars", (stage.district, stage.factors), lambda: _moving_objects(stage.tracks))
+
+    def write(sensor: str, index: int) -> None:
+        mount = layout.lidars[sensor]
+        rng = np.random.default_rng([*stage.seed, 7, sorted(layout.lidars).index(sensor), index])
+        motion = SensorMotion(stage.trajectory, mount.T_rig_lidar)
+        scan = lidar.scan(mount.lidar, scene, motion, int(layout.times[sensor][index]), stage.factors, rng, others)
+        points = lidar.compensate(mount.lidar, scan, motion) if mount.compensated else scan.points
+        layout.write_scan(layout.path(sensor, index), points, scan.reflectance, scan.returned)
+
+    return _measured(unit, write)
+
+
+def _measured(unit: Unit, write: Callable[[str, int], None]) -> Spent:
+    """Write the files of a unit. The first one waits for the district and its ray tree."""
+    begin = ready = time.perf_counter()
+    for k, (sensor, index) in enumerate(unit.work):
+        write(sensor, index)
+        ready = ready if k else time.perf_counter()
+    layout = unit.stage.layout
+    size = sum(layout.path(sensor, index).stat().st_size for sensor, index in unit.work)
+    return Spent(len(unit.work), ready - begin, time.perf_counter() - ready, size)
+
+
+def _moving_objects(tracks: Sequence[CarTrack]) -> list[lidar.MovingObject]:
+    """Each car in its own frame."""
+    objects = []
+    for k, track in enumerate(tracks):
+        mesh = cars(np.eye(4)[None], np.array([track.variant]), np.array([_MOVING_INSTANCE + k]), Semantic.MOVING_CAR)
+        objects.append(lidar.MovingObject(lidar.LidarScene(mesh), track, _CAR_RADIUS_M))
+    return objects
+
+
+def town_renderer(mesh: Mesh, factors: Factors, lamps: Array, seed: int, surroundings: Any) -> FrameRenderer:
+    from relocbench.datasets.synthetic.renderer.render import Renderer
+
+    return Renderer(mesh, factors, lamps, seed, surroundings)
+
+
+def town_compose(district: Any, factors: Factors, moving: Sequence[MovingCar]) -> Mesh:
+    from relocbench.datasets.synthetic.town.town import compose
+
+    return compose(district, factors, moving)

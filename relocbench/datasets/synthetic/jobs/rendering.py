@@ -1,0 +1,204 @@
+"""Rendering all frames of a build: what is missing, by whom, and how long it will take."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core import images
+from relocbench.datasets.core.layout import DatasetLayout
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.drives.traffic import MovingCar
+from relocbench.datasets.synthetic.jobs import extras, stage
+from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
+from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.renderer.render import Frame
+from relocbench.execution import Run, chunks, run_units
+from relocbench.geometry import Camera
+from relocbench.progress import Reporter
+
+Array = NDArray[np.float64]
+
+_STEPS_A_UNIT = 8
+_WORTH_AN_ESTIMATE = 400
+"""images: fewer are rendered soon"""
+_WORTH_WORKERS = 8
+"""images: fewer are rendered before other processes have started"""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameWork:
+    """One image of one camera, and which of its files are missing."""
+
+    camera: Camera
+    T_world_cam: Array
+    seed: int
+    missing: dict[str, Path]
+    """kind -> path"""
+
+
+@dataclass(frozen=True, eq=False)
+class StepWork:
+    """The images of one moment."""
+
+    moving: tuple[MovingCar, ...]
+    frames: tuple[FrameWork, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RenderUnit:
+    """Some steps of one traversal, done by one worker one after the other; each frame is written on its own."""
+
+    place: Place
+    factors: Factors
+    reference: Factors
+    steps: tuple[StepWork, ...]
+
+    @property
+    def images(self) -> int:
+        return sum(len(step.frames) for step in self.steps)
+
+    def __str__(self) -> str:
+        first = next(iter(self.steps[0].frames[0].missing.values()))
+        return f"{self.images} images from {first} on"
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What a unit took."""
+
+    images: int
+    setup_s: float
+    """making the district and its renderer ready, up to the first image"""
+    seconds: float
+    """rendering and writing the others"""
+    bytes: int
+
+
+def render_all(
+    plans: Sequence[TraversalPlan],
+    cameras: Cameras,
+    layout: DatasetLayout,
+    seed: int,
+    kinds: Sequence[str],
+    reporter: Reporter,
+    run: Run,
+) -> None:
+    """Render what is missing; a long job is first measured on a few frames of each condition."""
+    steps = [(plan, missing_steps(plan, cameras, layout, seed, kinds)) for plan in plans]
+    units = [_unit(plan, part) for plan, missing in steps for part in chunks(missing, _STEPS_A_UNIT)]
+    total = sum(unit.images for unit in units)
+    run = run if total >= _WORTH_WORKERS else run.alone()
+    with reporter.stage("rendering", total) as advance:
+        if total >= _WORTH_AN_ESTIMATE:
+            pilots, units = _split_pilots(units)
+            spent = []
+            for _, done in run_units(render_unit, pilots, run):
+                spent.append(done)
+                advance(done.images)
+            reporter.note(estimate(spent, units, run.workers))
+        for _, done in run_units(render_unit, units, run):
+            advance(done.images)
+
+
+def missing_steps(
+    plan: TraversalPlan, cameras: Cameras, layout: DatasetLayout, seed: int, kinds: Sequence[str]
+) -> list[StepWork]:
+    """The steps of a traversal of which a file is missing or torn."""
+    target = layout.traversal(plan.name)
+    found = []
+    for i, (timestamp, T_world_rig) in enumerate(zip(plan.times, plan.drive.T_world_rig, strict=True)):
+        frames = []
+        for c, (name, (camera, T_rig_cam)) in enumerate(cameras.items()):
+            files = {"image": target.image(name, timestamp), "depth": target.depth(name, timestamp)}
+            files |= {k: extras.extra_path(layout.root, plan.name, k, name, timestamp) for k in kinds}
+            missing = {kind: path for kind, path in files.items() if not images.is_whole(path)}
+            if missing:
+                number = stage.frame_seed(seed, plan.number, i, c)
+                frames.append(FrameWork(camera, T_world_rig @ T_rig_cam, number, missing))
+        if frames:
+            found.append(StepWork(plan.moving[i], tuple(frames)))
+    return found
+
+
+def _unit(plan: TraversalPlan, steps: Sequence[StepWork]) -> RenderUnit:
+    return RenderUnit(plan.place, plan.condition.factors, plan.reference.factors, tuple(steps))
+
+
+def render_unit(unit: RenderUnit) -> Spent:
+    """Render and write the frames of a unit."""
+    written, start = 0, time.perf_counter()
+    ready = None
+    for step in unit.steps:
+        renderer = stage.renderer(unit.place, unit.factors, step.moving)
+        for work in step.frames:
+            frame = renderer.render(work.camera, work.T_world_cam, work.seed)
+            for kind, path in work.missing.items():
+                _WRITERS[kind](path, frame, work, unit)
+                written += path.stat().st_size
+            # The first image waits for the district, for its ray tree and for compilation.
+            ready = ready or time.perf_counter()
+    assert ready is not None
+    return Spent(unit.images, ready - start, time.perf_counter() - ready, written)
+
+
+def _write_changed(path: Path, frame: Frame, work: FrameWork, unit: RenderUnit) -> None:
+    extras.write_mask(path, stage.changed_since(unit.place, unit.reference, frame, work.camera, work.T_world_cam))
+
+
+_WRITERS: dict[str, Callable[[Path, Frame, FrameWork, RenderUnit], None]] = {
+    "image": lambda path, frame, work, unit: images.write_image(path, frame.rgb),
+    "depth": lambda path, frame, work, unit: images.write_depth(path, frame.depth),
+    "normals": lambda path, frame, work, unit: extras.write_normals(path, frame.normal),
+    "instance": lambda path, frame, work, unit: extras.write_instance(path, frame.instance),
+    "semantic": lambda path, frame, work, unit: images.write_image(path, frame.semantic),
+    "changed": _write_changed,
+}
+
+
+def _split_pilots(units: Sequence[RenderUnit]) -> tuple[list[RenderUnit], list[RenderUnit]]:
+    """The first unit of each condition, in one district; and all others."""
+    pilots: list[RenderUnit] = []
+    rest: list[RenderUnit] = []
+    taken: set[Factors] = set()
+    for unit in units:
+        new = unit.place == units[0].place and unit.factors not in taken
+        taken.add(unit.factors)
+        (pilots if new else rest).append(unit)
+    return pilots, rest
+
+
+def estimate(spent: Sequence[Spent], rest: Sequence[RenderUnit], workers: int) -> str:
+    """How long the rest will take and how much it will hold, by what the first images took.
+
+    The first units ran beside each other, as the rest will. Every worker makes every district and condition ready.
+    """
+    left = sum(unit.images for unit in rest)
+    measured = sum(s.images - 1 for s in spent)
+    size = sum(s.bytes for s in spent) / sum(s.images for s in spent) * left
+    if not measured:
+        return f"{left} images are left to render, {size / 1e9:.1f} GB"
+    per_image = sum(s.seconds for s in spent) / measured
+    scenes = len({(unit.place, unit.factors) for unit in rest})
+    seconds = left * per_image / workers + scenes * float(np.median([s.setup_s for s in spent]))
+    return (
+        f"{left} images are left to render: about {duration(seconds)} at {rate(workers, per_image)} with "
+        f"{workers} worker{'s' if workers != 1 else ''}, {size / 1e9:.1f} GB (measured on {measured} images)"
+    )
+
+
+def rate(workers: int, per_image_s: float) -> str:
+    """Images a second; a clock that stands still measures nothing."""
+    return f"{workers / per_image_s:.1f} images/s" if per_image_s > 0 else "an unknown rate"
+
+
+def duration(seconds: float) -> str:
+    """In the unit that people would say it in."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,120 @@
+"""What a worker keeps ready to render and to measure: the district, and its scenes in the condition at hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.drives.traffic import MovingCar
+from relocbench.datasets.synthetic.lidar.lidar import LidarScene
+from relocbench.datasets.synthetic.renderer.render import Frame, Renderer, Surroundings
+from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
+from relocbench.datasets.synthetic.town.town import District, compose, make_district
+from relocbench.geometry import Camera
+
+Array = NDArray[np.float64]
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class Place:
+    """What determines a district."""
+
+    seed: int
+    split: str
+    extent_m: float
+
+
+class Latest(Generic[Value]):
+    """Keeps one value: the one before is let go before the next is made, so that memory holds one at a time."""
+
+    def __init__(self) -> None:
+        self._key: Any = None
+        self._value: Value | None = None
+
+    def get(self, key: Any, make: Callable[[], Value]) -> Value:
+        if self._value is None or key != self._key:
+            self._value = None
+            self._key, self._value = key, make()
+        return self._value
+
+
+_district: Latest[District] = Latest()
+_renderer: Latest[Renderer] = Latest()
+_surroundings: Latest[Surroundings] = Latest()
+
+
+def district(place: Place) -> District:
+    """The district of a place."""
+    return _district.get(place, lambda: make_district(place.seed, place.split, place.extent_m))
+
+
+def renderer(place: Place, factors: Factors, moving: Sequence[MovingCar] = ()) -> Renderer:
+    """The renderer of a district in a condition, with the cars that move at one moment."""
+    positions = tuple((T_world_car.tobytes(), variant) for T_world_car, variant in moving)
+    return _renderer.get((place, factors, positions), lambda: _make_renderer(place, factors, moving))
+
+
+def _make_renderer(place: Place, factors: Factors, moving: Sequence[MovingCar]) -> Renderer:
+    town = district(place)
+
+    def still() -> Renderer:
+        # Surfaces look alike in all traversals: their patterns hang on the district's seed.
+        return Renderer(compose(town, factors), factors, town.lamps, place.seed)
+
+    if not moving:
+        return still()
+    around = _surroundings.get((place, factors), lambda: still().surroundings)
+    return Renderer(compose(town, factors, moving), factors, town.lamps, place.seed, around)
+
+
+@lru_cache(maxsize=2)
+def static_scene(place: Place, factors: Factors) -> LidarScene:
+    """Rays against what stands still in a condition; kept for a reference and a query."""
+    return LidarScene(compose(district(place), factors))
+
+
+def moving_scene(place: Place, factors: Factors, moving: Sequence[MovingCar]) -> LidarScene | None:
+    """Rays against the moving cars alone; None where there are none."""
+    if not moving:
+        return None
+    whole: Mesh = compose(district(place), factors, moving)
+    return LidarScene(whole.select(whole.semantic == Semantic.MOVING_CAR))
+
+
+def frame_seed(seed: int, traversal: int, step: int, camera: int) -> int:
+    """Of the noise, rain and snow of one image: it depends on nothing that was rendered before."""
+    return int(np.random.SeedSequence([seed, 7, traversal, step, camera]).generate_state(1)[0])
+
+
+def pixel_rays(camera: Camera, T_world_cam: Array, pixels: Array) -> tuple[Array, Array, Array]:
+    """Origins (N, 3) and unit directions (N, 3) in the world of pixels (N, 2), and metres along each at depth 1 m."""
+    rays, _ = camera.unproject(pixels)
+    stretch = np.linalg.norm(rays, axis=1)
+    directions = rays @ T_world_cam[:3, :3].T / stretch[:, None]
+    return np.broadcast_to(T_world_cam[:3, 3], directions.shape).copy(), directions, stretch
+
+
+def changed_since(
+    place: Place, reference: Factors, frame: Frame, camera: Camera, T_world_cam: Array
+) -> NDArray[np.bool_]:
+    """(H, W) where an image shows something else than stands there in the reference condition.
+
+    Season, parked and moving cars change what stands there; light, wetness and snow do not.
+    """
+    v, u = np.mgrid[: camera.height, : camera.width]
+    origins, directions, stretch = pixel_rays(
+        camera, T_world_cam, np.column_stack([u.ravel(), v.ravel()]).astype(float)
+    )
+    distance, _, instance = static_scene(place, reference).cast(origins, directions)
+    hit = np.isfinite(distance)
+    before = np.where(hit, distance / stretch, 0.0).reshape(frame.depth.shape)
+    objects = np.where(hit, instance, 0).reshape(frame.depth.shape)
+    moved = np.abs(before - frame.depth) > 0.01 + 1e-3 * before
+    return np.asarray(moved | ((objects != frame.instance) & (before > 0)))

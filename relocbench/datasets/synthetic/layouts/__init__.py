@@ -1,0 +1,1 @@
+"""Recordings written in the layouts of real data sets."""

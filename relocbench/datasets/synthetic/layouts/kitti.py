@@ -1,0 +1,138 @@
+"""A recording in the layout of KITTI odometry.
+
+``OUT/sequences/NN/{image_0..3,velodyne,calib.txt,times.txt}`` and ``OUT/poses/NN.txt``, which is what a GNSS/INS says,
+as KITTI's own is: each sequence in a world of its own, that of its first camera. The exact poses, in one world for all
+sequences, are in ``OUT/truth/NN/poses_cam0.txt``. Geiger et al., Are we ready for autonomous driving?, CVPR 2012.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core import images
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.drives import odometry
+from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, Trajectory
+from relocbench.datasets.synthetic.lidar import lidar
+from relocbench.errors import ConfigError
+from relocbench.files import write_bytes, write_text
+from relocbench.geometry import Camera, invert, make_transform
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+CAMERAS: dict[str, float] = {"image_0": 0.0, "image_1": 0.53715, "image_2": -0.06, "image_3": 0.47}
+"""metres to the right of camera 0; 0 and 1 are grey, 2 and 3 are in colour"""
+_CAMERA = Camera("pinhole", 1226, 370, 707.0912, 707.0912, 601.8873, 183.1104)
+"""of sequences 04 to 12"""
+_R_FORWARD_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""axes x forward, y left, z up from x right, y down, z forward"""
+_T_RIG_LIDAR = make_transform(np.eye(3), [0.0, 0.27, 1.73])
+_T_LIDAR_CAM0 = make_transform(_R_FORWARD_CAMERA, [0.27, 0.0, -0.08])
+"""the lidar stands 1.73 m and the cameras 1.65 m above the road, 0.27 m further forward (KITTI's set-up page)"""
+_PERIOD_NS = 100_000_000
+
+
+@dataclass(frozen=True)
+class KittiLayout(FieldsOnly):
+    """One sequence."""
+
+    root: Path
+    sequence: str
+    frames: int
+    scale: float
+    """size of the images over that of the real ones"""
+    chosen: tuple[str, ...] = ("image_0", "image_1")
+    """cameras to record"""
+    rings: int = 64
+    azimuths: int = 2000
+    compensated: bool = True
+    """whether scans have the car's own motion taken out, as those of KITTI's odometry benchmark have"""
+
+    def __post_init__(self) -> None:
+        for name in self.chosen:
+            if name not in CAMERAS:
+                raise ConfigError(f"no KITTI camera '{name}'; there is {', '.join(CAMERAS)}")
+
+    @property
+    def name(self) -> str:
+        return self.sequence
+
+    @property
+    def folder(self) -> Path:
+        return self.root / "sequences" / self.sequence
+
+    @cached_property
+    def cameras(self) -> Mapping[str, CameraMount]:
+        T_rig_cam0 = _T_RIG_LIDAR @ _T_LIDAR_CAM0
+        return {
+            name: CameraMount(
+                _CAMERA.scaled(self.scale), T_rig_cam0 @ make_transform(np.eye(3), [CAMERAS[name], 0.0, 0.0])
+            )
+            for name in self.chosen
+        }
+
+    @cached_property
+    def lidars(self) -> Mapping[str, LidarMount]:
+        return {"velodyne": LidarMount(lidar.spinning(self.rings, self.azimuths), _T_RIG_LIDAR, self.compensated)}
+
+    @cached_property
+    def times(self) -> Mapping[str, Times]:
+        """A scan looks forward when the cameras are triggered."""
+        ticks = np.arange(self.frames, dtype=np.int64) * _PERIOD_NS
+        return dict.fromkeys((*self.chosen, *self.lidars), ticks)
+
+    def path(self, sensor: str, index: int) -> Path:
+        return self.folder / sensor / f"{index:06d}.{'bin' if sensor in self.lidars else 'png'}"
+
+    def is_whole(self, sensor: str, path: Path) -> bool:
+        if sensor in self.lidars:
+            # The number of returns differs: only whole points can be told from torn ones.
+            return path.is_file() and path.stat().st_size > 0 and path.stat().st_size % 16 == 0
+        return images.is_whole(path)
+
+    def write_image(self, camera: str, path: Path, rgb: NDArray[np.uint8]) -> None:
+        colour = camera in ("image_2", "image_3")
+        images.write_image(path, rgb if colour else np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)))
+
+    def write_scan(self, path: Path, points: Array, reflectance: Array, returned: NDArray[np.bool_]) -> None:
+        """x, y, z, reflectance as float32, what came back alone."""
+        write_bytes(path, np.column_stack([points, reflectance])[returned].astype("<f4").tobytes())
+
+    def write_texts(self, trajectory: Trajectory, factors: Factors, seed: int) -> dict[str, Any]:
+        camera = _CAMERA.scaled(self.scale)
+        rows = []
+        for i, right_m in enumerate(CAMERAS.values()):
+            projection = camera.matrix @ np.column_stack([np.eye(3), [-right_m, 0.0, 0.0]])
+            rows.append(f"P{i}: {_numbers(projection)}\n")
+        rows.append(f"Tr: {_numbers(invert(_T_LIDAR_CAM0)[:3])}\n")
+        write_text(self.folder / "calib.txt", "".join(rows))
+        ticks = np.arange(self.frames, dtype=np.int64) * _PERIOD_NS
+        write_text(self.folder / "times.txt", "".join(f"{t / 1e9:.9e}\n" for t in ticks.tolist()))
+        T_rig_cam0 = _T_RIG_LIDAR @ _T_LIDAR_CAM0
+        T_world_rig = trajectory.at(ticks)
+        _write_poses(self.root / "truth" / self.sequence / "poses_cam0.txt", T_world_rig @ T_rig_cam0)
+        rng = np.random.default_rng([seed, 22])
+        solution = odometry.inertial(ticks, T_world_rig, odometry.InertialErrors(), rng)
+        T_world_cam0 = solution.T_world_body @ T_rig_cam0
+        _write_poses(self.root / "poses" / f"{self.sequence}.txt", invert(T_world_cam0[0]) @ T_world_cam0)
+        return {
+            "compensated_scans": self.compensated,
+            "ins_offset_east_north_up_m": solution.offset_m.tolist(),
+        }
+
+
+def _write_poses(path: Path, T_world_cam0: Array) -> None:
+    write_text(path, "".join(_numbers(pose[:3]) + "\n" for pose in T_world_cam0))
+
+
+def _numbers(matrix: Array) -> str:
+    return " ".join(f"{v:.12e}" for v in matrix.ravel().tolist())

@@ -1,0 +1,158 @@
+"""What a recording is made of, whatever its layout: sensors and their times, the car's motion, other cars."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.lidar.lidar import Lidar
+from relocbench.geometry import Camera, interpolate, interpolate_trajectory
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+MovingCar = tuple[Array, int]
+"""``T_world_car`` (4, 4) and the seed of the car's look"""
+
+_TELEPORT_M = 5.0
+"""a car that moves further from one step to the next left the route at one end and came in at the other"""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The exact motion of the car: :func:`interpolate_trajectory` between these poses."""
+
+    times_ns: Times
+    """(N,)"""
+    T_world_rig: Array
+    """(N, 4, 4)"""
+
+    def at(self, times_ns: Times) -> Array:
+        """(M, 4, 4) ``T_world_rig``. Raises ValueError outside the drive."""
+        return interpolate_trajectory(self.times_ns, self.T_world_rig, times_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class SensorMotion:
+    """``T_world_sensor`` at any time of the drive."""
+
+    trajectory: Trajectory
+    T_rig_sensor: Array
+
+    def __call__(self, times_ns: Times, /) -> Array:
+        return np.asarray(self.trajectory.at(times_ns) @ self.T_rig_sensor)
+
+
+@dataclass(frozen=True, eq=False)
+class CarTrack:
+    """Where another car is, at the steps of the drive and between them."""
+
+    variant: int
+    times_ns: Times
+    """(N,)"""
+    T_world_car: Array
+    """(N, 4, 4), NaN where it is not there"""
+
+    def __call__(self, times_ns: Times, /) -> Array:
+        """(M, 4, 4), NaN where it is not there."""
+        right = np.clip(np.searchsorted(self.times_ns, times_ns, side="right"), 1, len(self.times_ns) - 1)
+        before, after = self.T_world_car[right - 1], self.T_world_car[right]
+        span = self.times_ns[right] - self.times_ns[right - 1]
+        fraction = (times_ns - self.times_ns[right - 1]) / span
+        moved = np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1)
+        there = (moved < _TELEPORT_M) & (fraction >= 0) & (fraction <= 1)
+        out = np.full((len(times_ns), 4, 4), np.nan)
+        out[there] = interpolate(before[there], after[there], fraction[there])
+        return out
+
+
+def car_tracks(times_ns: Times, steps: Sequence[Sequence[MovingCar]]) -> list[CarTrack]:
+    """The tracks of cars that are listed step by step; a car is known by its look."""
+    poses: dict[int, Array] = {}
+    for i, cars in enumerate(steps):
+        for T_world_car, variant in cars:
+            if variant not in poses:
+                poses[variant] = np.full((len(steps), 4, 4), np.nan)
+            poses[variant][i] = T_world_car
+    return [CarTrack(variant, times_ns, track) for variant, track in poses.items()]
+
+
+def cars_at(tracks: Sequence[CarTrack], time_ns: int) -> list[MovingCar]:
+    """The cars that are there at one moment."""
+    found = [(track(np.array([time_ns]))[0], track.variant) for track in tracks]
+    return [(pose, variant) for pose, variant in found if np.isfinite(pose[0, 0])]
+
+
+@dataclass(frozen=True, eq=False)
+class CameraMount:
+    """A camera of the recording car."""
+
+    camera: Camera
+    T_rig_cam: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LidarMount:
+    """A lidar of the recording car."""
+
+    lidar: Lidar
+    T_rig_lidar: Array
+    compensated: bool = False
+    """whether scans are written with the car's own motion taken out"""
+
+
+class FieldsOnly:
+    """A dataclass that goes to workers without what it has worked out for itself."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(cast(Any, self))}
+
+
+class Layout(Protocol):
+    """A format on disk. It says which sensors there are, when each measures, and writes what they measured."""
+
+    @property
+    def name(self) -> str:
+        """Of the drive."""
+        ...
+
+    @property
+    def folder(self) -> Path:
+        """Where the drive's images and scans lie."""
+        ...
+
+    @property
+    def cameras(self) -> Mapping[str, CameraMount]: ...
+
+    @property
+    def lidars(self) -> Mapping[str, LidarMount]: ...
+
+    @property
+    def times(self) -> Mapping[str, Times]:
+        """Nanoseconds of each image and scan, by sensor."""
+        ...
+
+    def path(self, sensor: str, index: int) -> Path:
+        """The file of an image or a scan."""
+        ...
+
+    def is_whole(self, sensor: str, path: Path) -> bool:
+        """Whether the file is there, to its end."""
+        ...
+
+    def write_image(self, camera: str, path: Path, rgb: NDArray[np.uint8]) -> None: ...
+
+    def write_scan(self, path: Path, points: Array, reflectance: Array, returned: NDArray[np.bool_]) -> None: ...
+
+    def write_texts(self, trajectory: Trajectory, factors: Factors, seed: int) -> dict[str, Any]:
+        """Calibration, times, odometry and the like; returns what was drawn to make them, for the truth.
+
+        Raises:
+            DatasetError: the folder holds a calibration that is not this one's.
+        """
+        ...

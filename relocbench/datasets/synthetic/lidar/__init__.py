@@ -1,0 +1,1 @@
+"""Lidars in the weather."""

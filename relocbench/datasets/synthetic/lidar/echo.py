@@ -1,0 +1,92 @@
+"""What comes back of a lidar's beam: reflectance of surfaces, dry, wet and under snow, and what the air takes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.town.mesh import Material
+
+Array = NDArray[np.float64]
+
+DARK = 0.1
+"""reflectance of the dark surface by which data sheets state a range"""
+_DIFFUSE_WHEN_WET = 0.4
+"""share of the diffuse reflection that is left under a film of water seen from above"""
+_SNOW_REFLECTANCE = 0.8
+_CLUTTER_PER_MM_H = (1e-4, 4e-3)
+"""share of beams that rain and snow in the air send back, per mm/h"""
+
+_REFLECTANCE_OF = {
+    Material.ASPHALT: 0.15,
+    Material.COBBLES: 0.20,
+    Material.PAVEMENT: 0.25,
+    Material.KERB: 0.30,
+    Material.LANE_MARKING: 0.60,
+    Material.GRASS: 0.50,
+    Material.SOIL: 0.25,
+    Material.BRICK: 0.35,
+    Material.PLASTER: 0.55,
+    Material.STONE: 0.40,
+    Material.CONCRETE: 0.40,
+    Material.ROOF_TILES: 0.30,
+    Material.ROOF_FLAT: 0.15,
+    Material.WINDOW: 0.06,
+    Material.SHOP_WINDOW: 0.06,
+    Material.DOOR: 0.30,
+    Material.SHOP_SIGN: 0.40,
+    Material.WOOD: 0.40,
+    Material.METAL: 0.40,
+    Material.BARK: 0.35,
+    Material.LEAF: 0.50,
+    Material.HEDGE: 0.50,
+    Material.CAR_PAINT: 0.40,
+    Material.CAR_GLASS: 0.06,
+    Material.RUBBER: 0.05,
+    Material.TRAFFIC_SIGN: 5.0,
+    Material.LAMP: 0.30,
+    Material.PLASTIC: 0.30,
+}
+"""diffuse, near 905 nm: leaves are bright there, glass sends the beam elsewhere, signs send it straight back"""
+_REFLECTANCE = np.array([_REFLECTANCE_OF[material] for material in Material])
+
+
+def extinction(factors: Factors) -> float:
+    """Of the air, 1/m: fog, and rain and dry snow after ITU-R P.1814 (1.076 R^0.67 and 5.545 S^1.38 dB/km)."""
+    decibels_per_km = 1.076 * factors.rain_mm_h**0.67 + 5.545 * factors.snowfall_mm_h**1.38
+    return float(factors.fog_density + decibels_per_km / 1000 * np.log(10) / 10)
+
+
+def surface_reflectance(material: NDArray[np.uint8], upward: Array, cosine: Array, factors: Factors) -> Array:
+    """(N,) diffuse reflectance near 905 nm of what was hit, wet or under snow.
+
+    A film of water darkens a surface and mirrors what comes in flat: Fresnel by Schlick's formula, on the way in and
+    on the way out. Walls get a third of the rain that the ground gets.
+
+    Args:
+        material: (N,) :class:`Material`.
+        upward: (N,) vertical part of the surface's normal.
+        cosine: (N,) of the angle between beam and normal.
+    """
+    upward = np.clip(upward, 0.0, 1.0)
+    dry = _REFLECTANCE[material]
+    wet = factors.wetness * (1 + 2 * upward) / 3
+    fresnel = 0.02 + 0.98 * (1 - np.clip(cosine, 0.0, 1.0)) ** 5
+    damp = dry * (1 - wet + wet * _DIFFUSE_WHEN_WET * (1 - fresnel) ** 2)
+    snow = factors.snow_cover * (upward > 0.5)
+    return np.asarray((1 - snow) * damp + snow * _SNOW_REFLECTANCE)
+
+
+def signal(distance: Array, reflectance: Array, extinction_per_m: float, dark_range_m: float) -> Array:
+    """(N,) power of the echo over that which is just seen: the lidar equation, ``rho cos / r^2 exp(-2 a r)``."""
+    met = np.isfinite(distance)
+    r = np.where(met, np.maximum(distance, 1e-3), 1.0)
+    power = reflectance / r**2 * np.exp(-2 * extinction_per_m * r)
+    return np.where(met, power * dark_range_m**2 / DARK, 0.0)
+
+
+def clutter(factors: Factors) -> float:
+    """Share of beams that meet a drop or a flake which sends an echo."""
+    rain, snow = _CLUTTER_PER_MM_H
+    return float(1 - np.exp(-rain * factors.rain_mm_h - snow * factors.snowfall_mm_h))

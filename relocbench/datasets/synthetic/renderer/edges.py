@@ -1,0 +1,196 @@
+"""Edges in the image, and which samples across them need colours of their own."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.renderer.raycast import NOTHING
+from relocbench.datasets.synthetic.renderer.samples import View, ray
+from relocbench.datasets.synthetic.renderer.surfaces import Geometry, Hits, corner
+from relocbench.datasets.synthetic.renderer.vectors import cross, dot, minus
+from relocbench.kernels import njit
+
+Floats = NDArray[np.float32]
+OFFSETS = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]], dtype=np.float32)
+"""(4, 2) of the samples in a pixel of an edge: a rotated square meets edges near the axes at four places"""
+_CONTRAST = 0.04
+"""between the pixels of an edge, of their sum; a fainter edge needs no smoothing"""
+
+_AROUND = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
+"""rows and columns to a pixel and its neighbours, the nearest first"""
+_KEPT = 256
+
+
+def surface_names(geometry: Geometry) -> NDArray[np.uint32]:
+    """(T,) one number for each object, material and variant."""
+    name = geometry.instance * np.uint32(0x9E3779B1)
+    name ^= geometry.variant * np.uint32(0x85EBCA6B)
+    return np.asarray(name * np.uint32(32) + geometry.material)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def edge_pixels(
+    names: NDArray[np.uint32], triangle: NDArray[np.uint32], hits: Hits, light: Floats, width: int
+) -> NDArray[np.int64]:
+    """Pixels whose right, left, upper or lower neighbour shows another surface in another brightness.
+
+    One smooth surface is what has one name (see :func:`surface_names`), normals alike and no step between.
+    """
+    n = len(triangle)
+    depth, normal, position = hits.depth, hits.normal, hits.position
+    marked = np.zeros(n, dtype=np.bool_)
+    column = -1
+    for i in range(n):
+        column = column + 1 if column < width - 1 else 0
+        for k in range(2):
+            j = i + (1 if k == 0 else width)
+            if j >= n or (k == 0 and column == width - 1):
+                continue
+            a, b = triangle[i], triangle[j]
+            if a == b:
+                continue
+            total = light[i, 0] + light[i, 1] + light[i, 2] + light[j, 0] + light[j, 1] + light[j, 2]
+            apart = abs(light[i, 0] - light[j, 0]) + abs(light[i, 1] - light[j, 1]) + abs(light[i, 2] - light[j, 2])
+            if apart < _CONTRAST * total:
+                continue
+            if a != NOTHING and b != NOTHING and names[a] == names[b]:
+                alike = normal[i, 0] * normal[j, 0] + normal[i, 1] * normal[j, 1] + normal[i, 2] * normal[j, 2]
+                step = (
+                    normal[i, 0] * (position[j, 0] - position[i, 0])
+                    + normal[i, 1] * (position[j, 1] - position[i, 1])
+                    + normal[i, 2] * (position[j, 2] - position[i, 2])
+                )
+                if alike > 0.9 and abs(step) < 0.02 + 0.002 * depth[i]:
+                    continue
+            marked[i] = True
+            marked[j] = True
+    return np.flatnonzero(marked)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def neighbours_seen(
+    view: View, geometry: Geometry, edges: NDArray[np.int64], triangle: NDArray[np.uint32], width: int
+) -> NDArray[np.int64]:
+    """For each sample of the edge pixels (4 E,) the pixel nearby whose triangle it meets first, or -1 if it meets none.
+
+    Only the triangles that the 3 x 3 pixels around show are tried, which nearly always include the right one, and cost
+    a tenth of a ray. Seen from o, the ray along d meets the triangle of corners o + A, o + B, o + C if d.(A x B),
+    d.(B x C) and d.(C x A) have one sign, at A.(B x C) over their sum.
+    """
+    n = len(triangle)
+    out = np.full(4 * len(edges), -1, dtype=np.int64)
+    tried = np.empty(9, dtype=np.uint32)
+    nearest = np.empty(4)
+    # Neighbouring edge pixels try the same triangles: the last ones are kept, each in the place its number says.
+    kept = np.full(_KEPT, NOTHING, dtype=np.uint32)
+    planes = np.empty((_KEPT, 10))
+    o = (view.origin[0], view.origin[1], view.origin[2])
+    for e in range(len(edges)):
+        i = edges[e]
+        column = i % width
+        d0, _, _ = ray(view, column + OFFSETS[0, 0], i // width + OFFSETS[0, 1])
+        d1, _, _ = ray(view, column + OFFSETS[1, 0], i // width + OFFSETS[1, 1])
+        d2, _, _ = ray(view, column + OFFSETS[2, 0], i // width + OFFSETS[2, 1])
+        d3, _, _ = ray(view, column + OFFSETS[3, 0], i // width + OFFSETS[3, 1])
+        nearest[:] = np.inf
+        count = 0
+        for step, aside in _AROUND:
+            j = i + step * width + aside
+            if j < 0 or j >= n or not 0 <= column + aside < width:
+                continue
+            t = triangle[j]
+            new = t != NOTHING
+            for k in range(count):
+                new &= tried[k] != t
+            if not new:
+                continue
+            tried[count] = t
+            count += 1
+            slot = t % _KEPT
+            if kept[slot] != t:
+                kept[slot] = t
+                A = minus(corner(geometry.vertices, geometry.triangles[t, 0]), o)
+                B = minus(corner(geometry.vertices, geometry.triangles[t, 1]), o)
+                C = minus(corner(geometry.vertices, geometry.triangles[t, 2]), o)
+                AB, BC, CA = cross(A, B), cross(B, C), cross(C, A)
+                for k in range(3):
+                    planes[slot, k], planes[slot, 3 + k], planes[slot, 6 + k] = AB[k], BC[k], CA[k]
+                planes[slot, 9] = dot(A, BC)
+            AB = (planes[slot, 0], planes[slot, 1], planes[slot, 2])
+            BC = (planes[slot, 3], planes[slot, 4], planes[slot, 5])
+            CA = (planes[slot, 6], planes[slot, 7], planes[slot, 8])
+            volume = planes[slot, 9]
+            for k in range(4):
+                d = d0 if k == 0 else (d1 if k == 1 else (d2 if k == 2 else d3))
+                x, y, z = dot(d, AB), dot(d, BC), dot(d, CA)
+                if (x >= 0.0 and y >= 0.0 and z >= 0.0) or (x <= 0.0 and y <= 0.0 and z <= 0.0):
+                    depth = volume / (x + y + z)
+                    if 0.0 < depth < nearest[k]:
+                        nearest[k] = depth
+                        out[4 * e + k] = j
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def known_colours(
+    geometry: Geometry,
+    names: NDArray[np.uint32],
+    pixels: NDArray[np.int64],
+    found: NDArray[np.uint32],
+    triangle: NDArray[np.uint32],
+    hits: Hits,
+    width: int,
+) -> NDArray[np.int64]:
+    """For each sample (S,) in some pixel the pixel nearby that shows the same surface, or -1.
+
+    ``found`` (S,) holds the samples' triangles; ``triangle`` and ``hits`` are those of the pixels' centres.
+    """
+    n = len(triangle)
+    out = np.full(len(found), -1, dtype=np.int64)
+    for s in range(len(found)):
+        i = pixels[s]
+        t = found[s]
+        for step, aside in _AROUND:
+            j = i + step * width + aside
+            if j < 0 or j >= n or not 0 <= i % width + aside < width:
+                continue
+            other = triangle[j]
+            if other == t:
+                out[s] = j
+                break
+            if t == NOTHING or other == NOTHING or names[t] != names[other]:
+                continue
+            if abs(_cosine(geometry.vertices, geometry.triangles, t, hits.normal, j)) > 0.93:
+                out[s] = j
+                break
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cosine(vertices: Floats, triangles: NDArray[np.uint32], t: int, normal: Floats, j: int) -> float:
+    """Between the normals of a triangle and of a pixel."""
+    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    x1, y1, z1 = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+    x2, y2, z2 = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+    nx, ny, nz = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
+    size = np.sqrt(nx * nx + ny * ny + nz * nz) + 1e-12
+    return float((nx * normal[j, 0] + ny * normal[j, 1] + nz * normal[j, 2]) / size)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def blend_edges(
+    image: Floats, edges: NDArray[np.int64], known: NDArray[np.int64], own: Floats, index: NDArray[np.int64]
+) -> Floats:
+    """The image (N, 3) with each edge pixel the mean of its centre and its four samples.
+
+    Samples take the colour of a pixel that is known (4 E,), or their own (M, 3) at ``index`` (4 E,).
+    """
+    out = image.copy()
+    for e in range(len(edges)):
+        for k in range(3):
+            total = image[edges[e], k]
+            for s in range(4 * e, 4 * e + 4):
+                total += image[known[s], k] if known[s] >= 0 else own[index[s], k]
+            out[edges[e], k] = total * 0.2
+    return out

@@ -1,0 +1,154 @@
+"""How each material looks: colours that the variant chooses from, gloss, what water does to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.town.mesh import Material
+from relocbench.kernels import njit
+
+Floats = NDArray[np.float32]
+Colour = tuple[int, int, int]
+CHOICES = 6
+
+
+@dataclass(frozen=True)
+class Look:
+    """Colours are sRGB of 255, as a painter's chart gives them; they are kept as linear albedo."""
+
+    first: tuple[Colour, ...]
+    """the variant takes one"""
+    second: Colour
+    spread: float = 0.06
+    """standard variation of the brightness between objects"""
+    gloss: float = 0.0
+    """share of the mirror's reflection when dry"""
+    porous: float = 0.0
+    """share of the light that is lost when the surface is soaked"""
+    film: float = 0.0
+    """share of the mirror's reflection when wet and flat"""
+    hollows: float = 0.0
+    """how readily puddles stand on it"""
+
+
+LOOKS: dict[Material, Look] = {
+    Material.ASPHALT: Look(((92, 92, 95),), (70, 70, 74), 0.0, 0.0, 0.5, 0.6, 1.0),
+    Material.COBBLES: Look(((128, 122, 116),), (72, 66, 60), 0.0, 0.0, 0.45, 0.5, 0.8),
+    Material.PAVEMENT: Look(((158, 154, 148),), (108, 104, 98), 0.0, 0.0, 0.4, 0.4, 0.7),
+    Material.KERB: Look(((172, 170, 165),), (100, 98, 94), 0.0, 0.0, 0.35, 0.3, 0.0),
+    Material.LANE_MARKING: Look(((226, 226, 220),), (110, 110, 110), 0.0, 0.0, 0.1, 0.6, 1.0),
+    Material.GRASS: Look(((96, 122, 58),), (124, 126, 74), 0.0, 0.0, 0.2, 0.02, 0.0),
+    Material.SOIL: Look(((122, 100, 76),), (92, 74, 56), 0.0, 0.0, 0.5, 0.1, 0.6),
+    Material.BRICK: Look(
+        ((158, 84, 62), (142, 72, 54), (172, 108, 78), (184, 146, 108), (126, 70, 60), (196, 180, 152)),
+        (186, 178, 166),
+        0.06,
+        0.0,
+        0.3,
+    ),
+    Material.PLASTER: Look(
+        ((236, 226, 204), (222, 196, 150), (232, 206, 186), (202, 212, 212), (226, 214, 168), (240, 238, 232)),
+        (164, 152, 132),
+        0.05,
+        0.0,
+        0.22,
+    ),
+    Material.STONE: Look(
+        ((196, 186, 166), (176, 170, 160), (206, 192, 160), (160, 158, 154)), (126, 118, 106), 0.06, 0.0, 0.3
+    ),
+    Material.CONCRETE: Look(((176, 174, 170), (150, 150, 148), (188, 184, 172)), (122, 120, 116), 0.05, 0.0, 0.35),
+    Material.ROOF_TILES: Look(
+        ((152, 80, 58), (116, 70, 58), (92, 88, 88), (168, 100, 70)), (74, 56, 48), 0.05, 0.0, 0.3
+    ),
+    Material.ROOF_FLAT: Look(((112, 112, 112),), (86, 86, 84), 0.05, 0.0, 0.4, 0.3, 0.5),
+    Material.WINDOW: Look(((38, 42, 46), (58, 58, 56), (30, 32, 36), (126, 122, 112)), (66, 64, 60), 0.1, 1.0),
+    Material.SHOP_WINDOW: Look(((74, 66, 56), (56, 58, 62), (94, 84, 70)), (150, 128, 98), 0.15, 1.0),
+    Material.DOOR: Look(
+        ((88, 52, 36), (40, 62, 84), (46, 72, 52), (120, 34, 34), (64, 60, 58), (182, 176, 164)),
+        (52, 40, 34),
+        0.08,
+        0.04,
+    ),
+    Material.SHOP_SIGN: Look(
+        ((164, 38, 36), (36, 66, 128), (34, 98, 66), (222, 184, 60), (54, 50, 52), (228, 222, 208)),
+        (240, 232, 214),
+        0.05,
+        0.03,
+    ),
+    Material.WOOD: Look(((122, 88, 58), (146, 112, 78), (216, 212, 202), (94, 72, 54)), (78, 58, 42), 0.06, 0.0, 0.3),
+    Material.METAL: Look(((86, 90, 94), (58, 61, 64), (120, 122, 124), (70, 72, 74)), (66, 60, 56), 0.06, 0.15),
+    Material.BARK: Look(((104, 88, 72), (122, 112, 98), (86, 74, 64)), (62, 52, 44), 0.06, 0.0, 0.4),
+    Material.LEAF: Look(((92, 122, 52),), (70, 98, 40), 0.1, 0.02, 0.1),
+    Material.HEDGE: Look(((70, 96, 48),), (46, 70, 34), 0.1, 0.0, 0.1),
+    Material.CAR_PAINT: Look(
+        ((216, 216, 214), (30, 31, 34), (138, 142, 147), (150, 24, 26), (26, 56, 122), (60, 78, 70)),
+        (120, 120, 120),
+        0.05,
+        1.0,
+    ),
+    Material.CAR_GLASS: Look(((30, 34, 36),), (44, 46, 48), 0.0, 1.0),
+    Material.RUBBER: Look(((38, 38, 39),), (58, 56, 54), 0.0, 0.0, 0.2),
+    Material.TRAFFIC_SIGN: Look(((196, 36, 38), (36, 82, 160), (236, 236, 232)), (240, 240, 238), 0.0, 0.05),
+    Material.LAMP: Look(((226, 224, 214),), (226, 224, 214), 0.0, 0.1),
+    Material.PLASTIC: Look(((48, 50, 52), (66, 68, 68), (134, 136, 138)), (70, 70, 70), 0.05, 0.1),
+}
+
+SPRING: Colour = (118, 158, 62)
+SUMMER: Colour = (72, 94, 44)
+AUTUMN: tuple[Colour, ...] = ((206, 150, 44), (176, 88, 38), (214, 176, 64), (150, 62, 36))
+
+
+class Looks(NamedTuple):
+    """:data:`LOOKS` as tables, colours as linear albedo."""
+
+    first: Floats
+    """(material, CHOICES, 3)"""
+    second: Floats
+    """(material, 3)"""
+    spread: Floats
+    gloss: Floats
+    porous: Floats
+    film: Floats
+    hollows: Floats
+    foliage: Floats
+    """(4, 3) the colour of leaves of four kinds of tree at this time of the year"""
+
+
+def linear(colour: Colour) -> Floats:
+    """Linear albedo (3,) of an sRGB colour."""
+    c = np.array(colour) / 255.0
+    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def make_looks(leaf_colour: float) -> Looks:
+    """Tables at a time of the year: see :attr:`Factors.leaf_colour`."""
+    if leaf_colour <= 0.5:
+        leaves = [linear(SPRING) + (linear(SUMMER) - linear(SPRING)) * np.float32(2 * leaf_colour)] * 4
+    else:
+        leaves = [linear(SUMMER) + (linear(a) - linear(SUMMER)) * np.float32(2 * leaf_colour - 1) for a in AUTUMN]
+    looks = [LOOKS[m] for m in Material]
+    return Looks(
+        np.stack([np.stack([linear(k.first[i % len(k.first)]) for i in range(CHOICES)]) for k in looks]),
+        np.stack([linear(k.second) for k in looks]),
+        np.array([k.spread for k in looks], np.float32),
+        np.array([k.gloss for k in looks], np.float32),
+        np.array([k.porous for k in looks], np.float32),
+        np.array([k.film for k in looks], np.float32),
+        np.array([k.hollows for k in looks], np.float32),
+        np.stack(leaves).astype(np.float32),
+    )
+
+
+@njit(cache=True, nogil=True)
+def scramble(a: int | np.int64, b: int | np.int64) -> int:
+    """32 well-mixed bits of two numbers (finaliser of MurmurHash3, public domain)."""
+    x = (a * 0x9E3779B1 + b * 0x85EBCA6B + 0x7F4A7C15) & 0xFFFFFFFF
+    x ^= x >> 16
+    x = (x * 0x85EBCA6B) & 0xFFFFFFFF
+    x ^= x >> 13
+    x = (x * 0xC2B2AE35) & 0xFFFFFFFF
+    return int(x ^ (x >> 16))

@@ -1,0 +1,39 @@
+"""Rays against triangles by Embree (Open3D's RaycastingScene), one thread a worker."""
+
+from __future__ import annotations
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.town.mesh import Mesh
+
+Floats = NDArray[np.float32]
+NOTHING = 0xFFFFFFFF
+"""number of the triangle where a ray hits none"""
+
+
+class Scene:
+    """Triangles that rays are cast against."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        if len(mesh):
+            self._scene.add_triangles(
+                o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.vertices)),
+                o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.triangles)),
+            )
+
+    def closest(self, rays: Floats) -> NDArray[np.uint32]:
+        """Number of the first triangle (N,) that each ray (N, 6) of origin and direction hits, or NOTHING."""
+        if len(rays) == 0:
+            return np.zeros(0, dtype=np.uint32)
+        hit = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=1)
+        return np.asarray(hit["primitive_ids"].numpy())
+
+    def occluded(self, rays: Floats, far: float = np.inf) -> NDArray[np.bool_]:
+        """Whether anything (N,) lies on each ray (N, 6) before ``far``, in lengths of its direction."""
+        if len(rays) == 0:
+            return np.zeros(0, dtype=np.bool_)
+        hit = self._scene.test_occlusions(o3d.core.Tensor.from_numpy(rays), tfar=far, nthreads=1)
+        return np.asarray(hit.numpy())

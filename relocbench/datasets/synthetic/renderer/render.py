@@ -1,0 +1,267 @@
+"""The renderer: images with exact depth, normals and objects of a district in a condition."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.renderer import lamps as lighting
+from relocbench.datasets.synthetic.renderer import reflections, shading, shadows, surfaces
+from relocbench.datasets.synthetic.renderer import samples as sampling
+from relocbench.datasets.synthetic.renderer.edges import (
+    OFFSETS,
+    blend_edges,
+    edge_pixels,
+    known_colours,
+    neighbours_seen,
+    surface_names,
+)
+from relocbench.datasets.synthetic.renderer.lamps import Beam
+from relocbench.datasets.synthetic.renderer.materials import make_looks
+from relocbench.datasets.synthetic.renderer.raycast import NOTHING, Scene
+from relocbench.datasets.synthetic.renderer.response import respond
+from relocbench.datasets.synthetic.renderer.samples import Floats, Samples, View, direct_samples
+from relocbench.datasets.synthetic.renderer.sky import Sky, make_sky
+from relocbench.datasets.synthetic.renderer.skylight import Skylight, make_skylight, with_moving
+from relocbench.datasets.synthetic.renderer.surfaces import Hits, Setting
+from relocbench.datasets.synthetic.renderer.textures import bake
+from relocbench.datasets.synthetic.renderer.weather import add_lens_drops, draw_falling, falling_extinction
+from relocbench.datasets.synthetic.town.mesh import Mesh
+from relocbench.errors import ConfigError
+from relocbench.geometry import Camera
+
+_LEAST_MIRROR = 0.03
+"""share of reflected light below which no ray is cast for it"""
+_LAMP_AT = 0.95
+"""rays to a lamp end before its own glass"""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One image and its truth, which is that of the ray through the centre of each pixel."""
+
+    rgb: NDArray[np.uint8]
+    """(H, W, 3)"""
+    depth: NDArray[np.float32]
+    """(H, W) metres along z, 0 for the sky"""
+    normal: NDArray[np.float32]
+    """(H, W, 3) in the world, towards the camera; 0 for the sky"""
+    instance: NDArray[np.uint32]
+    """(H, W), 0 for the ground and the sky"""
+    semantic: NDArray[np.uint8]
+    """(H, W) :class:`Semantic`"""
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What the cars that move leave as it is."""
+
+    sky: Sky
+    skylight: Skylight
+
+
+class Renderer:
+    """Renders a mesh under the factors.
+
+    Args:
+        mesh: world frame, z up.
+        factors: weather, hour and camera response.
+        lamps: (L, 3) heads of street lamps, metres.
+        seed: of patterns, colours and clouds.
+        surroundings: of the same town in the same condition without moving cars, where they are at hand: they take
+            longer than an image.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        factors: Factors,
+        lamps: NDArray[np.floating],
+        seed: int,
+        surroundings: Surroundings | None = None,
+    ) -> None:
+        self.factors = factors
+        self._scene = Scene(mesh)
+        self._geometry = surfaces.make_geometry(mesh)
+        self._names = surface_names(self._geometry)
+        self._patterns = bake(seed)
+        self._looks = make_looks(factors.leaf_colour)
+        if surroundings is None:
+            self._sky, self._skylight = make_sky(factors, seed), make_skylight(mesh, self._scene)
+        else:
+            self._sky, self._skylight = surroundings.sky, with_moving(surroundings.skylight, mesh, self._scene)
+        self._lamps = lighting.make_lamps(lamps)
+        self._by_lamp = not self._sky.sun.any()
+        extinction = factors.fog_density + falling_extinction(factors.rain_mm_h, factors.snowfall_mm_h)
+        night = float(np.clip((3.0 - factors.sun_elevation_deg) / 9.0, 0, 1))
+        self._setting = Setting(
+            factors.wetness,
+            factors.puddles,
+            factors.snow_cover,
+            extinction,
+            factors.street_lamps,
+            factors.headlights,
+            night,
+            seed & 0xFFFFFFFF,
+        )
+
+    @property
+    def surroundings(self) -> Surroundings:
+        """For renderers of the same town with cars that move."""
+        return Surroundings(self._sky, self._skylight)
+
+    def render(
+        self,
+        camera: Camera,
+        T_world_cam: NDArray[np.float64],
+        frame_seed: int,
+        T_world_vehicle: NDArray[np.float64] | None = None,
+    ) -> Frame:
+        """The image of a pinhole camera at T_world_cam (4, 4); the same arguments give the same bytes.
+
+        ``frame_seed`` draws what differs from image to image: noise, falling rain and snow, drops on the lens.
+        ``T_world_vehicle`` says where the own headlights are; without it they shine below the camera, where it looks.
+        Raises ConfigError if the camera is not a pinhole camera.
+        """
+        if camera.model != "pinhole":
+            raise ConfigError(f"images are rendered with a pinhole camera, got '{camera.model}'")
+        pose = np.asarray(T_world_cam, dtype=np.float64)
+        view = View(pose[:3, 3].copy(), pose[:3, :3].copy(), camera.fx, camera.fy, camera.cx, camera.cy)
+        beam = _headlights(pose if T_world_vehicle is None else np.asarray(T_world_vehicle), T_world_vehicle is None)
+        shape = camera.height, camera.width
+        u = np.tile(np.arange(camera.width, dtype=np.float32), camera.height)
+        v = np.repeat(np.arange(camera.height, dtype=np.float32), camera.width)
+        samples = self._trace(view, direct_samples(u, v))
+        hits = self._surfaces(view, samples)
+        light, _ = self._light(view, beam, samples, hits, camera.width)
+        light = self._smooth_edges(view, beam, samples, hits, light, camera.width)
+
+        image = light.reshape(*shape, 3)
+        depth = hits.depth.astype(np.float32).reshape(shape)
+        rgb = self._develop(image, depth, camera, pose, frame_seed)
+        instance, semantic = surfaces.objects(self._geometry, samples.triangle)
+        return Frame(rgb, depth, hits.normal.reshape(*shape, 3), instance.reshape(shape), semantic.reshape(shape))
+
+    def _trace(self, view: View, samples: Samples) -> Samples:
+        """The samples with what their rays hit."""
+        return samples._replace(triangle=self._scene.closest(sampling.make_rays(view, samples)))
+
+    def _surfaces(self, view: View, samples: Samples) -> Hits:
+        return surfaces.surfaces(view, self._geometry, self._patterns, self._looks, self._setting, samples)
+
+    def _light(self, view: View, beam: Beam, samples: Samples, hits: Hits, width: int = 0) -> tuple[Floats, Floats]:
+        """Radiance (N, 3) and the share of light (N,) that is not in shadow; ``width`` if they are a whole image."""
+        lit = self._lit(view, hits, width)
+        reflected = np.full((len(lit), 3), -1, dtype=np.float32)
+        if not samples.before.any():
+            self._reflect(view, beam, samples, hits, reflected, width)
+        colour = shading.radiance(
+            view,
+            self._geometry,
+            self._setting,
+            self._sky,
+            self._skylight,
+            self._lamps,
+            beam,
+            samples,
+            hits,
+            lit,
+            reflected,
+        )
+        return colour, lit
+
+    def _lit(self, view: View, hits: Hits, width: int) -> Floats:
+        lit = np.ones(len(hits.depth), dtype=np.float32)
+        if self._by_lamp and not self._setting.lamps_on:
+            return lit
+        if width:
+            self._cast_shadows(hits, shadows.every_other(len(lit), width), lit)
+            self._cast_shadows(hits, shadows.fill_between(hits, lit, width), lit)
+        else:
+            self._cast_shadows(hits, np.ones(len(lit), dtype=np.bool_), lit)
+        if width and not self._by_lamp:
+            rims, rays = shadows.penumbra_rays(view, hits, lit, width, self._sky.to_sun)
+            lit[rims] = 1.0 - self._scene.occluded(rays).reshape(-1, 4).mean(axis=1, dtype=np.float32)
+        return lit
+
+    def _cast_shadows(self, hits: Hits, asked: NDArray[np.bool_], lit: Floats) -> None:
+        index, rays = shadows.shadow_rays(hits, asked, self._sky.to_sun, self._by_lamp, self._lamps)
+        lit[index] = 1.0 - self._scene.occluded(rays, _LAMP_AT if self._by_lamp else np.inf)
+
+    def _reflect(self, view: View, beam: Beam, samples: Samples, hits: Hits, reflected: Floats, width: int) -> None:
+        """Fill in the light (N, 3) that comes to the samples that mirror."""
+        casts = surfaces.casts_reflection(self._geometry, samples, hits, _LEAST_MIRROR)
+        skipped = reflections.skipped(casts, hits, width) if width else np.zeros(0, dtype=np.int64)
+        mirrors = casts.copy()
+        casts[skipped] = False
+        index = np.flatnonzero(casts)
+        if len(index) == 0:
+            return
+        mirrored = Samples(
+            samples.u[index],
+            samples.v[index],
+            hits.depth[index].astype(np.float32),
+            hits.normal[index],
+            np.full(len(index), NOTHING, np.uint32),
+        )
+        mirrored = self._trace(view, mirrored)
+        colour, _ = self._light(view, beam, mirrored, self._surfaces(view, mirrored))
+        reflected[index] = colour
+        if width:
+            reflections.fill(reflected, skipped, width)
+            reflections.roughen(reflected, mirrors, hits.sharpness, width)
+
+    def _smooth_edges(self, view: View, beam: Beam, samples: Samples, hits: Hits, light: Floats, width: int) -> Floats:
+        """Edge pixels become the mean of five samples; only those of surfaces not seen nearby are shaded anew."""
+        edges = edge_pixels(self._names, samples.triangle, hits, light, width)
+        if len(edges) == 0:
+            return light
+        known = neighbours_seen(view, self._geometry, edges, samples.triangle, width)
+        # What none of the neighbours shows is found by a ray: the sky, or a triangle smaller than a pixel.
+        cast = np.flatnonzero(known < 0)
+        pixels, offsets = edges[cast // 4], OFFSETS[cast % 4]
+        finer = self._trace(view, direct_samples(samples.u[pixels] + offsets[:, 0], samples.v[pixels] + offsets[:, 1]))
+        known[cast] = known_colours(self._geometry, self._names, pixels, finer.triangle, samples.triangle, hits, width)
+        unknown = known[cast] < 0
+        index = np.zeros(len(known), dtype=np.int64)
+        index[cast[unknown]] = np.arange(np.count_nonzero(unknown))
+        rest = direct_samples(finer.u[unknown], finer.v[unknown])._replace(triangle=finer.triangle[unknown])
+        own, _ = self._light(view, beam, rest, self._surfaces(view, rest))
+        return blend_edges(light, edges, known, own, index)
+
+    def _develop(
+        self, image: Floats, depth: Floats, camera: Camera, pose: NDArray[np.float64], frame_seed: int
+    ) -> NDArray[np.uint8]:
+        """Weather between scene and lens, then the camera's response; each factor draws from its own stream."""
+        f = self.factors
+        falling, drops, noise = (np.random.default_rng([frame_seed & (2**64 - 1), k]) for k in range(3))
+        if f.rain_mm_h > 0 or f.snowfall_mm_h > 0:
+            down = pose[2, :2] * -1.0
+            size = float(np.hypot(*down))
+            down = down / size if size > 1e-6 else np.array([0.0, 1.0])
+            particles = np.asarray(0.75 * self._sky.ambient + 0.35 * self._sky.horizon, dtype=np.float32)
+            draw_falling(
+                image,
+                depth,
+                (camera.fx, camera.fy),
+                (float(down[0]), float(down[1])),
+                f.rain_mm_h,
+                f.snowfall_mm_h,
+                particles,
+                falling,
+            )
+        if f.lens_drops > 0:
+            image = add_lens_drops(image, f.lens_drops, drops)
+        return respond(image, f, noise)
+
+
+def _headlights(pose: NDArray[np.float64], of_camera: bool) -> Beam:
+    """The own car's headlights at its front, or below the camera where it looks."""
+    forward = pose[:3, 2] if of_camera else pose[:3, 0]
+    flat = np.array([forward[0], forward[1], 0.0])
+    flat /= max(float(np.linalg.norm(flat)), 1e-9)
+    origin = pose[:3, 3] + (np.array([0, 0, -0.9]) if of_camera else 1.9 * flat + np.array([0, 0, 0.65]))
+    return Beam(origin.astype(np.float32), flat.astype(np.float32))

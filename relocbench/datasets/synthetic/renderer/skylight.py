@@ -1,0 +1,191 @@
+"""How much of the sky is seen from where: on a coarse grid of the district, and on a fine one close to the ground.
+
+Both hang on the world, not on the camera, so that the light on a surface stays as the camera moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.renderer.raycast import Scene
+from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
+from relocbench.kernels import njit
+
+Floats = NDArray[np.float32]
+_CELL_M = 2.5
+_HEIGHTS = np.array([0.3, 1.5, 3.5, 6.5, 10.5, 16.0, 24.0], dtype=np.float32)
+_DIRECTIONS = 14
+_FAR_M = 80.0
+_OFF_WALL_M = 1.6
+"""light is looked up this far in front of a surface: behind it lies the dark inside of a house"""
+_FINE_M = 0.25
+_FINE_DIRECTIONS = 9
+_GROUND_M = 0.17
+"""just above the pavement"""
+_LOW_M = 0.9
+"""what stands lower than this above the ground darkens it"""
+_ROWS_AT_ONCE = 64
+"""of the fine grid, in fours: what is in hand at one time stays small"""
+_TRIANGLES_AT_ONCE = 100_000
+_SIDE_M = 600.0
+_FAR_GROUND = (Semantic.NONE, Semantic.ROAD, Semantic.PAVEMENT, Semantic.MARKING, Semantic.TERRAIN)
+
+
+class Skylight(NamedTuple):
+    """Share of the sky seen and where it lies, at grid points."""
+
+    low: Floats
+    """(2,) x and y of the first point of both grids"""
+    shape: tuple[int, int, int]
+    """points of the coarse grid by height, y and x"""
+    points: Floats
+    """(height y x, 4): mean visibility of the upper half, then mean of visibility times direction"""
+    heights: Floats
+    """(height,) metres"""
+    ground: Floats
+    """(y, x) share of the light on the ground that nothing within 1.2 m takes away"""
+
+
+def upper_directions(count: int) -> Floats:
+    """(count, 3) unit vectors spread evenly over the upper half sphere (golden spiral)."""
+    k = np.arange(count)
+    z = (k + 0.5) / count
+    turn = k * np.pi * (3 - np.sqrt(5))
+    flat = np.sqrt(1 - z * z)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1).astype(np.float32)
+
+
+def make_skylight(mesh: Mesh, scene: Scene) -> Skylight:
+    """Cast rays to the sky from points all over the part of the mesh where anything is built."""
+    low, high = np.full(2, np.inf, dtype=np.float32), np.full(2, -np.inf, dtype=np.float32)
+    for corners in _corners(mesh, mesh.semantic != Semantic.TERRAIN):
+        low = np.minimum(low, corners[..., :2].min((0, 1)))
+        high = np.maximum(high, corners[..., :2].max((0, 1)))
+    if (low > high).any():
+        low = high = np.zeros(2, dtype=np.float32)
+    low, high = np.clip(low, -_SIDE_M, _SIDE_M), np.clip(high, -_SIDE_M, _SIDE_M)
+    nx, ny = (np.ceil((high - low) / _CELL_M).astype(int) + 2).tolist()
+    x, y = low[0] + _CELL_M * np.arange(nx), low[1] + _CELL_M * np.arange(ny)
+    directions = upper_directions(_DIRECTIONS)
+    values = np.zeros((len(_HEIGHTS), ny * nx, 4), dtype=np.float32)
+    for layer, height in zip(values, _HEIGHTS, strict=True):
+        points = np.stack(np.meshgrid(x, y, [height]), axis=-1).astype(np.float32).reshape(-1, 3)
+        for d in directions:
+            seen = _sees(scene, points, d, _FAR_M) / np.float32(_DIRECTIONS)
+            layer[:, 0] += seen
+            layer[:, 1:] += seen[:, None] * d
+    shape = len(_HEIGHTS), ny, nx
+    nx, ny = (np.ceil((high - low) / _FINE_M).astype(int) + 2).tolist()
+    standing = ~np.isin(mesh.semantic, _FAR_GROUND)
+    ground = _ground(mesh, standing, scene, low, (ny, nx))
+    return Skylight(low.astype(np.float32), shape, values.reshape(-1, 4), _HEIGHTS, ground)
+
+
+def with_moving(light: Skylight, mesh: Mesh, scene: Scene) -> Skylight:
+    """The skylight of a town, and what the cars that move in ``mesh`` take from the ground beneath and beside them.
+
+    What they take from anything else is left out: it is little, and all of the rest is as it was.
+    """
+    moving = mesh.semantic == Semantic.MOVING_CAR
+    rows, columns = light.ground.shape
+    under = _ground(mesh, moving, scene, light.low, (rows, columns))
+    return light._replace(ground=np.minimum(light.ground, under))
+
+
+def _ground(mesh: Mesh, standing: NDArray[np.bool_], scene: Scene, low: Floats, shape: tuple[int, int]) -> Floats:
+    """Cosine-weighted openness of the ground, near the low ones of the triangles (T,) that stand on it; 1 elsewhere."""
+    ny, nx = shape
+    ground = np.ones(shape, dtype=np.float32)
+    near = np.zeros((-(-ny // 4) + 2, -(-nx // 4) + 2), dtype=np.bool_)
+    steps = np.linspace(0, 1, 25, dtype=np.float32)[:, None, None]
+    for corners in _corners(mesh, standing):
+        corners = corners[corners[..., 2].min(1) < _LOW_M][..., :2]
+        # Long edges are walked in steps, so that no cell between their ends is missed.
+        long = corners[np.ptp(corners, axis=1).max(1) > 4 * _FINE_M]
+        walked = [long[:, i] + steps * (long[:, (i + 1) % 3] - long[:, i]) for i in range(3)]
+        points = np.concatenate([corners.reshape(-1, 2), *(w.reshape(-1, 2) for w in walked)])
+        cells = np.floor((points - low) / (4 * _FINE_M)).astype(int)
+        inside = ((cells >= 0) & (cells < [near.shape[1] - 2, near.shape[0] - 2])).all(1)
+        near[cells[inside, 1] + 1, cells[inside, 0] + 1] = True
+    grown = near.copy()
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            grown |= np.roll(near, (dy, dx), (0, 1))
+    directions = upper_directions(_FINE_DIRECTIONS)
+    weight = directions[:, 2] / directions[:, 2].sum()
+    inner = grown[1:-1, 1:-1]
+    for first in range(0, ny, 4 * _ROWS_AT_ONCE):
+        rows = inner[first // 4 : first // 4 + _ROWS_AT_ONCE]
+        iy, ix = np.nonzero(np.kron(rows, np.ones((4, 4), dtype=np.bool_))[: ny - first, :nx])
+        iy += first
+        points = np.stack([low[0] + _FINE_M * ix, low[1] + _FINE_M * iy, np.full(len(ix), _GROUND_M)], 1)
+        points = points.astype(np.float32)
+        seen = np.zeros(len(points), dtype=np.float32)
+        for d, w in zip(directions, weight, strict=True):
+            seen += w * _sees(scene, points, d, 1.2)
+        ground[iy, ix] = seen
+    return ground
+
+
+def _corners(mesh: Mesh, chosen: NDArray[np.bool_]) -> Iterator[Floats]:
+    """The corners (M, 3, 3) of the chosen triangles (T,), some at a time."""
+    for first in range(0, len(mesh), _TRIANGLES_AT_ONCE):
+        part = slice(first, first + _TRIANGLES_AT_ONCE)
+        triangles = mesh.triangles[part][chosen[part]]
+        if len(triangles):
+            yield mesh.vertices[triangles]
+
+
+def _sees(scene: Scene, points: Floats, direction: Floats, far: float) -> Floats:
+    rays = np.concatenate([points, np.broadcast_to(direction, points.shape)], axis=1)
+    return 1.0 - scene.occluded(np.ascontiguousarray(rays), far).astype(np.float32)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def sky_share(light: Skylight, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tuple[float, float]:
+    """Irradiance by a sky of radiance 1/pi at a point with a normal, and the mean visibility there."""
+    points, heights = light.points, light.heights
+    layers, rows, columns = light.shape
+    gx = (x + _OFF_WALL_M * nx - light.low[0]) * (1 / _CELL_M)
+    gy = (y + _OFF_WALL_M * ny - light.low[1]) * (1 / _CELL_M)
+    if gx < 0 or gy < 0 or gx >= columns - 1 or gy >= rows - 1:
+        return 0.5 + 0.5 * nz, 1.0
+    h = z + 0.5 * max(nz, 0.0)
+    k = 0
+    while k < layers - 2 and heights[k + 1] < h:
+        k += 1
+    fz = min(max((h - heights[k]) / (heights[k + 1] - heights[k]), 0.0), 1.0)
+    ix, iy = int(gx), int(gy)
+    fx, fy = gx - ix, gy - iy
+    weight, v0, share = 1e-6, 0.3e-6, 0.15e-6 * nz
+    for c in range(8):
+        a, b, e = c & 1, (c >> 1) & 1, c >> 2
+        at = np.uint64(((k + e) * rows + iy + b) * columns + ix + a)
+        open_sky = points[at, 0]
+        # A point inside a house sees nothing: it says nothing about the street either.
+        w = (fx if a else 1 - fx) * (fy if b else 1 - fy) * (fz if e else 1 - fz) * min(1.0, 8.0 * open_sky)
+        weight += w
+        v0 += w * open_sky
+        share += w * (points[at, 1] * nx + points[at, 2] * ny + points[at, 3] * nz)
+    per_weight = 1.0 / weight
+    v0 *= per_weight
+    return max(0.5 * v0 + share * per_weight, 0.04), v0
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def ground_share(light: Skylight, x: float, y: float) -> float:
+    """Light that is left on the ground beside and under what stands on it."""
+    ground = light.ground
+    rows, columns = ground.shape
+    gx, gy = (x - light.low[0]) / _FINE_M, (y - light.low[1]) / _FINE_M
+    if gx < 0 or gy < 0 or gx >= columns - 1 or gy >= rows - 1:
+        return 1.0
+    i, j = int(gx), int(gy)
+    a, b = gx - i, gy - j
+    upper = ground[j, i] * (1 - a) + ground[j, i + 1] * a
+    lower = ground[j + 1, i] * (1 - a) + ground[j + 1, i + 1] * a
+    return float(upper * (1 - b) + lower * b)

@@ -1,0 +1,301 @@
+"""What each ray meets: depth, normal and colour, dry, wet and under snow."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.renderer.materials import CHOICES, Looks, scramble
+from relocbench.datasets.synthetic.renderer.raycast import NOTHING
+from relocbench.datasets.synthetic.renderer.samples import Samples, View, start
+from relocbench.datasets.synthetic.renderer.textures import MACRO, Patterns, sample
+from relocbench.datasets.synthetic.renderer.vectors import Vector, along, cross, dot, minus, smooth
+from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
+from relocbench.kernels import njit
+
+Floats = NDArray[np.float32]
+_ASPHALT = int(Material.ASPHALT)
+_MARKING, _WINDOW, _SHOP = int(Material.LANE_MARKING), int(Material.WINDOW), int(Material.SHOP_WINDOW)
+_LEAF, _HEDGE, _LAMP = int(Material.LEAF), int(Material.HEDGE), int(Material.LAMP)
+_PAINT, _CAR_GLASS, _SIGN = int(Material.CAR_PAINT), int(Material.CAR_GLASS), int(Material.SHOP_SIGN)
+_SKY = int(Semantic.SKY)
+_MOVING, _PARKED = int(Semantic.MOVING_CAR), int(Semantic.PARKED_CAR)
+
+
+class Geometry(NamedTuple):
+    """The mesh's arrays."""
+
+    vertices: Floats
+    triangles: NDArray[np.uint32]
+    uv: Floats
+    material: NDArray[np.uint8]
+    semantic: NDArray[np.uint8]
+    instance: NDArray[np.uint32]
+    variant: NDArray[np.uint32]
+
+
+def make_geometry(mesh: Mesh) -> Geometry:
+    """The mesh as compiled code takes it."""
+    return Geometry(*(np.ascontiguousarray(getattr(mesh, name)) for name in Geometry._fields))
+
+
+class Setting(NamedTuple):
+    """What the weather and the hour do to surfaces and light."""
+
+    wetness: float
+    puddles: float
+    snow: float
+    extinction: float
+    lamps_on: bool
+    headlights: bool
+    night: float
+    """0 by day, 1 at night: windows are lit"""
+    seed: int
+
+
+class Hits(NamedTuple):
+    """What the samples see, before light."""
+
+    depth: NDArray[np.float64]
+    """(N,) along the ray from where it started; 0 for the sky"""
+    position: Floats
+    normal: Floats
+    """(N, 3) of the surface, on the side that is seen"""
+    albedo: Floats
+    emission: Floats
+    mirror: Floats
+    """(N,) share of the light that comes by reflection"""
+    sharpness: Floats
+    """(N,) of that reflection, 1 for glass and still water"""
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _fresnel(cosine: float) -> float:
+    """Reflectance of water and glass (Schlick 1994, F0 = 0.03)."""
+    k = 1 - min(max(cosine, 0.0), 1.0)
+    k2 = k * k
+    return 0.03 + 0.97 * k2 * k2 * k
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def corner(vertices: Floats, i: int) -> Vector:
+    """One vertex in double precision."""
+    return float(vertices[i, 0]), float(vertices[i, 1]), float(vertices[i, 2])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _facet(geometry: Geometry, triangle: int) -> tuple[Vector, Vector, Vector, Vector, float, float]:
+    """A corner, the unit normal, the gradients of u and v in space, and u and v at the corner.
+
+    Barycentric coordinates are linear in the point, and so are u and v. All is 0 for a triangle without area.
+    """
+    corners = geometry.triangles
+    a = corner(geometry.vertices, corners[triangle, 0])
+    e1 = minus(corner(geometry.vertices, corners[triangle, 1]), a)
+    e2 = minus(corner(geometry.vertices, corners[triangle, 2]), a)
+    c = cross(e1, e2)
+    area2 = dot(c, c)
+    per_area = 1.0 / area2 if area2 > 0.0 else 0.0
+    size = np.sqrt(per_area)
+    g1, g2 = cross(e2, c), cross(c, e1)
+    uv = geometry.uv
+    u0, v0 = float(uv[triangle, 0, 0]), float(uv[triangle, 0, 1])
+    u1, v1 = (uv[triangle, 1, 0] - u0) * per_area, (uv[triangle, 1, 1] - v0) * per_area
+    u2, v2 = (uv[triangle, 2, 0] - u0) * per_area, (uv[triangle, 2, 1] - v0) * per_area
+    return (
+        a,
+        (c[0] * size, c[1] * size, c[2] * size),
+        (g1[0] * u1 + g2[0] * u2, g1[1] * u1 + g2[1] * u2, g1[2] * u1 + g2[2] * u2),
+        (g1[0] * v1 + g2[0] * v2, g1[1] * v1 + g2[1] * v2, g1[2] * v1 + g2[2] * v2),
+        u0,
+        v0,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _paint(
+    geometry: Geometry, looks: Looks, seed: int, triangle: int
+) -> tuple[np.int64, np.int64, float, float, Vector]:
+    """Material, dice, shift of the pattern, tone and first colour of a triangle."""
+    material, variant = np.int64(geometry.material[triangle]), np.int64(geometry.variant[triangle])
+    dice = np.int64(scramble(variant, material * 7919 + seed))
+    shift = 0.0 if material == _MARKING else (dice & 255) / 255.0 * 7.3
+    tone = 1.0 + looks.spread[material] * 2 * (((dice >> 8) & 255) / 255.0 - 0.5)
+    choice = (dice >> 16) % CHOICES
+    r, g, b = looks.first[material, choice, 0], looks.first[material, choice, 1], looks.first[material, choice, 2]
+    if material in (_LEAF, _HEDGE):
+        kind = scramble(np.int64(geometry.instance[triangle]), seed) & 3
+        turned = 1.0 if material == _LEAF else 0.5
+        r += (looks.foliage[kind, 0] - r) * turned
+        g += (looks.foliage[kind, 1] - g) * turned
+        b += (looks.foliage[kind, 2] - b) * turned
+        hue = 0.72 + 0.56 * ((dice >> 4) & 255) / 255.0
+        r, g, b = r * hue, g * hue, b * hue
+    return material, dice, shift, tone, (float(r), float(g), float(b))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def surfaces(
+    view: View, geometry: Geometry, patterns: Patterns, looks: Looks, setting: Setting, samples: Samples
+) -> Hits:
+    """Depth, normal and colour of what each sample sees.
+
+    The depth is that of the ray and the triangle's plane in double precision, whatever Embree's own rounding.
+    """
+    n = len(samples.u)
+    texels, per_tile = patterns.texels, patterns.per_tile
+    depth = np.empty(n, dtype=np.float64)
+    position = np.empty((n, 3), dtype=np.float32)
+    normal = np.empty((n, 3), dtype=np.float32)
+    albedo = np.empty((n, 3), dtype=np.float32)
+    emission = np.zeros((n, 3), dtype=np.float32)
+    mirror = np.empty(n, dtype=np.float32)
+    sharpness = np.empty(n, dtype=np.float32)
+    # Neighbours in a row mostly meet one triangle, of which all but the point itself stays the same.
+    last = np.uint32(NOTHING)
+    a = c = gu = gv = first_colour = (0.0, 0.0, 0.0)
+    u0 = v0 = shift = varied = 0.0
+    material = dice = np.int64(0)
+    for i in range(n):
+        triangle = samples.triangle[i]
+        slope = 0.0
+        if triangle != NOTHING:
+            o, d, dx, dy = start(view, samples, i)
+            if triangle != last:
+                last = triangle
+                a, c, gu, gv, u0, v0 = _facet(geometry, triangle)
+                material, dice, shift, varied, first_colour = _paint(geometry, looks, setting.seed, triangle)
+            slope = dot(c, d)
+        if slope == 0.0:
+            depth[i] = 0.0
+            for k in range(3):
+                position[i, k] = normal[i, k] = albedo[i, k] = 0.0
+            mirror[i] = sharpness[i] = 0.0
+            continue
+        per_slope = 1.0 / slope
+        t = dot(c, minus(a, o)) * per_slope
+        p = along(o, t, d)
+        side = -1.0 if slope > 0 else 1.0
+        nx, ny, nz = c[0] * side, c[1] * side, c[2] * side
+
+        reach = samples.before[i] + t
+        px = along((reach * dx[0], reach * dx[1], reach * dx[2]), -reach * dot(c, dx) * per_slope, d)
+        py = along((reach * dy[0], reach * dy[1], reach * dy[2]), -reach * dot(c, dy) * per_slope, d)
+        q = minus(p, a)
+        su, sv = u0 + dot(gu, q) + shift, v0 + dot(gv, q)
+        dudx, dvdx, dudy, dvdy = dot(gu, px), dot(gv, px), dot(gu, py), dot(gv, py)
+
+        # What is seen in a mirror is dim or blurred.
+        most = 6 if samples.before[i] <= 0.0 else 3
+        share, bright = sample(
+            texels, per_tile[material], material, su, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy, most
+        )
+        # Slow stains: along the surface on walls, from above on the ground.
+        flat = nz > 0.7
+        if flat:
+            slow, stain = sample(texels, per_tile[MACRO], MACRO, p[0], p[1], px[0], px[1], py[0], py[1], most // 3)
+        else:
+            slow, stain = sample(texels, per_tile[MACRO], MACRO, su + 2 * shift, sv, dudx, dvdx, dudy, dvdy, 1)
+        tone = varied
+        stained = 0.19 if material == _ASPHALT else 0.12
+        if material != _PAINT and material != _CAR_GLASS and material != _LAMP:
+            tone *= 1 - stained + stained * stain
+        shine = tone * bright
+        r, g, b = first_colour
+        r = (r + (looks.second[material, 0] - r) * share) * shine
+        g = (g + (looks.second[material, 1] - g) * share) * shine
+        b = (b + (looks.second[material, 2] - b) * share) * shine
+
+        fresnel = _fresnel(abs(slope) / np.sqrt(dot(d, d)))
+        gloss, sharp = looks.gloss[material] * fresnel, 1.0
+        if material in (_WINDOW, _SHOP):
+            gloss = min(1.0, 1.6 * gloss + 0.07)
+
+        snow = 0.0
+        if setting.snow > 0.0 and nz > 0.2 and material != _LAMP:
+            line = (1 - setting.snow) * 1.2 - 0.1
+            grain = slow if flat else 0.5
+            deep = smooth(grain + 0.25 * (bright - 1.0), line - 0.1, line + 0.1)
+            # Where it is swept or trodden a thin layer stays, or the ground would seem to have holes.
+            thin = 0.75 * setting.snow * setting.snow
+            snow = (thin + (1 - thin) * deep) * smooth(nz, 0.3, 0.7)
+            if snow > 0.0:
+                white = 0.80 + 0.12 * (bright - 1.0) + 0.09 * (stain - 1.0)
+                r, g, b = r + (white - r) * snow, g + (white * 1.01 - g) * snow, b + (white * 1.04 - b) * snow
+                gloss *= 1 - snow
+
+        if setting.wetness > 0.0:
+            soaked = setting.wetness * (0.35 + 0.65 * smooth(nz, -0.2, 0.6)) * (1 - snow)
+            film, still = 0.0, 0.0
+            if nz > 0.97 and looks.film[material] > 0.0:
+                film = looks.film[material] * soaked * (0.65 + 0.35 * smooth(slow, 0.2, 0.7)) * (0.75 + 0.25 * share)
+                if setting.puddles > 0.0 and looks.hollows[material] > 0.0:
+                    hollow, _ = sample(
+                        texels,
+                        2.2 * per_tile[MACRO],
+                        MACRO,
+                        p[0],
+                        p[1],
+                        px[0],
+                        px[1],
+                        py[0],
+                        py[1],
+                        3,
+                    )
+                    line = 1.0 - 0.36 * setting.puddles * looks.hollows[material]
+                    still = smooth(hollow, line, line + 0.05) * (1 - snow)
+                film += (1 - film) * still
+                lost = gloss
+                gloss = lost + (1 - lost) * film * fresnel
+                sharp = 0.05 + 0.95 * still
+            keep = 1 - looks.porous[material] * soaked * (1 + 0.4 * still)
+            r, g, b = r * keep, g * keep, b * keep
+
+        if material == _LAMP:
+            semantic = geometry.semantic[triangle]
+            of_car = semantic in (_MOVING, _PARKED)
+            if (setting.headlights and semantic == _MOVING) or (setting.lamps_on and not of_car):
+                emission[i, 0], emission[i, 1], emission[i, 2] = 6.0, 4.8, 3.2
+        if setting.night > 0.0 and (material == _SHOP or (material == _WINDOW and (dice >> 5) % 100 < 24)):
+            power = setting.night * (0.5 if material == _SHOP else 0.22) * (0.5 + (dice & 127) / 127.0)
+            power *= 0.45 + 0.75 * share
+            warm = ((dice >> 12) & 7) / 7.0
+            emission[i, 0] = power
+            emission[i, 1] = power * (0.62 + 0.25 * warm)
+            emission[i, 2] = power * (0.28 + 0.5 * warm)
+        elif setting.night > 0.0 and material == _SIGN and (dice >> 5) % 3 == 0:
+            emission[i, 0], emission[i, 1], emission[i, 2] = r * setting.night, g * setting.night, b * setting.night
+
+        depth[i] = t
+        position[i, 0], position[i, 1], position[i, 2] = p[0], p[1], p[2]
+        normal[i, 0], normal[i, 1], normal[i, 2] = nx, ny, nz
+        albedo[i, 0] = min(max(r, 0.0), 0.95)
+        albedo[i, 1] = min(max(g, 0.0), 0.95)
+        albedo[i, 2] = min(max(b, 0.0), 0.95)
+        mirror[i], sharpness[i] = gloss, sharp
+    return Hits(depth, position, normal, albedo, emission, mirror, sharpness)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def casts_reflection(geometry: Geometry, samples: Samples, hits: Hits, least: float) -> NDArray[np.bool_]:
+    """Which samples (N,) mirror so much that a ray is worth it; curved paint makes do with the sky."""
+    out = np.zeros(len(hits.depth), dtype=np.bool_)
+    for i in range(len(out)):
+        if hits.depth[i] > 0.0 and hits.mirror[i] > least:
+            out[i] = geometry.material[samples.triangle[i]] != _PAINT
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def objects(geometry: Geometry, triangle: NDArray[np.uint32]) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
+    """Object and class (N,) of what the rays that met these triangles see."""
+    n = len(triangle)
+    instance = np.zeros(n, dtype=np.uint32)
+    semantic = np.full(n, _SKY, dtype=np.uint8)
+    for i in range(n):
+        if triangle[i] != NOTHING:
+            instance[i] = geometry.instance[triangle[i]]
+            semantic[i] = geometry.semantic[triangle[i]]
+    return instance, semantic

@@ -1,0 +1,45 @@
+"""Vectors as triples, and curves, for compiled code."""
+
+from __future__ import annotations
+
+from relocbench.kernels import njit
+
+Vector = tuple[float, float, float]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def minus(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def along(a: Vector, t: float, b: Vector) -> Vector:
+    """a + t b."""
+    return a[0] + t * b[0], a[1] + t * b[1], a[2] + t * b[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def smooth(x: float, low: float, high: float) -> float:
+    t = min(max((x - low) / (high - low), 0.0), 1.0)
+    return t * t * (3 - 2 * t)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def fading(x: float) -> float:
+    """exp(-x) of x >= 0, within 5e-5: Taylor's cubic of a sixteenth of x, four times squared."""
+    h = min(x * (1 / 16), 1.5)
+    f = 1 - h * (1 - h * (0.5 - h * (1 / 6)))
+    f *= f
+    f *= f
+    f *= f
+    return f * f

@@ -1,0 +1,1 @@
+"""Districts: streets, houses, plants and cars as triangles."""

@@ -1,0 +1,214 @@
+"""Cars: one closed skin drawn from a side profile, with wheel arches and glass, on turning wheels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
+from relocbench.datasets.synthetic.town.shapes import (
+    Floats,
+    Shape,
+    boxes,
+    instances,
+    join,
+    moved,
+    quads,
+    triangle_shape,
+    tube,
+)
+
+
+@dataclass(frozen=True)
+class _Type:
+    """Side view of a car, x from the middle forward in metres."""
+
+    half_length: float
+    half_width: float
+    axles: tuple[float, float]
+    wheel: float
+    belt: float
+    """height of the windows' lower edge"""
+    profile: tuple[tuple[float, float], ...]
+    """(x, z) of the outline's top from the tail to the nose"""
+    glass: tuple[tuple[float, float], ...]
+    """(from, to) of the side windows"""
+    screens: tuple[tuple[float, float], ...]
+    """(from, to) of the rear window and the windscreen, along the profile"""
+    clearance: float = 0.22
+
+
+_TYPES = (
+    _Type(  # hatchback
+        2.0, 0.87, (-1.25, 1.28), 0.31, 0.92,
+        ((-2.0, 0.62), (-1.97, 0.95), (-1.55, 1.40), (-0.9, 1.46), (0.0, 1.47), (0.35, 1.42), (1.15, 0.96),
+         (1.85, 0.80), (2.0, 0.55)),
+        ((-1.35, -0.72), (-0.62, 0.08), (0.16, 0.85)), ((-1.93, -1.58), (0.42, 1.12)),
+    ),
+    _Type(  # saloon
+        2.3, 0.9, (-1.38, 1.4), 0.32, 0.93,
+        ((-2.3, 0.6), (-2.26, 0.98), (-1.65, 1.02), (-0.95, 1.40), (-0.3, 1.45), (0.2, 1.42), (1.05, 0.98), (2.1, 0.80),
+         (2.3, 0.55)),
+        ((-1.05, -0.62), (-0.5, 0.12), (0.2, 0.75)), ((-1.6, -1.0), (0.28, 1.0)),
+    ),
+    _Type(  # estate
+        2.32, 0.9, (-1.38, 1.4), 0.32, 0.94,
+        ((-2.32, 0.6), (-2.28, 1.0), (-1.98, 1.42), (-1.0, 1.49), (0.1, 1.49), (0.35, 1.45), (1.1, 0.98), (2.12, 0.80),
+         (2.32, 0.55)),
+        ((-1.85, -1.12), (-1.02, -0.45), (-0.35, 0.12), (0.2, 0.8)), ((-2.24, -2.0), (0.42, 1.05)),
+    ),
+    _Type(  # delivery van
+        2.5, 0.97, (-1.5, 1.65), 0.34, 1.12,
+        ((-2.5, 0.6), (-2.48, 1.9), (-2.3, 2.02), (0.7, 2.02), (1.0, 1.92), (1.75, 1.22), (2.4, 1.0), (2.5, 0.6)),
+        ((0.55, 1.2),), ((1.06, 1.7),), 0.26,
+    ),
+    _Type(  # off-roader
+        2.2, 0.94, (-1.33, 1.36), 0.37, 1.08,
+        ((-2.2, 0.7), (-2.17, 1.15), (-1.95, 1.63), (-0.9, 1.70), (0.1, 1.70), (0.35, 1.66), (1.0, 1.14), (2.0, 1.0),
+         (2.2, 0.65)),
+        ((-1.8, -1.08), (-0.98, -0.25), (-0.15, 0.75)), ((-2.13, -1.97), (0.41, 0.96)), 0.3,
+    ),
+    _Type(  # city car
+        1.75, 0.8, (-1.12, 1.15), 0.28, 0.9,
+        ((-1.75, 0.6), (-1.72, 0.95), (-1.5, 1.42), (-0.7, 1.5), (0.0, 1.5), (0.4, 1.42), (1.1, 0.95), (1.62, 0.78),
+         (1.75, 0.52)),
+        ((-1.3, -0.5), (-0.4, 0.8)), ((-1.68, -1.52), (0.45, 1.06)),
+    ),
+)  # fmt: skip
+CAR_TYPES = len(_TYPES)
+
+
+def _columns(car: _Type) -> Floats:
+    """Places (C,) along the car where its section is drawn: kinks of the profile, arches, and edges of windows."""
+    arch = np.cos(np.linspace(0, np.pi, 9)) * (car.wheel + 0.07)
+    marks = [[x for x, _ in car.profile], *(a + arch for a in car.axles), np.ravel(car.glass), np.ravel(car.screens)]
+    places = np.unique(np.round(np.concatenate([np.asarray(m, float) for m in marks]), 3))
+    return places[np.concatenate([[True], np.diff(places) > 0.015])]
+
+
+def _skin(car: _Type) -> Shape:
+    """A closed surface: a ring of 12 points at each column, joined from tail to nose."""
+    x = _columns(car)
+    profile = np.array(car.profile)
+    top = np.interp(x, profile[:, 0], profile[:, 1])
+    belt = np.minimum(car.belt, top - 0.06)
+    arch = car.wheel + 0.07
+    low = np.full(len(x), car.clearance)
+    for axle in car.axles:
+        reach = np.abs(x - axle)
+        low = np.where(reach < arch, np.maximum(low, car.wheel + np.sqrt(np.maximum(arch**2 - reach**2, 0))), low)
+    low = np.minimum(low, belt - 0.1)
+    plan = car.half_width * (1 - 0.16 * (np.abs(x) / car.half_length) ** 5)
+    roof = plan - 0.03 - 0.30 * np.maximum(top - belt - 0.06, 0)
+    frame = belt + 0.86 * (top - belt)
+    edge = plan + (roof - plan) * 0.86
+    half = np.stack(
+        [
+            np.stack([plan * 0.96, low], axis=1),
+            np.stack([plan, low + 0.45 * (belt - low)], axis=1),
+            np.stack([plan * 0.985, belt], axis=1),
+            np.stack([edge * 0.985, frame], axis=1),
+            np.stack([roof * 0.93, top], axis=1),
+            np.stack([roof * 0.55, top + 0.02], axis=1),
+        ],
+        axis=1,
+    )
+    right = half * np.array([-1, 1])
+    ring = np.concatenate([right, half[:, ::-1]], axis=1)
+    vertices = np.concatenate([np.broadcast_to(x[:, None, None], (*ring.shape[:2], 1)), ring], axis=2)
+    size = ring.shape[1]
+    i, j = np.meshgrid(np.arange(len(x) - 1), np.arange(size), indexing="ij")
+    a, b = i * size + j, i * size + (j + 1) % size
+    rows = np.stack([np.stack([a, a + size, b + size], -1), np.stack([a, b + size, b], -1)], axis=2)
+    material = np.repeat(_skin_materials(car, x, size)[..., None], 2, axis=2)
+    tail = np.array([[0, k, k + 1] for k in range(1, size - 1)])
+    nose = tail[:, ::-1] + (len(x) - 1) * size
+    return triangle_shape(
+        vertices.reshape(-1, 3),
+        np.concatenate([rows.reshape(-1, 3), tail, nose]),
+        np.concatenate([material.ravel(), np.full(2 * len(tail), Material.CAR_PAINT)]),
+    )
+
+
+def _skin_materials(car: _Type, x: Floats, size: int) -> NDArray[np.int64]:
+    """(C - 1, 12) of the faces between columns, in the ring's order: right side up, over the top, left side down."""
+    middle = (x[1:] + x[:-1]) / 2
+    result = np.full((len(middle), size), int(Material.CAR_PAINT))
+    side = np.any([(middle > a) & (middle < b) for a, b in car.glass], axis=0)
+    screen = np.any([(middle > a) & (middle < b) for a, b in car.screens], axis=0)
+    for faces, where in (((2, size - 4), side), ((4, 5, 6), screen)):
+        for face in faces:
+            result[where, face] = Material.CAR_GLASS
+    result[:, size - 1] = Material.PLASTIC
+    return result
+
+
+def _wheels(car: _Type) -> list[Shape]:
+    parts = []
+    radius = car.wheel
+    outer = car.half_width - 0.02
+    for axle in car.axles:
+        for side in (-1, 1):
+            y = np.array([outer - 0.2, outer - 0.17, outer - 0.03, outer]) * side
+            tyre = tube(
+                np.stack([0 * y, y, 0 * y], 1), [radius - 0.03, radius, radius, radius - 0.03], 16, Material.RUBBER
+            )
+            rim_y = np.array([outer - 0.05, outer + 0.006, outer + 0.012]) * side
+            rim = tube(
+                np.stack([0 * rim_y, rim_y, 0 * rim_y], 1), np.array([0.66, 0.66, 0.2]) * radius, 12, Material.METAL
+            )
+            parts += [moved(tyre, axle, 0, radius), moved(rim, axle, 0, radius)]
+        parts.append(boxes([axle - 0.3, 0.2 - outer, 0.25], [axle + 0.3, outer - 0.2, 0.5], Material.RUBBER))
+    return parts
+
+
+def _details(car: _Type) -> list[Shape]:
+    """Lamps, bumpers, number plates and mirrors."""
+    nose, width = car.half_length, car.half_width
+    lamp_z, tail_z = car.belt - 0.27, car.belt - 0.12
+    low, high, material = [], [], []
+    for side in (-1, 1):
+        y0, y1 = sorted((side * (width - 0.42), side * (width - 0.14)))
+        low += [(nose - 0.16, y0, lamp_z - 0.09), (-nose - 0.012, y0 + 0.08, tail_z - 0.16)]
+        high += [(nose - 0.02, y1, lamp_z + 0.05), (-nose + 0.12, y1 + 0.02, tail_z + 0.02)]
+        material += [Material.LAMP, Material.PLASTIC]
+        mirror = car.glass[-1][1] - 0.1
+        y0, y1 = sorted((side * (width - 0.04), side * (width + 0.13)))
+        low.append((mirror - 0.06, y0, car.belt + 0.02))
+        high.append((mirror + 0.06, y1, car.belt + 0.16))
+        material.append(Material.CAR_PAINT)
+    low += [(nose - 0.14, -width * 0.8, 0.3), (-nose - 0.03, -width * 0.8, 0.32)]
+    high += [(nose + 0.03, width * 0.8, 0.46), (-nose + 0.14, width * 0.8, 0.5)]
+    material += [Material.PLASTIC, Material.PLASTIC]
+    plate = np.array(
+        [
+            (nose + 0.034, -0.26, 0.33),
+            (nose + 0.034, 0.26, 0.33),
+            (nose + 0.034, 0.26, 0.44),
+            (nose + 0.034, -0.26, 0.44),
+        ]
+    )
+    turned = plate * np.array([-1, -1, 1])
+    return [boxes(low, high, material), quads(np.stack([plate, turned]), Material.METAL)]
+
+
+@cache
+def car_shape(kind: int) -> Shape:
+    """The template of one of CAR_TYPES: x forward, y left, z up, origin on the ground below the middle."""
+    car = _TYPES[kind]
+    return join([_skin(car), *_wheels(car), *_details(car)])
+
+
+def cars(transforms: Floats, variant: ArrayLike, instance: ArrayLike, semantic: Semantic) -> Mesh:
+    """Cars at (N, 4, 4): the variant (N,) chooses type (its remainder by CAR_TYPES) and look."""
+    looks, names = np.asarray(variant, dtype=np.uint32), np.asarray(instance, dtype=np.uint32)
+    kind = looks % CAR_TYPES
+    groups = []
+    for k in range(CAR_TYPES):
+        where = np.flatnonzero(kind == k)
+        if len(where):
+            groups.append(instances(car_shape(k), transforms[where], names[where], looks[where], semantic))
+    return merge(groups)

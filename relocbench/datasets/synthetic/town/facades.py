@@ -1,0 +1,240 @@
+"""Fronts of houses: walls with windows set into them, doors, shop fronts, balconies.
+
+A front lies in the plane y = 0 seen from -y, x to the right, z up; y grows into the house.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.synthetic.town.mesh import Material
+from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, join, quads
+
+NDInts = NDArray[np.uint32]
+_FRAME_M = 0.06
+_REVEAL_NORMAL = ((0, 1), (1, 2), (2, 3), (3, 0))
+
+
+@dataclass(frozen=True)
+class FrontStyle:
+    """What the windows of a front look like."""
+
+    wall: Material
+    trim: Material
+    """sills, lintels and bands"""
+    frame: Material
+    bay_m: float
+    """distance between windows, about"""
+    width: float
+    height: float
+    sill: float
+    """above the floor"""
+    recess: float
+    mullions: int
+    transom: bool
+    lintel: bool
+    surround: bool
+    shutters: bool
+    balconies: float
+    """share of the windows above the ground floor that are doors onto balconies"""
+
+
+def ring_quads(outer: Floats, inner: Floats, y_outer: Floats, y_inner: Floats) -> Floats:
+    """Four quads (N, 4, 4, 3) between rectangles (N, 4) = (x0, x1, z0, z1) at depths (N,), facing -y or inwards."""
+    a, b = _corners(outer, y_outer), _corners(inner, y_inner)
+    return np.stack([np.stack([a[:, i], a[:, j], b[:, j], b[:, i]], axis=1) for i, j in _REVEAL_NORMAL], axis=1)
+
+
+def _corners(rect: Floats, y: Floats) -> Floats:
+    """(N, 4, 3) counter-clockwise seen from -y."""
+    x0, x1, z0, z1 = rect.T
+    return np.stack([np.stack(p, axis=1) for p in ((x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1))], axis=1)
+
+
+def pane(rect: Floats, y: float, material: Material, variant: NDInts | int = 0) -> Shape:
+    """Panes (N, 4) at a depth, with surface coordinates from the lower left corner of each."""
+    depth = np.full(len(rect), y)
+    corners = _corners(rect, depth)
+    uv = corners[:, :, [0, 2]] - corners[:, :1, [0, 2]]
+    return quads(corners, material, uv, variant=variant)
+
+
+def openings(
+    cells: Floats, holes: Floats, style: FrontStyle, glass: Material, variant: NDInts, plain: bool = False
+) -> list[Shape]:
+    """Wall cells (N, 4) with a glazed hole (N, 4) each: wall, reveal, frame, bars and glass.
+
+    ``plain`` leaves out frames and bars, for the backs of houses.
+    """
+    zero, deep = np.zeros(len(cells)), np.full(len(cells), style.recess)
+    parts = [
+        quads(ring_quads(cells, holes, zero, zero), style.wall),
+        quads(ring_quads(holes, holes, zero, deep), style.wall),
+    ]
+    if plain:
+        return [*parts, pane(holes, style.recess, glass, variant)]
+    inner = holes + _FRAME_M * np.array([1, -1, 1, -1])
+    back = style.recess + 0.05
+    parts.append(quads(ring_quads(holes, inner, deep, deep), style.frame))
+    parts.append(quads(ring_quads(inner, inner, deep, deep + 0.05), style.frame))
+    parts.append(pane(inner, back, glass, variant))
+    x0, x1, z0, z1 = inner.T
+    low, high = [], []
+    for k in range(style.mullions):
+        x = x0 + (x1 - x0) * (k + 1) / (style.mullions + 1)
+        low.append(np.stack([x - 0.025, zero + style.recess + 0.01, z0], axis=1))
+        high.append(np.stack([x + 0.025, zero + back, z1], axis=1))
+    if style.transom:
+        z = z0 + 0.68 * (z1 - z0)
+        low.append(np.stack([x0, zero + style.recess + 0.015, z - 0.025], axis=1))
+        high.append(np.stack([x1, zero + back, z + 0.025], axis=1))
+    if low:
+        parts.append(boxes(np.concatenate(low), np.concatenate(high), style.frame, without="back"))
+    return parts
+
+
+def trims(holes: Floats, style: FrontStyle, cell_m: float) -> list[Shape]:
+    """Sills below, lintels or surrounds about, and shutters beside windows (N, 4) in cells ``cell_m`` wide."""
+    x0, x1, z0, z1 = holes.T
+    zero = np.zeros(len(holes))
+    low = [np.stack([x0 - 0.08, zero - 0.09, z0 - 0.09], axis=1)]
+    high = [np.stack([x1 + 0.08, zero, z0], axis=1)]
+    if style.lintel or style.surround:
+        low.append(np.stack([x0 - 0.12, zero - 0.03, z1], axis=1))
+        high.append(np.stack([x1 + 0.12, zero, z1 + 0.18], axis=1))
+    if style.surround:
+        for a, b in ((x0 - 0.12, x0), (x1, x1 + 0.12)):
+            low.append(np.stack([a, zero - 0.03, z0], axis=1))
+            high.append(np.stack([b, zero, z1], axis=1))
+    parts = [boxes(np.concatenate(low), np.concatenate(high), style.trim, without="back")]
+    if style.shutters:
+        half = np.minimum((x1 - x0) / 2, (cell_m - (x1 - x0)) / 2 - 0.01)
+        low = [np.stack([a, zero - 0.05, z0], axis=1) for a in (x0 - half, x1 + 0.01)]
+        high = [np.stack([b, zero - 0.005, z1], axis=1) for b in (x0 - 0.01, x1 + half)]
+        parts.append(boxes(np.concatenate(low), np.concatenate(high), Material.WOOD, variant=0x51))
+    return parts
+
+
+def balcony(x0: float, x1: float, z: float) -> Shape:
+    """A slab with a railing of bars before a window from x0 to x1 at floor level z."""
+    left, right, reach = x0 - 0.35, x1 + 0.35, 0.85
+    bars = np.linspace(left + 0.03, right - 0.03, max(4, int((right - left) / 0.19)))
+    sides = np.linspace(-reach + 0.05, -0.12, 5)
+    post = [(x - 0.012, -reach + 0.02, z, x + 0.012, -reach + 0.045, z + 0.95) for x in bars]
+    post += [
+        (x - 0.012, y - 0.012, z, x + 0.012, y + 0.012, z + 0.95) for x in (left + 0.03, right - 0.03) for y in sides
+    ]
+    rail = [
+        (left, -reach, z + 0.95, right, -reach + 0.06, z + 1.0),
+        (left, -reach + 0.06, z + 0.95, left + 0.06, 0.0, z + 1.0),
+        (right - 0.06, -reach + 0.06, z + 0.95, right, 0.0, z + 1.0),
+    ]
+    bars_box, rails = np.array(post), np.array(rail)
+    rail_box = boxes(rails[:, :3], rails[:, 3:], Material.METAL)
+    slab = boxes([left, -reach, z - 0.16], [right, 0.0, z], Material.CONCRETE, without="back")
+    return join([boxes(bars_box[:, :3], bars_box[:, 3:], Material.METAL, without="bottom top"), rail_box, slab])
+
+
+def door(cell: Floats, width: float, top: float, style: FrontStyle, variant: int) -> list[Shape]:
+    """A cell (4,) with a door in a deep reveal, a light above it, two panels, a knob and a step."""
+    middle = (cell[0] + cell[1]) / 2
+    hole = np.array([[middle - width / 2, middle + width / 2, 0.05, top]])
+    depth = 0.22
+    zero, deep = np.zeros(1), np.full(1, depth)
+    parts = [
+        quads(ring_quads(cell[None], hole, zero, zero), style.wall),
+        quads(ring_quads(hole, hole, zero, deep), style.trim),
+    ]
+    x0, x1, z0, z1 = hole[0]
+    leaf_top = min(z0 + 2.1, z1 - 0.02)
+    leaf = np.array([[x0, x1, z0, leaf_top]])
+    parts.append(pane(leaf, depth, Material.DOOR, np.array([variant], dtype=np.uint32)))
+    if z1 - leaf_top > 0.1:
+        parts.append(
+            pane(np.array([[x0, x1, leaf_top, z1]]), depth, Material.WINDOW, np.array([variant + 1], np.uint32))
+        )
+    third = (x1 - x0) / 7
+    panels = np.array(
+        [
+            (a, depth - 0.025, b, a + 2 * third, depth, c)
+            for a in (x0 + third, x1 - 3 * third)
+            for b, c in ((z0 + 0.2, z0 + 0.9), (z0 + 1.05, leaf_top - 0.18))
+        ]
+    )
+    parts.append(boxes(panels[:, :3], panels[:, 3:], Material.DOOR, without="back", variant=variant))
+    parts.append(
+        boxes([x1 - 0.12, depth - 0.08, z0 + 1.0], [x1 - 0.07, depth, z0 + 1.05], Material.METAL, without="back")
+    )
+    parts.append(boxes([x0 - 0.1, -0.32, 0.0], [x1 + 0.1, 0.0, 0.05], style.trim, without="back bottom"))
+    frame = [
+        (x0 - 0.14, -0.04, 0.0, x0, 0.0, z1 + 0.16),
+        (x1, -0.04, 0.0, x1 + 0.14, 0.0, z1 + 0.16),
+        (x0, -0.04, z1, x1, 0.0, z1 + 0.16),
+    ]
+    frame_box = np.array(frame)
+    parts.append(boxes(frame_box[:, :3], frame_box[:, 3:], style.trim, without="back"))
+    return parts
+
+
+def shop(cell: Floats, style: FrontStyle, variant: int, awning: bool, door_right: bool) -> list[Shape]:
+    """A shop front over a cell (4,): big panes on a riser, a door, a sign board, perhaps an awning."""
+    x0, x1, _, z1 = cell
+    hole = np.array([[x0 + 0.3, x1 - 0.3, 0.05, z1 - 0.95]])
+    depth = 0.28
+    zero, deep = np.zeros(1), np.full(1, depth)
+    frame = Material.WOOD
+    parts = [
+        quads(ring_quads(cell[None], hole, zero, zero), style.wall),
+        quads(ring_quads(hole, hole, zero, deep), frame, variant=variant),
+    ]
+    a, b, low, high = hole[0]
+    door_m = 1.0
+    left, right = (a, b - door_m) if door_right else (a + door_m, b)
+    entry = (right, b) if door_right else (a, left)
+    riser = low + 0.45
+    parts.append(boxes([left, depth - 0.12, low], [right, depth, riser], frame, without="back bottom", variant=variant))
+    panes = max(1, round((right - left) / 1.7))
+    edges = np.linspace(left, right, panes + 1)
+    glass = np.stack([edges[:-1], edges[1:], np.full(panes, riser), np.full(panes, high)], axis=1)
+    names = (variant + 17 * np.arange(panes)).astype(np.uint32)
+    parts.append(pane(glass, depth, Material.SHOP_WINDOW, names))
+    posts = np.array([(x - 0.04, depth - 0.08, low, x + 0.04, depth, high) for x in (*edges, a + 0.04, b - 0.04)])
+    parts.append(boxes(posts[:, :3], posts[:, 3:], frame, without="back bottom", variant=variant))
+    parts.append(pane(np.array([[*entry, low, low + 0.5]]), depth, Material.DOOR, np.array([variant], np.uint32)))
+    parts.append(
+        pane(np.array([[*entry, low + 0.5, high]]), depth, Material.SHOP_WINDOW, np.array([variant + 5], np.uint32))
+    )
+    sign = np.array([[a - 0.15, b + 0.15, high + 0.08, high + 0.68]])
+    board = boxes(
+        [sign[0, 0], -0.14, sign[0, 2]],
+        [sign[0, 1], 0.0, sign[0, 3]],
+        Material.WOOD,
+        without="front back",
+        variant=variant,
+    )
+    parts += [board, pane(sign, -0.14, Material.SHOP_SIGN, np.array([variant], np.uint32))]
+    if awning:
+        parts.append(_awning(a, b, high + 0.05, variant))
+    return parts
+
+
+def _awning(x0: float, x1: float, z: float, variant: int) -> Shape:
+    """A cloth that slopes over the pavement, seen from both sides, with a hanging edge."""
+    reach, drop = 1.1, 0.55
+    cloth = np.array(
+        [
+            [(x0, 0, z), (x0, -reach, z - drop), (x1, -reach, z - drop), (x1, 0, z)],
+            [
+                (x0, -reach, z - drop),
+                (x0, -reach, z - drop - 0.2),
+                (x1, -reach, z - drop - 0.2),
+                (x1, -reach, z - drop),
+            ],
+        ],
+        dtype=float,
+    )
+    under = cloth[:, ::-1] + np.array([0, 0.004, -0.004])
+    return quads(np.concatenate([cloth, under]), Material.SHOP_SIGN, variant=variant ^ 0xA3)

@@ -1,0 +1,117 @@
+"""Street furniture: lamp posts, signs, benches, bins, bollards, a fountain. Each stands at its origin, facing +x."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from relocbench.datasets.synthetic.town.mesh import Material
+from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, join, moved, quads, tube
+
+LAMP_HEAD = np.array([1.25, 0.0, 5.62])
+"""where the light comes from, in the frame of a lamp post"""
+SIGN_KINDS = 4
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@cache
+def lamp_post() -> Shape:
+    """A 5.8 m post whose arm reaches 1.5 m along +x."""
+    post = tube(np.outer([0, 0.9, 0.95, 5.4], _UP), [0.11, 0.10, 0.07, 0.045], 12, Material.METAL)
+    arm = tube([[0, 0, 5.38], [0.25, 0, 5.66], [0.7, 0, 5.76], [1.0, 0, 5.76]], 0.035, 8, Material.METAL)
+    head = boxes([0.9, -0.14, 5.68], [1.6, 0.14, 5.8], Material.METAL)
+    glow = boxes([0.97, -0.1, 5.64], [1.53, 0.1, 5.679], Material.LAMP, without="top")
+    return join([post, arm, head, glow])
+
+
+def _post(height: float) -> Shape:
+    return tube(np.outer([0, height], _UP), 0.03, 8, Material.METAL)
+
+
+def _plate(outline: Floats, z: float) -> Shape:
+    """A plate (P, 2) of (y, z) before the post: its face towards +x, its back bare metal."""
+    count = len(outline)
+    ring = np.column_stack([np.full(count, 0.045), outline[:, 0], outline[:, 1] + z])
+    behind = ring - np.array([0.012, 0, 0])
+    centre, centre_behind = ring.mean(0), behind.mean(0)
+    after = np.roll(np.arange(count), -1)
+    spread = [np.broadcast_to(c, (count, 3)) for c in (centre, centre_behind)]
+    face = np.stack([spread[0], ring, (ring + ring[after]) / 2, ring[after]], axis=1)
+    back = np.stack([spread[1], behind[after], (behind + behind[after]) / 2, behind], axis=1)
+    rim = np.stack([ring[after], ring, behind, behind[after]], axis=1)
+    uv = face[:, :, 1:] - np.array([0.0, z])
+    return join([quads(face, Material.TRAFFIC_SIGN, uv), quads(np.concatenate([back, rim]), Material.METAL)])
+
+
+@cache
+def sign(kind: int) -> Shape:
+    """One of SIGN_KINDS on its post: round, triangular, square or two plates."""
+    turn = 2 * np.pi * np.arange(24) / 24
+    disc = 0.32 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    triangle = np.array([[-0.38, -0.3], [0.38, -0.3], [0.0, 0.36]])
+    square = np.array([[-0.3, -0.3], [0.3, -0.3], [0.3, 0.3], [-0.3, 0.3]])
+    plates = ([(disc, 2.4)], [(triangle, 2.4)], [(square, 2.35)], [(disc, 2.75), (square * [1.0, 0.5], 2.2)])[kind]
+    return join([_post(3.0 if kind == 3 else 2.7), *(_plate(p, z) for p, z in plates)])
+
+
+@cache
+def bench() -> Shape:
+    """Slats on two cast legs, 1.8 m wide, sat on facing +x."""
+    seat = [(x, -0.9, 0.43, x + 0.09, 0.9, 0.47) for x in (-0.05, 0.06, 0.17, 0.28)]
+    rest = [(-0.14 - 0.03 * k, -0.9, 0.56 + 0.12 * k, -0.10 - 0.03 * k, 0.9, 0.65 + 0.12 * k) for k in range(3)]
+    legs = [(x, y - 0.03, 0.0, x + 0.06, y + 0.03, z) for y in (-0.7, 0.7) for x, z in ((-0.12, 0.9), (0.28, 0.43))]
+    legs += [(-0.12, y - 0.03, 0.38, 0.34, y + 0.03, 0.43) for y in (-0.7, 0.7)]
+    wood, metal = np.array(seat + rest), np.array(legs)
+    return join([boxes(wood[:, :3], wood[:, 3:], Material.WOOD), boxes(metal[:, :3], metal[:, 3:], Material.METAL)])
+
+
+@cache
+def bin_shape() -> Shape:
+    """A round litter bin with a rim and a lid on a stem."""
+    body = tube([[0, 0, 0.08], [0, 0, 0.1], [0, 0, 0.8], [0, 0, 0.8]], [0.2, 0.24, 0.27, 0.25], 16, Material.PLASTIC)
+    lid = tube([[0, 0, 0.98], [0, 0, 1.02], [0, 0, 1.1]], [0.29, 0.29, 0.12], 16, Material.PLASTIC)
+    stem = tube(np.outer([0, 1.0], _UP), 0.04, 8, Material.METAL)
+    return join([body, lid, stem])
+
+
+@cache
+def wheeled_bin() -> Shape:
+    """A household bin, as put out at the kerb."""
+    body = boxes([-0.28, -0.27, 0.12], [0.28, 0.27, 0.95], Material.PLASTIC)
+    lid = boxes([-0.33, -0.29, 0.95], [0.32, 0.29, 1.03], Material.PLASTIC, variant=0x9)
+    wheels = [
+        moved(tube([[0, y, 0], [0, y + 0.06, 0]], 0.11, 12, Material.RUBBER), -0.24, 0, 0.11) for y in (-0.3, 0.24)
+    ]
+    return join([body, lid, *wheels])
+
+
+@cache
+def bollard() -> Shape:
+    """A cast post of 0.95 m with a ball on top."""
+    height = [0, 0.1, 0.12, 0.72, 0.74, 0.78, 0.8, 0.86, 0.92, 0.95]
+    radius = [0.1, 0.1, 0.07, 0.055, 0.08, 0.08, 0.05, 0.075, 0.05, 0.01]
+    return tube(np.column_stack([np.zeros((10, 2)), height]), radius, 12, Material.METAL)
+
+
+@cache
+def fountain() -> Shape:
+    """A stone basin with a column and a bowl, for the middle of a square."""
+    profile = np.array(
+        [(2.6, 0), (2.6, 0.2), (2.35, 0.25), (2.3, 0.6), (2.45, 0.7), (2.15, 0.72), (2.1, 0.4), (0.5, 0.38),
+         (0.35, 0.6), (0.25, 1.5), (0.9, 1.75), (1.1, 1.95), (1.0, 1.95), (0.3, 1.75),
+         (0.18, 2.0), (0.22, 2.6), (0.05, 3.0)]
+    )  # fmt: skip
+    return tube(np.column_stack([np.zeros((len(profile), 2)), profile[:, 1]]), profile[:, 0], 32, Material.STONE)
+
+
+@cache
+def shelter() -> Shape:
+    """A bus shelter open towards +x: posts, glass back and side, roof and a bench inside."""
+    posts = np.array([(x, y, 0, x + 0.07, y + 0.07, 2.35) for x in (-0.7, 0.55) for y in (-1.8, 1.73)])
+    roof = boxes([-0.85, -1.95, 2.35], [0.85, 1.95, 2.47], Material.METAL)
+    glass = boxes([-0.68, -1.73, 0.15], [-0.65, 1.73, 2.25], Material.CAR_GLASS)
+    side = boxes([-0.63, 1.75, 0.15], [0.35, 1.78, 2.25], Material.SHOP_SIGN)
+    seat = boxes([-0.55, -1.2, 0.45], [-0.2, 1.2, 0.5], Material.WOOD)
+    feet = boxes([[-0.42, -1.0, 0], [-0.42, 0.95, 0]], [[-0.34, -0.95, 0.45], [-0.34, 1.0, 0.45]], Material.METAL)
+    return join([boxes(posts[:, :3], posts[:, 3:], Material.METAL), roof, glass, side, seat, feet])

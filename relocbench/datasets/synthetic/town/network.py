@@ -1,0 +1,393 @@
+"""Streets as a planar graph, the blocks between them, and drives along the right-hand lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from relocbench.datasets.synthetic.town.shapes import Floats
+from relocbench.errors import ConfigError
+
+LANE_M = 3.2
+"""width of a traffic lane; one each way"""
+PARKING_M = 2.1
+"""width of the parking lane of a street side that has one"""
+KERB_RADIUS_M = 5.5
+"""of the corners of blocks at crossings"""
+_STRAIGHT = np.radians(35)
+"""a smaller turn is a bend of one street, a larger one a corner"""
+_STEP_M = 0.25
+RUN_IN_M = 12.0
+"""of a walk that lie before its path"""
+
+HalfEdge = tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A smooth path on the road, sampled evenly."""
+
+    points: Floats
+    """(P, 2) metres"""
+    heading: Floats
+    """(P,) radians from east, unwrapped"""
+    step: float
+    """metres between samples"""
+    streets: tuple[tuple[float, float, int], ...]
+    """(from, to, street id) in metres along the path; ends in the middle of crossings"""
+
+    @property
+    def length(self) -> float:
+        """Metres."""
+        return self.step * (len(self.points) - 1)
+
+    def pose(self, s: float, lateral_m: float = 0.0, yaw_rad: float = 0.0) -> Floats:
+        """T_world_vehicle (4, 4) at ``s`` metres: x forward, y left, z up, origin on the road.
+
+        The vehicle is ``lateral_m`` left of the path and turned by ``yaw_rad`` to the left. Raises ConfigError where
+        the path has no such place.
+        """
+        if not -1e-6 <= s <= self.length + 1e-6:
+            raise ConfigError(f"the path is {self.length:.1f} m long, there is no place at {s:.1f} m")
+        at = np.arange(len(self.points)) * self.step
+        x, y, heading = (np.interp(s, at, v) for v in (self.points[:, 0], self.points[:, 1], self.heading))
+        yaw = heading + yaw_rad
+        pose = np.eye(4)
+        pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+        pose[:2, 3] = x - lateral_m * np.sin(heading), y + lateral_m * np.cos(heading)
+        return pose
+
+    def on_street(self, street: int) -> list[tuple[float, float]]:
+        """The stretches (from, to) in metres on which the path follows the street."""
+        return [(start, end) for start, end, name in self.streets if name == street]
+
+
+@dataclass(frozen=True, eq=False)
+class StreetNetwork:
+    """Nodes are crossings and bends; an edge is a straight piece of a street with a lane each way."""
+
+    nodes: Floats
+    """(N, 2) metres"""
+    street: dict[HalfEdge, int]
+    """street id of each directed edge, the same for both directions"""
+    faces: tuple[tuple[int, ...], ...]
+    """blocks as loops of nodes with the block on the left; the last one is what lies outside, run clockwise"""
+    kerb: dict[HalfEdge, float]
+    """distance of the kerb on the left of each directed edge from the centre line"""
+    zebras: frozenset[HalfEdge]
+    """directed edges that end at a crossing with a zebra before it"""
+
+    def neighbours(self, node: int) -> list[int]:
+        return sorted(v for u, v in self.street if u == node)
+
+    def degree(self, node: int) -> int:
+        return len(self.neighbours(node))
+
+    def bend_radius(self, node: int, turn: float) -> float:
+        """Radius (m) of the centre line at a node that joins two edges, given its turn (rad)."""
+        return 11.0 if abs(turn) > _STRAIGHT else 35.0
+
+    def kerb_radius(self, face: Sequence[int], i: int, turn: float) -> float:
+        """Radius (m) of the kerb at corner ``i`` of a face; concentric with the centre line in a bend."""
+        node = face[i]
+        if self.degree(node) == 2:
+            return self.bend_radius(node, turn) - np.sign(turn) * self.kerb[(face[i - 1], node)]
+        return KERB_RADIUS_M if abs(turn) > _STRAIGHT else 15.0
+
+    def nodes_of(self, street: int) -> list[int]:
+        """The nodes of a street from the crossing at one of its ends to that at the other."""
+        members = [(u, v) for (u, v), name in self.street.items() if name == street and u < v]
+        ends = [n for n in {n for e in members for n in e} if self.degree(n) != 2 or sum(n in e for e in members) == 1]
+        chain = [min(ends)]
+        while len(chain) <= len(members):
+            chain.append(
+                next(v for v in self.neighbours(chain[-1]) if self.street[(chain[-1], v)] == street and v not in chain)
+            )
+        return chain
+
+    def centre_line(self, street: int) -> Floats:
+        """(P, 2) from the crossing at one end of a street to that at the other, bends rounded."""
+        chain = self.nodes_of(street)
+        points = self.nodes[chain]
+        turns = turns_of(points)
+        return rounded(points, [self.bend_radius(n, t) for n, t in zip(chain[1:-1], turns, strict=True)])
+
+    def drive(self, length_m: float, seed: int) -> Path:
+        """A path of ``length_m`` in the middle of the right-hand lane, over streets it has driven least first.
+
+        Deterministic in the network and the seed; never turns back. Raises ConfigError unless the length is positive.
+        """
+        if length_m <= 0:
+            raise ConfigError(f"a drive needs a positive length, got {length_m} m")
+        return self.path(self.walk(length_m, seed), RUN_IN_M, length_m)
+
+    def walk(self, length_m: float, seed: int) -> list[int]:
+        """The nodes that :meth:`drive` passes, and some more at the end; a longer walk begins as a shorter one."""
+        return self._route(1.25 * length_m + 60.0, np.random.default_rng(seed))
+
+    def path(self, chain: Sequence[int], start_m: float, length_m: float) -> Path:
+        """A path of ``length_m`` in the middle of the right-hand lane along neighbouring nodes, from ``start_m`` on.
+
+        Raises ConfigError where the nodes do not reach so far.
+        """
+        nodes = self.nodes[list(chain)]
+        lane = offset_line(nodes, [-LANE_M / 2] * (len(chain) - 1))
+        turns = turns_of(nodes)
+        line = rounded(lane, [self._lane_radius(n, t) for n, t in zip(chain[1:-1], turns, strict=True)])
+        points, heading = _smooth(line, start_m, length_m)
+        return Path(points, heading, _STEP_M, self._streets_along(chain, lane, points))
+
+    def _route(self, length_m: float, rng: np.random.Generator) -> list[int]:
+        """Nodes of a walk: at every crossing the edge driven least, never back, never a turn sharper than 110 deg."""
+        edges = sorted(self.street)
+        chain = list(edges[rng.integers(len(edges))])
+        driven = dict.fromkeys(edges, 0)
+        length = 0.0
+        while length < length_m:
+            u, v = chain[-2:]
+            driven[(u, v)] += 1
+            driven[(v, u)] += 1
+            length += float(np.linalg.norm(self.nodes[v] - self.nodes[u]))
+            ways = [w for w in self.neighbours(v) if w != u]
+            gentle = [w for w in ways if abs(turns_of(self.nodes[[u, v, w]])[0]) < np.radians(125)]
+            chain.append(min(gentle or ways, key=lambda w: driven[(v, w)] + 0.9 * rng.random()))
+        return chain
+
+    def _lane_radius(self, node: int, turn: float) -> float:
+        """Of the lane's middle: a right turn (negative) runs inside of the centre line."""
+        if self.degree(node) == 2:
+            return self.bend_radius(node, turn) + np.sign(turn) * LANE_M / 2
+        if abs(turn) < _STRAIGHT:
+            return 40.0
+        return KERB_RADIUS_M + LANE_M / 2 if turn < 0 else 9.0
+
+    def _streets_along(
+        self, chain: Sequence[int], lane: Floats, points: Floats
+    ) -> tuple[tuple[float, float, int], ...]:
+        """The stretch of the path on every street of the walk; a place belongs to the next node of the walk."""
+        last = len(points) - 1
+        cuts, start = [0], 0
+        for node in lane[1:-1]:
+            ahead = np.linalg.norm(points[start : start + int(260 / _STEP_M)] - node, axis=1)
+            near = start + int(np.argmin(_first_minimum(ahead)))
+            cuts.append(near)
+            start = near
+        cuts.append(last)
+        result: list[tuple[float, float, int]] = []
+        for k, (a, b) in enumerate(pairwise(cuts)):
+            name = self.street[(chain[k], chain[k + 1])]
+            if b <= a:
+                continue
+            if result and result[-1][2] == name:
+                result[-1] = (result[-1][0], b * _STEP_M, name)
+            else:
+                result.append((a * _STEP_M, b * _STEP_M, name))
+        return tuple(result)
+
+
+def _first_minimum(distance: Floats) -> Floats:
+    """The distances up to where they come near zero for the first time; what is later counts as far."""
+    near = np.flatnonzero(distance < 12.0)
+    if len(near) == 0:
+        return distance
+    gap = np.flatnonzero(np.diff(near) > 1)
+    end = near[gap[0]] if len(gap) else near[-1]
+    return np.where(np.arange(len(distance)) <= end, distance, np.inf)
+
+
+def turns_of(points: Floats) -> Floats:
+    """Turn (rad, left positive) at each inner point of a polyline (P, 2): (P - 2,)."""
+    step = np.diff(points, axis=0)
+    return np.asarray(
+        np.arctan2(step[:-1, 0] * step[1:, 1] - step[:-1, 1] * step[1:, 0], (step[:-1] * step[1:]).sum(axis=1))
+    )
+
+
+def _offset_corner(before: Floats, corner: Floats, after: Floats, first: float, second: float) -> Floats:
+    """Where the lines before-corner and corner-after, moved left by ``first`` and ``second``, meet."""
+    d = np.stack([corner - before, after - corner])
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    normal = np.stack([-d[:, 1], d[:, 0]], axis=1)
+    if abs(first - second) < 1e-9:
+        return np.asarray(corner + first * (normal[0] + normal[1]) / (1 + normal[0] @ normal[1]))
+    return np.asarray(corner + np.linalg.solve(normal, [first, second]))
+
+
+def offset_line(points: Floats, offsets: Sequence[float]) -> Floats:
+    """An open polyline (P, 2) moved left, each piece by its own offset (P - 1); corners are mitred."""
+    step = np.diff(points, axis=0)
+    normal = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.linalg.norm(step, axis=1, keepdims=True)
+    inner = [
+        _offset_corner(points[i - 1], points[i], points[i + 1], offsets[i - 1], offsets[i])
+        for i in range(1, len(points) - 1)
+    ]
+    return np.array([points[0] + offsets[0] * normal[0], *inner, points[-1] + offsets[-1] * normal[-1]])
+
+
+def offset_loop(points: Floats, offsets: Sequence[float]) -> Floats:
+    """A closed polygon (P, 2) moved left; ``offsets[i]`` is that of the edge from point i to the next."""
+    count = len(points)
+    return np.array(
+        [
+            _offset_corner(points[i - 1], points[i], points[(i + 1) % count], offsets[i - 1], offsets[i])
+            for i in range(count)
+        ]
+    )
+
+
+def arc_at(before: Floats, corner: Floats, after: Floats, radius: float) -> Floats:
+    """Points (K, 2) of the arc that rounds a corner; a radius too large for its sides is made smaller."""
+    turn = float(turns_of(np.stack([before, corner, after]))[0])
+    if abs(turn) < 1e-4:
+        return corner[None]
+    sides = np.linalg.norm(np.stack([corner - before, after - corner]), axis=1)
+    tangent = min(abs(radius * np.tan(turn / 2)), 0.48 * float(sides.min()))
+    radius = tangent / abs(np.tan(turn / 2))
+    forward = (corner - before) / sides[0]
+    start = corner - tangent * forward
+    centre = start + np.sign(turn) * radius * np.array([-forward[1], forward[0]])
+    count = max(3, int(np.ceil(abs(turn) / np.radians(9))) + 1)
+    angle = np.linspace(0, turn, count)
+    spoke = start - centre
+    return np.stack(
+        [
+            centre[0] + np.cos(angle) * spoke[0] - np.sin(angle) * spoke[1],
+            centre[1] + np.sin(angle) * spoke[0] + np.cos(angle) * spoke[1],
+        ],
+        axis=1,
+    )
+
+
+def rounded(points: Floats, radii: Sequence[float]) -> Floats:
+    """An open polyline with its inner corners rounded by the radii (P - 2)."""
+    arcs = [arc_at(points[i - 1], points[i], points[i + 1], radii[i - 1]) for i in range(1, len(points) - 1)]
+    return np.concatenate([points[:1], *arcs, points[-1:]])
+
+
+def resampled(points: Floats, step: float) -> Floats:
+    """Points every ``step`` metres along a polyline (P, 2)."""
+    at = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    s = np.arange(0, at[-1], step)
+    return np.stack([np.interp(s, at, points[:, 0]), np.interp(s, at, points[:, 1])], axis=1)
+
+
+def _smooth(line: Floats, start_m: float, length_m: float) -> tuple[Floats, Floats]:
+    """Samples and headings of a line of arcs, with the curvature made continuous by averaging over 4 m twice."""
+    fine = resampled(line, 0.1)
+    kernel = np.convolve(np.full(41, 1 / 41), np.full(41, 1 / 41))
+    soft = np.stack([np.convolve(fine[:, k], kernel, mode="valid") for k in range(2)], axis=1)
+    at = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(soft, axis=0), axis=1))])
+    if start_m < 0 or at[-1] < start_m + length_m:
+        raise ConfigError(f"the streets reach {at[-1]:.1f} m, a path from {start_m:.1f} m on needs {length_m:.1f} m")
+    count = int(np.ceil(length_m / _STEP_M)) + 1
+    s = start_m + np.arange(count) * _STEP_M
+    points = np.stack([np.interp(s, at, soft[:, 0]), np.interp(s, at, soft[:, 1])], axis=1)
+    tangent = np.gradient(points, axis=0)
+    return points, np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+
+
+def make_network(rng: np.random.Generator, extent_m: float) -> StreetNetwork:
+    """A network in a square of ``extent_m``, its outer streets about 28 m inside of the edge."""
+    for _ in range(200):
+        nodes, street = _graph(rng, extent_m)
+        faces = _faces(nodes, street)
+        if all(_is_roomy(nodes, face) for face in faces):
+            ends = [e for e in sorted(street) if sum(u == e[1] for u, _ in street) > 2]
+            zebras = frozenset(e for e in ends if rng.random() < 0.5)
+            return StreetNetwork(nodes, street, faces, _kerbs(rng, nodes, faces), zebras)
+    raise ConfigError(f"no street network found for an extent of {extent_m} m")
+
+
+def _graph(rng: np.random.Generator, extent_m: float) -> tuple[Floats, dict[HalfEdge, int]]:
+    """A shaken grid without some of its inner streets, and with bends in some of the others."""
+    count = max(3, int((extent_m - 56) / 60) + 1)
+    spacing = (extent_m - 56) / (count - 1)
+    line = (np.arange(count) - (count - 1) / 2) * spacing
+    nodes = [np.array([x, y]) + rng.uniform(-0.12, 0.12, 2) * spacing for y in line for x in line]
+    across = [(j * count + i, j * count + i + 1) for j in range(count) for i in range(count - 1)]
+    along = [(j * count + i, j * count + i + count) for j in range(count - 1) for i in range(count)]
+    rim = {n for n in range(count * count) if n % count in (0, count - 1) or n // count in (0, count - 1)}
+    inner = [e for e in across + along if not (e[0] in rim and e[1] in rim)]
+    gone: list[HalfEdge] = []
+    for k in rng.permutation(len(inner)):
+        if len(gone) < count - 2 and not any(set(inner[k]) & set(e) for e in gone):
+            gone.append(inner[k])
+    street: dict[HalfEdge, int] = {}
+    for name, (u, v) in enumerate(e for e in across + along if e not in gone):
+        chain = [u, v]
+        if rng.random() < 0.4:
+            d = nodes[v] - nodes[u]
+            bow = rng.choice([-1, 1]) * rng.uniform(0.05, 0.09)
+            nodes.append(nodes[u] + rng.uniform(0.42, 0.58) * d + bow * np.array([-d[1], d[0]]))
+            chain = [u, len(nodes) - 1, v]
+        for a, b in pairwise(chain):
+            street[(a, b)] = street[(b, a)] = name
+    return np.array(nodes), street
+
+
+def _faces(nodes: Floats, street: dict[HalfEdge, int]) -> tuple[tuple[int, ...], ...]:
+    """Loops with the face on the left: at every node the leftmost way on. The outside (negative area) comes last."""
+    around: dict[int, list[int]] = {}
+    for u in range(len(nodes)):
+        ends = [b for a, b in street if a == u]
+        around[u] = sorted(ends, key=lambda v: float(np.arctan2(*(nodes[v] - nodes[u])[::-1])))
+    left = set(street)
+    faces = []
+    for first in sorted(street):
+        if first not in left:
+            continue
+        loop, edge = [], first
+        while edge in left:
+            left.remove(edge)
+            loop.append(edge[0])
+            ring = around[edge[1]]
+            edge = (edge[1], ring[ring.index(edge[0]) - 1])
+        faces.append(tuple(loop))
+    return tuple(sorted(faces, key=lambda f: (_area(nodes[list(f)]) < 0, f)))
+
+
+def _area(polygon: Floats) -> float:
+    x, y = polygon[:, 0], polygon[:, 1]
+    return float(0.5 * (x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+
+
+def _is_roomy(nodes: Floats, face: tuple[int, ...]) -> bool:
+    """Whether streets, pavements and a row of houses fit: each edge must keep its direction 22 m inside."""
+    polygon = nodes[list(face)]
+    moved = offset_loop(polygon, [22.0] * len(face))
+    before, after = (np.roll(p, -1, axis=0) - p for p in (polygon, moved))
+    turn = turns_of(np.concatenate([polygon[-1:], polygon, polygon[:1]]))
+    fits = (before * after).sum(axis=1) > 2.0 * np.linalg.norm(before, axis=1)
+    return bool(fits.all() and (np.abs(turn) < np.radians(115)).all() and (np.abs(_not_between(turn)) > 0).all())
+
+
+def _not_between(turn: Floats) -> Floats:
+    """Zero where a turn is neither a bend nor a corner (35 to 50 deg), which neither kind of kerb fits."""
+    return np.where((np.abs(turn) > _STRAIGHT) & (np.abs(turn) < np.radians(50)), 0.0, 1.0)
+
+
+def frontages(nodes: Floats, face: tuple[int, ...]) -> list[list[HalfEdge]]:
+    """The edges of a face in groups that run on without a corner; one group is one side of a block."""
+    loop = nodes[list(face)]
+    turn = turns_of(np.concatenate([loop[-1:], loop, loop[:1]]))
+    count = len(face)
+    corners = [i for i in range(count) if abs(turn[i]) > _STRAIGHT]
+    if not corners:
+        return [[(face[i], face[(i + 1) % count]) for i in range(count)]]
+    groups = []
+    for here, there in zip(corners, [*corners[1:], corners[0] + count], strict=True):
+        groups.append([(face[i % count], face[(i + 1) % count]) for i in range(here, there)])
+    return groups
+
+
+def _kerbs(rng: np.random.Generator, nodes: Floats, faces: tuple[tuple[int, ...], ...]) -> dict[HalfEdge, float]:
+    """Two in three sides of blocks have a parking lane."""
+    kerb = {}
+    for face in faces:
+        for group in frontages(nodes, face):
+            parking = rng.random() < 0.67
+            kerb.update(dict.fromkeys(group, LANE_M + PARKING_M * parking))
+    return kerb

@@ -1,0 +1,267 @@
+"""What stands on pavements, in gardens, on the square and beyond the last houses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from relocbench.datasets.synthetic.town import furniture
+from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
+from relocbench.datasets.synthetic.town.network import StreetNetwork, offset_loop
+from relocbench.datasets.synthetic.town.rows import PERIOD_M, Plot
+from relocbench.datasets.synthetic.town.shapes import Floats, Shape, instances, poses, quads, single
+from relocbench.datasets.synthetic.town.streets import KERB_M, Block
+from relocbench.datasets.synthetic.town.vegetation import TREE_TYPES, hedge_shapes, tree_shapes
+
+
+@dataclass(eq=False)
+class Planting:
+    """Collects objects by template, so that each template becomes one mesh of many copies."""
+
+    rng: np.random.Generator
+    names: Iterator[int]
+    static: list[Mesh] = field(default_factory=list)
+    foliage: list[Mesh] = field(default_factory=list)
+    lamps: list[Floats] = field(default_factory=list)
+    trees: list[tuple[float, float, float, float, int, bool]] = field(default_factory=list)
+    """x, y, yaw, scale, kind, coarse"""
+    things: dict[Semantic, list[tuple[Shape, Floats, int]]] = field(default_factory=dict)
+
+    def add(
+        self, shape: Shape, place: Floats, facing: Floats, semantic: Semantic, variant: int | None = None
+    ) -> Floats:
+        """An object at (2,) on the pavement, turned to face along a direction (2,); its transform (4, 4)."""
+        transform = poses(place[0], place[1], KERB_M, np.arctan2(facing[1], facing[0]))[0]
+        look = int(self.rng.integers(1, 2**31)) if variant is None else variant
+        self.things.setdefault(semantic, []).append((shape, transform, look))
+        return transform
+
+    def lamp(self, place: Floats, facing: Floats, variant: int | None = None) -> None:
+        transform = self.add(furniture.lamp_post(), place, facing, Semantic.POLE, variant)
+        self.lamps.append((transform @ np.append(furniture.LAMP_HEAD, 1))[:3])
+
+    def tree(self, place: Floats, kind: int, scale: float, coarse: bool = False) -> None:
+        yaw = float(self.rng.uniform(0, 2 * np.pi))
+        self.trees.append((float(place[0]), float(place[1]), yaw, scale, kind, coarse))
+
+    def hedge(self, start: Floats, end: Floats, height: float) -> None:
+        length = float(np.linalg.norm(end - start))
+        if length < 0.8:
+            return
+        core, leaves = hedge_shapes(length, height, int(self.rng.integers(2**31)))
+        transform = poses(start[0], start[1], KERB_M, np.arctan2(*(end - start)[::-1]))
+        name, look = np.array([next(self.names)]), self.rng.integers(1, 2**31, 1)
+        self.static.append(instances(core, transform, name, look, Semantic.HEDGE))
+        self.foliage.append(instances(leaves, transform, name, look, Semantic.HEDGE))
+
+    def finish(self) -> tuple[list[Mesh], list[Mesh]]:
+        """Static meshes and foliage of all that was collected."""
+        for semantic, entries in self.things.items():
+            by_shape: dict[int, list[tuple[Shape, Floats, int]]] = {}
+            for entry in entries:
+                by_shape.setdefault(id(entry[0]), []).append(entry)
+            for group in by_shape.values():
+                numbers = np.array([next(self.names) for _ in group])
+                transforms, looks = np.stack([t for _, t, _ in group]), np.array([v for _, _, v in group])
+                self.static.append(instances(group[0][0], transforms, numbers, looks, semantic))
+        for kind, coarse in sorted({(t[4], t[5]) for t in self.trees}):
+            rows = np.array([t[:4] for t in self.trees if (t[4], t[5]) == (kind, coarse)])
+            transforms = poses(rows[:, 0], rows[:, 1], KERB_M, rows[:, 2], rows[:, 3])
+            numbers = np.array([next(self.names) for _ in rows])
+            looks = self.rng.integers(1, 2**31, len(rows))
+            wood, leaves = tree_shapes(kind, coarse)
+            self.static.append(instances(wood, transforms, numbers, looks, Semantic.TREE))
+            self.foliage.append(instances(leaves, transforms, numbers, looks, Semantic.TREE))
+        return self.static, self.foliage
+
+
+def _stretch(network: StreetNetwork, block: Block, i: int) -> tuple[Floats, Floats, Floats, float, float]:
+    """Of an edge: a point on the kerb line at its start, directions along it and into the block, and where it is
+    clear of crossings (from, to) in metres."""
+    u, v = block.edge(i)
+    d = network.nodes[v] - network.nodes[u]
+    length = float(np.linalg.norm(d))
+    d = d / length
+    inward = np.array([-d[1], d[0]])
+    first, last = block.straight(i, network.nodes[u], d)
+    start = max(first + 1.5, 13.5 if network.degree(u) > 2 else 0.0)
+    end = min(last - 1.5, length - (13.5 if network.degree(v) > 2 else 0.0))
+    return network.nodes[u] + network.kerb[(u, v)] * inward, d, inward, start, end
+
+
+def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase: Floats | None) -> None:
+    """Trees, lamps, signs, benches, bins and bollards along the kerb.
+
+    On a periodic side there are only lamps, a whole number of periods apart, counted from ``phase`` (2,).
+    """
+    rng = planting.rng
+    kind_of: dict[int, int] = {}
+    for i in range(len(block.face)):
+        side = block.sides[i]
+        origin, d, inward, start, end = _stretch(network, block, i)
+        if side.style == "periodic" and phase is not None:
+            first = float((phase - origin) @ d) % (4 * PERIOD_M)
+            for s in np.arange(first, end, 4 * PERIOD_M):
+                if s > start:
+                    planting.lamp(origin + s * d + 0.45 * inward, -inward, variant=1)
+            continue
+        kind = kind_of.setdefault(side.variant, int(rng.integers(TREE_TYPES)))
+        leafy = side.pavement_m > 3.5 and side.variant % 4 != 0
+        gap = 8.0 + side.variant % 5
+        taken = []
+        for s in np.arange(start + 2.0, end - 1.0, gap) if leafy else []:
+            place = origin + s * d + 1.05 * inward
+            planting.tree(place, kind, float(rng.uniform(0.85, 1.1)))
+            planting.static.append(_pit(place, d))
+            taken.append(s)
+        for s in np.arange(start + 1.0 + 9.0 * rng.random(), end, 23.0):
+            near = [t for t in taken if abs(t - s) < 1.6]
+            planting.lamp(origin + (s + 2.2 * bool(near)) * d + 0.45 * inward, -inward)
+            taken.append(s + 2.2 * bool(near))
+        _scatter(planting, network, block, i, taken)
+        _signs(planting, network, block, i)
+
+
+def _pit(place: Floats, d: Floats) -> Mesh:
+    """Bare soil around a trunk."""
+    n = np.array([-d[1], d[0]])
+    corners = [place + 0.65 * (a * d + b * n) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    return single(quads(np.column_stack([corners, np.full(4, KERB_M + 0.004)]), Material.SOIL), 0, 5, Semantic.TERRAIN)
+
+
+def _scatter(planting: Planting, network: StreetNetwork, block: Block, i: int, taken: list[float]) -> None:
+    """Benches, bins, bollards and now and then a shelter, where nothing else stands."""
+    rng = planting.rng
+    origin, d, inward, start, end = _stretch(network, block, i)
+    wide = block.sides[i].pavement_m > 2.5
+    for s in np.arange(start + 1.0, end - 1.0, 5.5):
+        s = s + rng.uniform(-1.5, 1.5)
+        draw = rng.random()
+        clear = 3.2 if draw < 0.03 else 1.6
+        if any(abs(t - s) < clear for t in taken):
+            continue
+        place = origin + s * d
+        if draw < 0.03 and block.sides[i].pavement_m > 3.5:
+            planting.add(furniture.shelter(), place + 1.5 * inward, -inward, Semantic.FURNITURE)
+        elif draw < 0.12 and wide:
+            planting.add(furniture.bench(), place + 0.7 * inward, inward, Semantic.FURNITURE)
+        elif draw < 0.22:
+            planting.add(furniture.bin_shape(), place + 0.55 * inward, -inward, Semantic.FURNITURE)
+        elif draw < 0.34 and block.sides[i].style in ("terrace", "villa"):
+            planting.add(furniture.wheeled_bin(), place + 0.6 * inward, -inward, Semantic.FURNITURE)
+        elif draw < 0.44:
+            for k in range(4):
+                planting.add(
+                    furniture.bollard(), place + (1.2 * k - 1.8) * d + 0.35 * inward, -inward, Semantic.FURNITURE
+                )
+        else:
+            continue
+        taken.append(s)
+
+
+def _signs(planting: Planting, network: StreetNetwork, block: Block, i: int) -> None:
+    """One sign before the crossing for traffic on this side, and some elsewhere; faces turned to the traffic."""
+    rng = planting.rng
+    u, _ = block.edge(i)
+    origin, d, inward, start, end = _stretch(network, block, i)
+    if network.degree(u) > 2 and rng.random() < 0.8:
+        planting.add(
+            furniture.sign(int(rng.integers(furniture.SIGN_KINDS))),
+            origin + (start - 2.0) * d + 0.5 * inward,
+            d,
+            Semantic.SIGN,
+        )
+    if rng.random() < 0.5 and end - start > 8:
+        s = rng.uniform(start + 3.0, end - 3.0)
+        planting.add(
+            furniture.sign(int(rng.integers(furniture.SIGN_KINDS))), origin + s * d + 0.5 * inward, d, Semantic.SIGN
+        )
+
+
+def plant_gardens(planting: Planting, block: Block, plots: list[Plot]) -> None:
+    """Hedges before front gardens with a gap and a path for every door; trees in the yards behind."""
+    count = len(block.face)
+    for i in range(count):
+        side = block.sides[i]
+        if side.garden_m < 1.0:
+            continue
+        a, b = block.pavement[i], block.pavement[(i + 1) % count]
+        length = float(np.linalg.norm(b - a))
+        d = (b - a) / length
+        inward = np.array([-d[1], d[0]])
+        doors = sorted(float((p.door - a) @ d) for p in plots if p.edge == i)
+        ends = [0.4, *(x + o for x in doors for o in (-0.8, 0.8)), length - 0.4]
+        height = float(planting.rng.uniform(0.8, 1.5))
+        for start, end in zip(ends[::2], ends[1::2], strict=True):
+            planting.hedge(a + start * d + 0.45 * inward, a + end * d + 0.45 * inward, height)
+        for x in doors:
+            corners = [
+                a + (x + e) * d + y * inward
+                for e, y in ((-0.6, 0), (0.6, 0), (0.6, side.garden_m), (-0.6, side.garden_m))
+            ]
+            path = quads(np.column_stack([corners, np.full(4, KERB_M + 0.004)]), Material.PAVEMENT)
+            planting.static.append(single(path, 0, 6, Semantic.PAVEMENT))
+        if side.garden_m > 3.0:
+            for x in np.arange(3.0, length - 3.0, 9.0):
+                if planting.rng.random() < 0.5 and all(abs(x - door) > 1.5 for door in doors):
+                    planting.tree(a + x * d + 2.1 * inward, 5, float(planting.rng.uniform(0.6, 0.8)))
+    if block.kind == "houses":
+        _yard_trees(planting, block)
+
+
+def _yard_trees(planting: Planting, block: Block) -> None:
+    """A tree to every 250 square metres behind the houses."""
+    yard = offset_loop(block.building, [13.0] * len(block.building))
+    low, high = yard.min(0), yard.max(0)
+    for place in planting.rng.uniform(low, high, (max(2, int(np.prod(high - low) / 250)), 2)):
+        if inside(yard, place):
+            kind, scale = int(planting.rng.integers(TREE_TYPES)), float(planting.rng.uniform(0.9, 1.3))
+            planting.tree(place, kind, scale, coarse=True)
+
+
+def inside(polygon: Floats, point: Floats) -> bool:
+    """Whether a point is in a polygon (P, 2), by the crossings of a ray."""
+    a, b = polygon, np.roll(polygon, -1, axis=0)
+    spans = (a[:, 1] > point[1]) != (b[:, 1] > point[1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = a[:, 0] + (point[1] - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
+    return bool((spans & (x > point[0])).sum() % 2)
+
+
+def plant_square(planting: Planting, block: Block) -> None:
+    """A fountain in the middle, trees and benches around it, bollards at the edge."""
+    rng = planting.rng
+    middle = block.pavement.mean(0)
+    planting.add(furniture.fountain(), middle, np.array([1.0, 0.0]), Semantic.FURNITURE)
+    inner = offset_loop(block.pavement, [6.0] * len(block.pavement))
+    kind = int(rng.integers(TREE_TYPES))
+    for k in range(len(inner)):
+        a, b = inner[k], inner[(k + 1) % len(inner)]
+        length = float(np.linalg.norm(b - a))
+        d = (b - a) / length
+        toward = np.array([-d[1], d[0]])
+        for s in np.arange(2.0, length - 1.0, 7.0):
+            planting.tree(a + s * d, kind, float(rng.uniform(0.9, 1.1)))
+            planting.static.append(_pit(a + s * d, d))
+            if rng.random() < 0.6 and s + 3.5 < length:
+                planting.add(furniture.bench(), a + (s + 3.5) * d, toward, Semantic.FURNITURE)
+    for angle in np.linspace(0, 2 * np.pi, 9)[:-1]:
+        out = np.array([np.cos(angle), np.sin(angle)])
+        planting.add(furniture.bollard(), middle + 4.2 * out, out, Semantic.FURNITURE)
+        if round(angle / (np.pi / 4)) % 2 == 0:
+            planting.add(furniture.bench(), middle + 5.6 * out, -out, Semantic.FURNITURE)
+
+
+def plant_outskirts(planting: Planting, block: Block) -> None:
+    """Two loose belts of trees behind the houses outside, which close the view between them."""
+    for distance, gap, scale in ((15.0, 9.0, 1.2), (26.0, 9.0, 1.6)):
+        line = offset_loop(block.building, [distance] * len(block.building))
+        for k in range(len(line)):
+            a, b = line[k], line[(k + 1) % len(line)]
+            length = float(np.linalg.norm(b - a))
+            for s in np.arange(0.0, length, gap):
+                place = a + (b - a) * s / length + planting.rng.normal(0, 1.2, 2)
+                kind = int(planting.rng.integers(TREE_TYPES))
+                planting.tree(place, kind, scale * float(planting.rng.uniform(0.85, 1.25)), coarse=True)

@@ -1,0 +1,245 @@
+"""Shapes in local coordinates: what they are made of, and how a shape becomes many objects of a mesh at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """T triangles over V vertices in metres, counter-clockwise seen from outside; a template or one object."""
+
+    vertices: Floats
+    """(V, 3)"""
+    triangles: NDArray[np.int64]
+    """(T, 3) rows of vertices"""
+    uv: Floats
+    """(T, 3, 2) metres on the surface"""
+    material: NDArray[np.uint8]
+    """(T,)"""
+    variant: NDArray[np.uint32]
+    """(T,) combined by XOR with the variant of the object; tells e.g. one window of a house from the next"""
+    rank: NDArray[np.float32]
+    """(T,) as in :class:`Mesh`"""
+
+    def __len__(self) -> int:
+        return len(self.triangles)
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    """Cross products (N, 3); faster than numpy's for the many small arrays here."""
+    x, y, z = a.T
+    u, v, w = b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+
+
+def planar_uv(corners: Floats) -> Floats:
+    """Coordinates (T, 3, 2) in metres of triangles (T, 3, 3) in their own planes: u horizontal, v up the slope.
+
+    Triangles of one plane get one coordinate system, so a texture runs on across them.
+    """
+    normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    across = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1)
+    level = np.linalg.norm(across, axis=1) < 1e-3
+    across[level] = (1.0, 0.0, 0.0)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    up = cross(normal, across)
+    return np.stack([np.einsum("tci,ti->tc", corners, across), np.einsum("tci,ti->tc", corners, up)], axis=2)
+
+
+def triangle_shape(
+    vertices: ArrayLike,
+    triangles: ArrayLike,
+    material: ArrayLike,
+    uv: Floats | None = None,
+    variant: ArrayLike = 0,
+    rank: ArrayLike = 0.0,
+) -> Shape:
+    """Triangles with planar coordinates unless ``uv`` is given; material, variant and rank are broadcast to (T,)."""
+    points = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
+    rows = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
+    count = len(rows)
+    return Shape(
+        points,
+        rows,
+        planar_uv(points[rows]) if uv is None else uv,
+        np.broadcast_to(np.asarray(material, dtype=np.uint8), (count,)).copy(),
+        np.broadcast_to(np.asarray(variant, dtype=np.uint32), (count,)).copy(),
+        np.broadcast_to(np.asarray(rank, dtype=np.float32), (count,)).copy(),
+    )
+
+
+def quads(
+    points: ArrayLike,
+    material: ArrayLike,
+    uv: Floats | None = None,
+    variant: ArrayLike = 0,
+    rank: ArrayLike = 0.0,
+) -> Shape:
+    """Quadrilaterals (..., 4, 3), each two triangles; ``uv`` (Q, 4, 2); the rest broadcast to (Q,)."""
+    corners = np.asarray(points, dtype=np.float64).reshape(-1, 4, 3)
+    count = len(corners)
+    split = np.array([[0, 1, 2], [0, 2, 3]])
+    rows = (4 * np.arange(count)[:, None, None] + split).reshape(-1, 3)
+    per_triangle = [np.repeat(np.broadcast_to(np.asarray(a), (count,)), 2) for a in (material, variant, rank)]
+    corner_uv = None if uv is None else uv.reshape(count, 4, 2)[:, split].reshape(-1, 3, 2)
+    return triangle_shape(corners.reshape(-1, 3), rows, per_triangle[0], corner_uv, per_triangle[1], per_triangle[2])
+
+
+def join(shapes: Sequence[Shape]) -> Shape:
+    """One shape of several, in order."""
+    offsets = np.cumsum([0, *(len(s.vertices) for s in shapes)])[:-1]
+    return Shape(
+        np.concatenate([s.vertices for s in shapes]),
+        np.concatenate([s.triangles + o for s, o in zip(shapes, offsets, strict=True)]),
+        *(np.concatenate([getattr(s, name) for s in shapes]) for name in ("uv", "material", "variant", "rank")),
+    )
+
+
+def transformed(shape: Shape, transform: Floats) -> Shape:
+    """The shape moved by a rigid (4, 4) transform; its surface coordinates stay."""
+    return replace(shape, vertices=shape.vertices @ transform[:3, :3].T + transform[:3, 3])
+
+
+def moved(shape: Shape, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Shape:
+    """The shape shifted."""
+    return replace(shape, vertices=shape.vertices + np.array([x, y, z]))
+
+
+_BOX_FACES = {
+    "front": ((0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)),
+    "right": ((1, 0, 0), (1, 1, 0), (1, 1, 1), (1, 0, 1)),
+    "back": ((1, 1, 0), (0, 1, 0), (0, 1, 1), (1, 1, 1)),
+    "left": ((0, 1, 0), (0, 0, 0), (0, 0, 1), (0, 1, 1)),
+    "top": ((0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)),
+    "bottom": ((0, 1, 0), (1, 1, 0), (1, 0, 0), (0, 0, 0)),
+}
+
+
+def boxes(low: ArrayLike, high: ArrayLike, material: ArrayLike, without: str = "", variant: ArrayLike = 0) -> Shape:
+    """Axis-parallel boxes between corners (N, 3); faces named in ``without`` are left out (front is -y, right +x)."""
+    lower, upper = np.atleast_2d(np.asarray(low, dtype=float)), np.atleast_2d(np.asarray(high, dtype=float))
+    faces = np.array([f for name, f in _BOX_FACES.items() if name not in without.split()], dtype=float)
+    points = lower[:, None, None] + faces[None] * (upper - lower)[:, None, None]
+    spread = [np.repeat(np.broadcast_to(np.asarray(a), (len(lower),)), len(faces)) for a in (material, variant)]
+    return quads(points, spread[0], variant=spread[1])
+
+
+def tube(points: ArrayLike, radii: ArrayLike, sides: int, material: int, cap: bool = True) -> Shape:
+    """A round bar along a polyline (P, 3) with a radius at each point; along z it is a turned body.
+
+    Surface coordinates are the arc length around and along.
+    """
+    axis = np.asarray(points, dtype=float)
+    radius = np.broadcast_to(np.asarray(radii, dtype=float), (len(axis),))
+    along = np.gradient(axis, axis=0)
+    chord = axis[-1] - axis[0]
+    if np.linalg.norm(np.cross(axis - axis[0], chord)) < 1e-9:
+        along[:] = chord  # a turned body may go back and forth along its axis
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    start = np.eye(3)[np.abs(along).max(axis=0).argmin()]
+    side = np.cross(along, start)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    other = np.cross(along, side)
+    angle = 2 * np.pi * np.arange(sides) / sides
+    ring = np.cos(angle)[None, :, None] * side[:, None] + np.sin(angle)[None, :, None] * other[:, None]
+    vertices = (axis[:, None] + radius[:, None, None] * ring).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(len(axis) - 1), np.arange(sides), indexing="ij")
+    a, b = i * sides + j, i * sides + (j + 1) % sides
+    c, d = b + sides, a + sides
+    rows = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2).reshape(-1, 3)
+    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(axis, axis=0), axis=1))])
+    arc = 2 * np.pi * radius.mean() / sides
+    u = np.stack([np.stack([j, j + 1, j + 1], -1), np.stack([j, j + 1, j], -1)], axis=2) * arc
+    v = np.stack([length[np.stack([i, i, i + 1], -1)], length[np.stack([i, i + 1, i + 1], -1)]], axis=2)
+    wall = triangle_shape(vertices, rows, material, np.stack([u, v], axis=-1).reshape(-1, 3, 2))
+    if not cap:
+        return wall
+    fan = np.array([[0, k + 1, k] for k in range(1, sides - 1)])
+    ends = np.concatenate([fan, fan[:, ::-1] + (len(axis) - 1) * sides])
+    return join([wall, triangle_shape(vertices, ends, material)])
+
+
+def prism(outline: ArrayLike, y0: float, y1: float, material: int) -> Shape:
+    """An outline (P, 2) in the x-z plane, counter-clockwise seen from -y, drawn out from y0 to y1 > y0."""
+    polygon = np.asarray(outline, dtype=float)
+    count = len(polygon)
+    near = np.insert(polygon, 1, y0, axis=1)
+    far = np.insert(polygon, 1, y1, axis=1)
+    faces = ear_clip(polygon)
+    after = np.roll(np.arange(count), -1)
+    rim = np.stack([near, far, far[after], near[after]], axis=1)
+    ends = triangle_shape(np.concatenate([near, far]), np.concatenate([faces, faces[:, ::-1] + count]), material)
+    return join([quads(rim, material), ends])
+
+
+def ear_clip(polygon: Floats) -> NDArray[np.int64]:
+    """Triangles (P - 2, 3) of a simple counter-clockwise polygon (P, 2), as rows of it (ear clipping)."""
+    left = list(range(len(polygon)))
+    triangles: list[tuple[int, int, int]] = []
+    while len(left) > 3:
+        scores = [_ear_score(polygon, left, k) for k in range(len(left))]
+        k = int(np.argmax(scores))
+        triangles.append((left[k - 1], left[k], left[(k + 1) % len(left)]))
+        del left[k]
+    triangles.append((left[0], left[1], left[2]))
+    return np.array(triangles, dtype=np.int64)
+
+
+def _ear_score(polygon: Floats, left: list[int], k: int) -> float:
+    """Twice the area over the squared longest side of the ear at ``k``, or -1 where there is none."""
+    corners = polygon[[left[k - 1], left[k], left[(k + 1) % len(left)]]]
+    edges = np.roll(corners, -1, axis=0) - corners
+    area = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
+    if area <= 1e-12:
+        return -1.0
+    others = polygon[[i for n, i in enumerate(left) if n not in ((k - 1) % len(left), k, (k + 1) % len(left))]]
+    to_point = others[:, None] - corners[None]
+    inside = (edges[None, :, 0] * to_point[:, :, 1] - edges[None, :, 1] * to_point[:, :, 0] >= -1e-12).all(axis=1)
+    return -1.0 if inside.any() else float(area / (edges**2).sum(axis=1).max())
+
+
+def instances(shape: Shape, transforms: Floats, instance: ArrayLike, variant: ArrayLike, semantic: Semantic) -> Mesh:
+    """N copies of a shape under transforms (N, 4, 4), which may scale evenly; ``instance`` and ``variant`` are (N,)."""
+    count, faces = len(transforms), len(shape)
+    vertices = np.einsum("nij,vj->nvi", transforms[:, :3, :3], shape.vertices) + transforms[:, None, :3, 3]
+    rows = shape.triangles[None] + (len(shape.vertices) * np.arange(count))[:, None, None]
+    scale = np.linalg.norm(transforms[:, :3, 0], axis=1)
+    looks = np.asarray(variant, dtype=np.uint32)[:, None] ^ shape.variant[None]
+    return Mesh(
+        vertices.reshape(-1, 3).astype(np.float32),
+        rows.reshape(-1, 3).astype(np.uint32),
+        (scale[:, None, None, None] * shape.uv[None]).reshape(-1, 3, 2).astype(np.float32),
+        np.tile(shape.material, count),
+        np.full(count * faces, int(semantic), dtype=np.uint8),
+        np.repeat(np.asarray(instance, dtype=np.uint32), faces),
+        np.ascontiguousarray(looks.reshape(-1)),
+        np.tile(shape.rank, count),
+    )
+
+
+def single(shape: Shape, instance: int, variant: int, semantic: Semantic) -> Mesh:
+    """The shape as one object where it stands."""
+    return instances(shape, np.eye(4)[None], np.array([instance]), np.array([variant]), semantic)
+
+
+def poses(x: ArrayLike, y: ArrayLike, z: ArrayLike, yaw: ArrayLike, scale: ArrayLike = 1.0) -> Floats:
+    """Transforms (N, 4, 4): turned by ``yaw`` about z, scaled, and moved to (x, y, z); all broadcast."""
+    px, py, pz, angle, size = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, float)) for a in (x, y, z, yaw, scale)))
+    result = np.zeros((len(px), 4, 4))
+    result[:, 0, 0] = result[:, 1, 1] = size * np.cos(angle)
+    result[:, 1, 0] = size * np.sin(angle)
+    result[:, 0, 1] = -result[:, 1, 0]
+    result[:, 2, 2] = size
+    result[:, :3, 3] = np.stack([px, py, pz], axis=1)
+    result[:, 3, 3] = 1
+    return result

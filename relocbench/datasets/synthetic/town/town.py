@@ -1,0 +1,146 @@
+"""A district from a seed, and what it looks like in a season with its cars."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+
+from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.town.cars import cars
+from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic, merge
+from relocbench.datasets.synthetic.town.network import StreetNetwork, make_network
+from relocbench.datasets.synthetic.town.planting import (
+    Planting,
+    line_streets,
+    plant_gardens,
+    plant_outskirts,
+    plant_square,
+)
+from relocbench.datasets.synthetic.town.rows import PeriodicFront, build, plots_of
+from relocbench.datasets.synthetic.town.shapes import Floats, poses
+from relocbench.datasets.synthetic.town.streets import Block, bays_of, ground, make_blocks, periodic_street
+from relocbench.errors import ConfigError
+
+SPLITS = ("train", "validation", "test")
+SMALLEST_M = 180.0
+_SEEDS_OF_CARS = 2**20
+
+
+@dataclass(frozen=True, eq=False)
+class Periodic:
+    """The street with repeating facades: places along it that are whole periods apart look alike."""
+
+    street: int
+    """id in the network; :meth:`Path.on_street` tells where a drive follows it"""
+    fronts: tuple[PeriodicFront, ...]
+    """the rows on its two sides"""
+
+
+@dataclass(frozen=True, eq=False)
+class District:
+    """A piece of town that no other seed or split shares a street with."""
+
+    seed: int
+    split: str
+    static: Mesh
+    """ground, roads, markings, houses, furniture, wood of trees and hedges"""
+    foliage: Mesh
+    """leaves with their ranks"""
+    bays: Floats
+    """(N, 4, 4) T_world_bay: x the way a parked car faces, z up, origin on the road in the middle of the bay"""
+    lamps: Floats
+    """(L, 3) positions of lamp heads"""
+    network: StreetNetwork
+    periodic: Periodic
+    first_car: int
+    """the least instance number of a car"""
+
+
+def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> District:
+    """The district of a seed in a split, in a square of ``extent_m``; the same arguments give the same bytes.
+
+    Raises ConfigError on an unknown split, a negative seed or an extent below 180 m.
+    """
+    if split not in SPLITS:
+        raise ConfigError(f"no split '{split}'; there is {', '.join(SPLITS)}")
+    if seed < 0:
+        raise ConfigError(f"the seed of a district is not negative, got {seed}")
+    if not extent_m >= SMALLEST_M:
+        raise ConfigError(f"a district is at least {SMALLEST_M:.0f} m wide, got {extent_m}")
+    streams = [np.random.default_rng([seed, SPLITS.index(split), part]) for part in range(4)]
+    network = make_network(streams[0], extent_m)
+    repeated = periodic_street(network)
+    blocks = make_blocks(network, streams[1], repeated)
+    names = count(1)
+    meshes = [ground(network, blocks)]
+    planting = Planting(streams[3], names)
+    fronts: list[PeriodicFront] = []
+    for block in blocks:
+        plots, rows = plots_of(block, streams[2])
+        fronts += rows
+        meshes += build(plots, names)
+        line_streets(planting, network, block, fronts[0].start if fronts else None)
+        plant_gardens(planting, block, plots)
+        if block.kind == "square":
+            plant_square(planting, block)
+        elif block.kind == "outside":
+            plant_outskirts(planting, block)
+    static, foliage = planting.finish()
+    return District(
+        seed,
+        split,
+        merge([*meshes, *static]),
+        merge(foliage),
+        _bays(network, blocks),
+        np.array(planting.lamps).reshape(-1, 3),
+        network,
+        Periodic(repeated, tuple(fronts)),
+        next(names),
+    )
+
+
+def _bays(network: StreetNetwork, blocks: Sequence[Block]) -> Floats:
+    """(N, 4, 4) of all blocks."""
+    found = [(p, d) for block in blocks for _, p, d in bays_of(network, block)]
+    place = np.array([p for p, _ in found]).reshape(-1, 2)
+    direction = np.array([d for _, d in found]).reshape(-1, 2)
+    return poses(place[:, 0], place[:, 1], 0.0, np.arctan2(direction[:, 1], direction[:, 0]))
+
+
+def compose(district: District, factors: Factors, moving: Sequence[tuple[Floats, int]] = ()) -> Mesh:
+    """The district as it is under the factors: all that is static first, then leaves, parked and moving cars.
+
+    A leaf is there if its rank is below ``factors.foliage``. ``moving`` is (T_world_car, variant) of each moving car.
+    Instance numbers of parked cars depend on bay and ``parked_seed``, so that another car in the same bay is another
+    object; those of moving cars start at 2**31.
+    """
+    parts = [district.static]
+    shown = district.foliage.rank < factors.foliage
+    if shown.any():
+        parts.append(district.foliage.select(shown))
+    parked = _parked(district, factors)
+    if parked is not None:
+        parts.append(parked)
+    if moving:
+        transforms = np.stack([np.asarray(t, dtype=float) for t, _ in moving])
+        variants = np.array([v for _, v in moving])
+        parts.append(cars(transforms, variants, 2**31 + np.arange(len(moving)), Semantic.MOVING_CAR))
+    return merge(parts)
+
+
+def _parked(district: District, factors: Factors) -> Mesh | None:
+    """The first ``parked_share`` of the bays in an order that the parked seed draws, each car a little askew."""
+    bays = len(district.bays)
+    rng = np.random.default_rng([district.seed, SPLITS.index(district.split), 5, factors.parked_seed])
+    variant = rng.integers(1, 2**31, bays)
+    shift = rng.uniform([-0.35, -0.1], [0.35, 0.1], (bays, 2))
+    yaw = rng.normal(0, 0.015, bays).clip(-0.04, 0.04) + np.pi * (rng.random(bays) < 0.08)
+    taken = np.sort(rng.permutation(bays)[: round(factors.parked_share * bays)])
+    if len(taken) == 0:
+        return None
+    askew = poses(shift[:, 0], shift[:, 1], 0.0, yaw)
+    name = district.first_car + taken + bays * (factors.parked_seed % _SEEDS_OF_CARS)
+    return cars((district.bays @ askew)[taken], variant[taken], name, Semantic.PARKED_CAR)

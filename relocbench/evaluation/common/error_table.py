@@ -1,0 +1,269 @@
+"""The errors of a method on a pair set by column, ``PAIRSET.errors.csv``: a hundred thousand pairs take some ten MB."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.errors import PredictionError
+from relocbench.evaluation.common.matching_table import ALL
+from relocbench.evaluation.common.table_file import table_chunks
+from relocbench.files import atomic_write, parse_floats, parse_timestamp
+from relocbench.metrics import PairSetSummary, PoseErrors, summarize
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+STATUSES = ("ok", "failed", "error")
+"""answered; the method said it failed; the method broke (exception, crash, breach of the contract)"""
+ERROR_COLUMNS = (
+    "ref_timestamp_ns",
+    "query_timestamp_ns",
+    "group",
+    "status",
+    "rotation_error_deg",
+    "translation_error_m",
+    "mlad_translation_error_m",
+    "confidence",
+    "seconds",
+    "distance_m",
+    "angle_deg",
+    "sigma_translation_m",
+    "sigma_rotation_deg",
+)
+_ERRORS = ERROR_COLUMNS[4:7]
+_OPTIONAL = ERROR_COLUMNS[7:]
+
+
+@dataclass(frozen=True)
+class PairErrors:
+    """One row of ``PAIRSET.errors.csv``."""
+
+    key: PairKey
+    group: str
+    status: str
+    rotation_error_deg: float
+    translation_error_m: float
+    mlad_translation_error_m: float
+    confidence: float | None
+    seconds: float | None
+    distance_m: float | None
+    angle_deg: float | None
+    sigma_translation_m: float | None
+    sigma_rotation_deg: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorTable(Sequence[PairErrors]):
+    """Rows of ``PAIRSET.errors.csv``; a sequence of :class:`PairErrors`, held by column."""
+
+    keys: Indices
+    """(N, 2) reference and query timestamp, nanoseconds"""
+    group_index: Indices
+    """(N,) into ``group_names``"""
+    group_names: tuple[str, ...]
+    """in order of appearance"""
+    status_index: NDArray[np.int8]
+    """(N,) into :data:`STATUSES`"""
+    numbers: Array
+    """(9, N) the columns of :data:`ERROR_COLUMNS` from the rotation error on; NaN where one has no value"""
+
+    @classmethod
+    def of(cls, rows: Sequence[PairErrors]) -> ErrorTable:
+        """The same rows by column."""
+        if isinstance(rows, cls):
+            return rows
+        names: dict[str, int] = {}
+        return cls(
+            np.array([row.key for row in rows], dtype=np.int64).reshape(-1, 2),
+            np.array([names.setdefault(row.group, len(names)) for row in rows], dtype=np.int64),
+            tuple(names),
+            np.array([STATUSES.index(row.status) for row in rows], dtype=np.int8),
+            np.array(
+                [[math.nan if (v := getattr(r, n)) is None else v for r in rows] for n in (*_ERRORS, *_OPTIONAL)],
+                dtype=np.float64,
+            ).reshape(len(_ERRORS) + len(_OPTIONAL), len(rows)),
+        )
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    @overload
+    def __getitem__(self, index: int) -> PairErrors: ...
+    @overload
+    def __getitem__(self, index: slice) -> ErrorTable: ...
+    def __getitem__(self, index: int | slice) -> PairErrors | ErrorTable:
+        if isinstance(index, slice):
+            return self.take(np.arange(len(self))[index])
+        return next(iter(self.take(np.arange(len(self))[[index]])))
+
+    def __iter__(self) -> Iterator[PairErrors]:
+        columns = [self.numbers[i].tolist() for i in range(len(self.numbers))]
+        optional = [[None if v != v else v for v in column] for column in columns[len(_ERRORS) :]]
+        keys = map(tuple, self.keys.tolist())
+        for row in zip(keys, self.groups, self.statuses, *columns[: len(_ERRORS)], *optional, strict=True):
+            yield PairErrors(*row)
+
+    @property
+    def groups(self) -> list[str]:
+        """(N,) the group of each row."""
+        return [self.group_names[i] for i in self.group_index.tolist()]
+
+    @property
+    def statuses(self) -> list[str]:
+        """(N,) the status of each row."""
+        return [STATUSES[i] for i in self.status_index.tolist()]
+
+    @cached_property
+    def errors(self) -> PoseErrors:
+        """The error arrays."""
+        return PoseErrors(*self.numbers[: len(_ERRORS)])
+
+    def column(self, name: str) -> Array:
+        """(N,) a column of numbers, NaN where a row has none."""
+        return self.numbers[ERROR_COLUMNS.index(name) - 4]
+
+    def with_status(self, status: str) -> int:
+        """How many rows have that status."""
+        return int(np.count_nonzero(self.status_index == STATUSES.index(status)))
+
+    def of_group(self, group: str) -> ErrorTable:
+        """The rows of one group, or all."""
+        if group == ALL:
+            return self
+        if group not in self._of_groups:
+            index = self.group_names.index(group) if group in self.group_names else -1
+            self._of_groups[group] = self.take(np.flatnonzero(self.group_index == index))
+        return self._of_groups[group]
+
+    @cached_property
+    def _of_groups(self) -> dict[str, ErrorTable]:
+        """Those that were asked for."""
+        return {}
+
+    @cached_property
+    def summary(self) -> PairSetSummary:
+        """Every metric. Raises DatasetError where there is no row."""
+        return summarize(self.errors, seconds=self.column("seconds"), confidence=self.column("confidence"))
+
+    def take(self, rows: Indices) -> ErrorTable:
+        """The rows of these indices, in this order."""
+        return ErrorTable(
+            self.keys[rows],
+            self.group_index[rows],
+            self.group_names,
+            self.status_index[rows],
+            np.take(self.numbers, rows, axis=1),
+        )
+
+    def by_time(self) -> ErrorTable:
+        """Ordered by reference time, then query time."""
+        order = np.lexsort((self.keys[:, 1], self.keys[:, 0]))
+        return self if np.array_equal(order, np.arange(len(self))) else self.take(order)
+
+    def texts(self) -> list[list[Any]]:
+        """The columns as a table holds them, in the order of :data:`ERROR_COLUMNS`; floats in full."""
+        values = [[repr(v) for v in column.tolist()] for column in self.numbers[: len(_ERRORS)]]
+        optional = [["" if v != v else repr(v) for v in column.tolist()] for column in self.numbers[len(_ERRORS) :]]
+        return [*self.keys.T.tolist(), self.groups, self.statuses, *values, *optional]
+
+
+def groups_in(group_names: Sequence[str]) -> list[str]:
+    """``all`` and the named groups; a single group is the whole set and not repeated."""
+    named = [name for name in group_names if name]
+    return [ALL, *named] if len(named) > 1 else [ALL]
+
+
+def write_errors(path: Path, rows: Sequence[PairErrors]) -> None:
+    """``PAIRSET.errors.csv``: one row a pair of the set; a failed pair's errors are ``inf``."""
+    with atomic_write(path) as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(ERROR_COLUMNS)
+        table.writerows(zip(*ErrorTable.of(rows).texts(), strict=True))
+
+
+def read_errors(path: Path) -> ErrorTable:
+    """``PAIRSET.errors.csv``.
+
+    Raises:
+        PredictionError: with file and line: a column or number that cannot be, an unknown status.
+    """
+    names: dict[str, int] = {}
+    keys, groups, statuses, numbers = [], [], [], []
+    for lines, rows in table_chunks(path, ERROR_COLUMNS):
+        columns = list(zip(*rows, strict=True))
+        converted = _fast(columns)
+        keys_of, numbers_of = converted if converted is not None else _one_by_one(rows, path, lines)
+        keys.append(keys_of)
+        numbers.append(numbers_of)
+        groups.append(np.array([names.setdefault(name, len(names)) for name in columns[2]], dtype=np.int64))
+        statuses.append(_status_index(columns[3], path, lines))
+    if not keys:
+        return ErrorTable.of([])
+    return ErrorTable(
+        np.concatenate(keys),
+        np.concatenate(groups),
+        tuple(names),
+        np.concatenate(statuses),
+        np.concatenate(numbers, axis=1),
+    )
+
+
+def _fast(columns: Sequence[Sequence[str]]) -> tuple[Indices, Array] | None:
+    """Keys (n, 2) and numbers (9, n) of whole columns; None where anything is unusual, which is then looked at."""
+    times = "".join(columns[0]) + "".join(columns[1])
+    if not (times.isascii() and times.isdecimal()):
+        return None
+    try:
+        keys = np.array([list(map(int, texts)) for texts in columns[:2]], dtype=np.int64).T
+        numbers = np.array(
+            [
+                [float(text) if text else math.nan for text in texts] if "" in texts else list(map(float, texts))
+                for texts in columns[4:]
+            ],
+            dtype=np.float64,
+        )
+    except (ValueError, OverflowError):
+        return None
+    blanks = sum(texts.count("") for texts in columns[7:])
+    infinite = sum(texts.count("inf") for texts in columns[4:7])
+    odd = np.count_nonzero(~np.isfinite(numbers))
+    usual = odd == blanks + infinite and not np.isnan(numbers[:3]).any() and (numbers[:3] >= 0).all()
+    return (keys, numbers) if usual else None
+
+
+def _one_by_one(rows: Sequence[Sequence[str]], path: Path, lines: Sequence[int]) -> tuple[Indices, Array]:
+    """As :func:`_fast`, field by field. Raises PredictionError naming the line."""
+    keys, numbers = [], []
+    for line, row in zip(lines, rows, strict=True):
+        keys.append([parse_timestamp(text, path, line, PredictionError) for text in row[:2]])
+        values = []
+        for name, text in zip(ERROR_COLUMNS[4:], row[4:], strict=True):
+            if name in _ERRORS and text == "inf":
+                values.append(math.inf)
+            elif name in _OPTIONAL and not text:
+                values.append(math.nan)
+            else:
+                values.append(parse_floats([text], path, line, name, PredictionError)[0])
+            if name in _ERRORS and values[-1] < 0:
+                raise PredictionError(f"{name} is {text}, expected an error of at least 0, or inf", path, line)
+        numbers.append(values)
+    return np.array(keys, dtype=np.int64), np.array(numbers, dtype=np.float64).T
+
+
+def _status_index(statuses: Sequence[str], path: Path, lines: Sequence[int]) -> NDArray[np.int8]:
+    place = {status: index for index, status in enumerate(STATUSES)}
+    found = [place.get(status, -1) for status in statuses]
+    if -1 in found:
+        wrong = found.index(-1)
+        told = f"status is '{statuses[wrong][:60]}', expected {', '.join(STATUSES)}"
+        raise PredictionError(told, path, lines[wrong])
+    return np.array(found, dtype=np.int8)

@@ -1,0 +1,146 @@
+"""What it costs when a method ends its worker, or is ended for what it takes: the pair in hand, and no other."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Generic, TypeVar
+
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.evaluation.common.worker import CONSTRUCTOR, PREPARE, Unit, journal_entries
+from relocbench.execution import Loss, Run, run_limited
+
+U = TypeVar("U", bound=Unit)
+
+_TRIES = 2
+"""a death may be an accident (another program took the memory), and a method that leaks gets a fresh process"""
+_HOPELESS = 3
+"""so many keyframes on which ``prepare`` was lost, and none that it has done: the others are not tried"""
+
+
+def ask_all(
+    function: Callable[[U], int],
+    open_units: Callable[[], Sequence[U]],
+    lost: LostPairs[U],
+    run: Run,
+    advance: Callable[[int], None],
+) -> None:
+    """Call ``function`` on units in workers until every pair has an entry in its journal.
+
+    Args:
+        function: answers the pairs of a unit, returns how many.
+        open_units: units of the pairs that have no entry yet.
+        advance: hears how many pairs are done.
+    """
+    while units := open_units():
+        asked = run_limited(function, lost.still_asked(units, advance), run, on_loss=lost.take)
+        for _, done in asked:
+            lost.hear(done)
+            advance(done)
+
+
+class LostPairs(Generic[U]):
+    """Remembers what has ended workers, and decides what is tried again, one at a time, or not at all.
+
+    Args:
+        write: enters into a unit's journal that the method broke on a pair, and how.
+    """
+
+    def __init__(self, write: Callable[[U, PairKey, str], None]) -> None:
+        self._write = write
+        self._deaths: Counter[Hashable] = Counter()
+        self._alone: set[Hashable] = set()
+        """pairs that were lost together with others"""
+        self._keyframes: dict[Hashable, str] = {}
+        """on which ``prepare`` was lost, and how"""
+        self._doubtful: set[Hashable] = set()
+        """on which ``prepare`` was lost at least once"""
+        self._prepared = False
+        self._was_lost = False
+        """the unit whose end is heard next"""
+        self._given_up = ""
+
+    def still_asked(self, units: Iterable[U], advance: Callable[[int], None]) -> Iterator[U]:
+        """The units to ask, one that holds a suspect parted; pairs that are given up get their entry here.
+
+        Where ``prepare`` was lost on the first keyframes, the others wait until those are decided.
+        """
+        for unit in units:
+            message = self._given_up or self._keyframes.get(_keyframe(unit))
+            if message:
+                self._write_all(unit, unit.keys, message)
+                advance(len(unit.keys))
+                continue
+            if self._hopeless and _keyframe(unit) not in self._doubtful:
+                continue
+            together = tuple(key for key in unit.keys if _pair(unit, key) not in self._alone)
+            yield from (replace(unit, keys=(key,)) for key in unit.keys if key not in together)
+            if together:
+                yield replace(unit, keys=together)
+
+    @property
+    def _hopeless(self) -> bool:
+        return len(self._doubtful) >= _HOPELESS and not self._prepared
+
+    def hear(self, done: int) -> None:
+        """A unit has ended, with so many pairs done by the method, or by :meth:`take` just before."""
+        self._prepared |= done > 0 and not self._was_lost
+        self._was_lost = False
+
+    def take(self, unit: U, loss: Loss) -> int:
+        """Enter what is lost of a unit for good; returns how many of its pairs have an entry now."""
+        self._was_lost = True
+        done = {entry["key"] for entry in journal_entries(unit.journal)}
+        left = [key for key in unit.keys if key not in done]
+        name = loss.step.name if loss.step is not None else ""
+        if name not in (CONSTRUCTOR, PREPARE):
+            self._prepared = True
+            return len(unit.keys) - len(left) + self._take_pairs(unit, loss, left)
+        self._prepared |= len(left) < len(unit.keys)
+        what: Hashable = name if name == CONSTRUCTOR else _keyframe(unit)
+        if name == PREPARE:
+            self._doubtful.add(what)
+        if not self._is_final(what, loss):
+            return len(unit.keys) - len(left)
+        message = f"{name}: {how_lost(loss, '')}"
+        if name == CONSTRUCTOR:
+            self._given_up = message
+        else:
+            self._keyframes[what] = message
+            if len(self._keyframes) >= _HOPELESS and not self._prepared:
+                self._given_up = f"{message}; so on the first {_HOPELESS} keyframes, the others were not tried"
+        self._write_all(unit, left, message)
+        return len(unit.keys)
+
+    def _take_pairs(self, unit: U, loss: Loss, left: Sequence[PairKey]) -> int:
+        told = () if loss.step is None else loss.step.keys
+        # Between calls, a thread that was left behind may end the process: the next pair is as near as one can say.
+        suspects = [key for key in told if key in left] or list(left[:1])
+        if len(suspects) > 1:
+            self._alone.update(_pair(unit, key) for key in suspects)
+            return 0
+        final = [key for key in suspects if self._is_final(_pair(unit, key), loss)]
+        self._write_all(unit, final, how_lost(loss, " on this pair"))
+        return len(final)
+
+    def _is_final(self, what: Hashable, loss: Loss) -> bool:
+        self._deaths[what] += loss.workers
+        return loss.kind == "time" or self._deaths[what] >= _TRIES
+
+    def _write_all(self, unit: U, keys: Iterable[PairKey], message: str) -> None:
+        for key in keys:
+            self._write(unit, key, message)
+
+
+def how_lost(loss: Loss, where: str) -> str:
+    """For a table, after the last try."""
+    return f"the worker process died twice{where} ({loss.words})" if loss.kind == "death" else loss.words
+
+
+def _keyframe(unit: Unit) -> Hashable:
+    return unit.reference, unit.camera, unit.keys[0][0]
+
+
+def _pair(unit: Unit, key: PairKey) -> Hashable:
+    return unit.reference, unit.query, unit.camera, key

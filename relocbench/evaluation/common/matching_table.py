@@ -1,0 +1,109 @@
+"""``PAIRSET.matching.csv``: matching quality of one method, one row a pair and start offset, and its summary."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.errors import PredictionError
+from relocbench.files import atomic_write, parse_count, parse_timestamp, read_table
+from relocbench.metrics.pose.matching import OFFSET_EDGES_PX
+
+ALL = "all"
+"""the group that is the whole pair set; and all start offsets together"""
+OFFSETS_PX = tuple(int(edge) for edge in OFFSET_EDGES_PX[1:])
+"""how far from the truth the method starts"""
+
+Summary = dict[str, dict[str, float | int | None]]
+"""by start offset (``all``, ``1px``, ...): counts, and shares 0..1"""
+
+
+@dataclass(frozen=True)
+class Found:
+    """Of the correspondences of a pair, started so far off, how many the method brought near the truth."""
+
+    offset_px: int
+    count: int
+    answered: int
+    within_1px: int
+    within_3px: int
+    start_within_1px: int
+    """the starts that were so near already: what a method gets that does not move"""
+    start_within_3px: int
+
+
+@dataclass(frozen=True)
+class MatchingRow:
+    """One row of ``PAIRSET.matching.csv``."""
+
+    key: PairKey
+    group: str
+    found: Found
+    message: str = ""
+    """why the method broke; then none is answered"""
+
+
+_COUNTS = tuple(field.name for field in fields(Found))
+MATCHING_COLUMNS = ("ref_timestamp_ns", "query_timestamp_ns", "group", *_COUNTS, "message")
+
+
+def write_matching(path: Path, rows: Sequence[MatchingRow]) -> None:
+    """``PAIRSET.matching.csv``, in the order given."""
+    with atomic_write(path) as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(MATCHING_COLUMNS)
+        for row in rows:
+            table.writerow([*row.key, row.group, *astuple(row.found), row.message])
+
+
+def read_matching(path: Path) -> list[MatchingRow]:
+    """``PAIRSET.matching.csv``. Raises PredictionError with file and line."""
+    out = []
+    for number, line in read_table(path, MATCHING_COLUMNS, error=PredictionError):
+        ref, query = (parse_timestamp(text, path, number, PredictionError) for text in line[:2])
+        counts = line[3:-1]
+        named = zip(counts, _COUNTS, strict=True)
+        found = Found(*(parse_count(text, name, path, number, PredictionError) for text, name in named))
+        if not found.within_1px <= found.within_3px <= found.answered <= found.count:
+            raise PredictionError("expected within_1px <= within_3px <= answered <= count", path, number)
+        out.append(MatchingRow((ref, query), line[2], found, line[-1]))
+    return out
+
+
+def check_complete(rows: Sequence[MatchingRow], keys: Sequence[PairKey], path: Path) -> None:
+    """Raises PredictionError unless there is one row for each pair of the set and each offset."""
+    there = sorted((row.key, row.found.offset_px) for row in rows)
+    if there != sorted((key, offset) for key in keys for offset in OFFSETS_PX):
+        raise PredictionError(
+            f"expected one row for each of the {len(keys)} pairs and each offset "
+            f"({', '.join(map(str, OFFSETS_PX))} px); remove the file and measure again",
+            path,
+        )
+
+
+def summarize_matching(rows: Sequence[MatchingRow], group: str = ALL) -> Summary:
+    """Shares of all correspondences of a group's pairs, over all start offsets and by offset; None without any."""
+    chosen = [row.found for row in rows if group in (ALL, row.group)]
+    return {
+        ALL: _shares(chosen),
+        **{f"{offset}px": _shares([f for f in chosen if f.offset_px == offset]) for offset in OFFSETS_PX},
+    }
+
+
+def _shares(rows: Sequence[Found]) -> dict[str, float | int | None]:
+    count = sum(row.count for row in rows)
+
+    def share(name: str) -> float | None:
+        return sum(getattr(row, name) for row in rows) / count if count else None
+
+    return {
+        "count": count,
+        "answered": share("answered"),
+        "match@1px": share("within_1px"),
+        "match@3px": share("within_3px"),
+        "start@1px": share("start_within_1px"),
+        "start@3px": share("start_within_3px"),
+    }

@@ -1,0 +1,372 @@
+"""The results folder: predictions, run records and scores of one or more datasets.
+
+``RESULTS/DATASET@FINGERPRINT/METHOD/`` holds, for each pair set, the predictions (``PAIRSET.txt``), one row a pair on
+how each came about (``PAIRSET.csv``), where it was asked for the matching quality (``PAIRSET.matching.csv``) and, once
+scored, one row a pair of errors (``PAIRSET.errors.csv``); and ``run.yaml`` and ``scores.yaml`` for the method.
+``dataset.yaml`` beside the methods says what the dataset asks.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey, distances_and_angles
+from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Name, Strict
+from relocbench.errors import PredictionError
+from relocbench.evaluation.common.error_table import (
+    ERROR_COLUMNS,
+    STATUSES,
+    ErrorTable,
+    PairErrors,
+    groups_in,
+    read_errors,
+    write_errors,
+)
+from relocbench.files import (
+    atomic_write,
+    check_joined_name,
+    check_name,
+    dump_yaml,
+    load_yaml,
+    parse_floats,
+    parse_timestamp,
+    read_bytes,
+    read_table,
+    remove_parts,
+    write_text,
+)
+
+__all__ = [
+    "ANSWER_COLUMNS",
+    "ERROR_COLUMNS",
+    "STATUSES",
+    "Answer",
+    "AnswerFolder",
+    "DatasetRecord",
+    "DatasetResults",
+    "ErrorTable",
+    "MethodResults",
+    "PairErrors",
+    "PairSetRecord",
+    "RunRecord",
+    "ScoreRecord",
+    "all_results",
+    "dataset_results",
+    "groups_in",
+    "read_answers",
+    "read_errors",
+    "write_answers",
+    "write_dataset_record",
+    "write_errors",
+    "write_record",
+]
+
+ANSWER_COLUMNS = ("ref_timestamp_ns", "query_timestamp_ns", "status", "seconds", "confidence", "message", "info")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How the answer to one pair came about; the pose itself stands in the prediction file."""
+
+    key: PairKey
+    status: str
+    seconds: float | None = None
+    """wall time of the tracker alone; images read and the reference prepared before"""
+    confidence: float | None = None
+    message: str = ""
+    info: str = ""
+    """JSON: what else the method had to say"""
+
+
+Count = Annotated[int, Field(ge=0, le=10**15)]
+"""how many of something there are"""
+
+
+class PairSetRecord(Strict):
+    """What a leaderboard must know about a pair set when the dataset is not at hand."""
+
+    reference: Name
+    query: Name
+    camera: Name
+    reference_condition: str
+    query_condition: str
+    pairs: Count
+    rejected: Count
+    has_truth: bool
+    groups: tuple[str, ...] = ()
+    median_distance_m: float | None = None
+    median_angle_deg: float | None = None
+    median_sigma_translation_m: float | None = None
+    median_sigma_rotation_deg: float | None = None
+
+
+class DatasetRecord(Strict):
+    """``RESULTS/DATASET@FINGERPRINT/dataset.yaml``."""
+
+    name: FolderName
+    fingerprint: Fingerprint
+    question: str = ""
+    """what is asked, whatever the processor's last digits; empty in results of versions that did not tell"""
+    licence: str
+    splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
+    pair_sets: dict[JoinedName, PairSetRecord]
+
+    @property
+    def compared_by(self) -> str:
+        """The question, or the fingerprint where results do not tell it: results with the same one stand together."""
+        return self.question or self.fingerprint
+
+
+class RunRecord(Strict):
+    """``run.yaml``: what made the predictions of one method."""
+
+    method: Name
+    target: str
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    files: dict[str, str] = Field(default_factory=dict)
+    """SHA-256 of the files that decide the answers, as weights, by parameter"""
+    seed: int | None = None
+    dataset: FolderName
+    fingerprint: Fingerprint
+    question: str = ""
+    """of the dataset, the same on every processor"""
+    answered_on: str = ""
+    """fingerprint of the copy of the dataset that predictions made elsewhere were given on, where it is another copy"""
+    versions: dict[str, str] = Field(default_factory=dict)
+    machine: dict[str, Any] = Field(default_factory=dict)
+    workers: int | None = None
+    start: str = ""
+    end: str = ""
+
+
+class ScoreRecord(Strict):
+    """``scores.yaml``: the summary of each pair set (and group), and which predictions it was computed from."""
+
+    relocbench: str
+    predictions: dict[JoinedName, str]
+    """pair set -> SHA-256 of the prediction file and its table"""
+    pair_sets: dict[JoinedName, dict[str, dict[str, float | int | None]]]
+    """pair set -> group ('all' for the whole) -> metric -> value"""
+    matching: dict[JoinedName, dict[str, dict[str, dict[str, float | int | None]]]] = Field(default_factory=dict)
+    """where it was measured, pair set -> group -> start offset ('all', '1px', ...) -> matching quality"""
+
+
+@dataclass(frozen=True)
+class AnswerFolder:
+    """What was answered to each pair set or task: a file in a format of the field and a table beside it."""
+
+    root: Path
+
+    @property
+    def label(self) -> str:
+        return self.root.name
+
+    @property
+    def run_yaml(self) -> Path:
+        return self.root / "run.yaml"
+
+    @property
+    def scores_yaml(self) -> Path:
+        return self.root / "scores.yaml"
+
+    def predictions(self, asked: str) -> Path:
+        return self.root / f"{_named(asked)}.txt"
+
+    def answers(self, asked: str) -> Path:
+        return self.root / f"{_named(asked)}.csv"
+
+
+@dataclass(frozen=True)
+class MethodResults(AnswerFolder):
+    """The folder of one method."""
+
+    def errors(self, pair_set: str) -> Path:
+        return self.root / f"{_named(pair_set)}.errors.csv"
+
+    def matching(self, pair_set: str) -> Path:
+        """How often the method's per-pixel Gauss-Newton finds the true pixel; only where that was asked for."""
+        return self.root / f"{_named(pair_set)}.matching.csv"
+
+    def matching_journal(self, pair_set: str) -> Path:
+        """As :meth:`journal`, for matching quality."""
+        return self.root / ".journal-matching" / _named(pair_set)
+
+    def journal(self, pair_set: str) -> Path:
+        """Folder that workers append to while they run; gone when the pair set is complete."""
+        return self.root / ".journal" / _named(pair_set)
+
+    def complete(self, pair_set: str) -> bool:
+        """Whether the pair set was run to its end."""
+        return self.predictions(pair_set).exists() and self.answers(pair_set).exists()
+
+    def run_record(self) -> RunRecord:
+        """Raises PredictionError with file and line."""
+        return load_yaml(self.run_yaml, RunRecord, "the record of a run", PredictionError)
+
+    def score_record(self) -> ScoreRecord:
+        """Raises PredictionError with file and line."""
+        return load_yaml(self.scores_yaml, ScoreRecord, "the scores of a method", PredictionError)
+
+
+@dataclass(frozen=True)
+class DatasetResults:
+    """The folder of one dataset: ``NAME@FINGERPRINT``."""
+
+    root: Path
+
+    @cached_property
+    def record(self) -> DatasetRecord:
+        """Raises PredictionError with file and line."""
+        path = self.root / "dataset.yaml"
+        return load_yaml(path, DatasetRecord, "the record of a dataset", PredictionError)
+
+    def method(self, label: str) -> MethodResults:
+        return MethodResults(self.root / label)
+
+    def methods(self) -> list[MethodResults]:
+        """Every method with a run record, by name."""
+        return [MethodResults(p.parent) for p in method_folders(self.root)]
+
+
+def method_folders(root: Path) -> list[Path]:
+    """``run.yaml`` of every method below a folder, by name. Raises PredictionError where a label can be none."""
+    found = sorted(root.glob("*/run.yaml"))
+    for path in found:
+        try:
+            check_name(path.parent.name, "method label")
+        except ValueError as bad:
+            raise PredictionError(f"the folder's name is no label: {bad}", path.parent) from None
+    return found
+
+
+def dataset_results(results: Path, dataset: Dataset) -> DatasetResults:
+    """The folder for a dataset's results; nothing is written."""
+    return DatasetResults(results / f"{dataset.name}@{dataset.fingerprint[:SHORT]}")
+
+
+def write_dataset_record(folder: DatasetResults, dataset: Dataset) -> None:
+    """Keep beside the results what the dataset asks."""
+    write_record(folder.root / "dataset.yaml", _dataset_record(dataset))
+
+
+def write_record(path: Path, record: Strict) -> None:
+    """Whole or not at all; a file that says the same already is left alone.
+
+    What runs that were killed left unfinished in its folder is removed.
+    """
+    remove_parts(path.parent, deep=False)
+    text = dump_yaml(record.model_dump(mode="json"))
+    if not path.exists() or read_bytes(path, "a record", PredictionError) != text.encode():
+        write_text(path, text)
+
+
+def all_results(results: Path) -> list[DatasetResults]:
+    """Every dataset's folder below a results folder. Raises PredictionError where there is none."""
+    if not results.is_dir():
+        raise PredictionError("no such folder; expected results of `relocbench evaluate`", results)
+    if (results / "dataset.yaml").exists():
+        return [DatasetResults(results)]
+    found = [DatasetResults(p.parent) for p in sorted(results.glob("*@*/dataset.yaml"))]
+    if not found:
+        raise PredictionError("holds no results (expected DATASET@FINGERPRINT folders)", results)
+    return found
+
+
+def write_answers(path: Path, answers: Sequence[Answer]) -> None:
+    """``PAIRSET.csv``, in the order given."""
+    with atomic_write(path) as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(ANSWER_COLUMNS)
+        for a in answers:
+            table.writerow([*a.key, a.status, _text(a.seconds, 6), _text(a.confidence), a.message, a.info])
+
+
+def read_answers(path: Path) -> dict[PairKey, Answer]:
+    """``PAIRSET.csv``. Raises PredictionError with file and line."""
+    out: dict[PairKey, Answer] = {}
+    for number, row in read_table(path, ANSWER_COLUMNS, error=PredictionError):
+        field = dict(zip(ANSWER_COLUMNS, row, strict=True))
+        key = _key(field, path, number)
+        if key in out:
+            raise PredictionError(f"pair {key[0]} {key[1]} occurs again", path, number)
+        if field["status"] not in STATUSES:
+            raise PredictionError(f"status is '{field['status']}', expected {', '.join(STATUSES)}", path, number)
+        out[key] = Answer(
+            key,
+            field["status"],
+            _value(field, "seconds", path, number),
+            _value(field, "confidence", path, number),
+            field["message"],
+            field["info"],
+        )
+    return out
+
+
+def _named(asked: str) -> str:
+    """The name of a pair set or task. Raises PredictionError where it would lead out of the folder."""
+    try:
+        return check_joined_name(asked, "name of a pair set or task")
+    except ValueError as bad:
+        raise PredictionError(str(bad)) from None
+
+
+def _dataset_record(dataset: Dataset) -> DatasetRecord:
+    return DatasetRecord(
+        name=dataset.name,
+        fingerprint=dataset.fingerprint,
+        question=dataset.question,
+        licence=dataset.file.licence,
+        splits=dict(dataset.splits),
+        pair_sets={s.name: _pair_set_record(dataset, s) for s in dataset.pair_sets()},
+    )
+
+
+def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
+    pairs = pair_set.pairs
+    between = distances_and_angles(pairs)
+    return PairSetRecord(
+        reference=pair_set.reference,
+        query=pair_set.query,
+        camera=pair_set.camera,
+        reference_condition=str(dataset.traversal(pair_set.reference).condition),
+        query_condition=str(dataset.traversal(pair_set.query).condition),
+        pairs=len(pairs),
+        rejected=len(pair_set.rejected),
+        has_truth=pair_set.has_truth,
+        groups=tuple(dict.fromkeys(p.group for p in pairs if p.group)),
+        median_distance_m=_median([distance for distance, _ in between]),
+        median_angle_deg=_median([angle for _, angle in between]),
+        median_sigma_translation_m=_median([p.sigma_translation_m for p in pairs]),
+        median_sigma_rotation_deg=_median([p.sigma_rotation_deg for p in pairs]),
+    )
+
+
+def _median(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return round(float(np.median(known)), 6) if known else None
+
+
+def _key(field: dict[str, str], path: Path, line: int) -> PairKey:
+    ref, query = (parse_timestamp(field[c], path, line, PredictionError) for c in ANSWER_COLUMNS[:2])
+    return ref, query
+
+
+def _value(field: dict[str, str], name: str, path: Path, line: int) -> float | None:
+    return parse_floats([field[name]], path, line, name, PredictionError)[0] if field[name] else None
+
+
+def _text(value: float | None, digits: int | None = None) -> str:
+    if value is None:
+        return ""
+    return repr(round(float(value), digits) if digits is not None else float(value))

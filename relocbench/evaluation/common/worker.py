@@ -1,0 +1,146 @@
+"""What asking a method shares, whatever it is asked: units of work, and what a worker process keeps and writes."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import groupby
+from pathlib import Path
+from typing import IO, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.layout import DatasetLayout
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.datasets.core.traversal import Traversal
+from relocbench.evaluation.common.guard import guarded, neighbours_of, offers
+from relocbench.execution import MANY_TIMES, chunks, step
+from relocbench.files import read_journal
+from relocbench.methods import MethodSpec
+from relocbench.tracking import KeyframePoints, Query, Reference, SupportsPrepare
+
+CONSTRUCTOR = "constructor"
+PREPARE = "prepare"
+_PAIRS_A_UNIT = 16
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Some pairs of one reference, for one worker."""
+
+    spec: MethodSpec
+    dataset: Path
+    reference: str
+    query: str
+    camera: str
+    keys: tuple[PairKey, ...]
+    journal: Path
+
+    def __str__(self) -> str:
+        return f"{self.spec.label} on {self.reference}__{self.query}__{self.camera}, pair {self.keys[0]}"
+
+
+def units_of(
+    dataset: Dataset, pair_set: PairSet, spec: MethodSpec, journal: Path, keys: Sequence[PairKey]
+) -> list[Unit]:
+    """Units that ask about the pairs of ``keys``, each of one reference."""
+    ordered = sorted(keys)
+    common = (spec, dataset.root.resolve(), pair_set.reference, pair_set.query, pair_set.camera)
+    return [
+        Unit(*common, tuple(chunk), journal.resolve())
+        for _, group in groupby(ordered, key=lambda key: key[0])
+        for chunk in chunks(group, _PAIRS_A_UNIT)
+    ]
+
+
+def prepared(unit: Unit, tracker: Any) -> tuple[Any, str | None]:
+    """The unit's keyframe as the tracker wants it, or how the tracker broke on it."""
+    neighbours, broke = neighbours_of(tracker)
+    if broke is not None:
+        return None, broke
+    traversal = traversal_of(unit.dataset, unit.reference)
+    keyframe = shown_reference(traversal.reference(unit.camera, unit.keys[0][0], neighbours))
+    if not offers(tracker, SupportsPrepare):
+        return keyframe, None
+    with step(PREPARE, unit.keys, MANY_TIMES):
+        return guarded(lambda: tracker.prepare(keyframe))
+
+
+def query_of(unit: Unit, key: PairKey) -> Query:
+    """A pair's query as the method is shown it. Raises DatasetError."""
+    query = traversal_of(unit.dataset, unit.query).query(unit.camera, key[1])
+    return replace(query, image=read_only(query.image))
+
+
+def shown_reference(reference: Reference) -> Reference:
+    """A keyframe as the method is shown it: nothing in it can be written to."""
+    points, depth = reference.sparse_points, reference.depth
+    return replace(
+        reference,
+        image=read_only(reference.image),
+        depth=None if depth is None else read_only(depth),
+        sparse_points=None
+        if points is None
+        else KeyframePoints(read_only(points.uv), read_only(points.inverse_depth), read_only(points.sigma)),
+        neighbours=tuple(
+            replace(each, image=read_only(each.image), T_neighbour_ref=read_only(each.T_neighbour_ref))
+            for each in reference.neighbours
+        ),
+    )
+
+
+def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
+    """The same numbers; who writes to them gets a ValueError, rather than another question for the next method."""
+    shown = array.view()
+    shown.flags.writeable = False
+    return shown
+
+
+def journal_entries(journal: Path) -> Iterator[dict[str, Any]]:
+    """What workers have written so far, the pair of each as a tuple under ``key``."""
+    if not journal.is_dir():
+        return
+    for path in sorted(journal.glob("*.jsonl")):
+        for entry in read_journal(path):
+            if "key" in entry:
+                yield {**entry, "key": tuple(entry["key"])}
+
+
+@contextmanager
+def open_journal(journal: Path) -> Iterator[IO[str]]:
+    """A file of this process alone: two writers never meet, and a torn line is always a file's last."""
+    # The clock only puts files in order: it may stand still or be set back, and machines have processes of one number.
+    name = f"{time.time_ns()}-{os.getpid()}-{secrets.token_hex(4)}.jsonl"
+    try:
+        with (journal / name).open("x", encoding="utf-8") as stream:
+            yield stream
+    except OSError as bad:
+        bad.filename = bad.filename or str(journal / name)  # a full disk does not say which file did not fit
+        raise
+
+
+@cache
+def traversal_of(dataset: Path, name: str) -> Traversal:
+    """One a process."""
+    return Traversal(DatasetLayout(dataset).traversal(name))
+
+
+_trackers: dict[str, Any] = {}
+
+
+def tracker_of(spec: MethodSpec) -> Any:
+    """One tracker a process and specification; building it may load weights."""
+    if repr(spec) not in _trackers:
+        with step(CONSTRUCTOR, times=MANY_TIMES):
+            _trackers[repr(spec)] = spec.create()
+    return _trackers[repr(spec)]

@@ -1,0 +1,250 @@
+"""Does a method keep the contract? A few questions, easy and hopeless, and what must hold of the answers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.errors import DatasetError
+from relocbench.evaluation.common.answers import CheckedAnswer, ask, broken, checked, checked_pixels
+from relocbench.evaluation.common.guard import guarded, neighbours_of, offers
+from relocbench.evaluation.common.info_text import INFO_CHARACTERS
+from relocbench.execution import messages_to_stderr
+from relocbench.geometry import Camera
+from relocbench.methods import MethodSpec
+from relocbench.tracking import (
+    KeyframePoints,
+    Query,
+    Reference,
+    SupportsBatch,
+    SupportsMatching,
+    SupportsPrepare,
+)
+
+_WIDTH, _HEIGHT, _FOCAL, _WALL_M = 320, 240, 250.0, 4.0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One promise of the contract and whether it was kept."""
+
+    check: str
+    passed: bool
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class _Question:
+    name: str
+    reference: Reference
+    query: Query
+
+
+def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
+    """Try a method. Made-up views show a textured wall; with a dataset, its first pairs are asked too.
+
+    Raises:
+        MethodError: the method cannot be constructed.
+        DatasetError: the dataset is bad.
+    """
+    findings: list[Finding] = []
+    tracker, problem = guarded(spec.create)
+    if problem:
+        return [Finding("is constructed", False, problem)]
+    findings.append(Finding("is constructed", True, ", ".join(f"{k}={v}" for k, v in spec.parameters.items())))
+    if guarded(lambda: callable(getattr(tracker, "track", None)))[0] is not True:
+        return [*findings, Finding("has track()", False, f"{type(tracker).__name__} has none")]
+    questions = _made_up() + (_from_dataset(dataset) if dataset else [])
+    _, fault = neighbours_of(tracker)
+    if fault is not None:
+        findings.append(Finding("says how many neighbours it wants", False, fault))
+    answers = [_ask(tracker, question) for question in questions]
+    for question, answer in zip(questions, answers, strict=True):
+        findings.append(Finding(f"answers {question.name}", answer.status != "error", _words(answer)))
+    usable = [i for i, answer in enumerate(answers) if answer.status != "error"]
+    findings.append(_repeatable(spec, tracker, questions, answers, usable))
+    findings.append(_leaves_input_alone(tracker, questions[0]))
+    if offers(tracker, SupportsBatch) and usable:
+        findings.append(_batch_agrees(tracker, questions[usable[0]], answers[usable[0]]))
+    if offers(tracker, SupportsMatching):
+        findings += [_matches(tracker, question) for question in questions]
+        findings.append(_matches_by_pixel(spec, tracker, questions[0]))
+    _close(tracker)
+    return findings
+
+
+def _close(tracker: Any) -> None:
+    """Programs are asked to end."""
+    close, problem = guarded(lambda: getattr(tracker, "close", None))
+    if problem is None and callable(close):
+        _attempt(close)
+
+
+def _ask(tracker: Any, question: _Question) -> CheckedAnswer:
+    result, problem = _attempt(lambda: tracker.track(_prepared(tracker, question), question.query, None))
+    return broken(problem) if problem else checked(result)
+
+
+def _attempt(call: Callable[[], Any]) -> tuple[Any, str | None]:
+    with messages_to_stderr():
+        value, problem = guarded(call)
+    return value, problem and f"raised {problem} (a failure is returned: TrackResult.failure)"
+
+
+def _prepared(tracker: Any, question: _Question) -> Any:
+    return tracker.prepare(question.reference) if offers(tracker, SupportsPrepare) else question.reference
+
+
+def _repeatable(
+    spec: MethodSpec, tracker: Any, questions: list[_Question], answers: list[CheckedAnswer], usable: list[int]
+) -> Finding:
+    """The same answer again, from the same and from a fresh tracker, with the questions in another order."""
+    name = "gives the same answer whatever was asked before"
+    fresh, unmade = guarded(spec.create)
+    if unmade is not None:
+        return Finding(name, False, f"constructed again, it raised {unmade}")
+    told = None
+    for other in (tracker, fresh):
+        for i in reversed(usable):
+            again = _ask(other, questions[i])
+            if told is None and again.status == "error":
+                told = f"{questions[i].name}: {again.message}"
+            elif told is None and not _same_pose(again, answers[i]):
+                told = f"{questions[i].name}: another pose than the first time"
+    _close(fresh)
+    return Finding(name, told is None, told or "")
+
+
+def _same_pose(a: CheckedAnswer, b: CheckedAnswer) -> bool:
+    if a.T_query_ref is None or b.T_query_ref is None:
+        return a.T_query_ref is b.T_query_ref
+    return bool(np.array_equal(a.T_query_ref, b.T_query_ref))
+
+
+def _leaves_input_alone(tracker: Any, question: _Question) -> Finding:
+    reference, query = question.reference, question.query
+    given: list[NDArray[Any]] = [reference.image, query.image]
+    if reference.depth is not None:
+        given.append(reference.depth)
+    before = [array.copy() for array in given]
+    _ask(tracker, question)
+    kept = all(np.array_equal(was, now) for was, now in zip(before, given, strict=True))
+    return Finding("leaves the images it is given unchanged", kept)
+
+
+def _batch_agrees(tracker: Any, question: _Question, single: CheckedAnswer) -> Finding:
+    name = "track_batch agrees with track"
+    reference, problem = _attempt(lambda: _prepared(tracker, question))
+    if problem is None:
+        with messages_to_stderr():
+            answers, _ = ask(tracker, reference, [question.query] * 2)
+        problem = next((answer.message for answer in answers if answer.status == "error"), None)
+        if problem is None and not all(_close_pose(answer, single) for answer in answers):
+            problem = "another pose than track() by more than 1e-6"
+    return Finding(name, problem is None, problem or "")
+
+
+def _pixels(question: _Question) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Pixels of the reference and starts in the query: a grid that reaches into the corners, and starts beside it."""
+    camera = question.reference.camera
+    u, v = np.meshgrid(np.linspace(0, camera.width - 1, 9), np.linspace(0, camera.height - 1, 7))
+    uv_ref = np.stack([u, v], axis=-1).reshape(-1, 2)
+    return uv_ref, np.clip(uv_ref + np.array([2.5, -1.5]), 0, np.array(camera.size) - 1)
+
+
+def _match(tracker: Any, question: _Question, rows: slice = slice(None)) -> tuple[Any, str | None]:
+    uv_ref, uv_start = (uv[rows].copy() for uv in _pixels(question))
+    ends, problem = _attempt(lambda: tracker.match(_prepared(tracker, question), question.query, uv_ref, uv_start))
+    return checked_pixels(ends, problem, len(uv_ref))
+
+
+def _matches(tracker: Any, question: _Question) -> Finding:
+    ends, problem = _match(tracker, question)
+    told = problem or f"{np.isfinite(ends).all(axis=1).sum()} of {len(ends)} pixels answered"
+    return Finding(f"match answers {question.name}", problem is None, told)
+
+
+def _matches_by_pixel(spec: MethodSpec, tracker: Any, question: _Question) -> Finding:
+    """The same pixels to the last bit, from a fresh tracker, with half of the questions, with none at all."""
+    name = "match answers each pixel by itself, and the same again"
+    fresh, problem = guarded(spec.create)
+    if problem:
+        return Finding(name, False, f"constructed again, it raised {problem}")
+    whole, problem = _match(tracker, question)
+    for other, rows in ((fresh, slice(None)), (tracker, slice(1, None, 2)), (fresh, slice(0, 0))):
+        again, fault = _match(other, question, rows)
+        problem = problem or fault
+        if problem is None and not np.array_equal(again, whole[rows], equal_nan=True):
+            problem = "other pixels than the first time"
+    _close(fresh)
+    return Finding(name, problem is None, problem or "")
+
+
+def _close_pose(a: CheckedAnswer, b: CheckedAnswer) -> bool:
+    if a.T_query_ref is None or b.T_query_ref is None:
+        return a.T_query_ref is b.T_query_ref
+    return bool(np.abs(a.T_query_ref - b.T_query_ref).max() < 1e-6)
+
+
+def _words(answer: CheckedAnswer) -> str:
+    if answer.T_query_ref is None:
+        return f"{'failure: ' if answer.status == 'failed' else ''}{answer.message}"
+    confidence = "" if answer.confidence is None else f", confidence {answer.confidence:.4g}"
+    cut = json.loads(answer.info).get("cut") is True
+    return f"a pose{confidence}{f', info over {INFO_CHARACTERS} characters is not kept' if cut else ''}"
+
+
+def _made_up() -> list[_Question]:
+    """A textured wall seen from 4 m, moved sideways; once with sparse points, once against noise, once in colour."""
+    camera = Camera("pinhole", _WIDTH, _HEIGHT, _FOCAL, _FOCAL, _WIDTH / 2 - 0.5, _HEIGHT / 2 - 0.5)
+    rng = np.random.default_rng(0)
+    texture = _smooth(rng.random((_HEIGHT + 80, _WIDTH + 80)))
+    here, moved = texture[40:-40, 40:-40], texture[40:-40, 45:-35]
+    depth = np.full((_HEIGHT, _WIDTH), _WALL_M, dtype=np.float32)
+    noise = (rng.random((_HEIGHT, _WIDTH)) * 255).astype(np.uint8)
+    dense = Reference("check/dense", 0, here, camera, depth=depth)
+    uv = np.stack(np.meshgrid(np.arange(8.0, _WIDTH - 8, 6), np.arange(8.0, _HEIGHT - 8, 6)), -1).reshape(-1, 2)
+    points = KeyframePoints(uv, np.full(len(uv), 1 / _WALL_M), np.full(len(uv), 1e-3))
+    sparse = Reference("check/sparse", 1, here, camera, sparse_points=points)
+    colour = Reference("check/colour", 2, np.stack([here] * 3, axis=-1), camera, depth=depth)
+    nothing = Reference("check/no-depth", 3, here, camera, depth=np.zeros_like(depth))
+    black = np.zeros((_HEIGHT, _WIDTH), dtype=np.uint8)
+    return [
+        _Question("a pair with dense depth", dense, Query("check/a", 10, moved, camera)),
+        _Question("a pair with sparse points", sparse, Query("check/b", 11, moved, camera)),
+        _Question("a pair in colour", colour, Query("check/c", 12, np.stack([moved] * 3, axis=-1), camera)),
+        _Question("a query that shows nothing known", dense, Query("check/d", 13, noise, camera)),
+        _Question("a black query", dense, Query("check/e", 14, black, camera)),
+        _Question("a keyframe without depth", nothing, Query("check/f", 15, moved, camera)),
+    ]
+
+
+def _smooth(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Noise at several scales, so that corners and slopes are there for any method."""
+    total = np.zeros_like(values)
+    for size in (3, 9, 27):
+        kernel = np.ones(size) / size
+        level = values
+        for axis in (0, 1):
+            level = np.apply_along_axis(np.convolve, axis, level, kernel, mode="same")
+        total += (level - level.mean()) / level.std()
+    scaled = (total - total.min()) / (total.max() - total.min())
+    return np.rint(scaled * 255).astype(np.uint8)
+
+
+def _from_dataset(path: Path) -> list[_Question]:
+    dataset = Dataset(path)
+    for pair_set in dataset.pair_sets():
+        if pair_set.pairs:
+            return [
+                _Question(f"pair {p.key[0]} {p.key[1]}", dataset.reference(pair_set, p), dataset.query(pair_set, p))
+                for p in pair_set.pairs[:2]
+            ]
+    raise DatasetError("holds no pair to try the method on", path)

@@ -1,0 +1,202 @@
+"""Both phases for several methods: run what is missing, then score what is there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.errors import ConfigError
+from relocbench.evaluation.common.asking_options import AskingOptions
+from relocbench.evaluation.common.matching_table import read_matching
+from relocbench.evaluation.common.offers import offers_of
+from relocbench.evaluation.common.opening import opened
+from relocbench.evaluation.common.results import (
+    DatasetResults,
+    MethodResults,
+    dataset_results,
+    read_answers,
+    write_dataset_record,
+)
+from relocbench.evaluation.tracking.external import take_predictions
+from relocbench.evaluation.tracking.matching import match_method
+from relocbench.evaluation.tracking.run import Overwrite, run_method
+from relocbench.evaluation.tracking.score import score_method
+from relocbench.execution import kept_workers
+from relocbench.methods import MethodSpec, parse_methods
+from relocbench.progress import Reporter
+
+
+class EvaluateOptions(AskingOptions):
+    """Fields are options of ``relocbench evaluate`` and keys of its YAML file."""
+
+    task: Literal["tracking"] = "tracking"
+    dataset: Path
+    methods: tuple[str, ...] = ()
+    set: tuple[str, ...] = ()
+    """key=value or LABEL.key=value"""
+    predictions: Path | None = None
+    out: Path = Path("results")
+    split: str | None = None
+    pair_sets: tuple[str, ...] = ()
+    overwrite: Overwrite = "never"
+    matching: bool = False
+    """measure matching quality too, of methods that have ``match`` on pair sets with correspondences"""
+    seed: int = Field(0, ge=0)
+
+    @model_validator(mode="after")
+    def _something_to_do(self) -> Self:
+        if not self.methods and self.predictions is None:
+            raise ValueError("nothing to evaluate: give --method NAME or --predictions DIR")
+        if self.predictions is not None and len(self.methods) > 1:
+            raise ValueError("--predictions takes one --method, the label to keep them under")
+        if self.predictions is not None and self.matching:
+            raise ValueError("--matching asks a method, and predictions are only a file of answers")
+        return self
+
+
+@dataclass(frozen=True)
+class Report:
+    """What an evaluation did."""
+
+    dataset: Dataset
+    pair_sets: list[PairSet]
+    folders: list[MethodResults]
+    results: Path
+    broken: list[tuple[str, str]]
+    """label and message for each method that broke on pairs (rather than saying that it failed)"""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for scripts."""
+        scored = {folder.label: folder.score_record() for folder in self.folders}
+        return {
+            "dataset": self.dataset.name,
+            "fingerprint": self.dataset.fingerprint,
+            "results": str(self.results),
+            "rejected_pairs": {s.name: len(s.rejected) for s in self.pair_sets},
+            "methods": {label: scores.pair_sets for label, scores in scored.items()},
+            "matching": {label: scores.matching for label, scores in scored.items() if scores.matching},
+            "broken": [{"method": label, "message": message} for label, message in self.broken],
+        }
+
+
+def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
+    """Run and score.
+
+    Raises:
+        RelocbenchError: a bad dataset, method, option or prediction.
+    """
+    dataset = opened(options.dataset, options.out)
+    pair_sets = _chosen(dataset, options)
+    # Methods are found and configured before anything is written: a typing error must not leave a folder.
+    specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed)
+    results = dataset_results(options.out, dataset)
+    if options.predictions is not None:
+        label = options.methods[0] if options.methods else options.predictions.resolve().name
+        folders = [take_predictions(dataset, pair_sets, options.predictions, label, results)]
+        write_dataset_record(results, dataset)
+    else:
+        write_dataset_record(results, dataset)
+        with kept_workers():
+            folders = [_run(dataset, pair_sets, spec, results, options, reporter) for spec in specs]
+            if options.matching:
+                _match(dataset, pair_sets, specs, folders, options, reporter)
+    for folder in folders:
+        score_method(dataset, pair_sets, folder)
+    return Report(dataset, pair_sets, folders, results.root, [b for f in folders for b in _broken(f, pair_sets)])
+
+
+def _run(
+    dataset: Dataset,
+    pair_sets: list[PairSet],
+    spec: MethodSpec,
+    results: DatasetResults,
+    options: EvaluateOptions,
+    reporter: Reporter,
+) -> MethodResults:
+    return run_method(
+        dataset,
+        pair_sets,
+        spec,
+        results,
+        overwrite=options.overwrite,
+        run=options.run.sharing(options.out, options.dataset),
+        seed=options.seed,
+        reporter=reporter,
+    )
+
+
+def _match(
+    dataset: Dataset,
+    pair_sets: list[PairSet],
+    specs: list[MethodSpec],
+    folders: list[MethodResults],
+    options: EvaluateOptions,
+    reporter: Reporter,
+) -> None:
+    """Matching quality of the methods that offer it; what is left out is told."""
+    for name in (s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()):
+        reporter.note(f"{name} has no correspondences: no matching quality (build-dataset --correspondences N)")
+    pairs = zip(specs, folders, strict=True)
+    able = [(spec, folder) for spec, folder in pairs if offers_of(spec, options.run).match]
+    unable = [spec.label for spec in specs if spec.label not in {spec.label for spec, _ in able}]
+    if unable:
+        reporter.note(f"no matching quality, for want of match(): {', '.join(unable)}")
+    for spec, folder in able:
+        match_method(
+            dataset,
+            pair_sets,
+            spec,
+            folder,
+            run=options.run.sharing(options.out, options.dataset),
+            seed=options.seed,
+            reporter=reporter,
+        )
+
+
+def _chosen(dataset: Dataset, options: EvaluateOptions) -> list[PairSet]:
+    chosen = dataset.pair_sets(options.split)
+    if options.pair_sets:
+        wanted = [dataset.pair_set(name).name for name in options.pair_sets]
+        chosen = [s for s in chosen if s.name in wanted]
+    if not chosen:
+        raise ConfigError("no pair set is left to evaluate", dataset.root)
+    return chosen
+
+
+def _broken(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
+    return [*_broken_pairs(folder, pair_sets), *_broken_matching(folder, pair_sets)]
+
+
+def _broken_matching(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
+    paths = [path for s in pair_sets if (path := folder.matching(s.name)).exists()]
+    broken = {row.key: row.message for path in paths for row in read_matching(path) if row.message}
+    if not broken:
+        return []
+    key, message = next(iter(broken.items()))
+    told = f"match broke on {len(broken)} pairs, counted as not found; first on {key[0]} {key[1]}: {message}"
+    return [(folder.label, told)]
+
+
+def _broken_pairs(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
+    answers = [
+        answer
+        for pair_set in pair_sets
+        if folder.answers(pair_set.name).exists()
+        for answer in read_answers(folder.answers(pair_set.name)).values()
+    ]
+    broken = [a for a in answers if a.status == "error"]
+    if not broken:
+        return []
+    first = broken[0]
+    return [
+        (
+            folder.label,
+            f"broke on {len(broken)} of {len(answers)} pairs, counted as failures; "
+            f"first on {first.key[0]} {first.key[1]}: {first.message}",
+        )
+    ]

@@ -1,0 +1,309 @@
+"""Predicted (or true) query poses in other tools' formats: TUM and KITTI trajectories, COLMAP models, MLAD zips.
+
+A relative pose becomes an absolute one through the map's pose of its keyframe:
+``T_world_query = T_world_ref @ inv(T_query_ref)``.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey, PoseLine, pose_fields, pose_line_fields, read_pose_lines
+from relocbench.datasets.core.traversal import Traversal
+from relocbench.errors import DatasetError, PredictionError
+from relocbench.evaluation.common.results import DatasetResults
+from relocbench.evaluation.tracking.score import read_predictions
+from relocbench.files import atomic_write, write_text
+from relocbench.geometry import Camera, apply, invert, transform_to_tq
+
+Array = NDArray[np.float64]
+ExportFormat = Literal["tum", "kitti", "colmap", "mlad"]
+_ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
+_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class QueryPose:
+    """The absolute pose of a query camera, in the frame of the reference traversal's map."""
+
+    query_timestamp_ns: int
+    ref_timestamp_ns: int
+    """the keyframe that it was found against"""
+    T_world_query: Array
+    """(4, 4)"""
+
+
+def export_poses(
+    dataset: Dataset,
+    pair_sets: Sequence[str],
+    format: ExportFormat,
+    out: Path,
+    results: Path,
+    method: str | None,
+    relocalization_files: Sequence[Path] = (),
+) -> list[Path]:
+    """Export pair sets of a dataset; the files or folders that were written are returned.
+
+    Args:
+        out: folder for ``PAIRSET.txt`` (tum, kitti) or ``PAIRSET/`` (colmap); for mlad the zip itself.
+        results: the results folder that holds the predictions.
+        method: whose predictions; None for the ground truth.
+        relocalization_files: for mlad, the challenge's files whose names and line order the zip takes.
+
+    Raises:
+        PredictionError: no such predictions, none with a pose, or ground truth that is withheld.
+    """
+    lines = {name: _lines_of(dataset, name, results, method) for name in pair_sets}
+    if format == "mlad":
+        export_mlad(dataset, lines, out, relocalization_files)
+        return [out]
+    written = []
+    for name, predictions in lines.items():
+        path = out / (name if format == "colmap" else f"{name}.txt")
+        _EXPORTERS[format](dataset, name, predictions, path)
+        written.append(path)
+    return written
+
+
+def _lines_of(dataset: Dataset, pair_set: str, results: Path, method: str | None) -> list[PoseLine]:
+    if method is None:
+        lines = truth_lines(dataset, pair_set)
+        if not lines:
+            raise PredictionError(f"the ground truth of '{pair_set}' is withheld; name a method", dataset.root)
+        return lines
+    folder = DatasetResults(results / f"{dataset.name}@{dataset.fingerprint[:SHORT]}")
+    known = [m.label for m in folder.methods()]
+    if method not in known:
+        raise PredictionError(f"no predictions of '{method}'; there are {', '.join(known) or 'none'}", folder.root)
+    poses = read_predictions(folder.method(method).predictions(pair_set), dataset.pair_set(pair_set))
+    return [PoseLine(*key, pose) for key, pose in poses.items()]
+
+
+def truth_lines(dataset: Dataset, pair_set: str) -> list[PoseLine]:
+    """The ground truth of a pair set in the form of predictions; pairs whose truth is withheld are not among them."""
+    pairs = dataset.pair_set(pair_set).pairs
+    return [PoseLine(*p.key, p.T_query_ref) for p in pairs if p.T_query_ref is not None]
+
+
+def query_poses(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine]) -> list[QueryPose]:
+    """Absolute poses in time order, one a query.
+
+    Of several answers for one query, the one whose keyframe is the nearest by the answer itself is taken.
+
+    Raises:
+        PredictionError: a pair that is not in the set, or none with a pose.
+        DatasetError: the map has no pose of a keyframe.
+    """
+    chosen = dataset.pair_set(pair_set)
+    best: dict[int, PoseLine] = {}
+    for line in _answered(chosen, predictions):
+        known = best.get(line.query_timestamp_ns)
+        if known is None or _reach(line) < _reach(known):
+            best[line.query_timestamp_ns] = line
+    if not best:
+        raise PredictionError(f"no pair of '{pair_set}' has a pose: there is nothing to export")
+    reference = dataset.traversal(chosen.reference)
+    return [
+        QueryPose(
+            time,
+            line.ref_timestamp_ns,
+            reference.T_world_cam(chosen.camera, line.ref_timestamp_ns) @ invert(_pose(line)),
+        )
+        for time, line in sorted(best.items())
+    ]
+
+
+def export_tum(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine], out: Path) -> int:
+    """A TUM trajectory, ``t tx ty tz qx qy qz qw``, seconds with nine decimals, world from camera; returns its length.
+
+    Raises:
+        PredictionError, DatasetError: see :func:`query_poses`.
+    """
+    poses = query_poses(dataset, pair_set, predictions)
+    lines = [f"{_seconds(p.query_timestamp_ns)} {' '.join(pose_fields(p.T_world_query))}\n" for p in poses]
+    write_text(out, "".join(lines))
+    return len(poses)
+
+
+def export_kitti(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine], out: Path) -> int:
+    """KITTI poses, the upper three rows of ``T_world_query`` on a line; returns their number.
+
+    The format has no times: they stand, in seconds, in ``NAME.times.txt`` beside it.
+
+    Raises:
+        PredictionError, DatasetError: see :func:`query_poses`.
+    """
+    poses = query_poses(dataset, pair_set, predictions)
+    write_text(out, "".join(" ".join(map(_digits, p.T_world_query[:3].ravel())) + "\n" for p in poses))
+    write_text(out.with_suffix(".times.txt"), "".join(f"{_seconds(p.query_timestamp_ns)}\n" for p in poses))
+    return len(poses)
+
+
+def export_colmap(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine], out: Path) -> int:
+    """A COLMAP text model in the folder ``out``: keyframes as the map has them, queries as predicted.
+
+    ``images.txt`` holds cam-from-world poses with ``QW QX QY QZ``; pixels and principal points are moved by half a
+    pixel to COLMAP's centres. Sparse keyframe points become ``points3D.txt``; from dense depth it stays empty. Image
+    names are paths below the dataset's ``traversals``. A frame that is keyframe and query at once (pairs within one
+    traversal) stands as the map has it. Returns the number of queries.
+
+    Raises:
+        PredictionError, DatasetError: see :func:`query_poses`.
+    """
+    poses = query_poses(dataset, pair_set, predictions)
+    chosen = dataset.pair_set(pair_set)
+    reference, query = dataset.traversal(chosen.reference), dataset.traversal(chosen.query)
+    model = _ColmapModel(chosen.camera)
+    keyframes = sorted({p.ref_timestamp_ns for p in poses})
+    for time in keyframes:
+        model.add_image(reference, time, reference.T_world_cam(chosen.camera, time), with_points=True)
+    for pose in poses:
+        if query.name != reference.name or pose.query_timestamp_ns not in keyframes:
+            model.add_image(query, pose.query_timestamp_ns, pose.T_world_query, with_points=False)
+    write_text(out / "cameras.txt", "".join(line + "\n" for line in model.cameras.values()))
+    write_text(out / "images.txt", "".join(line + "\n" for line in model.images))
+    write_text(out / "points3D.txt", "".join(line + "\n" for line in model.points))
+    return len(poses)
+
+
+def export_mlad(
+    dataset: Dataset,
+    predictions: Mapping[str, Sequence[PoseLine]],
+    out: Path,
+    relocalization_files: Sequence[Path] = (),
+) -> int:
+    """A submission to the MLAD challenges: one zip with a text file for each pair file in its root.
+
+    Args:
+        predictions: pair set -> its predictions.
+        relocalization_files: the challenge's own files. Where given, the zip holds files of their names with their
+            lines in their order, as far as they are answered; otherwise one file for each pair set.
+
+    The same predictions give the same bytes. Returns the number of poses written.
+
+    Raises:
+        PredictionError: a pair that is not in its set, a file none of whose pairs is answered.
+        DatasetError: two relocalization files of one name.
+    """
+    answered = {name: _answered(dataset.pair_set(name), lines) for name, lines in sorted(predictions.items())}
+    texts: dict[str, list[PoseLine]] = {}
+    if relocalization_files:
+        by_key: dict[PairKey, PoseLine] = {line.key: line for lines in answered.values() for line in lines}
+        for file in relocalization_files:
+            if file.name in texts:
+                raise DatasetError("a second relocalization file of this name; a submission needs different ones", file)
+            texts[file.name] = [by_key[asked.key] for asked in read_pose_lines(file) if asked.key in by_key]
+            if not texts[file.name]:
+                raise PredictionError("no pair of this file is answered", file)
+    else:
+        texts = {f"{name}.txt": lines for name, lines in answered.items()}
+    with atomic_write(out, "wb") as stream, zipfile.ZipFile(stream, "w") as archive:
+        for name, lines in sorted(texts.items()):
+            entry = zipfile.ZipInfo(name, _ZIP_EPOCH)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, "".join(" ".join(pose_line_fields(line)) + "\n" for line in lines))
+    return sum(map(len, texts.values()))
+
+
+class _ColmapModel:
+    """Lines of the three text files of one model."""
+
+    def __init__(self, camera: str) -> None:
+        self.camera = camera
+        self.cameras: dict[Camera, str] = {}
+        self.images: list[str] = []
+        self.points: list[str] = []
+
+    def add_image(self, traversal: Traversal, time: int, T_world_cam: Array, *, with_points: bool) -> None:
+        """One image: its pose on a line, its points on the next."""
+        image_id = len(self.images) // 2 + 1
+        path = traversal.layout.find_image(self.camera, time) or traversal.layout.image(self.camera, time)
+        name = path.relative_to(traversal.layout.root.parent).as_posix()
+        translation, (qx, qy, qz, qw) = transform_to_tq(invert(T_world_cam))
+        pose = " ".join(map(_digits, (qw, qx, qy, qz, *translation)))
+        camera = traversal.camera(self.camera)
+        self.images.append(f"{image_id} {pose} {self._camera_id(camera)} {name}")
+        seen = self._add_points(traversal, time, T_world_cam, image_id) if with_points else []
+        self.images.append(" ".join(seen))
+
+    def _add_points(self, traversal: Traversal, time: int, T_world_cam: Array, image_id: int) -> list[str]:
+        """Sparse points of a keyframe, each seen by it alone; their entries on the image's line."""
+        points = traversal.points(self.camera, time)
+        if points is None or not len(points):
+            return []
+        rays, valid = traversal.camera(self.camera).unproject(points.uv)
+        valid = valid & (rays[:, 2] > 0)
+        rays = rays[valid] / rays[valid][:, 2:]
+        in_world = apply(T_world_cam, rays / points.inverse_depth[valid, None])
+        entries = []
+        for index, (point, (u, v)) in enumerate(zip(in_world, points.uv[valid], strict=True)):
+            point_id = len(self.points) + 1
+            xyz = " ".join(map(_digits, point))
+            self.points.append(f"{point_id} {xyz} 128 128 128 0 {image_id} {index}")
+            entries.append(f"{_digits(u + 0.5)} {_digits(v + 0.5)} {point_id}")
+        return entries
+
+    def _camera_id(self, camera: Camera) -> int:
+        if camera not in self.cameras:
+            self.cameras[camera] = f"{len(self.cameras) + 1} {colmap_camera(camera)}"
+        return list(self.cameras).index(camera) + 1
+
+
+def colmap_camera(camera: Camera) -> str:
+    """``MODEL WIDTH HEIGHT PARAMS...`` of a line of ``cameras.txt``."""
+    k = [camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5]
+    distortion = list(camera.distortion)
+    if camera.model == "pinhole":
+        model = "PINHOLE"
+    elif camera.model == "equidistant":
+        model = "OPENCV_FISHEYE"
+    elif len(distortion) == 4:
+        model = "OPENCV"
+    else:
+        model, distortion = "FULL_OPENCV", [*distortion, *[0.0] * (8 - len(distortion))]
+    return f"{model} {camera.width} {camera.height} {' '.join(map(_digits, [*k, *distortion]))}"
+
+
+def _answered(pair_set: PairSet, predictions: Sequence[PoseLine]) -> list[PoseLine]:
+    for line in predictions:
+        if line.key not in pair_set.by_key:
+            raise PredictionError(f"pair {line.key[0]} {line.key[1]} is not in the pair set '{pair_set.name}'")
+    return [line for line in predictions if line.T_query_ref is not None]
+
+
+def _pose(line: PoseLine) -> Array:
+    assert line.T_query_ref is not None
+    return line.T_query_ref
+
+
+def _reach(line: PoseLine) -> float:
+    """Metres from the keyframe to the query, as predicted."""
+    return float(np.linalg.norm(_pose(line)[:3, 3]))
+
+
+def _seconds(timestamp_ns: int) -> str:
+    """Decimal seconds, exact to the nanosecond."""
+    return f"{timestamp_ns // _NS}.{timestamp_ns % _NS:09d}"
+
+
+def _digits(value: float) -> str:
+    """The fewest digits that read back to the same number."""
+    return repr(float(value) + 0.0)
+
+
+_EXPORTERS: dict[str, Callable[[Dataset, str, Sequence[PoseLine], Path], int]] = {
+    "tum": export_tum,
+    "kitti": export_kitti,
+    "colmap": export_colmap,
+}

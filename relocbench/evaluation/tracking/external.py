@@ -1,0 +1,101 @@
+"""The third door: predictions made elsewhere, in the nine columns, taken into a results folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
+from relocbench.errors import PredictionError
+from relocbench.evaluation.common.results import (
+    Answer,
+    DatasetResults,
+    MethodResults,
+    RunRecord,
+    read_answers,
+    write_answers,
+    write_record,
+)
+from relocbench.evaluation.tracking.score import read_predictions
+from relocbench.files import load_yaml
+
+
+def take_predictions(
+    dataset: Dataset, pair_sets: list[PairSet], source: Path, label: str, results: DatasetResults
+) -> MethodResults:
+    """Check a folder of ``PAIRSET.txt`` (and optional ``PAIRSET.csv``) and keep it under ``label``.
+
+    A ``run.yaml`` beside them must name this dataset's fingerprint. Pairs of a set that the file does not answer
+    have failed.
+
+    Raises:
+        PredictionError: with file and line: no prediction file, one for a pair set that is not there, an unknown or
+            duplicate pair, another dataset's fingerprint, or the label is taken by other predictions.
+    """
+    if not source.is_dir():
+        raise PredictionError("no such folder; expected prediction files PAIRSET.txt", source)
+    theirs = MethodResults(source)
+    record = _their_record(theirs, dataset, label)
+    wanted = {s.name: s for s in pair_sets}
+    files = sorted(source.glob("*.txt"))
+    if not files:
+        raise PredictionError("holds no prediction file (PAIRSET.txt)", source)
+    for path in files:
+        if path.stem not in dataset.pair_set_names:
+            known = ", ".join(dataset.pair_set_names)
+            raise PredictionError(f"no pair set '{path.stem}' in {dataset.name}; there is {known}", path)
+    ours = results.method(label)
+    if source.resolve() == ours.root.resolve():
+        return ours
+    if ours.run_yaml.exists() and ours.run_record().target != record.target:
+        raise PredictionError(f"holds predictions of '{ours.run_record().target}'; choose another label", ours.run_yaml)
+    checked = [(path.stem, *_checked(theirs, path, wanted[path.stem])) for path in files if path.stem in wanted]
+    for name, lines, answers in checked:
+        write_pose_lines(ours.predictions(name), lines)
+        write_answers(ours.answers(name), answers)
+    write_record(ours.run_yaml, record)
+    return ours
+
+
+def _checked(theirs: MethodResults, path: Path, pair_set: PairSet) -> tuple[list[PoseLine], list[Answer]]:
+    poses = read_predictions(path, pair_set)
+    table = theirs.answers(pair_set.name)
+    given = read_answers(table) if table.exists() else {}
+    for key in given:
+        if key not in pair_set.by_key:
+            raise PredictionError(f"unknown pair {key[0]} {key[1]}", table)
+    lines = [PoseLine(*p.key, poses[p.key]) for p in pair_set.pairs if p.key in poses]
+    answers = [
+        given.get(p.key) or Answer(p.key, "ok" if p.key in poses else "failed", message=_missing(p.key in poses))
+        for p in pair_set.pairs
+    ]
+    return lines, answers
+
+
+def _missing(answered: bool) -> str:
+    return "" if answered else "not in the prediction file"
+
+
+def _their_record(theirs: MethodResults, dataset: Dataset, label: str) -> RunRecord:
+    target = f"predictions:{theirs.root.name}"
+    if not theirs.run_yaml.exists():
+        return RunRecord(
+            method=label,
+            target=target,
+            dataset=dataset.name,
+            fingerprint=dataset.fingerprint,
+            question=dataset.question,
+        )
+    record = load_yaml(theirs.run_yaml, RunRecord, "the record of a run", PredictionError)
+    told: dict[str, str] = {"method": label}
+    if record.fingerprint != dataset.fingerprint and record.question == dataset.question:
+        # Another machine's copy: images differ in last digits, the question is the same.
+        told |= {"fingerprint": dataset.fingerprint, "answered_on": record.fingerprint}
+    elif record.fingerprint != dataset.fingerprint:
+        raise PredictionError(
+            f"predictions are for {record.dataset}@{record.fingerprint[:12]}, "
+            f"the dataset is {dataset.name}@{dataset.fingerprint[:12]}",
+            theirs.run_yaml,
+        )
+    return record.model_copy(update=told)

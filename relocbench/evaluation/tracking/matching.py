@@ -1,0 +1,254 @@
+"""Ask a method where single pixels are: from starts a known distance off the truth, how often does it get there?
+
+The starts are the same for every method and every run: they depend on the pair alone. Like answers to pairs, results go
+to a journal at once, and a complete pair set is written whole.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.datasets.pairs.correspondences import Correspondences, read_correspondences
+from relocbench.errors import PredictionError, one_line
+from relocbench.evaluation.common.answers import checked_pixels
+from relocbench.evaluation.common.guard import guarded
+from relocbench.evaluation.common.lost_pairs import LostPairs, ask_all
+from relocbench.evaluation.common.matching_table import (
+    OFFSETS_PX,
+    Found,
+    MatchingRow,
+    check_complete,
+    read_matching,
+    write_matching,
+)
+from relocbench.evaluation.common.results import MethodResults
+from relocbench.evaluation.common.worker import (
+    Unit,
+    journal_entries,
+    open_journal,
+    prepared,
+    query_of,
+    read_only,
+    tracker_of,
+    traversal_of,
+    units_of,
+)
+from relocbench.evaluation.tracking.run import new_record, refuse_mixture
+from relocbench.execution import MANY_TIMES, Run, step
+from relocbench.files import alone_in
+from relocbench.geometry import Camera
+from relocbench.methods import MethodSpec
+from relocbench.metrics import matching_quality
+from relocbench.progress import Reporter
+
+Array = NDArray[np.float64]
+
+PER_PAIR = 200
+"""visible correspondences of a pair that are asked about, each from every offset"""
+_SEED = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """What a method is asked about one pair, and the truth, which it is not shown."""
+
+    uv_ref: Array
+    """(N, 2) pixels of the reference"""
+    uv_query: Array
+    """(N, 2) the true pixels of the query"""
+    offset_px: NDArray[np.int64]
+    """(N,) how far the start is from the truth"""
+    uv_start: Array
+    """(N, 2)"""
+
+    def __len__(self) -> int:
+        return len(self.offset_px)
+
+
+def draw_starts(
+    known: Correspondences,
+    query: Camera,
+    key: PairKey,
+    per_pair: int = PER_PAIR,
+    offsets_px: Sequence[int] = OFFSETS_PX,
+    seed: int = _SEED,
+) -> Starts:
+    """Up to ``per_pair`` of a pair's visible correspondences, each with a start at every offset, direction at random.
+
+    A start that would lie outside the query's image is turned about the truth by quarters until it lies inside, so that
+    a pixel near the border is not lost by the question.
+    """
+    rng = np.random.default_rng([seed, *(time % 2**64 for time in key)])
+    visible = np.nonzero(known.visible)[0]
+    rows = np.sort(rng.choice(visible, min(per_pair, len(visible)), replace=False))
+    n, k = len(rows), len(offsets_px)
+    offset = np.repeat(np.asarray(offsets_px, dtype=np.int64), n)
+    uv_ref, uv_query = np.tile(known.uv_ref[rows], (k, 1)), np.tile(known.uv_query[rows], (k, 1))
+    angle = rng.uniform(0.0, 2 * np.pi, k * n)
+    step = offset[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    limit = np.array([query.width - 1, query.height - 1])
+    for _ in range(3):
+        outside = np.any((uv_query + step < 0) | (uv_query + step > limit), axis=1)
+        step[outside] = step[outside] @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    return Starts(uv_ref, uv_query, offset, uv_query + step)
+
+
+def match_method(
+    dataset: Dataset,
+    pair_sets: Sequence[PairSet],
+    spec: MethodSpec,
+    folder: MethodResults,
+    *,
+    run: Run = Run(),
+    seed: int = 0,
+    reporter: Reporter,
+) -> None:
+    """Measure what is missing of a method's matching quality; pair sets without correspondences are passed over.
+
+    Args:
+        folder: of the method, whose pairs were run before.
+        seed: of the run, to tell whether the folder was made with the same parameters. The starts do not depend on it.
+
+    Raises:
+        PredictionError: the folder was made with other parameters or versions, or holds a bad ``PAIRSET.matching.csv``.
+        DatasetError: an image or a correspondence file is bad.
+    """
+    with_truth = [s for s in pair_sets if dataset.layout.correspondence_file(s.name).exists()]
+    todo = {s.name: _open_pairs(folder, s) for s in with_truth}
+    left = [s for s in with_truth if not folder.matching(s.name).exists()]
+    if not left:
+        return
+    refuse_mixture(folder, new_record(dataset, spec, run.workers, seed), work_left=True)
+
+    def open_units() -> list[Unit]:
+        # All pair sets at once: starting worker processes for each would take longer than the work.
+        return [
+            unit
+            for pair_set in left
+            for unit in units_of(dataset, pair_set, spec, _journal(folder, pair_set), _open_pairs(folder, pair_set))
+        ]
+
+    with ExitStack() as alone:
+        for pair_set in left:
+            alone.enter_context(alone_in(_journal(folder, pair_set), PredictionError))
+        with reporter.stage(f"{spec.label}, matching on {dataset.name}", sum(map(len, todo.values()))) as advance:
+            ask_all(_match_unit, open_units, LostPairs(_write_broken), run, advance)
+        for pair_set in left:
+            _collect(pair_set, folder)
+
+
+def _journal(folder: MethodResults, pair_set: PairSet) -> Path:
+    journal = folder.matching_journal(pair_set.name)
+    journal.mkdir(parents=True, exist_ok=True)
+    return journal
+
+
+def _collect(pair_set: PairSet, folder: MethodResults) -> None:
+    """Journal -> ``PAIRSET.matching.csv``, in the pair set's order."""
+    journal = folder.matching_journal(pair_set.name)
+    entries = {entry["key"]: entry for entry in journal_entries(journal)}
+    rows = [
+        MatchingRow(pair.key, pair.group, Found(*counts), entries[pair.key]["message"])
+        for pair in pair_set.pairs
+        for counts in entries[pair.key]["found"]
+    ]
+    write_matching(folder.matching(pair_set.name), rows)
+    shutil.rmtree(journal, ignore_errors=True)
+    if journal.parent.is_dir() and not any(journal.parent.iterdir()):
+        journal.parent.rmdir()
+
+
+def _open_pairs(folder: MethodResults, pair_set: PairSet) -> list[PairKey]:
+    """The pairs of a set that are still to be measured."""
+    path = folder.matching(pair_set.name)
+    if path.exists():
+        check_complete(read_matching(path), [p.key for p in pair_set.pairs], path)
+        return []
+    done = {entry["key"] for entry in journal_entries(folder.matching_journal(pair_set.name))}
+    return [p.key for p in pair_set.pairs if p.key not in done]
+
+
+def _match_unit(unit: Unit) -> int:
+    """Measure the pairs of a unit; returns how many. Runs in a worker."""
+    tracker = tracker_of(unit.spec)
+    reference, broke = prepared(unit, tracker)
+    with open_journal(unit.journal) as stream:
+        for key in unit.keys:
+            starts = _starts(unit, key)
+            ends, message = (None, broke) if broke else _ask(tracker, reference, unit, key, starts)
+            stream.write(json.dumps(_entry(key, starts, ends, message)) + "\n")
+            stream.flush()
+    return len(unit.keys)
+
+
+def _starts(unit: Unit, key: PairKey) -> Starts:
+    name = pair_set_name(unit.reference, unit.query, unit.camera)
+    known = read_correspondences(_correspondence_file(unit.dataset, name), key)
+    return draw_starts(known, traversal_of(unit.dataset, unit.query).file.cameras[unit.camera].camera, key)
+
+
+def _correspondence_file(dataset: Path, pair_set: str) -> Path:
+    return DatasetLayout(dataset).correspondence_file(pair_set)
+
+
+def _ask(tracker: Any, reference: Any, unit: Unit, key: PairKey, starts: Starts) -> tuple[Array | None, str | None]:
+    """Where the method ends (N, 2), or None and how it broke."""
+    if not len(starts):
+        return None, None
+    query = query_of(unit, key)
+    uv_ref, uv_start = read_only(starts.uv_ref), read_only(starts.uv_start)
+    with step("", (key,), _times(unit.spec)):
+        ends, broke = guarded(lambda: tracker.match(reference, query, uv_ref, uv_start))
+        return checked_pixels(ends, broke, len(starts))
+
+
+def _entry(key: PairKey, starts: Starts, ends: Array | None, message: str | None) -> dict[str, Any]:
+    """One line of the journal; a method that broke has found nothing."""
+    where = np.full((len(starts), 2), np.nan) if ends is None else ends
+    found = [_count(offset, starts, where) for offset in OFFSETS_PX]
+    return {
+        "key": list(key),
+        "found": [astuple(f) for f in found],
+        "message": one_line(message or ""),
+    }
+
+
+def _count(offset: int, starts: Starts, ends: Array) -> Found:
+    rows = starts.offset_px == offset
+    count = int(rows.sum())
+    if not count:
+        return Found(offset, 0, 0, 0, 0, 0, 0)
+    quality = matching_quality(ends[rows], starts.uv_query[rows], starts.uv_start[rows] - starts.uv_query[rows])
+    shares = [(share["match@1px"], share["match@3px"]) for share in (quality.share, quality.start_share)]
+    (near, nearer_than_3), (start_near, start_3) = [(round(a * count), round(b * count)) for a, b in shares]
+    answered = int(np.isfinite(ends[rows]).all(axis=1).sum())
+    return Found(offset, count, answered, near, nearer_than_3, start_near, start_3)
+
+
+_warm: set[str] = set()
+
+
+def _times(spec: MethodSpec) -> float:
+    """How many times the time limit a call may take: the first of a process may compile."""
+    first = repr(spec) not in _warm
+    _warm.add(repr(spec))
+    return MANY_TIMES if first else 1.0
+
+
+def _write_broken(unit: Unit, key: PairKey, message: str) -> None:
+    """A pair that is lost, and how."""
+    with open_journal(unit.journal) as stream:
+        stream.write(json.dumps(_entry(key, _starts(unit, key), None, message)) + "\n")

@@ -1,0 +1,328 @@
+"""Phase one: ask a method about every pair and keep what it answers.
+
+Every answer goes to a journal at once, so that a killed run loses only the pair in hand; a complete pair set is
+written whole and its journal removed. Nothing here knows the ground truth: workers get timestamps alone.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import platform
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey, number_fields, parse_pose_numbers
+from relocbench.datasets.core.writer import versions
+from relocbench.errors import PredictionError
+from relocbench.evaluation.common.answers import CheckedAnswer, ask, broken
+from relocbench.evaluation.common.guard import offers
+from relocbench.evaluation.common.lost_pairs import LostPairs, ask_all
+from relocbench.evaluation.common.offers import can_be_made
+from relocbench.evaluation.common.results import (
+    Answer,
+    DatasetResults,
+    MethodResults,
+    RunRecord,
+    read_answers,
+    write_answers,
+    write_record,
+)
+from relocbench.evaluation.common.worker import (
+    Unit,
+    journal_entries,
+    open_journal,
+    prepared,
+    query_of,
+    tracker_of,
+    units_of,
+)
+from relocbench.execution import MANY_TIMES, Run, chunks, default_workers, kept_workers, step
+from relocbench.files import alone_in, read_rows, remove_parts, write_text
+from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
+from relocbench.progress import Reporter
+from relocbench.tracking import Query, SupportsBatch
+
+Overwrite = Literal["never", "failed", "always"]
+_BATCH = 8
+
+
+def run_method(
+    dataset: Dataset,
+    pair_sets: Sequence[PairSet],
+    spec: MethodSpec,
+    results: DatasetResults,
+    *,
+    overwrite: Overwrite = "never",
+    run: Run = Run(),
+    seed: int = 0,
+    reporter: Reporter,
+) -> MethodResults:
+    """Run what is missing of a method's predictions.
+
+    A method that takes more than the limits, or ends its process, breaks on the pair in hand; one that cannot even be
+    constructed without, on all its pairs.
+
+    Args:
+        overwrite: ``never`` keeps every answer there is, ``failed`` asks again where the method failed or broke,
+            ``always`` starts anew.
+
+    Raises:
+        PredictionError: the folder holds answers of the same label made with other parameters or versions, or
+            another process is writing them.
+        MethodError: answers are to be made anew by a method that cannot be made.
+        DatasetError: an image, depth or description of the dataset is bad.
+    """
+    folder = results.method(spec.label)
+    record = new_record(dataset, spec, run.workers, seed)
+    if overwrite == "always":
+        # A method that cannot be made, over a mistyped path of weights say, costs no answers.
+        if _has_answers(folder) and (fault := can_be_made(spec, run)):
+            reporter.note(f"{spec.label} keeps the answers that it has: {fault}")
+            return folder
+        _clear(folder, pair_sets)
+    todo = {s.name: _open_pairs(folder, s, overwrite) for s in pair_sets}
+    refuse_mixture(folder, record, work_left=any(todo.values()))
+    if not any(todo.values()) and all(folder.complete(s.name) for s in pair_sets):
+        return folder
+    folder.root.mkdir(parents=True, exist_ok=True)
+    if not folder.run_yaml.exists():
+        write_record(folder.run_yaml, record)
+    stage = reporter.stage(f"{spec.label} on {dataset.name}", sum(map(len, todo.values())))
+    lost = LostPairs(_write_broken)
+    with stage as advance, kept_workers():
+        for pair_set in pair_sets:
+            _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, run, advance)
+    started = folder.run_record().start
+    write_record(folder.run_yaml, record.model_copy(update={"start": started, "end": now()}))
+    return folder
+
+
+def _run_pair_set(
+    dataset: Dataset,
+    pair_set: PairSet,
+    spec: MethodSpec,
+    folder: MethodResults,
+    todo: list[PairKey],
+    lost: LostPairs[Unit],
+    run: Run,
+    advance: Callable[[int], None],
+) -> None:
+    if not todo and folder.complete(pair_set.name):
+        return
+    journal = folder.journal(pair_set.name)
+    journal.mkdir(parents=True, exist_ok=True)
+
+    def open_units() -> list[Unit]:
+        answered = {entry["key"] for entry in journal_entries(journal)}
+        return units_of(dataset, pair_set, spec, journal, [key for key in todo if key not in answered])
+
+    with alone_in(journal, PredictionError):
+        ask_all(_run_unit, open_units, lost, run, advance)
+        _collect(pair_set, folder, journal)
+
+
+def _run_unit(unit: Unit) -> int:
+    """Answer the pairs of a unit; returns how many. Runs in a worker."""
+    tracker = tracker_of(unit.spec)
+    reference, broke = prepared(unit, tracker)
+    with open_journal(unit.journal) as stream:
+        for batch in chunks(unit.keys, _BATCH if offers(tracker, SupportsBatch) else 1):
+            views = [query_of(unit, key) for key in batch]
+            seconds: float | None
+            if broke is not None:
+                answered, seconds = [broken(broke)] * len(batch), None
+            else:
+                _warm_up(tracker, reference, views[0], unit.spec, batch)
+                with step("", tuple(batch), _times(unit.spec, len(batch))):
+                    answered, seconds = ask(tracker, reference, views)
+            each = None if seconds is None else seconds / len(batch)
+            for key, answer in zip(batch, answered, strict=True):
+                stream.write(json.dumps(_entry(key, answer, each)) + "\n")
+            stream.flush()
+    return len(unit.keys)
+
+
+_warm: set[str] = set()
+
+
+def _times(spec: MethodSpec, count: int) -> float:
+    """How many times the time limit a call may take: a program is started by its first."""
+    first = repr(spec) not in _warm
+    _warm.add(repr(spec))
+    return MANY_TIMES if first else min(float(count), MANY_TIMES)
+
+
+def _warm_up(tracker: Any, reference: Any, view: Query, spec: MethodSpec, keys: Sequence[PairKey]) -> None:
+    """Compilation and first allocations are not the method's speed: one call a process goes untimed."""
+    if repr(spec) in _warm or spec.target.startswith(SUBPROCESS):
+        return
+    _warm.add(repr(spec))
+    with step("", tuple(keys), MANY_TIMES):
+        ask(tracker, reference, [view])
+
+
+def _entry(key: PairKey, answer: CheckedAnswer, seconds: float | None) -> dict[str, Any]:
+    return {
+        "key": list(key),
+        "pose": answer.pose,
+        "status": answer.status,
+        "seconds": seconds,
+        "confidence": answer.confidence,
+        "message": answer.message,
+        "info": answer.info,
+    }
+
+
+def _write_broken(unit: Unit, key: PairKey, message: str) -> None:
+    """A pair that is lost, and how."""
+    with open_journal(unit.journal) as stream:
+        stream.write(json.dumps(_entry(key, broken(message), None)) + "\n")
+
+
+def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
+    """Journal, and earlier answers that were kept -> prediction file and table, in the pair set's order."""
+    entries = {entry["key"]: entry for entry in _kept_entries(folder, pair_set)}
+    entries |= {entry["key"]: entry for entry in journal_entries(journal)}
+    lines, answers = [], []
+    for pair in pair_set.pairs:
+        entry = entries[pair.key]
+        if entry["pose"] is not None:
+            lines.append(" ".join([*map(str, pair.key), *number_fields(entry["pose"])]) + "\n")
+        answers.append(
+            Answer(pair.key, entry["status"], entry["seconds"], entry["confidence"], entry["message"], entry["info"])
+        )
+    write_text(folder.predictions(pair_set.name), "".join(lines))
+    write_answers(folder.answers(pair_set.name), answers)
+    shutil.rmtree(journal)
+    if not any(journal.parent.iterdir()):
+        journal.parent.rmdir()
+
+
+def _open_pairs(folder: MethodResults, pair_set: PairSet, overwrite: Overwrite) -> list[PairKey]:
+    """The pairs of a set that the method is still to be asked about."""
+    done = {e["key"] for e in _kept_entries(folder, pair_set)} if folder.complete(pair_set.name) else set()
+    if overwrite == "failed" and done:
+        answers = read_answers(folder.answers(pair_set.name))
+        done = {key for key in done if answers[key].status == "ok"}
+    done |= {entry["key"] for entry in journal_entries(folder.journal(pair_set.name))}
+    return [p.key for p in pair_set.pairs if p.key not in done]
+
+
+def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str, Any]]:
+    """Answers of a pair set that was completed before, as journal entries."""
+    from relocbench.evaluation.tracking.score import read_predictions
+
+    if not folder.complete(pair_set.name):
+        return
+    path = folder.predictions(pair_set.name)
+    read_predictions(path, pair_set)
+    # The numbers as they stand: what is kept is written again to the same bytes.
+    poses = {
+        (int(fields[0]), int(fields[1])): parse_pose_numbers(fields[2:], path, number, PredictionError)
+        for number, fields in read_rows(path, "predictions", PredictionError)
+    }
+    for key, answer in read_answers(folder.answers(pair_set.name)).items():
+        if key not in pair_set.by_key:
+            raise PredictionError(f"unknown pair {key[0]} {key[1]}", folder.answers(pair_set.name))
+        yield {
+            "key": key,
+            "pose": poses.get(key),
+            "status": answer.status,
+            "seconds": answer.seconds,
+            "confidence": answer.confidence,
+            "message": answer.message,
+            "info": answer.info,
+        }
+
+
+def new_record(dataset: Dataset, spec: MethodSpec, workers: int, seed: int) -> RunRecord:
+    """What a run that begins now would say of itself."""
+    return RunRecord(
+        dataset=dataset.name, fingerprint=dataset.fingerprint, question=dataset.question, **made_by(spec, workers, seed)
+    )
+
+
+def made_by(spec: MethodSpec, workers: int, seed: int) -> dict[str, Any]:
+    """What a record of a run says of method and machine; it begins now."""
+    return {
+        "method": spec.label,
+        "target": spec.target,
+        "parameters": json.loads(json.dumps(dict(spec.parameters), default=str)),
+        "files": spec.files(),
+        "seed": seed,
+        "versions": {**versions(), "method": distribution_version(spec.target, spec.kind)},
+        "machine": machine(),
+        "workers": workers,
+        "start": now(),
+    }
+
+
+def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool) -> None:
+    """Answers of two configurations never share a folder. Raises PredictionError."""
+    if not folder.run_yaml.exists():
+        return
+    if not _has_answers(folder):  # a run that broke off before its first answer decides nothing
+        folder.run_yaml.unlink()
+        return
+    before = folder.run_record()
+    if before.fingerprint != record.fingerprint:
+        raise PredictionError(f"was made for the dataset with fingerprint {before.fingerprint}", folder.run_yaml)
+    way_out = f"give this run a label (LABEL={record.target}) or use --overwrite always"
+    if before.target != record.target:
+        raise PredictionError(
+            f"holds predictions of '{before.target}', this run is '{record.target}'; {way_out}", folder.run_yaml
+        )
+    changed = [
+        f"{k}: {before.parameters.get(k)} there, {record.parameters.get(k)} now"
+        for k in sorted(before.parameters.keys() | record.parameters.keys())
+        if before.parameters.get(k) != record.parameters.get(k)
+    ]
+    changed += [
+        f"{k}: another content of the file there, SHA-256 {before.files[k][:12]}, {record.files[k][:12]} now"
+        for k in sorted(before.files.keys() & record.files.keys())
+        if before.files[k] != record.files[k] and not any(line.startswith(f"{k}: ") for line in changed)
+    ]
+    if work_left and not changed:
+        changed = [
+            f"{k} {before.versions.get(k)} there, {v} now"
+            for k, v in record.versions.items()
+            if before.versions.get(k) != v
+        ]
+    if changed:
+        raise PredictionError(f"holds predictions made otherwise ({'; '.join(changed)}); {way_out}", folder.run_yaml)
+
+
+def _has_answers(folder: MethodResults) -> bool:
+    return any(folder.root.glob("*.txt")) or any(folder.root.glob(".journal*/*/*.jsonl"))
+
+
+def _clear(folder: MethodResults, pair_sets: Sequence[PairSet]) -> None:
+    for pair_set in pair_sets:
+        for path in (folder.predictions, folder.answers, folder.errors, folder.matching):
+            path(pair_set.name).unlink(missing_ok=True)
+        for journal in (folder.journal, folder.matching_journal):
+            shutil.rmtree(journal(pair_set.name), ignore_errors=True)
+    # Other pair sets that stay keep their record: a mixture is then refused below.
+    if folder.root.is_dir() and not any(folder.root.glob("*__*__*.txt")):
+        folder.run_yaml.unlink(missing_ok=True)
+        remove_parts(folder.root)
+
+
+def machine() -> dict[str, Any]:
+    """The machine that seconds are measured on."""
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if "model name" in line]
+        model = names[0] if names else model
+    return {"cpu": model, "cores": default_workers(), "system": f"{platform.system()} {platform.machine()}"}
+
+
+def now() -> str:
+    """As records have it: UTC, to a second."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

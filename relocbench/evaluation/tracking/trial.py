@@ -1,0 +1,144 @@
+"""Trying a tracker object in memory on a fixed choice of a split's pairs: what training is steered by.
+
+A pair is asked and scored as ``relocbench evaluate`` does it; nothing is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from relocbench.datasets.core import fingerprint
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.datasets.learning.training_pairs import VALIDATION_SPLIT
+from relocbench.errors import ConfigError
+from relocbench.evaluation.common.answers import CheckedAnswer, ask, broken
+from relocbench.evaluation.common.guard import guarded, neighbours_of, offers
+from relocbench.metrics import PoseErrors, pose_errors, summarize
+from relocbench.progress import Reporter
+from relocbench.tracking import SupportsPrepare, Tracker
+from relocbench.training import ValidationScores
+
+METRICS = ("t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)")
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    dataset: Dataset
+    pair_set: PairSet
+    pair: Pair
+    conditions: str
+
+
+class Trial:
+    """Pairs of the validation splits of some datasets, the same for every tracker that is tried.
+
+    Args:
+        datasets: folders; those without the split are passed over.
+        pairs: at most so many, evenly over all combinations of reference and query condition.
+        seed: of the choice.
+        reporter: a bar for each trial.
+
+    Raises:
+        ConfigError: no dataset has the split, or it has no pair with ground truth.
+        DatasetError: a bad dataset.
+    """
+
+    def __init__(self, datasets: Sequence[Path], pairs: int, seed: int, reporter: Reporter) -> None:
+        self._reporter = reporter
+        opened = [Dataset(root) for root in datasets]
+        with_split = [dataset for dataset in opened if VALIDATION_SPLIT in dataset.splits]
+        if not with_split:
+            raise ConfigError(
+                f"no dataset has a split '{VALIDATION_SPLIT}' to choose weights by; give one that has with --dataset, "
+                "or --no-validation to keep the last weights"
+            )
+        for dataset in with_split:
+            for fault in fingerprint.faults(dataset.layout, content="text"):
+                raise fault
+        self._asked = _evenly([each for dataset in with_split for each in _pairs_of(dataset)], pairs, seed)
+        if not self._asked:
+            raise ConfigError(f"split '{VALIDATION_SPLIT}' has no pair with ground truth", with_split[0].root)
+
+    def __len__(self) -> int:
+        return len(self._asked)
+
+    def __call__(self, tracker: Tracker) -> ValidationScores:
+        """Track every pair and score the answers. A tracker's own exception is a failure of its pair, and told."""
+        conditions, answers, truth = [], [], []
+        messages: dict[str, None] = {}
+        with self._reporter.stage("validation", len(self._asked)) as advance:
+            for _, group in groupby(self._asked, key=_keyframe):
+                asked = list(group)
+                for each, result in zip(asked, _track(tracker, asked), strict=True):
+                    if result.status == "error":
+                        messages.setdefault(result.message)
+                    conditions.append(each.conditions)
+                    answers.append(np.full((4, 4), np.nan) if result.T_query_ref is None else result.T_query_ref)
+                    truth.append(each.pair.T_query_ref)
+                    advance(1)
+        errors = pose_errors(np.array(answers, dtype=np.float64), np.array(truth, dtype=np.float64))
+        of = np.array(conditions)
+        names = sorted(set(conditions))
+        return ValidationScores(
+            together=_scores(errors, np.ones(len(of), dtype=bool)),
+            by_conditions={name: _scores(errors, of == name) for name in names},
+            pairs={name: int(np.sum(of == name)) for name in names},
+            messages=tuple(messages)[:3],
+        )
+
+
+def _track(tracker: Tracker, asked: Sequence[_Asked]) -> list[CheckedAnswer]:
+    """Answers to the pairs of one keyframe."""
+    first = asked[0]
+    neighbours, broke = neighbours_of(tracker)
+    if broke is not None:
+        return [broken(broke)] * len(asked)
+    keyframe: Any = first.dataset.reference(first.pair_set, first.pair, neighbours)
+    if offers(tracker, SupportsPrepare):
+        preparing: Any = tracker
+        view = keyframe
+        keyframe, broke = guarded(lambda: preparing.prepare(view))
+        if broke is not None:
+            return [broken(broke)] * len(asked)
+    return [ask(tracker, keyframe, [each.dataset.query(each.pair_set, each.pair)])[0][0] for each in asked]
+
+
+def _pairs_of(dataset: Dataset) -> list[_Asked]:
+    out = []
+    for pair_set in dataset.pair_sets(VALIDATION_SPLIT):
+        ref, query = (dataset.traversal(name).condition for name in (pair_set.reference, pair_set.query))
+        known = (pair for pair in pair_set.pairs if pair.T_query_ref is not None)
+        out += [_Asked(dataset, pair_set, pair, f"{ref} -> {query}") for pair in known]
+    return out
+
+
+def _evenly(asked: Sequence[_Asked], count: int, seed: int) -> list[_Asked]:
+    """Up to ``count``, each combination of conditions giving one before any gives its second; by keyframe."""
+    rng = np.random.default_rng(seed)
+    turn: dict[str, int] = {}
+    ranked: list[tuple[int, int, _Asked]] = []
+    for number in rng.permutation(len(asked)):
+        at = turn[asked[number].conditions] = turn.get(asked[number].conditions, 0) + 1
+        ranked.append((at, len(ranked), asked[number]))
+    ranked.sort(key=lambda entry: entry[:2])
+    return sorted((each for _, _, each in ranked[:count]), key=lambda a: (*_keyframe(a), a.pair_set.name, a.pair.key))
+
+
+def _keyframe(asked: _Asked) -> tuple[str, str, str, int]:
+    return str(asked.dataset.root), asked.pair_set.reference, asked.pair_set.camera, asked.pair.ref_timestamp_ns
+
+
+def _scores(errors: PoseErrors, chosen: Any) -> dict[str, float]:
+    part = PoseErrors(
+        errors.rotation_error_deg[chosen], errors.translation_error_m[chosen], errors.mlad_translation_error_m[chosen]
+    )
+    values = summarize(part).values
+    return {name: float(value) for name in METRICS if (value := values[name]) is not None}

@@ -1,0 +1,272 @@
+"""Every fault of predictions and results, with file and line."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+
+from relocbench.datasets.checks.faults import Findings, read_pair_lines, read_yaml
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.datasets.core.pairfile import PairKey, PoseLine
+from relocbench.errors import PredictionError
+from relocbench.evaluation.common.matching_table import read_matching
+from relocbench.evaluation.common.results import (
+    ANSWER_COLUMNS,
+    ERROR_COLUMNS,
+    STATUSES,
+    DatasetRecord,
+    MethodResults,
+    RunRecord,
+    ScoreRecord,
+)
+from relocbench.evaluation.tracking.score import predictions_hash
+from relocbench.files import parse_floats, parse_timestamp, read_csv, read_journal
+from relocbench.progress import Reporter
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What predictions are held against."""
+
+    record: DatasetRecord | None
+    """what the results folder says of its dataset"""
+    dataset: Dataset | None
+    """the dataset itself, where it is at hand"""
+
+    @property
+    def pair_sets(self) -> dict[str, int] | None:
+        """Pair set -> number of pairs; None where nobody says."""
+        if self.dataset is not None:
+            return {s.name: len(s.pairs) for s in self.dataset.pair_sets()}
+        return None if self.record is None else {n: p.pairs for n, p in self.record.pair_sets.items()}
+
+    @property
+    def fingerprint(self) -> str | None:
+        if self.dataset is not None:
+            return self.dataset.fingerprint
+        return None if self.record is None else self.record.fingerprint
+
+
+def is_results_folder(path: Path) -> bool:
+    """Whether a folder holds what ``relocbench evaluate`` writes, of several datasets, of one, or of one method."""
+    if any((path / name).exists() for name in ("run.yaml", "dataset.yaml", "scores.yaml")):
+        return True
+    return any(path.glob("*@*/dataset.yaml")) or any(path.glob("*@*/*/run.yaml"))
+
+
+def validate_results(root: Path, dataset: Dataset | None, reporter: Reporter) -> Findings:
+    """Check a results folder, one ``DATASET@FINGERPRINT`` of it, or one method's folder.
+
+    Predictions are held against ``dataset`` where it is given: another dataset's results in the folder are noted and
+    checked on their own.
+    """
+    found = Findings()
+    if (root / "run.yaml").exists():
+        record = _dataset_record(root.parent, found) if (root.parent / "dataset.yaml").exists() else None
+        folders = [(MethodResults(root), record)]
+    else:
+        tops = [root] if (root / "dataset.yaml").exists() else sorted(p for p in root.glob("*@*") if p.is_dir())
+        folders = []
+        for top in tops:
+            record = _dataset_record(top, found)
+            folders += [(MethodResults(p), record) for p in sorted(top.iterdir()) if p.is_dir() and p.name[0] != "."]
+        if not folders:
+            found.note("holds no method's results yet", root)
+    with reporter.stage("checking results", len(folders)) as advance:
+        for folder, record in folders:
+            theirs = dataset
+            if dataset is not None and len(folders) > 1 and record and record.fingerprint != dataset.fingerprint:
+                found.note(f"is of another dataset than {dataset.root}", folder.root)
+                theirs = None
+            _check_method(folder, _Asked(record, theirs), found)
+            advance(1)
+    return found
+
+
+def validate_prediction_files(path: Path, dataset: Dataset | None) -> Findings:
+    """Check one pair or prediction file, or a folder of them; without a dataset, what a file says by itself."""
+    found = Findings()
+    files = sorted(path.glob("*.txt")) if path.is_dir() else [path]
+    asked = _Asked(None, dataset)
+    for file in files:
+        lines = read_pair_lines(file, found, PredictionError)
+        _check_keys(file, file.stem, lines, asked, found)
+        if file.with_suffix(".csv").exists() and path.is_dir():
+            _read_answers(file.with_suffix(".csv"), found)
+    return found
+
+
+def _dataset_record(top: Path, found: Findings) -> DatasetRecord | None:
+    record = read_yaml(top / "dataset.yaml", DatasetRecord, "the record of a dataset", found)
+    if record is not None and top.name != f"{record.name}@{record.fingerprint[:SHORT]}":
+        found.note(f"is named otherwise than its dataset, {record.name}@{record.fingerprint[:SHORT]}", top)
+    return record
+
+
+def _check_method(folder: MethodResults, asked: _Asked, found: Findings) -> None:
+    run = read_yaml(folder.run_yaml, RunRecord, "the record of a run", found)
+    if run is not None and asked.fingerprint is not None and run.fingerprint != asked.fingerprint:
+        found.fault(
+            f"predictions are for {run.dataset}@{run.fingerprint[:SHORT]}, the dataset has the fingerprint "
+            f"{asked.fingerprint[:SHORT]}",
+            folder.run_yaml,
+        )
+    for part in sorted(folder.root.glob(".*.part*")):
+        found.note("left behind by a run that was killed", part)
+    journals = folder.root / ".journal"
+    running = {p.name for p in journals.iterdir() if p.is_dir()} if journals.is_dir() else set()
+    present = {p.stem for p in folder.root.glob("*__*__*.txt")} | {
+        p.stem for p in folder.root.glob("*__*__*.csv") if not p.name.endswith((".errors.csv", ".matching.csv"))
+    }
+    for name in sorted(present - running):
+        _check_pair_set(folder, name, asked, found)
+    _note_unfinished(folder, run, running, present, asked, found)
+    _check_scores(folder, present - running, asked, found)
+
+
+def _check_pair_set(folder: MethodResults, name: str, asked: _Asked, found: Findings) -> None:
+    """The prediction file and the table of answers, by themselves and against each other."""
+    predictions, table = folder.predictions(name), folder.answers(name)
+    lines = read_pair_lines(predictions, found, PredictionError)
+    _check_keys(predictions, name, lines, asked, found)
+    statuses = _read_answers(table, found)
+    wanted = (asked.pair_sets or {}).get(name)
+    if statuses and wanted is not None and len(statuses) != wanted:
+        found.fault(f"holds {len(statuses)} pairs, the pair set has {wanted}", table)
+    for key, (status, number) in statuses.items():
+        if status == "ok" and key not in lines:
+            found.fault(f"pair {key[0]} {key[1]} is 'ok' but has no pose in {predictions.name}", table, number)
+        elif status != "ok" and key in lines:
+            found.fault(f"pair {key[0]} {key[1]} is '{status}' but has a pose in {predictions.name}", table, number)
+    for key, line in lines.items():
+        if statuses and key not in statuses:
+            found.fault(f"pair {key[0]} {key[1]} is missing from {table.name}", predictions, line.line)
+
+
+def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], asked: _Asked, found: Findings) -> None:
+    """Whether the pair set is there, and every line answers one of its pairs."""
+    pair_sets = asked.pair_sets
+    if pair_sets is None:
+        return
+    if name not in pair_sets:
+        found.fault(f"no pair set '{name}' in the dataset; there is {', '.join(pair_sets) or 'none'}", path)
+        return
+    if asked.dataset is None:
+        return
+    wanted = asked.dataset.pair_set(name).by_key
+    for key, line in lines.items():
+        if key not in wanted:
+            found.fault(f"unknown pair {key[0]} {key[1]}; expected one of the {len(wanted)} pairs", path, line.line)
+    missing = len(wanted.keys() - lines.keys())
+    if missing:
+        found.note(f"{missing} of {len(wanted)} pairs are not answered and count as failures", path)
+
+
+def _read_answers(path: Path, found: Findings) -> dict[PairKey, tuple[str, int]]:
+    """Status and line of each pair in ``PAIRSET.csv``."""
+    out: dict[PairKey, tuple[str, int]] = {}
+    for number, field in _table(path, ANSWER_COLUMNS, found):
+        with found.catching():
+            ref, query = (parse_timestamp(field[c], path, number, PredictionError) for c in ANSWER_COLUMNS[:2])
+            if (ref, query) in out:
+                raise PredictionError(
+                    f"pair {ref} {query} occurs again (first on line {out[ref, query][1]})", path, number
+                )
+            out[ref, query] = field["status"], number
+            if field["status"] not in STATUSES:
+                found.fault(f"status is '{field['status']}', expected {', '.join(STATUSES)}", path, number)
+            for name in ("seconds", "confidence"):
+                if field[name]:
+                    with found.catching():
+                        parse_floats([field[name]], path, number, name, PredictionError)
+    return out
+
+
+def _table(path: Path, columns: tuple[str, ...], found: Findings) -> list[tuple[int, dict[str, str]]]:
+    out = []
+    with found.catching():
+        rows = read_csv(path, f"a table ({','.join(columns)})", PredictionError)
+        if next(rows, (1, []))[1] != list(columns):
+            raise PredictionError(f"expected the header {','.join(columns)}", path, 1)
+        for number, row in rows:
+            if len(row) != len(columns):
+                found.fault(f"expected {len(columns)} columns, found {len(row)}", path, number)
+            else:
+                out.append((number, dict(zip(columns, row, strict=True))))
+    return out
+
+
+def _note_unfinished(
+    folder: MethodResults, run: RunRecord | None, running: set[str], present: set[str], asked: _Asked, found: Findings
+) -> None:
+    """A run that was killed is not broken: say what is there and how it goes on."""
+    pair_sets = asked.pair_sets or {}
+    for name in sorted(running):
+        journal = folder.journal(name)
+        done = {tuple(e["key"]) for path in journal.glob("*.jsonl") for e in read_journal(path) if "key" in e}
+        of = f" of {pair_sets[name]}" if name in pair_sets else ""
+        found.note(
+            f"unfinished: {len(done)}{of} pairs of {name} are answered{_resume(folder, run, asked)}", folder.root
+        )
+    missing = sorted(pair_sets.keys() - present - running)
+    if missing and run is not None:
+        state = (
+            "has no answers for" if run.end or run.target.startswith("predictions:") else "unfinished: not begun with"
+        )
+        found.note(f"{state} {', '.join(missing)}{_resume(folder, run, asked)}", folder.root)
+
+
+def _resume(folder: MethodResults, run: RunRecord | None, asked: _Asked) -> str:
+    if run is None or run.target.startswith("predictions:"):
+        return ""
+    dataset = str(asked.dataset.root) if asked.dataset is not None else run.dataset.upper()
+    words = ["relocbench", "evaluate", "-d", dataset, "-m"]
+    words.append(run.target if run.target == folder.label else f"{folder.label}={run.target}")
+    for key, value in run.parameters.items():
+        if key != "seed":
+            words += ["--set", f"{folder.label}.{key}={value}"]
+    words += ["--seed", str(run.seed or 0), "-o", str(folder.root.parent.parent)]
+    return f"; to go on: {shlex.join(words)}"
+
+
+def _check_scores(folder: MethodResults, complete: set[str], asked: _Asked, found: Findings) -> None:
+    """Scores must be of the predictions that lie beside them."""
+    if not folder.scores_yaml.exists():
+        if complete:
+            found.note("not scored yet: `relocbench evaluate` scores it", folder.root)
+        return
+    scores = read_yaml(folder.scores_yaml, ScoreRecord, "the scores of a method", found)
+    if scores is None:
+        return
+    for name, digest in scores.predictions.items():
+        if not folder.predictions(name).exists():
+            if name not in complete:
+                found.fault(f"scores pair set '{name}', whose predictions are not there", folder.scores_yaml)
+        elif predictions_hash(folder, name) != digest:
+            found.fault(
+                f"the scores of {name} are stale: its predictions were changed since; run `relocbench evaluate` again",
+                folder.scores_yaml,
+            )
+        _check_errors(folder.errors(name), found)
+        if folder.matching(name).exists():
+            with found.catching():
+                read_matching(folder.matching(name))
+    unscored = sorted(complete - scores.predictions.keys())
+    truth = {n for n, p in asked.record.pair_sets.items() if p.has_truth} if asked.record else set(unscored)
+    if truth & set(unscored):
+        found.note(f"not scored yet: {', '.join(sorted(truth & set(unscored)))}", folder.root)
+
+
+def _check_errors(path: Path, found: Findings) -> None:
+    for number, field in _table(path, ERROR_COLUMNS, found):
+        for name in ERROR_COLUMNS[:2]:
+            with found.catching():
+                parse_timestamp(field[name], path, number, PredictionError)
+        for name in ERROR_COLUMNS[4:]:
+            if field[name] == "inf" and name in ERROR_COLUMNS[4:7]:
+                continue
+            if field[name] or name in ERROR_COLUMNS[4:7]:
+                with found.catching():
+                    parse_floats([field[name]], path, number, name, PredictionError)

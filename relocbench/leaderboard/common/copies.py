@@ -1,0 +1,44 @@
+"""What a page says where methods answered on several copies of one question."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.evaluation.common.results import RunRecord
+from relocbench.leaderboard.common.text import code
+
+
+class Answered(Protocol):
+    """A method on one dataset."""
+
+    @property
+    def label(self) -> str: ...
+
+    @property
+    def run(self) -> RunRecord: ...
+
+
+def question_words(question: str) -> str:
+    """To stand behind a fingerprint; empty where results do not tell the question."""
+    return f", question {code(question[:SHORT])}" if question else ""
+
+
+def copies_words(methods: Sequence[Answered], copies: Sequence[str]) -> str:
+    """Which methods answered on which other copy; empty where there is none.
+
+    Args:
+        copies: fingerprints of copies other than the first.
+    """
+    parts = []
+    for copy in copies:
+        labels = ", ".join(code(m.label) for m in methods if m.run.fingerprint == copy)
+        parts.append(f"{labels or 'no method'} on the copy {code(copy[:SHORT])}")
+    parts += [f"{code(m.label)} on the copy {code(m.run.answered_on[:SHORT])}" for m in methods if m.run.answered_on]
+    if not parts:
+        return ""
+    return (
+        f" Answers were also given on other copies of the same question, whose images differ in the last digits of the "
+        f"processor that made them: {'; '.join(parts)}."
+    )

@@ -1,0 +1,237 @@
+"""Chains of a retriever and a tracker compared: on each task, on conditions, and who shares a place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.relocalization.answers import ChainAnswer, errors_of, read_chain
+from relocbench.evaluation.relocalization.records import (
+    ORACLE,
+    SET_FILE,
+    ChainBasin,
+    ChainResults,
+    ChainRun,
+    ChainSet,
+    ChainSetResults,
+    ChainTask,
+    all_chain_sets,
+)
+from relocbench.evaluation.relocalization.score import (
+    FAILURES,
+    HIT,
+    POSE_METRICS,
+    RANKING,
+    basin_recall,
+    per_query,
+    table_hash,
+)
+from relocbench.evaluation.retrieval.score import generator
+from relocbench.leaderboard.common.intake import check_file_names, check_folder
+from relocbench.leaderboard.retrieval.board import holds_tracking
+from relocbench.metrics import Interval, bootstrap_interval, rank_with_ties
+
+Array = NDArray[np.float64]
+SHARES = (basin_recall(1), HIT, "right_and_hit", "right_without_hit", "right_among_K", *FAILURES)
+WITH_INTERVAL = (RANKING, "recall@(1m,5deg)", HIT)
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """One chain on one set."""
+
+    label: str
+    run: ChainRun
+    basins: Mapping[str, ChainBasin]
+    answers: Mapping[str, Sequence[ChainAnswer]]
+    """by task; a task without results is absent"""
+
+    @property
+    def knows_truth(self) -> bool:
+        return self.run.retriever == ORACLE
+
+
+@dataclass(frozen=True, eq=False)
+class ChainRow:
+    """One chain in a table; blank where a task is missing."""
+
+    chain: Chain
+    values: Mapping[str, float | None]
+    """means over the tasks of means over queries; medians over all queries together"""
+    intervals: Mapping[str, Interval | None]
+    rank: int | None
+    """None where a task is missing, and for a chain that knows the truth"""
+    failed: int | None = None
+    broke: int | None = None
+    missing: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ChainTable:
+    """A row for each chain, on one task or in the mean over several."""
+
+    name: str
+    tasks: tuple[str, ...]
+    records: tuple[ChainTask, ...]
+    rows: tuple[ChainRow, ...]
+    """best first, chains without a value last"""
+
+    @property
+    def queries(self) -> int:
+        return sum(r.queries for r in self.records)
+
+
+@dataclass(frozen=True, eq=False)
+class ChainSetBoard:
+    """All tables of one dataset."""
+
+    record: ChainSet
+    chains: tuple[Chain, ...]
+    tables: tuple[ChainTable, ...]
+
+    @property
+    def title(self) -> str:
+        return f"{self.record.dataset}@{self.record.dataset_fingerprint[:12]}"
+
+
+@dataclass(frozen=True, eq=False)
+class ChainBoard:
+    """Everything that a leaderboard of chains shows."""
+
+    sets: tuple[ChainSetBoard, ...]
+    metric: str
+    seed: int
+    split: str | None = None
+
+
+def load_chains(results: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0) -> ChainBoard | None:
+    """Everything that chains left in a results folder; None where there is nothing of theirs to show.
+
+    Args:
+        metric: ranks chains; a mean over queries.
+        split: only the tasks of this split; sets that have no such split are left out.
+        seed: of the bootstrap.
+
+    Raises:
+        PredictionError: with file and line: a bad file, scores that are missing or stale.
+        ConfigError: a metric that chains do not have.
+    """
+    if metric not in (*POSE_METRICS, *SHARES):
+        raise ConfigError(f"chains cannot be ranked by '{metric}'; expected one of {', '.join(POSE_METRICS)}")
+    there = all_chain_sets(results)
+    if there:
+        check_folder(results)
+    for folder in there:
+        check_file_names(folder.record.tasks, "the task", folder.root / SET_FILE)
+    found = [s for s in there if split is None or split in s.record.splits]
+    if there and not found and not holds_tracking(results):
+        known = sorted({name for s in there for name in s.record.splits})
+        raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
+    boards = [board for s in found if (board := _set(s, metric, split, seed)) is not None]
+    return ChainBoard(tuple(boards), metric, seed, split) if boards else None
+
+
+def _set(folder: ChainSetResults, metric: str, split: str | None, seed: int) -> ChainSetBoard | None:
+    record = folder.record
+    tasks = {n: r for n, r in record.tasks.items() if split is None or n in record.splits[split]}
+    chains = tuple(_chain(each, record, tasks) for each in folder.chains())
+    used = {n: r for n, r in tasks.items() if any(n in chain.answers for chain in chains)}
+    if not used:
+        return None
+    _check_same_queries(folder, chains)
+    plans = {**_means(used), **{name: (name,) for name in used}}
+    tables = tuple(_table(record, name, of, chains, metric, seed) for name, of in plans.items())
+    return ChainSetBoard(record, chains, tables)
+
+
+def _means(tasks: Mapping[str, ChainTask]) -> dict[str, tuple[str, ...]]:
+    """Tables over several tasks: all, those across conditions, those within one, each pair of conditions."""
+    out = {"mean over all tasks": list(tasks), "mean across conditions": [], "mean within a condition": []}
+    for name, record in tasks.items():
+        same = record.condition_gallery == record.condition_query
+        out["mean within a condition" if same else "mean across conditions"].append(name)
+        out.setdefault(f"conditions {record.condition_gallery} → {record.condition_query}", []).append(name)
+    kept = {name: tuple(of) for name, of in out.items() if len(of) > 1}
+    whole = kept.get("mean over all tasks")
+    return {name: of for name, of in kept.items() if name == "mean over all tasks" or of != whole}
+
+
+def _chain(folder: ChainResults, asked: ChainSet, tasks: Mapping[str, ChainTask]) -> Chain:
+    run = folder.run_record()
+    if run.fingerprint != asked.fingerprint:
+        raise PredictionError(
+            f"was made for {run.dataset}, set {run.fingerprint[:12]}, but lies among the results of "
+            f"{asked.name}@{asked.fingerprint[:12]}",
+            folder.run_yaml,
+        )
+    answers: dict[str, Sequence[ChainAnswer]] = {}
+    scores = folder.scores() if folder.scores_yaml.exists() else None
+    for name, record in tasks.items():
+        path = folder.answers(name)
+        if not path.exists():
+            continue
+        again = "run `relocbench evaluate --task relocalization` again to score"
+        if scores is None or name not in scores.answers:
+            raise PredictionError(f"is not scored; {again}", path)
+        if scores.answers[name] != table_hash(path):
+            raise PredictionError(f"changed since it was scored; {again}", path)
+        answers[name] = read_chain(path)
+        if len(answers[name]) != record.queries:
+            raise PredictionError(f"{len(answers[name])} rows, expected one for each of {record.queries} queries", path)
+    return Chain(folder.label, run, scores.basins if scores else {}, answers)
+
+
+def _check_same_queries(folder: ChainSetResults, chains: Sequence[Chain]) -> None:
+    first: dict[str, tuple[str, list[int]]] = {}
+    for chain in chains:
+        for task, answers in chain.answers.items():
+            asked = [a.query_timestamp_ns for a in answers]
+            label, expected = first.setdefault(task, (chain.label, asked))
+            if asked != expected:
+                path = folder.root / chain.label / f"{task}.csv"
+                raise PredictionError(f"holds other queries than the table of '{label}'", path)
+
+
+def _table(
+    record: ChainSet, name: str, tasks: tuple[str, ...], chains: Sequence[Chain], metric: str, seed: int
+) -> ChainTable:
+    place = f"{record.fingerprint} {name}"
+    ranked = {
+        c.label: [per_query(c.answers[t], metric) if t in c.answers else None for t in tasks]
+        for c in chains
+        if not c.knows_truth
+    }
+    better = not metric.startswith("failed_")
+    ranks = rank_with_ties(ranked, generator(seed, place, metric), higher_is_better=better) if ranked else {}
+    rows = [_row(chain, place, tasks, metric, ranks.get(chain.label), seed) for chain in chains]
+    sign = -1 if better else 1
+    rows.sort(key=lambda r: (r.values[metric] is None, sign * (r.values[metric] or 0.0), r.chain.label))
+    return ChainTable(name, tasks, tuple(record.tasks[t] for t in tasks), tuple(rows))
+
+
+def _row(chain: Chain, place: str, tasks: tuple[str, ...], metric: str, rank: int | None, seed: int) -> ChainRow:
+    missing = tuple(task for task in tasks if task not in chain.answers)
+    if missing:
+        return ChainRow(chain, dict.fromkeys((*POSE_METRICS, *SHARES)), {}, None, missing=missing)
+    given = [a for task in tasks for a in chain.answers[task]]
+    means: dict[str, list[Array]] = {
+        m: [per_query(chain.answers[task], m) for task in tasks] for m in (*POSE_METRICS, *SHARES)
+    }
+    values: dict[str, float | None] = {m: float(np.mean([np.mean(v) for v in sets])) for m, sets in means.items()}
+    hit, both = values[HIT], values["right_and_hit"]
+    values["right_given_hit"] = both / hit if hit and both is not None else None
+    errors = errors_of(given)
+    values["median_translation_error_m"] = float(np.median(errors.translation_error_m))
+    values["median_rotation_error_deg"] = float(np.median(errors.rotation_error_deg))
+    seconds = [a.seconds for a in given if a.seconds is not None]
+    values["median_seconds"] = float(np.median(seconds)) if seconds else None
+    intervals = {
+        m: bootstrap_interval(means[m], generator(seed, place, m)) for m in dict.fromkeys((*WITH_INTERVAL, metric))
+    }
+    statuses = [a.status for a in given]
+    return ChainRow(chain, values, intervals, rank, statuses.count("failed"), statuses.count("error"))

@@ -1,0 +1,78 @@
+"""``relocalization.csv`` and ``relocalization.md``: the same results give the same bytes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from relocbench.evaluation.relocalization.score import POSE_METRICS, RANKING
+from relocbench.files import remove_parts, write_text
+from relocbench.leaderboard.common.text import Value, write_table
+from relocbench.leaderboard.relocalization.board import (
+    SHARES,
+    WITH_INTERVAL,
+    ChainBoard,
+    ChainRow,
+    ChainSetBoard,
+    ChainTable,
+    load_chains,
+)
+from relocbench.leaderboard.relocalization.page import relocalization_page
+from relocbench.progress import Reporter
+
+
+def write_relocalization_leaderboard(
+    results: Path, out: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0, reporter: Reporter
+) -> ChainBoard | None:
+    """Compare chains and write both files; None where a results folder has nothing of theirs.
+
+    Raises:
+        PredictionError: a bad file, scores that are missing or stale.
+        ConfigError: unknown metric.
+    """
+    board = load_chains(results, metric=metric, split=split, seed=seed)
+    if board is None:
+        return None
+    for asked in board.sets:
+        for chain in asked.chains:
+            for name in (t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in chain.answers):
+                reporter.note(f"{asked.title}: {chain.label} has no result on {name}")
+    rows = chain_rows(board)
+    remove_parts(out, deep=False)
+    write_table(out / "relocalization.csv", [list(rows[0]), *(list(row.values()) for row in rows)] if rows else [])
+    write_text(out / "relocalization.md", relocalization_page(board))
+    return board
+
+
+def chain_rows(board: ChainBoard) -> list[dict[str, Value]]:
+    """Rows of ``relocalization.csv``: shares 0..1, metres, degrees, seconds; None where there is no value."""
+    return [_row(board, asked, t, row) for asked in board.sets for t in asked.tables for row in t.rows]
+
+
+def _row(board: ChainBoard, asked: ChainSetBoard, table: ChainTable, row: ChainRow) -> dict[str, Value]:
+    run = row.chain.run
+    basin = row.chain.basins.get(table.tasks[0]) if len(table.tasks) == 1 else None
+    place: dict[str, Value] = {
+        "dataset": asked.record.dataset,
+        "fingerprint": asked.record.dataset_fingerprint,
+        "table": table.name,
+        "tasks": " ".join(table.tasks),
+        "queries": table.queries,
+        "retriever": run.retriever,
+        "tracker": run.tracker,
+        "top": run.top,
+        "rank": row.rank,
+        "missing": " ".join(row.missing),
+        "failed": row.failed,
+        "broke": row.broke,
+        "basin_m": None if basin is None else basin.metres,
+        "basin_deg": None if basin is None else basin.degrees,
+        "basin_source": None if basin is None else basin.source,
+    }
+    medians = ("median_translation_error_m", "median_rotation_error_deg", "median_seconds")
+    for name in (*POSE_METRICS, *SHARES, "right_given_hit", *medians):
+        place[name] = row.values.get(name)
+    for name in dict.fromkeys((*WITH_INTERVAL, board.metric)):
+        interval = row.intervals.get(name)
+        place[f"{name}_low"] = None if interval is None else interval.low
+        place[f"{name}_high"] = None if interval is None else interval.high
+    return place

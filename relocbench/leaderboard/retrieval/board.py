@@ -1,0 +1,318 @@
+"""Retrievers compared: what each scored on each task, on views and on conditions, and who shares a place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.retrieval.answers import QueryAnswer, answers_hash
+from relocbench.evaluation.retrieval.records import (
+    METRICS,
+    SET_FILE,
+    RetrievalRun,
+    RetrieverResults,
+    SetRecord,
+    SetResults,
+    TaskRecord,
+    all_sets,
+)
+from relocbench.evaluation.retrieval.score import checked_answers, generator, resampled, scores_of
+from relocbench.leaderboard.common.intake import check_file_names, check_folder
+from relocbench.metrics import Interval, bootstrap_interval, rank_with_ties, single_positive_fault
+
+Array = NDArray[np.float64]
+RANKING = "R@1"
+WITH_INTERVAL = ("R@1", "AP")
+_AGAIN = "run `relocbench evaluate --task retrieval` again to score"
+
+
+@dataclass(frozen=True, eq=False)
+class Retriever:
+    """One method on one set."""
+
+    label: str
+    run: RetrievalRun
+    answers: Mapping[str, Sequence[QueryAnswer]]
+    """by task; a task without results is absent"""
+
+    def per_query(self, task: str, record: TaskRecord, metric: str) -> Array:
+        """(Q,) values of a metric."""
+        return scores_of(self.answers[task], record).per_query(metric)
+
+
+@dataclass(frozen=True, eq=False)
+class RetrievalRow:
+    """One method in a table; blank where a task is missing."""
+
+    method: Retriever
+    values: Mapping[str, float | None]
+    intervals: Mapping[str, Interval | None]
+    rank: int | None
+    failed: int | None = None
+    broke: int | None = None
+    seconds: float | None = None
+    """a query, median"""
+    missing: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class RetrievalTable:
+    """A row for each method, on one task or in the mean over several."""
+
+    name: str
+    tasks: tuple[str, ...]
+    records: tuple[TaskRecord, ...]
+    rows: tuple[RetrievalRow, ...]
+    """best first, methods without a value last"""
+    chance: Mapping[str, float]
+
+    @property
+    def queries(self) -> int:
+        return sum(r.queries for r in self.records)
+
+    @property
+    def without_positives(self) -> int:
+        return sum(r.without_positives for r in self.records)
+
+    @property
+    def single_positive(self) -> bool:
+        """Whether each query has exactly one right answer, so that R@1 bounds AP."""
+        return all(r.single_positive for r in self.records)
+
+
+@dataclass(frozen=True, eq=False)
+class SetBoard:
+    """All tables of one retrieval set."""
+
+    record: SetRecord
+    methods: tuple[Retriever, ...]
+    tables: tuple[RetrievalTable, ...]
+    unused: tuple[str, ...] = ()
+    """tasks that no method has answered"""
+    copies: tuple[str, ...] = ()
+    """fingerprints of other copies of the same question, from other processors, that methods answered on"""
+
+    @property
+    def title(self) -> str:
+        return f"{self.record.name}@{self.record.fingerprint[:12]}"
+
+
+@dataclass(frozen=True, eq=False)
+class RetrievalBoard:
+    """Everything that a leaderboard of retrievers shows."""
+
+    sets: tuple[SetBoard, ...]
+    metric: str
+    seed: int
+    split: str | None = None
+    shown: tuple[str, ...] = field(default=METRICS)
+
+
+def load_retrieval(
+    results: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0
+) -> RetrievalBoard | None:
+    """Everything that retrievers left in a results folder; None where there is nothing of theirs to show.
+
+    Args:
+        metric: ranks methods.
+        split: only the tasks of this split; sets that have no such split are left out.
+        seed: of the bootstrap. Each number has a generator of its own, so it does not depend on what else is there.
+
+    Raises:
+        PredictionError: with file and line: a bad file, scores that are missing or stale.
+        ConfigError: unknown metric, or no set has that split.
+    """
+    if metric not in METRICS:
+        raise ConfigError(f"retrievers cannot be ranked by '{metric}'; expected one of {', '.join(METRICS)}")
+    found = all_sets(results)
+    if not found:
+        return None
+    check_folder(results)
+    for folder in found:
+        check_file_names(folder.record.tasks, "the task", folder.root / SET_FILE)
+    chosen = found if split is None else [s for s in found if split in s.record.splits]
+    if not chosen and holds_tracking(results):
+        return None  # the split is of those datasets
+    if not chosen:
+        known = sorted({name for s in found for name in s.record.splits})
+        raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
+    return RetrievalBoard(tuple(_set(s, metric, split, seed) for s in _copies(chosen)), metric, seed, split)
+
+
+def holds_tracking(results: Path) -> bool:
+    """Whether trackers left something too."""
+    return (results / "dataset.yaml").exists() or any(results.glob("*@*/dataset.yaml"))
+
+
+def mean_tables(tasks: Mapping[str, TaskRecord]) -> dict[str, tuple[str, ...]]:
+    """Tables over several tasks: all of them, each direction of views, each pair of conditions.
+
+    A task that holds part of the queries of another (``drone-satellite__Rain``) counts among its conditions alone.
+    """
+    whole = [name for name in tasks if not _is_part(name, tasks)]
+    out = {"mean over all tasks": tuple(whole)}
+    for kind, key, names in (
+        ("direction", lambda r: r.direction, whole),
+        ("conditions", lambda r: r.conditions, list(tasks)),
+    ):
+        groups: dict[str, list[str]] = {}
+        for name in names:
+            groups.setdefault(key(tasks[name]), []).append(name)
+        if len(groups) > 1:
+            out |= {f"{kind} {label}": tuple(of) for label, of in groups.items() if label}
+    return {name: of for name, of in out.items() if len(of) > 1}
+
+
+def plausible(table: RetrievalTable) -> None:
+    """Raises PredictionError where a row's AP is impossible for its R@1 with one positive a query."""
+    if not table.single_positive:
+        return
+    for row in table.rows:
+        recall, ap = row.values["R@1"], row.values["AP"]
+        if recall is not None and ap is not None:
+            fault = single_positive_fault(f"{100 * recall:.4f}", f"{100 * ap:.4f}")
+            if fault:
+                raise PredictionError(f"{row.method.label} on {table.name}: {fault}")
+
+
+def _is_part(name: str, tasks: Mapping[str, TaskRecord]) -> bool:
+    whole = name.rpartition("__")[0]
+    return whole in tasks
+
+
+def _copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
+    """Folders of one question together: the same recipe, images that differ in last digits."""
+    found: dict[tuple[str, str], list[SetResults]] = {}
+    for folder in folders:
+        found.setdefault((folder.record.name, folder.record.compared_by), []).append(folder)
+    return list(found.values())
+
+
+def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int) -> SetBoard:
+    """Of all copies of a question; the first stands for all, and a label that occurs again is told apart."""
+    record, *others = (folder.record for folder in copies)
+    for folder, other in zip(copies[1:], others, strict=True):
+        different = [n for n in other.tasks if other.tasks[n] != record.tasks.get(n, other.tasks[n])]
+        if different:
+            told = f"claims to ask what {copies[0].root.name} asks, and task '{different[0]}' is another"
+            raise PredictionError(f"{told}; expected results of one question", folder.root / SET_FILE)
+        record = record.model_copy(update={"tasks": {**other.tasks, **record.tasks}})
+    names = [n for n in record.tasks if split is None or n in record.splits[split]]
+    tasks = {name: record.tasks[name] for name in names}
+    methods, path_of = _methods_of(copies, tasks)
+    if not methods:
+        raise PredictionError("holds no retriever's answers; expected results of `relocbench evaluate`", copies[0].root)
+    _check_same_queries(methods, path_of)
+    used = {n: r for n, r in tasks.items() if any(n in m.answers for m in methods)}
+    plans = {**{name: (name,) for name in used}, **mean_tables(used)}
+    tables = []
+    for name, of in plans.items():
+        tables.append(_table(record, name, of, methods, metric, seed))
+        plausible(tables[-1])
+    unused = tuple(n for n in tasks if n not in used)
+    return SetBoard(record, methods, tuple(tables), unused, tuple(other.fingerprint for other in others))
+
+
+def _methods_of(
+    copies: Sequence[SetResults], tasks: Mapping[str, TaskRecord]
+) -> tuple[tuple[Retriever, ...], dict[str, RetrieverResults]]:
+    """Methods by label, and the folder of each."""
+    found: dict[str, Retriever] = {}
+    folders: dict[str, RetrieverResults] = {}
+    for copy in copies:
+        for folder in copy.methods():
+            method = _method(folder, copy.record, tasks)
+            if method.label in found:
+                label = f"{method.label}@{copy.record.fingerprint[:SHORT]}"
+                method = Retriever(label, method.run.model_copy(update={"method": label}), method.answers)
+            found[method.label], folders[method.label] = method, folder
+    return tuple(found[label] for label in sorted(found)), folders
+
+
+def _method(folder: RetrieverResults, asked: SetRecord, tasks: Mapping[str, TaskRecord]) -> Retriever:
+    run = folder.run_record()
+    if run.fingerprint != asked.fingerprint:
+        raise PredictionError(
+            f"was made for {run.dataset}@{run.fingerprint[:12]}, but lies among the results of "
+            f"{asked.name}@{asked.fingerprint[:12]}",
+            folder.run_yaml,
+        )
+    done = {name: record for name, record in tasks.items() if folder.complete(name)}
+    if done and not folder.scores_yaml.exists():
+        raise PredictionError(f"missing: the answers are not scored; {_AGAIN}", folder.scores_yaml)
+    scored = folder.retrieval_scores().answers if done else {}
+    answers = {name: _answers(folder, name, record, scored) for name, record in done.items()}
+    return Retriever(folder.label, run.model_copy(update={"method": folder.label}), answers)
+
+
+def _answers(folder: RetrieverResults, task: str, record: TaskRecord, scored: Mapping[str, str]) -> list[QueryAnswer]:
+    if task not in scored:
+        raise PredictionError(f"holds no scores of '{task}', which was answered; {_AGAIN}", folder.scores_yaml)
+    if scored[task] != answers_hash(folder.answers(task)):
+        raise PredictionError(f"changed since it was scored; {_AGAIN}", folder.answers(task))
+    return checked_answers(task, record, folder)
+
+
+def _check_same_queries(methods: Sequence[Retriever], folders: Mapping[str, RetrieverResults]) -> None:
+    first: dict[str, tuple[str, list[tuple[str, int, str]]]] = {}
+    for method in methods:
+        for task, answers in method.answers.items():
+            asked = [(a.query, a.positives, a.group) for a in answers]
+            label, expected = first.setdefault(task, (method.label, asked))
+            if asked != expected:
+                path = folders[method.label].answers(task)
+                raise PredictionError(f"holds other queries, positives or groups than the table of '{label}'", path)
+
+
+def _table(
+    record: SetRecord, name: str, tasks: tuple[str, ...], methods: Sequence[Retriever], metric: str, seed: int
+) -> RetrievalTable:
+    records = tuple(record.tasks[task] for task in tasks)
+    place = f"{record.compared_by} {name}"
+    block_length = 1 if all(r.grouped for r in records) else None
+
+    def drawn(method: Retriever, metric: str) -> list[Array | None]:
+        return [
+            resampled(method.per_query(t, r, metric), method.answers[t]) if t in method.answers else None
+            for t, r in zip(tasks, records, strict=True)
+        ]
+
+    ranks = rank_with_ties(
+        {m.label: drawn(m, metric) for m in methods}, generator(seed, place, metric), block_length=block_length
+    )
+    rows = []
+    for method in methods:
+        missing = tuple(task for task in tasks if task not in method.answers)
+        if missing:
+            rows.append(RetrievalRow(method, dict.fromkeys(METRICS), {}, None, missing=missing))
+            continue
+        sets = {m: [v for v in drawn(method, m) if v is not None] for m in METRICS}
+        given = [a for task in tasks for a in method.answers[task]]
+        seconds = [a.seconds for a in given if a.seconds is not None]
+        rows.append(
+            RetrievalRow(
+                method,
+                {m: float(np.mean([np.mean(v) for v in sets[m]])) for m in METRICS},
+                {
+                    m: bootstrap_interval(sets[m], generator(seed, place, m), block_length=block_length)
+                    for m in {*WITH_INTERVAL, metric}
+                },
+                ranks[method.label],
+                sum(a.status == "failed" for a in given),
+                sum(a.status == "error" for a in given),
+                float(np.median(seconds)) if seconds else None,
+            )
+        )
+    chance = {m: float(np.mean([r.chance.get(m, 0.0) for r in records])) for m in METRICS}
+    return RetrievalTable(name, tasks, records, tuple(sorted(rows, key=lambda row: _order(row, metric))), chance)
+
+
+def _order(row: RetrievalRow, metric: str) -> tuple[bool, float, str]:
+    value = row.values[metric]
+    return value is None, -(value or 0.0), row.method.label

@@ -1,0 +1,85 @@
+"""``retrieval.csv`` and ``retrieval.md``: the same results give the same bytes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from relocbench.files import remove_parts, write_text
+from relocbench.leaderboard.common.text import Value, write_table
+from relocbench.leaderboard.retrieval.board import (
+    RANKING,
+    RetrievalBoard,
+    RetrievalRow,
+    RetrievalTable,
+    SetBoard,
+    load_retrieval,
+)
+from relocbench.leaderboard.retrieval.page import CHANCE, retrieval_page
+from relocbench.progress import Reporter
+
+
+def write_retrieval_leaderboard(
+    results: Path, out: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0, reporter: Reporter
+) -> RetrievalBoard | None:
+    """Compare retrievers and write both files; None where a results folder has nothing of theirs.
+
+    Raises:
+        PredictionError: a bad file, scores that are missing or stale.
+        ConfigError: unknown metric or split.
+    """
+    board = load_retrieval(results, metric=metric, split=split, seed=seed)
+    if board is None:
+        return None
+    for asked in board.sets:
+        for method in asked.methods:
+            missing = [t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in method.answers]
+            for name in missing:
+                reporter.note(f"{asked.title}: {method.label} has no result on {name}")
+    rows = retrieval_rows(board)
+    remove_parts(out, deep=False)
+    write_table(out / "retrieval.csv", [list(rows[0]), *(list(row.values()) for row in rows)] if rows else [])
+    write_text(out / "retrieval.md", retrieval_page(board))
+    return board
+
+
+def retrieval_rows(board: RetrievalBoard) -> list[dict[str, Value]]:
+    """Rows of ``retrieval.csv``: shares 0..1, seconds; None where there is no value."""
+    out = []
+    for asked in board.sets:
+        for table in asked.tables:
+            out += [_row(board, asked, table, row) for row in table.rows]
+            out.append(_row(board, asked, table, None))
+    return out
+
+
+def _row(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable, row: RetrievalRow | None) -> dict[str, Value]:
+    """Of a method, or of chance."""
+    one = table.records[0] if len(table.records) == 1 else None
+    place: dict[str, Value] = {
+        "dataset": asked.record.name,
+        "fingerprint": asked.record.fingerprint,
+        "question": asked.record.question,
+        "table": table.name,
+        "tasks": " ".join(table.tasks),
+        "view_query": "+".join(sorted({r.view_query for r in table.records})),
+        "view_gallery": "+".join(sorted({r.view_gallery for r in table.records})),
+        "condition_query": one.condition_query if one else None,
+        "condition_gallery": one.condition_gallery if one else None,
+        "queries": table.queries,
+        "without_positives": table.without_positives,
+        "gallery": one.gallery if one else None,
+        "method": CHANCE if row is None else row.method.label,
+        "target": None if row is None else row.method.run.target,
+        "rank": None if row is None else row.rank,
+        "missing": "" if row is None else " ".join(row.missing),
+        "failed": None if row is None else row.failed,
+        "broke": None if row is None else row.broke,
+        "median_seconds": None if row is None else row.seconds,
+    }
+    for metric in board.shown:
+        place[metric] = table.chance[metric] if row is None else row.values[metric]
+    for metric in dict.fromkeys(("R@1", "AP", board.metric)):
+        interval = None if row is None else row.intervals.get(metric)
+        place[f"{metric}_low"] = None if interval is None else interval.low
+        place[f"{metric}_high"] = None if interval is None else interval.high
+    return place

@@ -1,0 +1,356 @@
+"""Read a results folder, and refuse scores that do not belong to the predictions beside them."""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.common.matching_table import MatchingRow, check_complete, read_matching, summarize_matching
+from relocbench.evaluation.common.results import (
+    DatasetRecord,
+    DatasetResults,
+    ErrorTable,
+    MethodResults,
+    PairSetRecord,
+    RunRecord,
+    ScoreRecord,
+    all_results,
+    read_errors,
+)
+from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows
+from relocbench.files import read_journal
+from relocbench.leaderboard.common.intake import check_file_names, check_folder
+from relocbench.leaderboard.common.text import json_text
+
+PREDICTIONS = "predictions:"
+"""target of predictions that were made elsewhere"""
+FLOOR = "identity"
+"""the method that every other is read against"""
+SEED = "seed"
+
+
+@dataclass(frozen=True, eq=False)
+class Method:
+    """One method on one dataset."""
+
+    label: str
+    run: RunRecord
+    errors: dict[str, ErrorTable]
+    """by pair set, ordered by reference time; a pair set without results is absent"""
+    missing: dict[str, str]
+    """why a pair set is absent"""
+    stopped: frozenset[str] = frozenset()
+    """the missing ones whose run was begun"""
+    matching: dict[str, tuple[MatchingRow, ...]] = field(default_factory=dict)
+    """matching quality by pair set, where it was measured"""
+
+    @property
+    def is_floor(self) -> bool:
+        """Whether it is the identity pose, whatever label it was given."""
+        return self.run.target.removeprefix(PREDICTIONS) == FLOOR or self.run.target.endswith(":Identity")
+
+    @property
+    def seed(self) -> int | None:
+        """The seed it ran with."""
+        value = self.run.parameters.get(SEED, self.run.seed)
+        return value if isinstance(value, int) else None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Its parameters except the seed."""
+        return {k: v for k, v in self.run.parameters.items() if k != SEED}
+
+    @property
+    def machine(self) -> str:
+        """The machine its seconds were measured on, in words; empty if that is not recorded."""
+        words = machine_words(self.run)
+        workers = "" if self.run.workers is None else f", {self.run.workers} pairs at a time"
+        return f"{words}{workers}" if words else ""
+
+
+@dataclass(frozen=True, eq=False)
+class DatasetEntry:
+    """One dataset with everything that was scored on it."""
+
+    record: DatasetRecord
+    methods: tuple[Method, ...]
+    """by label"""
+    pair_sets: dict[str, PairSetRecord]
+    """the pair sets that are compared, by name: chosen, with ground truth, and with at least one pair"""
+    splits: dict[str, tuple[str, ...]]
+    """the splits that a total is made for; one called '' over all pair sets where the dataset names none"""
+    withheld: tuple[str, ...] = ()
+    """chosen pair sets that cannot be scored: the ground truth is withheld or no pair was accepted"""
+    copies: tuple[str, ...] = ()
+    """fingerprints of other copies of the same question, from other processors, that methods answered on"""
+
+    @property
+    def title(self) -> str:
+        """Name and short fingerprint, as the results folder is called."""
+        return f"{self.record.name}@{self.record.fingerprint[:SHORT]}"
+
+    @cached_property
+    def floor(self) -> Method | None:
+        """The identity pose, if it was run."""
+        return next((m for m in self.methods if m.is_floor), None)
+
+    @cached_property
+    def used(self) -> tuple[str, ...]:
+        """The pair sets that at least one method was run on, if not to the end."""
+        return tuple(n for n in self.pair_sets if any(n in m.errors or n in m.stopped for m in self.methods))
+
+    def groups(self, pair_set: str) -> list[str]:
+        """Named groups of a pair set in natural order; none where all its pairs are one group."""
+        return sorted(self.pair_sets[pair_set].groups, key=natural) if len(self.pair_sets[pair_set].groups) > 1 else []
+
+
+def load_results(results: Path, split: str | None = None) -> list[DatasetEntry]:
+    """Everything in a results folder.
+
+    Args:
+        results: ``RESULTS``, or one ``DATASET@FINGERPRINT`` folder of it.
+        split: only the pair sets of this split; datasets that have no such split are left out.
+
+    Raises:
+        PredictionError: with file and line: no results, a bad file, a method's scores are missing or stale.
+        ConfigError: no dataset has that split.
+    """
+    check_folder(results)
+    folders = all_results(results)
+    _check_apart(folders)
+    if split is not None:
+        known = sorted({name for folder in folders for name in folder.record.splits})
+        folders = [folder for folder in folders if split in folder.record.splits]
+        if not folders:
+            raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
+    entries = together([_dataset(folder, split) for folder in folders])
+    if not any(entry.methods for entry in entries):
+        raise PredictionError("holds no method's predictions; expected results of `relocbench evaluate`", results)
+    return entries
+
+
+def together(entries: Sequence[DatasetEntry]) -> list[DatasetEntry]:
+    """One entry for all copies of a question: the same poses and pairs, images that differ in last digits.
+
+    The first copy stands for all. A label that occurs on several copies is told apart by the copy's fingerprint.
+
+    Raises:
+        PredictionError: two results that claim the same question hold other pairs.
+    """
+    out: dict[tuple[str, str], DatasetEntry] = {}
+    for entry in entries:
+        key = entry.record.name, entry.record.compared_by
+        out[key] = _joined(out[key], entry) if key in out else entry
+    return list(out.values())
+
+
+def _joined(first: DatasetEntry, other: DatasetEntry) -> DatasetEntry:
+    known = {method.label: method for method in first.methods}
+    for method in other.methods:
+        for name, rows in method.errors.items():
+            same = next((m.errors[name] for m in first.methods if name in m.errors), rows)
+            if not np.array_equal(rows.keys, same.keys) or rows.groups != same.groups:
+                raise PredictionError(
+                    f"{other.title} claims to ask what {first.title} asks, and '{method.label}' answered other pairs "
+                    f"of '{name}'; expected results of one question"
+                )
+        label = method.label
+        if label in known:
+            label = f"{label}@{other.record.fingerprint[:SHORT]}"
+        known[label] = replace(method, label=label, run=method.run.model_copy(update={"method": label}))
+    methods = tuple(known[label] for label in sorted(known))
+    return replace(first, methods=methods, copies=(*first.copies, other.record.fingerprint))
+
+
+def machine_words(run: RunRecord) -> str:
+    """Processor and number of cores; empty where the processor is not recorded."""
+    cores = f", {run.machine['cores']} cores" if "cores" in run.machine else ""
+    return f"{run.machine['cpu']}{cores}" if "cpu" in run.machine else ""
+
+
+def natural(text: str) -> list[tuple[bool, int, str]]:
+    """Sort key in which step_2 comes before step_10."""
+    parts = re.findall("[0-9]{1,18}|[^0-9]", text)
+    return [(not part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
+
+
+def evaluate_command(
+    method: RunRecord, dataset: str = "DATASET", results: str = "RESULTS", *, matching: bool = False
+) -> str:
+    """The command that runs a method as it was run, and goes on where it stopped."""
+    words = ["relocbench", "evaluate", "--dataset", dataset, "--out", results]
+    if method.target.startswith(PREDICTIONS):
+        return shlex.join([*words, "--method", method.method, "--predictions", method.target.removeprefix(PREDICTIONS)])
+    named = method.target if method.target == method.method else f"{method.method}={method.target}"
+    words += ["--method", named]
+    for key, value in method.parameters.items():
+        if key != SEED or value != method.seed:
+            text = value if isinstance(value, str) else json_text(value, ascii_only=True)
+            words += ["--set", f"{method.method}.{key}={text}"]
+    words += ["--seed", str(method.seed)] if method.seed else []
+    return shlex.join([*words, *(["--matching"] if matching else [])])
+
+
+def _dataset(folder: DatasetResults, split: str | None) -> DatasetEntry:
+    record = folder.record
+    check_file_names(record.pair_sets, "the pair set", _yaml(folder))
+    chosen = list(record.pair_sets) if split is None else list(record.splits[split])
+    unknown = [name for names in record.splits.values() for name in names if name not in record.pair_sets]
+    if unknown:
+        raise PredictionError(f"a split names the pair set '{unknown[0]}', which is not there", _yaml(folder))
+    pair_sets = {n: s for n in chosen if (s := record.pair_sets[n]).has_truth and s.pairs > 0}
+    there = folder.methods()
+    check_file_names((m.label for m in there), "the method", folder.root)
+    methods = tuple(_method(m, record, pair_sets) for m in there)
+    _check_same_pairs(folder, methods)
+    splits = {name: names for name, names in record.splits.items() if split in (None, name)} or {"": tuple(chosen)}
+    return DatasetEntry(
+        record,
+        methods,
+        pair_sets,
+        {name: kept for name, names in splits.items() if (kept := tuple(n for n in names if n in pair_sets))},
+        tuple(n for n in chosen if n not in pair_sets),
+    )
+
+
+def _method(folder: MethodResults, dataset: DatasetRecord, pair_sets: dict[str, PairSetRecord]) -> Method:
+    run = folder.run_record()
+    if run.fingerprint != dataset.fingerprint:
+        raise PredictionError(
+            f"was made for {run.dataset}@{run.fingerprint[:SHORT]}, but lies among the results of "
+            f"{dataset.name}@{dataset.fingerprint[:SHORT]}",
+            folder.run_yaml,
+        )
+    run = run.model_copy(update={"method": folder.label})
+    errors: dict[str, ErrorTable] = {}
+    missing: dict[str, str] = {}
+    done = {name for name in pair_sets if _complete(folder, name)}
+    scores = _scores(folder, run) if done else None  # read once: it holds every pair set
+    for name, record in pair_sets.items():
+        if scores is not None and name in done:
+            errors[name] = _errors(folder, run, name, record, scores)
+        else:
+            missing[name] = _why_missing(folder, name, record)
+    stopped = frozenset(name for name in missing if folder.journal(name).is_dir())
+    matching = {
+        name: _matching(folder, run, name, list(map(tuple, rows.keys.tolist())), scores)
+        for name, rows in errors.items()
+        if scores is not None and folder.matching(name).exists()
+    }
+    return Method(folder.label, run, errors, missing, stopped, matching)
+
+
+def _complete(folder: MethodResults, pair_set: str) -> bool:
+    """Predictions made elsewhere may come without a table; a run that was killed between the two keeps a journal."""
+    return folder.complete(pair_set) or (
+        folder.predictions(pair_set).exists() and not folder.journal(pair_set).is_dir()
+    )
+
+
+def _why_missing(folder: MethodResults, pair_set: str, record: PairSetRecord) -> str:
+    journal = folder.journal(pair_set)
+    if not journal.is_dir():
+        return "not run"
+    keys = {
+        str(entry["key"])
+        for path in sorted(journal.glob("*.jsonl"))
+        for entry in read_journal(path)
+        if isinstance(entry, dict) and "key" in entry
+    }
+    return f"the run was stopped after {len(keys)} of {record.pairs} pairs"
+
+
+def _scores(folder: MethodResults, run: RunRecord) -> ScoreRecord:
+    if not folder.scores_yaml.exists():
+        raise PredictionError(f"missing: the predictions are not scored; {_again(folder, run)}", folder.scores_yaml)
+    return folder.score_record()
+
+
+def _again(folder: MethodResults, run: RunRecord, *, matching: bool = False) -> str:
+    return f"score again: {evaluate_command(run, results=str(folder.root.parent.parent), matching=matching)}"
+
+
+def _errors(folder: MethodResults, run: RunRecord, name: str, record: PairSetRecord, scores: ScoreRecord) -> ErrorTable:
+    """Errors of one pair set by reference time. Raises PredictionError unless they fit predictions and scores."""
+    again = _again(folder, run)
+    if name not in scores.predictions or name not in scores.pair_sets:
+        raise PredictionError(f"holds no scores of '{name}', which was predicted; {again}", folder.scores_yaml)
+    if scores.predictions[name] != predictions_hash(folder, name):
+        raise PredictionError(f"changed since it was scored; {again}", folder.predictions(name))
+    path = folder.errors(name)
+    rows = read_errors(path).by_time()
+    twice = bool((np.diff(rows.keys, axis=0) == 0).all(axis=1).any())
+    if twice or len(rows) != record.pairs:
+        raise PredictionError(f"{len(rows)} rows, expected one for each of the {record.pairs} pairs; {again}", path)
+    absent = [group for group in record.groups if group not in rows.group_names]
+    if absent and len(record.groups) > 1:
+        raise PredictionError(f"no pair of the group '{absent[0]}', which the dataset's record names; {again}", path)
+    _check_scores(rows, scores, name, folder, again)
+    return rows
+
+
+def _matching(
+    folder: MethodResults, run: RunRecord, name: str, keys: Sequence[PairKey], scores: ScoreRecord
+) -> tuple[MatchingRow, ...]:
+    """Matching quality of one pair set. Raises PredictionError unless its summary is the one in ``scores.yaml``."""
+    path = folder.matching(name)
+    rows = read_matching(path)
+    check_complete(rows, keys, path)
+    recorded = scores.matching.get(name, {})
+    if any(recorded.get(group) != summarize_matching(rows, group) for group in groups_of(rows)):
+        again = _again(folder, run, matching=True)
+        raise PredictionError(f"is not what {folder.scores_yaml.name} summarises; {again}", path)
+    return tuple(rows)
+
+
+def _check_scores(rows: ErrorTable, scores: ScoreRecord, name: str, folder: MethodResults, again: str) -> None:
+    """The table of errors is not covered by a hash, but its summary must be the one in ``scores.yaml``."""
+    for group in groups_of(rows):
+        recorded = scores.pair_sets[name].get(group, {})
+        for metric, value in summarize_rows(rows, group).to_dict().items():
+            if metric not in recorded:
+                raise PredictionError(f"no {metric} of '{name}' ({group}); {again}", folder.scores_yaml)
+            if not _same(value, recorded[metric]):
+                told = f"{metric} ({group}) is {value} here and {recorded[metric]} in {folder.scores_yaml.name}"
+                raise PredictionError(f"{told}; {again}", folder.errors(name))
+
+
+def _same(a: float | None, b: float | None) -> bool:
+    return a is b if a is None or b is None else math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-12)
+
+
+def _check_same_pairs(folder: DatasetResults, methods: Sequence[Method]) -> None:
+    first: dict[str, tuple[str, ErrorTable]] = {}
+    for method in methods:
+        for name, rows in method.errors.items():
+            label, expected = first.setdefault(name, (method.label, rows))
+            path = folder.method(method.label).errors(name)
+            if not np.array_equal(rows.keys, expected.keys):
+                raise PredictionError(f"holds other pairs than the errors of '{label}'; score both again", path)
+            if rows is not expected and rows.groups != expected.groups:
+                raise PredictionError(f"holds other groups than the errors of '{label}'; score both again", path)
+
+
+def _check_apart(folders: Sequence[DatasetResults]) -> None:
+    """Two folders of one dataset would write their pictures over each other's."""
+    first: dict[tuple[str, str], DatasetResults] = {}
+    for folder in folders:
+        check_file_names([folder.record.name, folder.record.fingerprint], "the name or fingerprint", _yaml(folder))
+        other = first.setdefault((folder.record.name, folder.record.fingerprint[:SHORT]), folder)
+        if other is not folder:
+            raise PredictionError(f"is the same dataset as {other.root.name}; expected one folder of each", folder.root)
+
+
+def _yaml(folder: DatasetResults) -> Path:
+    return folder.root / "dataset.yaml"

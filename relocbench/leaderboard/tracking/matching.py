@@ -1,0 +1,71 @@
+"""Matching quality on the leaderboard: how often a method's per-pixel Gauss-Newton finds the true pixel."""
+
+from __future__ import annotations
+
+from urllib.parse import quote
+
+from relocbench.evaluation.common.matching_table import ALL, OFFSETS_PX, Summary, summarize_matching
+from relocbench.evaluation.tracking.score import groups_of
+from relocbench.leaderboard.common.text import Value, escaped, number, table_text
+from relocbench.leaderboard.tracking.load import Method
+from relocbench.leaderboard.tracking.model import Board, DatasetBoard
+
+
+def matching_lines(dataset: DatasetBoard, pair_set: str) -> list[tuple[Method, Summary]]:
+    """The methods that were measured on a pair set, best first (found to 3 px, over all starts)."""
+    known = [(m, summarize_matching(m.matching[pair_set])) for m in dataset.entry.methods if pair_set in m.matching]
+    known = [(method, summary) for method, summary in known if summary[ALL]["count"]]
+    return sorted(known, key=lambda line: (-(line[1][ALL]["match@3px"] or 0.0), line[0].label))
+
+
+def matching_file(dataset: DatasetBoard, pair_set: str) -> str:
+    """Where the picture of a pair set lies, relative to the page."""
+    return f"curves/{dataset.entry.title}__{pair_set}.matching.png"
+
+
+def matching_section(dataset: DatasetBoard, pair_set: str, *, plots: bool) -> list[str]:
+    """What the page says about a pair set; nothing where no method was measured."""
+    lines = matching_lines(dataset, pair_set)
+    if not lines:
+        return []
+    first = lines[0][1]
+    count = first["1px"]["count"]
+    offsets = [f"{offset}px" for offset in OFFSETS_PX]
+    rows = [
+        [escaped(method.label), *(_cell(summary, o, "match") for o in (ALL, *offsets))] for method, summary in lines
+    ]
+    rows.append(["*the starts themselves*", *(_cell(first, o, "start") for o in (ALL, *offsets))])
+    columns = ["method", "all starts", *(f"{offset} px off" for offset in OFFSETS_PX)]
+    parts = [
+        f"**Matching quality**: share of {count} ground-truth correspondences, in percent, that the method's per-pixel "
+        "Gauss-Newton brings within 1 px / 3 px of the true pixel, by how far off it starts. A pixel without an answer "
+        "is not found. Methods that do not match single pixels are not in this table.",
+        table_text(columns, rows, left=1),
+    ]
+    if plots:
+        parts.append(f"![Matching quality on {escaped(pair_set)}]({quote(matching_file(dataset, pair_set))})")
+    return parts
+
+
+def matching_rows(board: Board) -> list[dict[str, Value]]:
+    """Rows of ``matching.csv``: one for each pair set, group, method and start offset; shares 0..1."""
+    return [
+        {
+            "dataset": dataset.entry.record.name,
+            "fingerprint": dataset.entry.record.fingerprint,
+            "pair_set": pair_set,
+            "group": group,
+            "method": method.label,
+            "start": start,
+            **values,
+        }
+        for dataset in board.datasets
+        for pair_set in dataset.entry.pair_sets
+        for method, _ in matching_lines(dataset, pair_set)
+        for group in groups_of(method.matching[pair_set])
+        for start, values in summarize_matching(method.matching[pair_set], group).items()
+    ]
+
+
+def _cell(summary: Summary, offset: str, what: str) -> str:
+    return f"{number(summary[offset][f'{what}@1px'], 'share')} / {number(summary[offset][f'{what}@3px'], 'share')}"

@@ -1,0 +1,112 @@
+"""What a leaderboard shows: a board of datasets, their tables, and a row for each method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from relocbench.evaluation.tracking.score import ALL
+from relocbench.leaderboard.tracking.load import DatasetEntry, Method
+from relocbench.metrics import METRICS, Difference, Interval, Metric, Spread
+
+TOTAL = "total"
+INTERVALS = ("t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)", "recall@(0.5m,5deg)")
+"""the metrics that tables show with a 95 % interval, besides the one that ranks"""
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One method in a table."""
+
+    method: Method
+    pairs: int
+    answered: int | None
+    failed: int | None
+    """pairs on which the method said that it failed"""
+    broke: int | None
+    """pairs on which it raised, crashed or broke the contract"""
+    values: Mapping[str, float | None]
+    """by metric; all None where a pair set is missing"""
+    intervals: Mapping[str, Interval | None]
+    rank: int | None
+    above_floor: Difference | None
+    """of the ranking metric, to the identity pose on the same pairs; positive is better"""
+    missing: tuple[str, ...] = ()
+    """the pair sets that are missing"""
+
+
+@dataclass(frozen=True, eq=False)
+class SeedRow:
+    """Runs of one method that differ by their seed alone."""
+
+    target: str
+    labels: tuple[str, ...]
+    seeds: tuple[int, ...]
+    spread: Mapping[str, Spread | None]
+    """by metric; None where a run has no value"""
+
+    @property
+    def title(self) -> str:
+        return f"{self.target}, {len(self.seeds)} seeds"
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A row for each method: on a pair set, on one group of it, or in total."""
+
+    pair_set: str
+    """``total`` over ``pair_sets``"""
+    pair_sets: tuple[str, ...]
+    split: str
+    group: str
+    """``all`` for all pairs"""
+    pairs: int
+    rejected: int | None
+    """pairs whose ground truth was rejected; known of whole pair sets only"""
+    medians: Mapping[str, float | None]
+    """distance_m, angle_deg of the pairs, sigma_translation_m, sigma_rotation_deg of the ground truth"""
+    grey: frozenset[str]
+    """metrics with a threshold finer than the ground truth allows"""
+    rows: tuple[Row, ...]
+    """best first, methods without a value last"""
+    seeds: tuple[SeedRow, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class DatasetBoard:
+    """All tables of one dataset."""
+
+    entry: DatasetEntry
+    tables: tuple[Table, ...]
+    """each pair set followed by its groups, then each split's total followed by the groups that all its sets have"""
+
+    @property
+    def pair_sets(self) -> list[Table]:
+        """One table a pair set, over all its pairs."""
+        return [t for t in self.tables if t.pair_set != TOTAL and t.group == ALL]
+
+    @property
+    def totals(self) -> list[Table]:
+        """One table a split, over all pairs."""
+        return [t for t in self.tables if t.pair_set == TOTAL and t.group == ALL]
+
+    def groups_of(self, table: Table) -> list[Table]:
+        """The tables of the groups of a pair set or total."""
+        place = (table.pair_set, table.split)
+        return [t for t in self.tables if t.group != ALL and (t.pair_set, t.split) == place]
+
+
+@dataclass(frozen=True, eq=False)
+class Board:
+    """Everything that a leaderboard shows."""
+
+    datasets: tuple[DatasetBoard, ...]
+    metric: Metric
+    """that ranks"""
+    seed: int
+    split: str | None = None
+
+    @property
+    def with_interval(self) -> tuple[Metric, ...]:
+        """The metrics that come with an interval, in the registry's order."""
+        return tuple(m for m in METRICS if m.name in {*INTERVALS, self.metric.name})

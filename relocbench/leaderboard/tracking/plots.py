@@ -1,0 +1,233 @@
+"""Cumulative error curves: the share of all pairs against the error, translation beside rotation."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from relocbench.evaluation.common.matching_table import OFFSETS_PX
+from relocbench.leaderboard.tracking.load import Method
+from relocbench.leaderboard.tracking.matching import matching_lines
+from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
+from relocbench.metrics import cumulative_curve
+from relocbench.metrics.pose.registry import SIGMA_FACTOR
+
+Array = NDArray[np.float64]
+LIMIT_M = 1.0
+LIMIT_DEG = 1.0
+# Okabe and Ito, "Color Universal Design" (2008), without the yellow, which is faint on white.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+Style = str | tuple[float, tuple[float, ...]]
+STYLES: tuple[Style, ...] = ("-", (0, (1, 0.8)), (0, (4, 1, 1, 1)))
+FLOOR_COLOUR = "#767676"
+
+
+_INCHES = (11.0, 4.2)
+"""of a picture of curves; long names make it wider, many of them higher"""
+_LEFT, _GAP, _RIGHT, _BELOW, _ABOVE, _EDGE = 0.78, 0.75, 0.25, 0.5, 0.66, 0.1
+"""inches around and between the panels of a picture of curves"""
+_NARROWEST = 2.6
+LONGEST_LABEL = 60
+"""characters of a name in a picture; what is longer would leave no room for the curves"""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One method in the picture of a pair set."""
+
+    label: str
+    translation_error_m: Array
+    """(M,) ascending, up to the limit of the picture"""
+    rotation_error_deg: Array
+    translation_share: Array
+    """(M,) of all pairs"""
+    rotation_share: Array
+    colour: str
+    style: Style
+    width: float
+
+
+@dataclass(frozen=True, eq=False)
+class CurvePicture:
+    """What the picture of a pair set's cumulative error curves shows."""
+
+    title: str
+    pairs: int
+    ranked_by: str
+    curves: tuple[Curve, ...]
+    sigma_m: float | None
+    sigma_deg: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class MatchingPicture:
+    """What the picture of matching quality shows: a line is a label, shares in percent by offset, colour and style."""
+
+    title: str
+    lines: tuple[tuple[str, tuple[float, ...], str, Style], ...]
+
+
+def curve_picture(board: Board, dataset: DatasetBoard, table: Table) -> CurvePicture:
+    """A pair set's curves; a method keeps its colour on all pair sets of a dataset."""
+    record = dataset.entry.pair_sets[table.pair_set]
+    conditions = f"{record.reference_condition} → {record.query_condition}"
+    return CurvePicture(
+        f"{_shown(f'{dataset.entry.record.name}: {table.pair_set}', 2)}\n{_shown(conditions, 2)}",
+        table.pairs,
+        board.metric.name,
+        tuple(_curve(board, dataset, table, row) for row in table.rows if not row.missing),
+        table.medians["sigma_translation_m"],
+        table.medians["sigma_rotation_deg"],
+    )
+
+
+def matching_picture(dataset: DatasetBoard, pair_set: str) -> MatchingPicture:
+    """The share of pixels found to 3 px against how far off the start was; colours as in the error curves."""
+    lines = []
+    for method, summary in matching_lines(dataset, pair_set):
+        shares = [summary[f"{offset}px"]["match@3px"] for offset in OFFSETS_PX]
+        percent = tuple(np.nan if share is None else 100 * share for share in shares)
+        lines.append((_shown(method.label), percent, *_look(dataset, method)))
+    return MatchingPicture(_shown(f"{dataset.entry.record.name}: {pair_set}", 2), tuple(lines))
+
+
+def draw(picture: CurvePicture | MatchingPicture) -> bytes:
+    """PNG of a picture, the same bytes in any process."""
+    with mpl.rc_context(), warnings.catch_warnings():
+        # Names may hold letters that the font does not have.
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+        mpl.rcdefaults()  # the reader's own settings must not change the picture
+        mpl.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
+        mpl.rcParams["text.parse_math"] = False  # a $ in a name is a letter
+        return _png(_curves(picture) if isinstance(picture, CurvePicture) else _matching(picture))
+
+
+def _png(figure: Figure) -> bytes:
+    stream = io.BytesIO()
+    # A twentieth larger than at the usual level, and drawn in seven eighths of the time.
+    figure.savefig(stream, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 1})
+    return stream.getvalue()
+
+
+def _curves(picture: CurvePicture) -> Figure:
+    figure = Figure(figsize=_INCHES, dpi=130)
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2, sharey=True)
+    metres = [(c, c.translation_error_m, c.translation_share) for c in picture.curves]
+    degrees = [(c, c.rotation_error_deg, c.rotation_share) for c in picture.curves]
+    handles = _panel(left, metres, LIMIT_M, picture.sigma_m)
+    _panel(right, degrees, LIMIT_DEG, picture.sigma_deg)
+    left.set_xlabel("translation error (m)")
+    right.set_xlabel("rotation error (°)")
+    left.set_ylabel(f"share of all {picture.pairs} pairs")
+    # Given one by one: a label that begins with _ would be left out of a legend that is made from the axes.
+    labels = [curve.label for curve in picture.curves]
+    legend = figure.legend(
+        handles,
+        labels,
+        loc="upper right",
+        bbox_to_anchor=(1, 1),
+        title=picture.ranked_by,
+        frameon=False,
+        handlelength=3.2,
+    )
+    # matplotlib's own layout would draw everything twice, which takes most of the time of a page of many sets.
+    extent = legend.get_window_extent()
+    around = _LEFT + _GAP + _RIGHT + extent.width / figure.dpi
+    panel = max((_INCHES[0] - around) / 2, _NARROWEST), _INCHES[1] - _BELOW - _ABOVE
+    width, height = around + 2 * panel[0], max(_INCHES[1], extent.height / figure.dpi + 2 * _EDGE)
+    figure.set_size_inches(width, height)
+    below = height - _ABOVE - panel[1]
+    for axes, start in ((left, _LEFT), (right, _LEFT + panel[0] + _GAP)):
+        axes.set_position((start / width, below / height, panel[0] / width, panel[1] / height))
+    figure.suptitle(picture.title, fontsize=11, x=_LEFT / width, y=1 - _EDGE / height, ha="left")
+    return figure
+
+
+def _curve(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> Curve:
+    method = row.method
+    errors = method.errors[table.pair_set].errors
+    value = row.values[board.metric.name]
+    name = _shown(method.label)
+    label = f"{name}  {100 * value:.1f} %" if value is not None else name
+    label = f"{label} (floor)" if method.is_floor else label
+    metres = _steps(errors.translation_error_m, LIMIT_M)
+    degrees = _steps(errors.rotation_error_deg, LIMIT_DEG)
+    look = _look(dataset, method)
+    return Curve(label, metres[0], degrees[0], metres[1], degrees[1], *look, 1.6 if method.is_floor else 1.8)
+
+
+def _steps(error: Array, limit: float) -> tuple[Array, Array]:
+    """Corners of a curve from 0 to the limit: errors, and shares of all pairs in percent."""
+    curve = cumulative_curve(error)
+    inside = curve.error <= limit
+    x = np.concatenate([[0.0], curve.error[inside], [limit]])
+    return x, 100 * np.concatenate([[0.0], curve.share[inside], [curve.at(limit)]])
+
+
+def _shown(name: str, times: int = 1) -> str:
+    """A name as a picture has room for it."""
+    plain = "".join(c if c.isprintable() else "\ufffd" for c in name)
+    return plain if len(plain) <= times * LONGEST_LABEL else f"{plain[: times * LONGEST_LABEL - 1]}…"
+
+
+def _look(dataset: DatasetBoard, method: Method) -> tuple[str, Style]:
+    """Colour and line style of a method, the same in all pictures of a dataset."""
+    if method.is_floor:
+        return FLOOR_COLOUR, (0, (4, 2))
+    place = [m.label for m in dataset.entry.methods if not m.is_floor].index(method.label)
+    return COLOURS[place % len(COLOURS)], STYLES[place // len(COLOURS) % len(STYLES)]
+
+
+def _matching(picture: MatchingPicture) -> Figure:
+    figure = Figure(figsize=(6.5, 3.6), dpi=130, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    handles = []
+    for _, y, colour, style in picture.lines:
+        handles += axes.plot(OFFSETS_PX, y, color=colour, linestyle=style, linewidth=1.8, marker="o")
+    axes.set_xscale("log", base=2)
+    axes.set_xticks(OFFSETS_PX, [str(offset) for offset in OFFSETS_PX])
+    axes.set_xlabel("start off the true pixel by (px)")
+    axes.set_ylabel("found to 3 px")
+    axes.set_ylim(0, 101.5)
+    axes.yaxis.set_major_formatter("{x:.0f} %")
+    axes.grid(True, color="#dddddd", linewidth=0.6)
+    axes.set_title(picture.title, fontsize=11)
+    axes.legend(handles, [label for label, *_ in picture.lines], frameon=False, handlelength=3.2)
+    return figure
+
+
+def _panel(axes: Axes, curves: Sequence[tuple[Curve, Array, Array]], limit: float, sigma: float | None) -> list[Line2D]:
+    lines: list[Line2D] = []
+    for order, (curve, x, y) in enumerate(curves):
+        # The best is drawn last, so that it is not hidden where curves meet.
+        lines += axes.step(
+            x,
+            y,
+            where="post",
+            color=curve.colour,
+            linestyle=curve.style,
+            linewidth=curve.width,
+            zorder=3 + len(curves) - order,
+        )
+    if sigma:
+        finest = min(SIGMA_FACTOR * sigma, limit)
+        axes.axvspan(0, finest, color="#000000", alpha=0.07, linewidth=0)
+        axes.text(0, 103, "shaded: finer than 2σ of the ground truth", fontsize=7, va="bottom", color="#555555")
+    axes.set_xlim(0, limit)
+    axes.set_ylim(0, 101.5)  # a curve at 100 % is seen in its full width
+    axes.yaxis.set_major_formatter("{x:.0f} %")
+    axes.grid(True, color="#dddddd", linewidth=0.6)
+    axes.tick_params(labelleft=True)
+    return lines

@@ -1,0 +1,241 @@
+"""From per-pair errors to ranked tables. Computes and does no I/O.
+
+A pair set is a total over one set, and a group is a set of fewer pairs: one function serves all tables.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import ConfigError
+from relocbench.evaluation.common.results import STATUSES, ErrorTable
+from relocbench.evaluation.tracking.score import ALL
+from relocbench.leaderboard.tracking.load import DatasetEntry, Method
+from relocbench.leaderboard.tracking.model import INTERVALS, TOTAL, Board, DatasetBoard, Row, SeedRow, Table
+from relocbench.metrics import (
+    METRICS,
+    Metric,
+    Spread,
+    bootstrap_interval,
+    metric_named,
+    paired_difference,
+    rank_with_ties,
+    spread_over_seeds,
+    totals,
+)
+from relocbench.progress import Reporter, Silent
+
+Array = NDArray[np.float64]
+RANKING = "t_auc@0.5m"
+"""Continuous, so that it tells methods apart with fewer pairs than a recall does, and coarse enough for ground truth
+of 0.25 m sigma."""
+
+
+def ranking_metric(name: str) -> Metric:
+    """The metric of that name. Raises ConfigError unless it is a mean over pairs, as ranks need."""
+    metric = metric_named(name)
+    if metric.per_pair is None:
+        able = ", ".join(m.name for m in METRICS if m.per_pair is not None)
+        raise ConfigError(f"methods cannot be ranked by '{name}', which is no mean over pairs; expected one of {able}")
+    return metric
+
+
+def make_board(
+    entries: Sequence[DatasetEntry],
+    *,
+    metric: str = RANKING,
+    seed: int = 0,
+    split: str | None = None,
+    reporter: Reporter | None = None,
+) -> Board:
+    """Compute every table.
+
+    Args:
+        entries: what :func:`relocbench.leaderboard.tracking.load.load_results` read.
+        metric: ranks methods; a mean over pairs.
+        seed: of the bootstrap. Each number has a generator of its own, so it does not depend on what else is there.
+        split: for the record, the split that ``entries`` were limited to.
+        reporter: hears how many tables are done.
+
+    Raises:
+        ConfigError: unknown metric, or one that is no mean over pairs.
+    """
+    ranking = ranking_metric(metric)
+    plans = [_plan(entry) for entry in entries]
+    boards = []
+    with (reporter or Silent()).stage("comparing", sum(map(len, plans))) as advance:
+        for entry, plan in zip(entries, plans, strict=True):
+            tables = []
+            for planned in plan:
+                tables.append(_table(entry, planned, ranking, seed))
+                advance(1)
+            boards.append(DatasetBoard(entry, tuple(tables)))
+    return Board(tuple(boards), ranking, seed, split)
+
+
+@dataclass(frozen=True)
+class _Planned:
+    """A table to compute."""
+
+    names: tuple[str, ...]
+    group: str = ALL
+    split: str | None = None
+    """None for the table of one pair set"""
+
+
+def _plan(entry: DatasetEntry) -> list[_Planned]:
+    """Each pair set that was used and its groups; each split and the groups that all its pair sets have."""
+    plan = [_Planned((name,), group) for name in entry.used for group in (ALL, *entry.groups(name))]
+    for split, names in entry.splits.items():
+        if any(name in entry.used for name in names):
+            shared = [g for g in entry.groups(names[0]) if all(g in entry.groups(n) for n in names)]
+            plan += [_Planned(names, group, split) for group in (ALL, *shared)]
+    return plan
+
+
+def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) -> Table:
+    names, group, split = planned.names, planned.group, planned.split
+    shown = names[0] if split is None else TOTAL
+    place = f"{entry.record.compared_by} {shown} {split or ''} {group}"
+    sets = {m.label: [_of_group(m, name, group) for name in names] for m in entry.methods}
+    ranks: dict[str, int | None] = dict.fromkeys(sets)
+    if group == ALL:
+        ranks = rank_with_ties(
+            {label: [None if rows is None else _per_pair(metric, rows) for rows in own] for label, own in sets.items()},
+            _generator(seed, place, metric.name),
+            higher_is_better=metric.higher_is_better,
+        )
+    floor = sets[entry.floor.label] if entry.floor else None
+    rows = [_row(m, sets[m.label], names, ranks[m.label], floor, metric, seed, place) for m in entry.methods]
+    asked = _pairs_asked(sets)
+    return Table(
+        pair_set=shown,
+        pair_sets=names,
+        split=" ".join(s for s in entry.splits if s and names[0] in entry.splits[s]) if split is None else split,
+        group=group,
+        pairs=sum(entry.pair_sets[n].pairs for n in names) if group == ALL else sum(map(len, asked)),
+        rejected=sum(entry.pair_sets[n].rejected for n in names) if group == ALL else None,
+        medians=_medians(asked),
+        grey=_grey(entry, names),
+        rows=tuple(sorted(rows, key=lambda row: _order(row, metric))),
+        seeds=tuple(_seed_rows(rows)),
+    )
+
+
+def _row(
+    method: Method,
+    sets: Sequence[ErrorTable | None],
+    names: Sequence[str],
+    rank: int | None,
+    floor: Sequence[ErrorTable | None] | None,
+    metric: Metric,
+    seed: int,
+    place: str,
+) -> Row:
+    missing = tuple(name for name, rows in zip(names, sets, strict=True) if rows is None)
+    there = [rows for rows in sets if rows is not None]
+    values = totals([None if rows is None else rows.summary for rows in sets])
+    if missing:
+        return Row(method, sum(map(len, there)), None, None, None, values, {}, rank, None, missing)
+    counts = {status: sum(rows.with_status(status) for rows in there) for status in STATUSES}
+    intervals = {
+        m.name: bootstrap_interval([_per_pair(m, rows) for rows in there], _generator(seed, place, m.name))
+        for m in METRICS
+        if m.name in {*INTERVALS, metric.name}
+    }
+    above = None
+    if floor is not None and floor is not sets and not any(rows is None for rows in floor):
+        above = paired_difference(
+            [_sign(metric) * _per_pair(metric, rows) for rows in there],
+            [_sign(metric) * _per_pair(metric, rows) for rows in floor if rows is not None],
+            _generator(seed, place, metric.name),
+        )
+    return Row(
+        method=method,
+        pairs=sum(map(len, there)),
+        answered=counts["ok"],
+        failed=counts["failed"],
+        broke=counts["error"],
+        values=values,
+        intervals=intervals,
+        rank=rank,
+        above_floor=above,
+    )
+
+
+def _of_group(method: Method, pair_set: str, group: str) -> ErrorTable | None:
+    rows = method.errors.get(pair_set)
+    return None if rows is None else rows.of_group(group)
+
+
+def _per_pair(metric: Metric, rows: ErrorTable) -> Array:
+    if metric.per_pair is None:
+        raise ValueError(f"{metric.name} is no mean over pairs")
+    return metric.per_pair(rows.errors)
+
+
+def _generator(seed: int, place: str, metric: str) -> np.random.Generator:
+    return np.random.default_rng([seed, zlib.crc32(f"{place} {metric}".encode())])
+
+
+def _sign(metric: Metric) -> float:
+    return 1.0 if metric.higher_is_better else -1.0
+
+
+def _order(row: Row, metric: Metric) -> tuple[bool, float, str]:
+    value = row.values[metric.name]
+    return value is None, 0.0 if value is None else -_sign(metric) * value, row.method.label
+
+
+def _pairs_asked(sets: Mapping[str, Sequence[ErrorTable | None]]) -> list[ErrorTable]:
+    """The pairs of each set, from whichever method has it: all have the same."""
+    columns = zip(*sets.values(), strict=True)
+    return [rows for column in columns if (rows := next((r for r in column if r is not None), None)) is not None]
+
+
+def _medians(asked: Sequence[ErrorTable]) -> dict[str, float | None]:
+    out: dict[str, float | None] = {}
+    for name in ("distance_m", "angle_deg", "sigma_translation_m", "sigma_rotation_deg"):
+        values = np.concatenate([np.zeros(0), *(rows.column(name) for rows in asked)])
+        known = values[~np.isnan(values)]
+        out[name] = float(np.median(known)) if known.size else None
+    return out
+
+
+def _grey(entry: DatasetEntry, names: Sequence[str]) -> frozenset[str]:
+    """A total is grey where one of its pair sets is."""
+    records = [entry.pair_sets[name] for name in names]
+    return frozenset(
+        m.name
+        for m in METRICS
+        for r in records
+        if m.threshold_finer_than(r.median_sigma_translation_m, r.median_sigma_rotation_deg)
+    )
+
+
+def _seed_rows(rows: Sequence[Row]) -> list[SeedRow]:
+    """Runs of one target and version whose parameters are the same but for the seed."""
+    alike: dict[str, dict[int, Row]] = {}
+    for row in rows:
+        run, seed = row.method.run, row.method.seed
+        if seed is not None:
+            same = repr((run.target, sorted(row.method.settings.items()), run.versions.get("method")))
+            alike.setdefault(same, {}).setdefault(seed, row)
+    out = []
+    for runs in alike.values():
+        if len(runs) > 1:
+            seeds = tuple(sorted(runs))
+            chosen = [runs[seed] for seed in seeds]
+            spread = {m.name: _spread([row.values[m.name] for row in chosen]) for m in METRICS}
+            out.append(SeedRow(chosen[0].method.run.target, tuple(r.method.label for r in chosen), seeds, spread))
+    return out
+
+
+def _spread(values: Sequence[float | None]) -> Spread | None:
+    known = [value for value in values if value is not None]
+    return spread_over_seeds(known) if len(known) == len(values) else None

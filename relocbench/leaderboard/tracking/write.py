@@ -1,0 +1,112 @@
+"""Write a leaderboard: the same results give the same bytes."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+from relocbench.execution import Run, default_workers, run_units
+from relocbench.files import atomic_write, remove_parts, write_bytes, write_text
+from relocbench.leaderboard.common.text import write_table
+from relocbench.leaderboard.tracking.load import load_results
+from relocbench.leaderboard.tracking.long_form import error_rows, leaderboard_rows, seed_rows
+from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_rows
+from relocbench.leaderboard.tracking.model import Board
+from relocbench.leaderboard.tracking.page import curve_file, drawn, markdown
+from relocbench.leaderboard.tracking.tables import RANKING, make_board, ranking_metric
+from relocbench.progress import Reporter, Silent
+
+_MANY_PICTURES = 24
+"""from so many on, they are drawn in processes, whose start takes as long as some pictures"""
+
+
+def write_leaderboard(
+    results: Path,
+    out: Path,
+    *,
+    metric: str = RANKING,
+    split: str | None = None,
+    seed: int = 0,
+    plots: bool = True,
+    reporter: Reporter | None = None,
+) -> Board:
+    """Compare what a results folder holds, and write it.
+
+    Args:
+        results: ``RESULTS``, or one ``DATASET@FINGERPRINT`` folder of it; read only.
+        out: folder for the files of :func:`write_board`.
+        metric: ranks methods; a mean over pairs.
+        split: only the pair sets of this split.
+        seed: of the bootstrap.
+        plots: draw the curves.
+        reporter: hears of missing results and of progress.
+
+    Raises:
+        PredictionError: no results, a bad file, scores that are missing or stale.
+        ConfigError: unknown metric or split.
+    """
+    ranking_metric(metric)  # a typing error should not have to wait for the bootstrap
+    report = Silent() if reporter is None else reporter
+    entries = load_results(results, split)
+    for entry in entries:
+        for method in entry.methods:
+            for pair_set in (name for name in entry.used if name in method.missing):
+                report.note(f"{entry.title}: {method.label} has no result on {pair_set}: {method.missing[pair_set]}")
+    board = make_board(entries, metric=metric, seed=seed, split=split, reporter=report)
+    write_board(board, out, plots=plots, reporter=report)
+    return board
+
+
+def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Reporter) -> list[Path]:
+    """``leaderboard.csv``, ``leaderboard.md``, ``errors.csv`` and ``curves/*.png``.
+
+    Also ``seeds.csv`` and ``matching.csv``, if there is something to put into them.
+
+    Each file appears whole or not at all; there are no dates in them. Returns the files.
+    """
+    for folder in (out, out / "curves"):
+        remove_parts(folder, deep=False)
+    rows = leaderboard_rows(board)
+    paths = [out / "leaderboard.csv", out / "errors.csv"]
+    write_table(paths[0], [list(rows[0]), *([row[c] for c in rows[0]] for row in rows)] if rows else [])
+    with atomic_write(paths[1]) as stream:
+        csv.writer(stream, lineterminator="\n").writerows(error_rows(board))
+    seeds = seed_rows(board)
+    if seeds:
+        paths.append(out / "seeds.csv")
+        write_table(paths[-1], [list(seeds[0]), *(list(row.values()) for row in seeds)])
+    matching = matching_rows(board)
+    if matching:
+        paths.append(out / "matching.csv")
+        write_table(paths[-1], [list(matching[0]), *(list(row.values()) for row in matching)])
+    if plots:
+        paths += _write_plots(board, out, reporter)
+    paths.append(out / "leaderboard.md")
+    write_text(paths[-1], markdown(board, plots=plots))
+    return paths
+
+
+def _write_plots(board: Board, out: Path, reporter: Reporter) -> list[Path]:
+    from relocbench.leaderboard.tracking.plots import (
+        CurvePicture,
+        MatchingPicture,
+        curve_picture,
+        draw,
+        matching_picture,
+    )
+
+    tables = [(dataset, table) for dataset in board.datasets for table in dataset.pair_sets if drawn(table)]
+    paths: list[Path] = []
+    pictures: list[CurvePicture | MatchingPicture] = []
+    for dataset, table in tables:
+        paths.append(out / curve_file(dataset, table))
+        pictures.append(curve_picture(board, dataset, table))
+        if matching_lines(dataset, table.pair_set):
+            paths.append(out / matching_file(dataset, table.pair_set))
+            pictures.append(matching_picture(dataset, table.pair_set))
+    workers = default_workers() if len(pictures) >= _MANY_PICTURES else 1
+    with reporter.stage("curves", len(pictures)) as advance:
+        for index, drawing in run_units(draw, pictures, Run(workers)):
+            write_bytes(paths[index], drawing)
+            advance(1)
+    return paths

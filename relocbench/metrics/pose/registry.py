@@ -1,0 +1,193 @@
+"""Every metric of a pair set by its stable name: unit, direction, formula, thresholds it relies on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import ConfigError
+from relocbench.metrics.pose.confidence import precision_recall
+from relocbench.metrics.pose.curves import area_shares
+from relocbench.metrics.pose.errors import PoseErrors
+
+Array = NDArray[np.float64]
+
+RECALL_THRESHOLDS: tuple[tuple[float, float], ...] = ((0.1, 1), (0.25, 2), (0.5, 5), (1, 5), (5, 10))
+"""(metres, degrees)"""
+MLAD_THRESHOLDS_M: tuple[float, ...] = (0.1, 0.2, 0.5)
+TRANSLATION_AUC_THRESHOLDS_M: tuple[float, ...] = (0.5, 1)
+ROTATION_AUC_THRESHOLDS_DEG: tuple[float, ...] = (0.5, 1)
+CORRECT: tuple[float, float] = (0.25, 2)
+"""(metres, degrees) of an answer that counts as correct when confidence is judged"""
+SIGMA_FACTOR = 2.0
+"""a threshold below this many ground-truth sigmas measures the ground truth rather than the method"""
+
+
+@dataclass(frozen=True, eq=False)
+class PairScores:
+    """What is known of all N pairs of one set, in the order of reference time."""
+
+    errors: PoseErrors
+    seconds: Array | None = None
+    """(N,) wall-clock seconds of a pair, NaN where the method was not run; None if never measured"""
+    confidence: Array | None = None
+    """(N,) higher is surer, NaN where not given; None if the method gives none"""
+
+    def __post_init__(self) -> None:
+        for name, column in (("seconds", self.seconds), ("confidence", self.confidence)):
+            if column is not None and np.shape(column) != (len(self.errors),):
+                raise ValueError(f"{name} must be ({len(self.errors)},), got {np.shape(column)}")
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One number of a pair set."""
+
+    name: str
+    unit: str
+    """share (0..1; printed as percent), m, deg or s"""
+    higher_is_better: bool
+    description: str
+    compute: Callable[[PairScores], float | None]
+    """the value over all pairs; None when what it needs was not given"""
+    per_pair: Callable[[PoseErrors], Array] | None = None
+    """(N,) values whose plain mean is the metric, where there are such: what a bootstrap resamples"""
+    translation_threshold_m: float | None = None
+    rotation_threshold_deg: float | None = None
+
+    def threshold_finer_than(
+        self, sigma_m: float | None, sigma_deg: float | None = None, factor: float = SIGMA_FACTOR
+    ) -> bool:
+        """Whether a threshold of the metric is below ``factor`` times the ground truth's sigma.
+
+        Such a number is shown grey. ``sigma_m`` and ``sigma_deg`` are standard deviations of the pair set's
+        ground truth; None where unknown, which greys nothing.
+        """
+        limits = ((self.translation_threshold_m, sigma_m), (self.rotation_threshold_deg, sigma_deg))
+        return any(t is not None and sigma is not None and t < factor * sigma for t, sigma in limits)
+
+
+def within(errors: PoseErrors, metres: float, degrees: float) -> NDArray[np.bool_]:
+    """(N,) both errors at most their thresholds; the threshold itself counts."""
+    return (errors.translation_error_m <= metres) & (errors.rotation_error_deg <= degrees)
+
+
+def metric_named(name: str) -> Metric:
+    """The metric of that name. Raises ConfigError, listing the names, if there is none."""
+    for metric in METRICS:
+        if metric.name == name:
+            return metric
+    raise ConfigError(f"unknown metric '{name}'; expected one of {', '.join(m.name for m in METRICS)}")
+
+
+def _mean_metric(
+    name: str,
+    description: str,
+    per_pair: Callable[[PoseErrors], Array],
+    metres: float | None = None,
+    degrees: float | None = None,
+) -> Metric:
+    return Metric(
+        name=name,
+        unit="share",
+        higher_is_better=True,
+        description=description,
+        compute=lambda scores: float(np.mean(per_pair(scores.errors))),
+        per_pair=per_pair,
+        translation_threshold_m=metres,
+        rotation_threshold_deg=degrees,
+    )
+
+
+def _recall(metres: float, degrees: float) -> Metric:
+    return _mean_metric(
+        f"recall@({metres:g}m,{degrees:g}deg)",
+        f"share of all pairs with translation_error_m <= {metres:g} and rotation_error_deg <= {degrees:g}",
+        lambda errors: within(errors, metres, degrees).astype(np.float64),
+        metres,
+        degrees,
+    )
+
+
+def _mlad_recall(metres: float) -> Metric:
+    return _mean_metric(
+        f"mlad_recall@{metres:g}m",
+        f"share of all pairs with mlad_translation_error_m <= {metres:g}",
+        lambda errors: (errors.mlad_translation_error_m <= metres).astype(np.float64),
+        metres,
+    )
+
+
+def _translation_auc(metres: float) -> Metric:
+    return _mean_metric(
+        f"t_auc@{metres:g}m",
+        f"area under the cumulative curve of translation_error_m: 1/N sum max(0, 1 - e / {metres:g} m)",
+        lambda errors: area_shares(errors.translation_error_m, metres),
+        metres,
+    )
+
+
+def _rotation_auc(degrees: float) -> Metric:
+    return _mean_metric(
+        f"r_auc@{degrees:g}deg",
+        f"area under the cumulative curve of rotation_error_deg: 1/N sum max(0, 1 - e / {degrees:g} deg)",
+        lambda errors: area_shares(errors.rotation_error_deg, degrees),
+        degrees=degrees,
+    )
+
+
+def _median(error: str, unit: str) -> Metric:
+    return Metric(
+        name=f"median_{error}",
+        unit=unit,
+        higher_is_better=False,
+        description=f"median of {error} over all pairs; inf when half of the pairs or more have no answer",
+        compute=lambda scores: float(np.median(getattr(scores.errors, error))),
+    )
+
+
+def _seconds(name: str, percent: float, words: str) -> Metric:
+    def compute(scores: PairScores) -> float | None:
+        measured = np.array([]) if scores.seconds is None else scores.seconds[np.isfinite(scores.seconds)]
+        return float(np.percentile(measured, percent)) if measured.size else None
+
+    return Metric(name, "s", False, f"{words} of the seconds a pair, over the pairs that were run", compute)
+
+
+def _confidence_area(metres: float, degrees: float) -> Metric:
+    def compute(scores: PairScores) -> float | None:
+        answered = scores.errors.answered
+        if scores.confidence is None or not np.any(answered & ~np.isnan(scores.confidence)):
+            return None
+        correct = within(scores.errors, metres, degrees)
+        return precision_recall(correct, answered, scores.confidence).area
+
+    return Metric(
+        name=f"confidence_auc_pr@({metres:g}m,{degrees:g}deg)",
+        unit="share",
+        higher_is_better=True,
+        description="area under precision against recall as the confidence asked for falls; correct is "
+        f"translation_error_m <= {metres:g} and rotation_error_deg <= {degrees:g}; recall is over all pairs",
+        compute=compute,
+        translation_threshold_m=metres,
+        rotation_threshold_deg=degrees,
+    )
+
+
+METRICS: tuple[Metric, ...] = (
+    *(_translation_auc(metres) for metres in TRANSLATION_AUC_THRESHOLDS_M),
+    *(_rotation_auc(degrees) for degrees in ROTATION_AUC_THRESHOLDS_DEG),
+    *(_recall(*thresholds) for thresholds in RECALL_THRESHOLDS),
+    *(_mlad_recall(metres) for metres in MLAD_THRESHOLDS_M),
+    _median("translation_error_m", "m"),
+    _median("rotation_error_deg", "deg"),
+    _median("mlad_translation_error_m", "m"),
+    _mean_metric("coverage", "share of all pairs with an answer", lambda errors: errors.answered.astype(np.float64)),
+    _confidence_area(*CORRECT),
+    _seconds("median_seconds", 50, "median"),
+    _seconds("p95_seconds", 95, "95th percentile"),
+)
+"""All metrics of a pair set, in the order in which tables show them."""

@@ -1,0 +1,87 @@
+"""What a ranking in random order scores on average: the level below which a retriever has learnt nothing.
+
+Of a query with n positives in a gallery of G images (junk taken out), all orders equally likely:
+
+- ``R@K``: ``1 - C(G - n, K) / C(G, K)``,
+- ``MRR``: ``sum_r P(r_0 = r) / (r + 1)`` with ``P(r_0 = r) = n / (G - r) prod_{j < r} (1 - n / (G - j))``,
+- ``AP``: position r holds a positive with probability n / G, and ``r (n - 1) / (G - 1)`` positives stand before it on
+  average; trapezoids and rectangles are linear in that number.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import ConfigError
+from relocbench.metrics.retrieval.relevance import Relevance
+
+Array = NDArray[np.float64]
+_RECALL = re.compile(r"R@([1-9][0-9]*)")
+
+
+def chance_level(relevance: Relevance, metrics: Sequence[str]) -> dict[str, float]:
+    """Expected value of each metric, 0..1, over all queries; one without positives counts as not found.
+
+    Raises:
+        ConfigError: an unknown metric.
+    """
+    size = int(np.count_nonzero(~relevance.junk))
+    counts, queries = np.unique(relevance.positives, return_counts=True)
+    weights = queries / max(relevance.queries, 1)
+    return {
+        name: float(
+            sum(w * _expected(name, int(n), size, relevance.gallery) for n, w in zip(counts, weights, strict=True))
+        )
+        for name in metrics
+    }
+
+
+def _expected(metric: str, n: int, size: int, whole: int) -> float:
+    """Of one query with n positives among ``size`` images; ``whole`` counts junk too."""
+    recall = _RECALL.fullmatch(metric)
+    if recall is not None:
+        return _recall(n, size, int(recall[1]))
+    match metric:
+        case "R@top1%":
+            return _recall(n, size, round(0.01 * whole) + 1)
+        case "MRR":
+            return _reciprocal_rank(n, size)
+        case "AP":
+            return _average_precision(n, size, trapezoids=True)
+        case "AP_rectangle":
+            return _average_precision(n, size, trapezoids=False)
+    raise ConfigError(f"unknown retrieval metric '{metric}'; expected R@K, R@top1%, AP, AP_rectangle or MRR")
+
+
+def _recall(n: int, size: int, k: int) -> float:
+    if n == 0:
+        return 0.0
+    j = np.arange(min(k, size))
+    return 1.0 - float(np.prod(np.maximum(size - n - j, 0) / (size - j)))
+
+
+def _first_position(n: int, size: int) -> Array:
+    """(size,) probability that the first positive stands at each position."""
+    r = np.arange(size)
+    miss = np.maximum(size - n - r, 0) / (size - r)
+    before = np.concatenate([[1.0], np.cumprod(miss)[:-1]])
+    return np.asarray(before * n / (size - r) * (size - r >= n), dtype=np.float64)
+
+
+def _reciprocal_rank(n: int, size: int) -> float:
+    return 0.0 if n == 0 else float(np.sum(_first_position(n, size) / (np.arange(size) + 1.0)))
+
+
+def _average_precision(n: int, size: int, *, trapezoids: bool) -> float:
+    if n == 0:
+        return 0.0
+    r = np.arange(size, dtype=np.float64)
+    before = r * (n - 1) / max(size - 1, 1)
+    after = (before + 1) / (r + 1)
+    if trapezoids:
+        after = (after + np.where(r > 0, before / np.maximum(r, 1), 1.0)) / 2
+    return float(np.mean(after))

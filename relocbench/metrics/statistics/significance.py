@@ -1,0 +1,255 @@
+"""Is A better than B, or was it the stretch of road? Block bootstrap over the pairs of a drive.
+
+Neighbouring pairs see the same street and are not independent, so blocks of consecutive pairs are resampled:
+the circular block bootstrap (Politis and Romano, "A circular block-resampling procedure for stationary data",
+1992). The drive is closed to a circle, so that every pair is as likely to be drawn as any other; the moving
+blocks of Kuensch (1989) draw both ends of the drive too seldom. Intervals are percentile intervals (Efron
+1979).
+
+Measured on simulated drives of 0/1 recalls (autoregressive, 95 % asked for): 94 % covered for 2000 pairs with a
+correlation of 0.8 from one to the next, 92 % with 0.9, and 88 % for 600 pairs with 0.9, where the drive holds
+some thirty independent stretches; resampling single pairs covers 36 to 58 % there.
+
+Pairs must be ordered by reference time. All methods are resampled with the same blocks: the difference of two
+is paired. Several pair sets are resampled apart and averaged, each set counting the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from relocbench.metrics.statistics.block_length import automatic_block_length
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.95
+RESAMPLES = 1000
+MIN_BLOCKS = 6
+"""With fewer independent blocks nothing is significant at 5 %: even when all b of them speak for A, chance
+does the same with probability 2 * 2^-b, which is 0.06 for b = 5 and 0.03 for b = 6."""
+
+_DRAWN_AT_ONCE = 2**15
+"""block starts that are held at a time; drawn one after another, they are the same numbers whatever this is"""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A two-sided confidence interval."""
+
+    low: float
+    high: float
+    level: float
+
+    def excludes(self, value: float) -> bool:
+        """Whether ``value`` lies outside."""
+        return value < self.low or value > self.high
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How much A is above B, in the metric's unit."""
+
+    mean: float
+    interval: Interval | None
+    """None when there are too few pairs to say"""
+
+    @property
+    def significant(self) -> bool:
+        """Whether the interval excludes 0."""
+        return self.interval is not None and self.interval.excludes(0.0)
+
+
+def bootstrap_interval(
+    pair_sets: Sequence[ArrayLike],
+    rng: np.random.Generator,
+    *,
+    block_length: int | None = None,
+    resamples: int = RESAMPLES,
+    level: float = LEVEL,
+) -> Interval | None:
+    """Percentile interval of a metric that is a mean of per-pair values.
+
+    Args:
+        pair_sets: one (N_s,) array a pair set, the metric's ``per_pair`` values ordered by reference time.
+            The metric is the mean over the sets of the mean over a set's pairs.
+        rng: source of the resampling.
+        block_length: pairs a block; None chooses it from the values (:func:`common_block_length`).
+        resamples: how often the drive is resampled.
+        level: coverage of the interval.
+
+    Returns:
+        None when all pair sets together hold fewer than :data:`MIN_BLOCKS` blocks.
+
+    Raises:
+        ValueError: no pair sets, an empty one, values not finite, or impossible parameters.
+    """
+    sets = [_checked(values)[None] for values in pair_sets]
+    means = _bootstrap_means(sets, rng, block_length, resamples)
+    return None if means is None else _percentile_interval(means[0], level)
+
+
+def paired_difference(
+    pair_sets_a: Sequence[ArrayLike],
+    pair_sets_b: Sequence[ArrayLike],
+    rng: np.random.Generator,
+    *,
+    block_length: int | None = None,
+    resamples: int = RESAMPLES,
+    level: float = LEVEL,
+) -> Difference:
+    """Mean of A minus mean of B on the same pairs, and its percentile interval.
+
+    Arguments as in :func:`bootstrap_interval`; ``pair_sets_a`` and ``pair_sets_b`` hold the same pairs in the
+    same order.
+    """
+    a, b = [_checked(v) for v in pair_sets_a], [_checked(v) for v in pair_sets_b]
+    if [len(v) for v in a] != [len(v) for v in b]:
+        raise ValueError("a paired difference needs both methods on the same pairs")
+    difference = [x - y for x, y in zip(a, b, strict=True)]
+    interval = bootstrap_interval(difference, rng, block_length=block_length, resamples=resamples, level=level)
+    return Difference(_mean_of_means(difference), interval)
+
+
+def rank_with_ties(
+    values: Mapping[str, Sequence[ArrayLike | None]],
+    rng: np.random.Generator,
+    *,
+    higher_is_better: bool = True,
+    block_length: int | None = None,
+    resamples: int = RESAMPLES,
+    level: float = LEVEL,
+) -> dict[str, int | None]:
+    """Ranks of methods; those that do not differ significantly from the best of their group share its place.
+
+    From best mean to worst: a method joins the current group unless its paired difference to the group's best
+    is significant; then it opens the next group, whose rank is one more than the number of methods before it
+    (1, 1, 3).
+
+    Args:
+        values: for each method one entry a pair set, in one order of sets for all methods: (N_s,) per-pair
+            values ordered by reference time, None where the method has no result on the set.
+        rng, block_length, resamples, level: as in :func:`bootstrap_interval`.
+
+    Returns:
+        rank by method, in the order of ``values``; None for a method with a missing set.
+
+    Raises:
+        ValueError: methods with different pairs, and as :func:`bootstrap_interval`.
+    """
+    complete: dict[str, list[Array]] = {}
+    for name, sets in values.items():
+        present = [_checked(v) for v in sets if v is not None]
+        if present and len(present) == len(sets):
+            complete[name] = present
+    ranks: dict[str, int | None] = dict.fromkeys(values)
+    if not complete:
+        return ranks
+    if len({tuple(map(len, sets)) for sets in complete.values()}) > 1:
+        raise ValueError("ranked methods must have the same pairs in the same pair sets")
+
+    sign = 1.0 if higher_is_better else -1.0
+    order = sorted(complete, key=lambda name: (-sign * _mean_of_means(complete[name]), name))
+    stacked = [np.stack(methods) for methods in zip(*(complete[name] for name in order), strict=True)]
+    means = _bootstrap_means(stacked, rng, block_length, resamples)
+    best, rank = 0, 1
+    for place, name in enumerate(order):
+        if means is not None and _percentile_interval(means[best] - means[place], level).excludes(0.0):
+            best, rank = place, place + 1
+        ranks[name] = rank
+    return ranks
+
+
+def resampled_set_means(
+    pair_sets: Sequence[Array], rng: np.random.Generator, resamples: int = RESAMPLES
+) -> Array | None:
+    """Means of several per-pair values over resampled drives, the same blocks for all of them.
+
+    Args:
+        pair_sets: (K, N_s) each, ordered by reference time: K values of each pair.
+
+    Returns:
+        (K, resamples): of each value the mean over the sets of the mean over a set's resampled pairs; None when all
+        sets together hold fewer than :data:`MIN_BLOCKS` blocks.
+    """
+    return _bootstrap_means(pair_sets, rng, None, resamples)
+
+
+def common_block_length(values: ArrayLike) -> int:
+    """One block length for all methods on a pair set, (methods, N): the longest that any of them asks for.
+
+    The automatic choice of each method's values and of their differences from the first method's, but short
+    enough that the set still makes :data:`MIN_BLOCKS` blocks.
+    """
+    v = np.asarray(values, dtype=np.float64)
+    series = [*v, *(v[1:] - v[0])]
+    wanted = max(automatic_block_length(x) for x in series)
+    return max(1, min(wanted, v.shape[1] // MIN_BLOCKS))
+
+
+def _bootstrap_means(
+    pair_sets: Sequence[Array], rng: np.random.Generator, block_length: int | None, resamples: int
+) -> Array | None:
+    """Means (methods, resamples) of values (methods, N_s) for each pair set; None if too few blocks."""
+    if not pair_sets:
+        raise ValueError("a bootstrap needs at least one pair set")
+    if resamples < 1 or (block_length is not None and block_length < 1):
+        raise ValueError(f"resamples and block_length must be positive, got {resamples} and {block_length}")
+    lengths = [common_block_length(v) if block_length is None else block_length for v in pair_sets]
+    blocks = sum(v.shape[1] // length for v, length in zip(pair_sets, lengths, strict=True))
+    if blocks < MIN_BLOCKS:
+        return None
+    sets = zip(pair_sets, lengths, strict=True)
+    return np.mean([_resampled_means(v, min(b, v.shape[1]), rng, resamples) for v, b in sets], axis=0)
+
+
+def _resampled_means(values: Array, block_length: int, rng: np.random.Generator, resamples: int) -> Array:
+    """Means over circular blocks. (methods, N) -> (methods, resamples); the same blocks for every method.
+
+    A resample of N pairs is ``N // L`` whole blocks and, where L does not divide N, the beginning of one
+    more. Sums over blocks are made once for each of the N starts, so a resample costs N / L additions.
+    """
+    n = values.shape[1]
+    whole, rest = divmod(n, block_length)
+    drawn = whole + (rest > 0)
+    sums = _circular_window_sums(values, block_length)
+    ends = _circular_window_sums(values, rest) if rest else None
+    total = np.empty((len(values), resamples))
+    # Some resamples at a time: together they would take 8 bytes for every pair of every resample.
+    step = max(1, _DRAWN_AT_ONCE // drawn)
+    for first in range(0, resamples, step):
+        span = slice(first, min(first + step, resamples))
+        starts = rng.integers(n, size=(span.stop - first, drawn))
+        for k, of_method in enumerate(sums):
+            total[k, span] = of_method.take(starts[:, :whole]).sum(axis=-1)
+            if ends is not None:
+                total[k, span] += ends[k].take(starts[:, whole])
+    return total / n
+
+
+def _circular_window_sums(values: Array, length: int) -> Array:
+    """Sum of the ``length`` values from each start on, around the circle. (methods, N) -> (methods, N)."""
+    closed = np.concatenate([values, values[:, : length - 1]], axis=1)
+    return np.lib.stride_tricks.sliding_window_view(closed, length, axis=1).sum(axis=-1)
+
+
+def _percentile_interval(means: Array, level: float) -> Interval:
+    if not 0 < level < 1:
+        raise ValueError(f"the level of an interval must be between 0 and 1, got {level}")
+    low, high = np.quantile(means, [(1 - level) / 2, (1 + level) / 2])
+    return Interval(float(low), float(high), level)
+
+
+def _mean_of_means(pair_sets: Sequence[Array]) -> float:
+    return math.fsum(float(np.mean(v)) for v in pair_sets) / len(pair_sets)
+
+
+def _checked(values: ArrayLike) -> Array:
+    v = np.asarray(values, dtype=np.float64)
+    if v.ndim != 1 or v.size == 0 or not np.isfinite(v).all():
+        raise ValueError("per-pair values must be a non-empty (N,) array of finite numbers")
+    return v
