@@ -1,0 +1,356 @@
+"""Coarse-to-fine alignment of feature maps on an analytic scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from alignment_scene import CAMERA, motion
+from feature_alignment_scene import features, keyframe_points, pyramid, world_points
+from numpy.typing import NDArray
+
+from baselines.alignment import LevelPoints, Settings, align, feature_plain
+from baselines.alignment.feature_pyramid import FeaturePyramid
+from baselines.alignment.feature_reference import FeaturePoints, ReferenceFeatures
+from baselines.alignment.feature_settings import DSO_DAMPING, LM_RELOC_DAMPING, Damping, FeatureSettings
+from baselines.alignment.feature_solver import FeatureAlignment, align_features, align_features_best
+from baselines.alignment.pyramid import level_camera
+from baselines.alignment.starts import Start
+from relocbench.errors import MethodError
+from relocbench.geometry import Camera, apply, compose, invert, make_transform, rotation_angle, se3_exp, so3_exp
+
+Array = NDArray[np.float64]
+
+MOVED = (0.25, -0.1, -0.4, 1.0, -2.0, 1.5)
+MOTION = motion(MOVED[:3], MOVED[3:])
+
+
+@pytest.fixture(scope="module")
+def reference() -> ReferenceFeatures:
+    return ReferenceFeatures.at_points(keyframe_points(), pyramid())
+
+
+@pytest.fixture(scope="module")
+def query() -> FeaturePyramid:
+    return pyramid(MOVED)
+
+
+def error(T: Array, truth: Array = MOTION) -> tuple[float, float]:
+    """Metres between camera centres, and degrees."""
+    delta = compose(T, invert(truth))
+    centre = invert(T)[:3, 3] - invert(truth)[:3, 3]
+    return float(np.linalg.norm(centre)), float(np.rad2deg(rotation_angle(delta[:3, :3])))
+
+
+def changed(features: FeaturePyramid, change: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> FeaturePyramid:
+    return FeaturePyramid.from_maps([change(level.map.copy()) for level in features.levels], CAMERA)
+
+
+@pytest.mark.parametrize("per_channel", [False, True])
+@pytest.mark.parametrize("damping", [DSO_DAMPING, LM_RELOC_DAMPING])
+def test_the_pose_is_recovered_from_the_identity(
+    reference: ReferenceFeatures, query: FeaturePyramid, per_channel: bool, damping: Damping
+) -> None:
+    found = align_features(reference, query, np.eye(4), FeatureSettings(per_channel=per_channel, damping=damping))
+    metres, degrees = error(found.T_query_ref)
+    assert not found.trouble
+    assert metres < 0.002
+    assert degrees < 0.01
+    assert [outcome.level for outcome in found.outcomes] == [3, 2, 1, 0]
+    assert 0.5 < found.inlier_share <= 1
+    assert found.energy == found.final.energy < 0.01
+
+
+def test_points_on_coarse_depth_find_the_pose_too(query: FeaturePyramid) -> None:
+    reference = ReferenceFeatures.on_coarse_depth(keyframe_points(), pyramid())
+    assert error(align_features(reference, query, np.eye(4), FeatureSettings()).T_query_ref)[0] < 0.02
+
+
+def test_the_same_input_gives_the_same_bytes(reference: ReferenceFeatures, query: FeaturePyramid) -> None:
+    first, second = (align_features(reference, query, np.eye(4), FeatureSettings()) for _ in range(2))
+    assert first.T_query_ref.tobytes() == second.T_query_ref.tobytes()
+    assert first.H.tobytes() == second.H.tobytes()
+    assert first.outcomes == second.outcomes
+
+
+@pytest.mark.parametrize("per_channel", [False, True])
+@pytest.mark.parametrize("damping", [DSO_DAMPING, LM_RELOC_DAMPING])
+def test_compiled_and_plain_take_the_same_path(
+    reference: ReferenceFeatures, query: FeaturePyramid, per_channel: bool, damping: Damping
+) -> None:
+    settings = FeatureSettings(per_channel=per_channel, damping=damping, cutoff_levels=4)
+    fast = align_features(reference, query, np.eye(4), settings)
+    T, iterations = feature_plain.align(reference, query, np.eye(4), settings)
+    np.testing.assert_allclose(fast.T_query_ref, T, atol=1e-4)
+    assert abs(sum(iterations) - sum(outcome.iterations for outcome in fast.outcomes)) <= 3
+
+    # Two steps a level end far from where both converge to: every step must be the same.
+    short = FeatureSettings(per_channel=per_channel, damping=damping, cutoff_levels=4, iterations=(2,))
+    fast = align_features(reference, query, np.eye(4), short)
+    T, iterations = feature_plain.align(reference, query, np.eye(4), short)
+    np.testing.assert_allclose(fast.T_query_ref, T, atol=1e-6)
+    assert iterations == [outcome.iterations for outcome in fast.outcomes]
+
+
+def test_one_channel_is_the_intensity_aligner_without_brightness() -> None:
+    maps, reference = pyramid(MOVED, channels=1), ReferenceFeatures.at_points(keyframe_points(), pyramid(channels=1))
+    points = [
+        LevelPoints(level.points, level.values, np.zeros((len(level), 2), np.int32)) for level in reference.levels
+    ]
+    for cutoff_levels in (1, 4):
+        ours = align_features(
+            reference,
+            maps,
+            np.eye(4),
+            FeatureSettings(huber=0.3, cutoff=1.0, unit="absolute", cutoff_levels=cutoff_levels),
+        )
+        intensity = Settings(huber=0.3, cutoff=1.0, cutoff_levels=cutoff_levels, affine=False)
+        theirs = align(points, maps.with_gradients(), np.eye(4), intensity)
+        np.testing.assert_allclose(ours.T_query_ref, theirs.T_query_ref, atol=1e-4)
+        assert [o.level for o in ours.outcomes] == [o.level for o in theirs.outcomes]
+        assert ours.energy == pytest.approx(theirs.final.energy, rel=1e-3)
+        assert abs(ours.final.saturated - theirs.final.saturated) <= 1
+
+
+def _found_with(change: Callable[[NDArray[np.float32]], NDArray[np.float32]], settings: FeatureSettings) -> Array:
+    """The pose with the features of both sides changed alike."""
+    reference = ReferenceFeatures.at_points(keyframe_points(), changed(pyramid(), change))
+    return align_features(reference, changed(pyramid(MOVED), change), np.eye(4), settings).T_query_ref
+
+
+def test_the_scale_of_features_does_not_matter_in_units_of_their_spread() -> None:
+    settings = FeatureSettings(cutoff_levels=4)
+    as_is = _found_with(lambda m: m, settings)
+    # A power of two: nothing is rounded otherwise.
+    np.testing.assert_allclose(_found_with(lambda m: m * np.float32(64), settings), as_is, atol=1e-6)
+    np.testing.assert_allclose(_found_with(lambda m: m / np.float32(7) + np.float32(2), settings), as_is, atol=1e-4)
+
+
+def test_rotating_the_channels_into_each_other_does_not_matter_to_the_norm() -> None:
+    R = np.linalg.qr(np.random.default_rng(0).normal(size=(8, 8)))[0].astype(np.float32)
+    settings = FeatureSettings(unit="absolute", huber=0.1, cutoff=0.5)
+    as_is, turned = _found_with(lambda m: m, settings), _found_with(lambda m: m @ R, settings)
+    np.testing.assert_allclose(turned, as_is, atol=1e-4)
+
+
+def test_the_cutoff_keeps_what_shows_something_else_out(reference: ReferenceFeatures, query: FeaturePyramid) -> None:
+    def hide(values: NDArray[np.float32]) -> NDArray[np.float32]:
+        height, width = values.shape[:2]
+        elsewhere = (slice(height // 8, height * 5 // 8), slice(width // 8, width // 2))
+        values[elsewhere] = np.roll(values[elsewhere], 1, axis=2)  # as smooth, unrelated channel by channel
+        return values
+
+    spoilt = changed(query, hide)
+    with_cutoff = align_features(reference, spoilt, MOTION, FeatureSettings(huber=0.1, cutoff=0.3))
+    without = align_features(reference, spoilt, MOTION, FeatureSettings(huber=100, cutoff=100))
+    assert error(with_cutoff.T_query_ref)[0] < 0.01
+    assert error(without.T_query_ref)[0] > 3 * error(with_cutoff.T_query_ref)[0]
+    assert with_cutoff.final.saturated > 0.05 * with_cutoff.points
+    assert with_cutoff.inlier_share < without.inlier_share - 0.05
+
+
+def test_points_of_small_weight_have_little_say(query: FeaturePyramid) -> None:
+    points = keyframe_points()
+    wrong = np.arange(len(points)) % 3 == 0
+    depth = np.where(wrong, 3.0, 1.0) * points.inverse_depth
+    spoilt = type(points)(points.uv, depth, points.sigma)
+    settings = FeatureSettings(huber=100, cutoff=100)  # nothing but the weights to help
+
+    def found(weights: Array) -> float:
+        reference = ReferenceFeatures.at_points(spoilt, pyramid(), weights)
+        return error(align_features(reference, query, MOTION, settings).T_query_ref)[0]
+
+    assert found(np.where(wrong, 1e-4, 1.0)) < 0.005
+    assert found(np.ones(len(points))) > 0.05
+
+
+def test_the_cutoff_is_doubled_while_most_residuals_are_saturated(
+    reference: ReferenceFeatures, query: FeaturePyramid
+) -> None:
+    found = align_features(reference, query, np.eye(4), FeatureSettings(huber=0.02, cutoff=0.05, cutoff_levels=4))
+    assert max(outcome.cutoff_factor for outcome in found.outcomes) > 1
+    levels = [outcome.level for outcome in found.outcomes]
+    assert levels[0] == levels[1]  # the level is repeated once with the base cutoff
+    assert sorted(set(levels), reverse=True) == [3, 2, 1, 0]
+
+
+def test_the_lowest_final_energy_wins_among_starts(reference: ReferenceFeatures, query: FeaturePyramid) -> None:
+    far = motion((3, 2, 0), (20, 30, 20))
+    settings = FeatureSettings()
+    lost = align_features(reference, query, far, settings)
+    assert error(lost.T_query_ref)[0] > 1
+    for starts in ([Start(far), Start(MOTION)], [Start(MOTION), Start(far)], [Start(far), Start(MOTION, 1)]):
+        assert error(align_features_best(reference, query, starts, settings).T_query_ref)[0] < 0.002
+    rival = align_features(reference, query, MOTION, settings)
+    assert align_features(reference, query, far, settings, rival).abandoned
+    with pytest.raises(ValueError, match="start"):
+        align_features_best(reference, query, [], settings)
+
+
+def test_a_start_on_a_finer_level_leaves_the_coarser_ones_out(
+    reference: ReferenceFeatures, query: FeaturePyramid
+) -> None:
+    found = align_features(reference, query, MOTION, FeatureSettings(), first_level=1)
+    assert [outcome.level for outcome in found.outcomes] == [1, 0]
+    assert error(found.T_query_ref)[0] < 0.002
+    deepest = align_features(reference, query, MOTION, FeatureSettings(), first_level=99)
+    assert deepest.outcomes[0].level == len(query) - 1
+
+
+def _starts(metres: float, degrees: float, count: int = 12) -> list[Array]:
+    """Starts off the truth by so much, in seeded directions."""
+    rng = np.random.default_rng(int(100 * metres))
+    out = []
+    for direction, axis in rng.normal(size=(count, 2, 3)):
+        turn = so3_exp(np.deg2rad(degrees) * axis / np.linalg.norm(axis))
+        out.append(make_transform(turn, metres * direction / np.linalg.norm(direction)) @ MOTION)
+    return out
+
+
+def test_every_start_within_a_radius_converges_and_levels_widen_it(
+    reference: ReferenceFeatures, query: FeaturePyramid
+) -> None:
+    finest = ReferenceFeatures.of(reference.levels[:1])
+
+    def share(of: ReferenceFeatures, metres: float, degrees: float) -> float:
+        found = [align_features(of, query, start, FeatureSettings()).T_query_ref for start in _starts(metres, degrees)]
+        return float(np.mean([error(T)[0] < 0.01 for T in found]))
+
+    distances = (0.05, 0.5, 1.5, 3.0)
+    all_levels, finest_only = ([share(of, metres, 4 * metres) for metres in distances] for of in (reference, finest))
+    assert all_levels == [1.0, 1.0, 1.0, 1.0]
+    assert finest_only[:2] == [1.0, 1.0]
+    assert finest_only == sorted(finest_only, reverse=True)
+    assert finest_only[2] < 0.8
+    assert finest_only[3] < 0.4
+
+
+def test_covariance_tells_how_far_independent_noise_moves_the_pose(
+    reference: ReferenceFeatures, query: FeaturePyramid
+) -> None:
+    """The squared Mahalanobis distance of six unknowns has mean 6 and variance 12."""
+    draws = 150
+    rng = np.random.default_rng(4)
+    settings = FeatureSettings(huber=100, cutoff=100, unit="absolute", damping=Damping(smallest_step=1e-6))
+    level = reference.levels[0]
+    # A point that crosses the border makes the mean energy jump and can hold the pose; take those well inside.
+    x, y, inverse_depth = level.points.astype(np.float64)
+    pixels = CAMERA.project(apply(MOTION, (np.stack([x, y, np.ones_like(x)]) / inverse_depth).T))[0]
+    inside = np.all((pixels > 12) & (pixels < np.array(CAMERA.size) - 13), axis=1)
+    points, values, weights = np.ascontiguousarray(level.points[:, inside]), level.values[inside], level.weights[inside]
+
+    def found_with(noise: NDArray[np.floating]) -> FeatureAlignment:
+        noisy = FeaturePoints(points, values + noise.astype(np.float32), weights)
+        return align_features(ReferenceFeatures.of([noisy]), query, MOTION, settings)
+
+    T_exact = found_with(np.zeros_like(values)).T_query_ref
+    distances = []
+    for _ in range(draws):
+        found = found_with(0.1 * rng.standard_normal(values.shape))
+        assert np.sqrt(found.variance) == pytest.approx(0.1, rel=0.1)
+        delta = compose(found.T_query_ref, invert(T_exact))
+        twist = np.concatenate([delta[:3, 3], [delta[2, 1], delta[0, 2], delta[1, 0]]])
+        np.testing.assert_allclose(se3_exp(twist), delta, atol=1e-4)  # small enough to be read off like this
+        distances.append(twist @ np.linalg.solve(found.covariance, twist))
+    assert np.mean(distances) == pytest.approx(6, abs=3 * np.sqrt(12 / draws))
+
+
+def test_no_points_are_a_stated_trouble(query: FeaturePyramid) -> None:
+    nothing = type(keyframe_points())(np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    found = align_features(ReferenceFeatures.at_points(nothing, pyramid()), query, np.eye(4), FeatureSettings())
+    assert found.trouble == "the reference has 0 points, at least 8 are needed"
+    assert (found.inlier_share, found.energy) == (0.0, np.inf)
+    assert np.isnan(found.covariance).all()
+
+
+def test_a_start_that_sees_nothing_is_a_stated_trouble(reference: ReferenceFeatures, query: FeaturePyramid) -> None:
+    found = align_features(reference, query, motion((0, 0, -100), (0, 0, 0)), FeatureSettings())
+    assert found.trouble == "no point falls into the query on level 3"
+    assert found.inlier_share == 0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("level", [0, 3])
+def test_features_that_are_not_finite_are_a_stated_trouble(
+    reference: ReferenceFeatures, query: FeaturePyramid, bad: float, level: int
+) -> None:
+    maps = [part.map.copy() for part in query.levels]
+    maps[level][..., 2] = bad
+    found = align_features(reference, FeaturePyramid.from_maps(maps, CAMERA), np.eye(4), FeatureSettings())
+    assert "features are not finite at" in found.trouble
+    assert f"on level {level}" in found.trouble
+
+    levels = list(reference.levels)
+    values = levels[level].values.copy()
+    values[5] = bad
+    levels[level] = FeaturePoints(levels[level].points, values, levels[level].weights)
+    for unit in ("absolute", "spread"):
+        found = align_features(ReferenceFeatures.of(levels), query, MOTION, FeatureSettings(unit=unit))  # type: ignore[arg-type]
+        assert "not finite" in found.trouble
+        assert f"on level {level}" in found.trouble
+
+
+def test_features_that_are_all_the_same_are_a_stated_trouble(
+    reference: ReferenceFeatures, query: FeaturePyramid
+) -> None:
+    blank = changed(query, np.ones_like)
+    same = ReferenceFeatures.at_points(keyframe_points(), blank)
+    assert "singular" in align_features(reference, blank, np.eye(4), FeatureSettings()).trouble
+    assert "all the same" in align_features(same, query, np.eye(4), FeatureSettings()).trouble
+
+
+def test_a_start_that_is_not_finite_is_a_stated_trouble(reference: ReferenceFeatures, query: FeaturePyramid) -> None:
+    assert (
+        align_features(reference, query, np.full((4, 4), np.nan), FeatureSettings()).trouble
+        == "the start is not finite"
+    )
+
+
+def test_a_coarse_level_with_too_few_points_is_left_out(query: FeaturePyramid) -> None:
+    points = keyframe_points()
+    # Near the left border: level 3 keeps none of them.
+    near = points.uv[:, 0] < 18
+    few = type(points)(points.uv[near], points.inverse_depth[near], points.sigma[near])
+    reference = ReferenceFeatures.at_points(few, pyramid())
+    sizes = [len(level) for level in reference.levels]
+    assert sizes[3] < 8 <= sizes[1]
+    found = align_features(reference, query, MOTION, FeatureSettings())
+    assert max(outcome.level for outcome in found.outcomes) < 3
+
+
+def test_different_channels_are_refused(query: FeaturePyramid) -> None:
+    reference = ReferenceFeatures.at_points(keyframe_points(), pyramid(channels=1))
+    with pytest.raises(MethodError, match="1 channels in the reference, 8 in the query"):
+        align_features(reference, query, np.eye(4), FeatureSettings())
+    with pytest.raises(MethodError, match="at least one level"):
+        align_features(ReferenceFeatures.of([]), query, np.eye(4), FeatureSettings())
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: FeatureSettings(huber=2, cutoff=1), "cutoff"),
+        (lambda: FeatureSettings(huber=0), "positive"),
+        (lambda: FeatureSettings(unit="metres"), "spread or absolute"),  # type: ignore[arg-type]
+        (lambda: FeatureSettings(iterations=()), "iterations"),
+        (lambda: FeatureSettings(iterations=(10, 0)), "iterations"),
+        (lambda: FeatureSettings(min_points=0), "min_points"),
+        (lambda: Damping(first=0), "first"),
+        (lambda: Damping(accepted=2), "accepted"),
+        (lambda: Damping(rejected=1), "rejected"),
+        (lambda: Damping(smallest_step=-1), "smallest_step"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(MethodError, match=message):
+        make()
+
+
+def test_a_query_may_be_of_another_camera(reference: ReferenceFeatures) -> None:
+    """Size and focal length of the query differ from the reference's."""
+    other = Camera("pinhole", 300, 200, 220.0, 215.0, 150.0, 98.0)
+    cameras = [level_camera(other, level) for level in range(4)]
+    maps = [features(world_points(MOTION, camera), level) for level, camera in enumerate(cameras)]
+    found = align_features(reference, FeaturePyramid.from_maps(maps, other), np.eye(4), FeatureSettings())
+    assert error(found.T_query_ref)[0] < 0.003

@@ -1,0 +1,9 @@
+"""Where things lie in this repository, for tests of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+BENCHMARKS = ROOT / "benchmarks"
+DOCS = ROOT / "docs"
