@@ -1,17 +1,20 @@
 """Coarse-to-fine direct image alignment, on intensities or on feature maps."""
 
-from baselines.alignment.depth_map import LevelPoints, coarse_points, sample_points
-from baselines.alignment.feature_pyramid import FeatureLevel, FeaturePyramid
-from baselines.alignment.feature_reference import FeaturePoints, ReferenceFeatures
-from baselines.alignment.feature_settings import DSO_DAMPING, LM_RELOC_DAMPING, Damping, FeatureSettings
-from baselines.alignment.feature_solver import FeatureAlignment, align_features, align_features_best
-from baselines.alignment.kernel import linearize
-from baselines.alignment.keyframe import choose_points
+from baselines.alignment.direct.kernel import linearize
+from baselines.alignment.direct.settings import Settings
+from baselines.alignment.direct.solver import Alignment, align, align_best
+from baselines.alignment.features.pyramid import FeatureLevel, FeaturePyramid
+from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
+from baselines.alignment.features.settings import LM_RELOC_DAMPING, FeatureSettings
+from baselines.alignment.features.solver import FeatureAlignment, align_features, align_features_best
 from baselines.alignment.matching import DSO_PATTERN, SINGLE_PIXEL, MatchSettings, match_pixels, match_pixels_by_level
-from baselines.alignment.pyramid import Level, image_pyramid, level_camera, require_pinhole, with_gradients
-from baselines.alignment.selection import select_pixels
-from baselines.alignment.solver import Alignment, LevelOutcome, Settings, align, align_best
-from baselines.alignment.starts import Start, small_rotations
+from baselines.alignment.shared.damping import DSO_DAMPING, Damping
+from baselines.alignment.shared.depth_map import LevelPoints, coarse_points, sample_points
+from baselines.alignment.shared.keyframe import choose_points
+from baselines.alignment.shared.levels import LevelOutcome
+from baselines.alignment.shared.pyramid import Level, image_pyramid, level_camera, require_pinhole, with_gradients
+from baselines.alignment.shared.selection import select_pixels
+from baselines.alignment.shared.starts import Start, small_rotations
 
 __all__ = [
     "DSO_DAMPING",

@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from baselines.alignment.pyramid import Level
+from baselines.alignment.shared.pyramid import Level
 
 Array = NDArray[np.float64]
 

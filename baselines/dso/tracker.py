@@ -28,7 +28,7 @@ from baselines.alignment import (
     match_pixels_by_level,
     small_rotations,
 )
-from baselines.alignment.pyramid import Level
+from baselines.alignment.shared.pyramid import Level
 from relocbench.tracking import Query, Reference, TrackResult
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.alignment import FeaturePyramid
-from baselines.alignment.feature_pyramid import level_coordinates, sample
+from baselines.alignment.features.pyramid import level_coordinates, sample
 from baselines.gn_net.window_kernel import add_window_distances
 from relocbench.tracking import KeyframePoints
 

@@ -33,8 +33,8 @@ from baselines.alignment import (
     require_pinhole,
     small_rotations,
 )
-from baselines.alignment.feature_pyramid import level_coordinates
-from baselines.alignment.pyramid import level_camera
+from baselines.alignment.features.pyramid import level_coordinates
+from baselines.alignment.shared.pyramid import level_camera
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.network import FeatureNet, image_tensor
 from baselines.gn_net.start import SeenLandmarks, StartSettings, find_landmarks

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from baselines.alignment.kernel import FAST
+from baselines.alignment.shared.compiled import FAST
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -8,8 +8,8 @@ import numpy as np
 from alignment_scene import CAMERA, motion, render
 from numpy.typing import NDArray
 
-from baselines.alignment.feature_pyramid import FeaturePyramid
-from baselines.alignment.pyramid import level_camera
+from baselines.alignment.features.pyramid import FeaturePyramid
+from baselines.alignment.shared.pyramid import level_camera
 from relocbench.geometry import Camera, apply, invert
 from relocbench.tracking import KeyframePoints
 

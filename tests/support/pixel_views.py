@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.alignment import DSO_PATTERN, Level, MatchSettings
-from baselines.alignment.pyramid import level_camera, with_gradients
+from baselines.alignment.shared.pyramid import level_camera, with_gradients
 from relocbench.geometry import Camera
 
 Array = NDArray[np.float64]

@@ -7,8 +7,8 @@ import pytest
 from alignment_scene import CAMERA, render, to_image
 
 from baselines.alignment import coarse_points, image_pyramid, select_pixels
-from baselines.alignment.depth_map import DIAGONAL, STRAIGHT, InverseDepthSums, dilate, halve_sums, splat
-from baselines.alignment.selection import block_thresholds
+from baselines.alignment.shared.depth_map import DIAGONAL, STRAIGHT, InverseDepthSums, dilate, halve_sums, splat
+from baselines.alignment.shared.selection import block_thresholds
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import plain_alignment as plain
 import pytest
+from plain_alignment import bilinear
 
-from baselines.alignment import image_pyramid, level_camera, plain, with_gradients
-from baselines.alignment.plain import bilinear
+from baselines.alignment import image_pyramid, level_camera, with_gradients
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
 

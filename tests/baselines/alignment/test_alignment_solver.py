@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import plain_alignment as plain
 import pytest
 from alignment_scene import CAMERA, motion, render, to_image
 from numpy.typing import NDArray
@@ -16,12 +17,11 @@ from baselines.alignment import (
     coarse_points,
     image_pyramid,
     level_camera,
-    plain,
     sample_points,
     select_pixels,
     with_gradients,
 )
-from baselines.alignment.levenberg import CONVERGED
+from baselines.alignment.shared.levenberg import CONVERGED
 from relocbench.errors import MethodError
 from relocbench.geometry import compose, invert, rotation_angle
 from relocbench.tracking import KeyframePoints
@@ -125,19 +125,17 @@ def test_a_cutoff_below_the_huber_threshold_is_refused() -> None:
         Settings(huber=9, cutoff=5)
 
 
-@pytest.mark.parametrize("per_channel", [False, True])
-def test_feature_maps_are_aligned_by_the_same_solver(per_channel: bool) -> None:
-    """Four channels with values near one, each a different function of the image."""
+def test_the_unit_of_the_values_is_free() -> None:
+    """A function of the image with values near one, and thresholds to match."""
 
     def maps(grey: Array) -> list[Level]:
-        unit = (grey - 128) / 60
-        features = np.stack([unit, unit**2, np.tanh(2 * unit), np.sin(3 * unit)], axis=-1).astype(np.float32)
+        values = np.tanh((grey[..., None] - 128) / 30).astype(np.float32)
         levels = []
         for number in range(4):
-            levels.append(Level(with_gradients(features), level_camera(CAMERA, number)))
-            height, width = features.shape[0] // 2 * 2, features.shape[1] // 2 * 2
-            even = features[:height, :width]
-            features = (even[::2, ::2] + even[::2, 1::2] + even[1::2, ::2] + even[1::2, 1::2]) / 4
+            levels.append(Level(with_gradients(values), level_camera(CAMERA, number)))
+            height, width = values.shape[0] // 2 * 2, values.shape[1] // 2 * 2
+            even = values[:height, :width]
+            values = (even[::2, ::2] + even[::2, 1::2] + even[1::2, ::2] + even[1::2, 1::2]) / 4
         return levels
 
     grey, depth = render(np.eye(4))
@@ -145,13 +143,21 @@ def test_feature_maps_are_aligned_by_the_same_solver(per_channel: bool) -> None:
     uv = np.random.default_rng(0).integers(5, [CAMERA.width - 5, CAMERA.height - 5], (800, 2))
     inverse_depth = 1.0 / depth[uv[:, 1], uv[:, 0]].astype(np.float64)
     points = coarse_points(KeyframePoints(uv.astype(float), inverse_depth, np.zeros(800)), levels)
-    assert points[0].values.shape[1] == 4
-    settings = Settings(huber=0.3, cutoff=2.0, affine=False, per_channel=per_channel)
-    found = align(points, maps(render(MOTION)[0]), np.eye(4), settings)
+    found = align(points, maps(render(MOTION)[0]), np.eye(4), Settings(huber=0.3, cutoff=2.0, affine=False))
     metres, degrees = error(found.T_query_ref, MOTION)
     assert metres < 0.005
     assert degrees < 0.03
     assert (found.a, found.b) == (0.0, 0.0)
+
+
+def test_maps_of_several_channels_are_refused(reference: list[LevelPoints]) -> None:
+    grey = np.zeros((*CAMERA.size[::-1], 4), np.float32)
+    several = Level(with_gradients(grey), CAMERA)
+    points = sample_points(np.array([[10, 20], [30, 7]]), np.array([0.5, 0.25]), several.map, CAMERA)
+    with pytest.raises(MethodError, match="one channel"):
+        align(reference, [several], np.eye(4), Settings())
+    with pytest.raises(MethodError, match="one channel"):
+        align([points], query(MOTION), np.eye(4), Settings())
 
 
 def test_points_can_be_sampled_from_any_map() -> None:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from alignment_scene import CAMERA, render, to_image
 from feature_alignment_scene import features, keyframe_points, pyramid, world_points
+from plain_alignment import bilinear
 
 from baselines.alignment import coarse_points, image_pyramid
-from baselines.alignment.feature_pyramid import FeaturePyramid, level_coordinates, sample
-from baselines.alignment.feature_reference import FeaturePoints, ReferenceFeatures
-from baselines.alignment.plain import bilinear
-from baselines.alignment.pyramid import level_camera
+from baselines.alignment.features.pyramid import FeaturePyramid, level_coordinates, sample
+from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
+from baselines.alignment.shared.pyramid import level_camera
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints

@@ -6,7 +6,7 @@ import numpy as np
 from alignment_scene import CAMERA, motion
 from feature_alignment_scene import keyframe_points, pyramid
 
-from baselines.alignment.feature_pyramid import sample
+from baselines.alignment.features.pyramid import sample
 from relocbench.geometry import apply
 
 

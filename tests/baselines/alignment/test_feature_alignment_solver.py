@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import plain_feature_alignment as plain
 import pytest
 from alignment_scene import CAMERA, motion
 from feature_alignment_scene import features, keyframe_points, pyramid, world_points
 from numpy.typing import NDArray
 
-from baselines.alignment import LevelPoints, Settings, align, feature_plain
-from baselines.alignment.feature_pyramid import FeaturePyramid
-from baselines.alignment.feature_reference import FeaturePoints, ReferenceFeatures
-from baselines.alignment.feature_settings import DSO_DAMPING, LM_RELOC_DAMPING, Damping, FeatureSettings
-from baselines.alignment.feature_solver import FeatureAlignment, align_features, align_features_best
-from baselines.alignment.pyramid import level_camera
-from baselines.alignment.starts import Start
+from baselines.alignment import LevelPoints, Settings, align
+from baselines.alignment.features.pyramid import FeaturePyramid
+from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
+from baselines.alignment.features.settings import LM_RELOC_DAMPING, FeatureSettings
+from baselines.alignment.features.solver import FeatureAlignment, align_features, align_features_best
+from baselines.alignment.shared.damping import DSO_DAMPING, Damping
+from baselines.alignment.shared.pyramid import level_camera
+from baselines.alignment.shared.starts import Start
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera, apply, compose, invert, make_transform, rotation_angle, se3_exp, so3_exp
 
@@ -81,14 +83,14 @@ def test_compiled_and_plain_take_the_same_path(
 ) -> None:
     settings = FeatureSettings(per_channel=per_channel, damping=damping, cutoff_levels=4)
     fast = align_features(reference, query, np.eye(4), settings)
-    T, iterations = feature_plain.align(reference, query, np.eye(4), settings)
+    T, iterations = plain.align(reference, query, np.eye(4), settings)
     np.testing.assert_allclose(fast.T_query_ref, T, atol=1e-4)
     assert abs(sum(iterations) - sum(outcome.iterations for outcome in fast.outcomes)) <= 3
 
     # Two steps a level end far from where both converge to: every step must be the same.
     short = FeatureSettings(per_channel=per_channel, damping=damping, cutoff_levels=4, iterations=(2,))
     fast = align_features(reference, query, np.eye(4), short)
-    T, iterations = feature_plain.align(reference, query, np.eye(4), short)
+    T, iterations = plain.align(reference, query, np.eye(4), short)
     np.testing.assert_allclose(fast.T_query_ref, T, atol=1e-6)
     assert iterations == [outcome.iterations for outcome in fast.outcomes]
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from baselines.alignment.pyramid import level_camera, with_gradients
+from baselines.alignment.shared.pyramid import level_camera, with_gradients
 from baselines.gn_net.sampling import level_coordinates, sample, sample_grid_with_gradient, sample_with_gradient
 from relocbench.geometry import Camera
 

@@ -1,9 +1,9 @@
 """Feature maps of an image, level by level, as the feature aligner reads them.
 
 A level's map is (H, W, D) float32 with the channels innermost. Gradients are not stored: the kernel takes the central
-differences where it samples. It reads twelve pixels of D values, which is as much memory as four pixels of 3 D values
-with stored gradients, does so faster, and spares a query the writing of maps three times the size
-(``benchmarks/feature_alignment.py`` prints both).
+differences where it samples. It reads twelve pixels of D values, as much memory as four pixels of 3 D values with
+stored gradients, and spares a query the writing of maps three times the size, which takes longer than the whole
+alignment (``benchmarks/feature_alignment.py`` prints both).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.alignment.pyramid import Level, Map, level_camera, require_pinhole, with_gradients
+from baselines.alignment.shared.pyramid import Level, Map, level_camera, require_pinhole, with_gradients
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
 

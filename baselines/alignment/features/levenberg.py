@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from baselines.alignment.feature_kernel import (
+from baselines.alignment.features.kernel import (
     COUNT,
     ENERGY,
     NOT_FINITE,
@@ -14,24 +14,25 @@ from baselines.alignment.feature_kernel import (
     STATISTICS,
     linearize_features,
 )
-from baselines.alignment.kernel import BLOCK, SCRATCH_ROWS, FloatArray
-from baselines.alignment.levenberg import (
+from baselines.alignment.shared.compiled import FloatArray
+from baselines.alignment.shared.levenberg import (
     CONVERGED,
     CUTOFF_FACTOR_LIMIT,
     ITERATIONS_SPENT,
     NO_RESIDUALS,
     SATURATED_SHARE,
-    SCALE,
     SINGULAR,
-    product_into,
-    se3_exp_into,
-    solve_cholesky_with,
+    damped_step,
+    length,
+    moved_pose,
+    room_for_steps,
 )
+from baselines.alignment.shared.scratch import BLOCK, SHARED_ROWS
 
 Array = NDArray[np.float64]
 
 FEATURES_NOT_FINITE = 4
-"""how a level ended, beside those of ``levenberg``"""
+"""how a level ended, beside those of ``shared.levenberg``"""
 
 
 @njit(cache=True)
@@ -50,8 +51,8 @@ def minimise_feature_level(
 ) -> tuple[Array, Array, Array, int, float, int]:
     """Minimise the mean energy of one level from a start.
 
-    Arguments as for :func:`baselines.alignment.feature_kernel.linearize_features`; ``damping_schedule`` holds the
-    fields of :class:`baselines.alignment.feature_settings.Damping` in their order. While more than 60 % of the
+    Arguments as for :func:`baselines.alignment.features.kernel.linearize_features`; ``damping_schedule`` holds the
+    fields of :class:`baselines.alignment.shared.damping.Damping` in their order. While more than 60 % of the
     residuals are saturated the cutoff is doubled. Features that are not finite where a point looks end the level.
 
     Returns:
@@ -60,11 +61,10 @@ def minimise_feature_level(
     """
     damping, accepted, rejected, floor, extrapolate_below, smallest_step = damping_schedule
     dtype = points.dtype
-    room = (np.empty((SCRATCH_ROWS, BLOCK), dtype), np.empty(4, dtype), np.empty((4, 4), dtype))
+    room = (np.empty((SHARED_ROWS, BLOCK), dtype), np.empty(4, dtype), np.empty((4, 4), dtype))
     H, g, now = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS)
     trial_H, trial_g, trial = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS)
-    A, L, negative, step, xi = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6), np.empty(6)
-    T, trial_T, increment = T_start.copy(), np.empty((4, 4)), np.empty((4, 4))
+    T, trial_T, step, step_room = T_start.copy(), np.empty((4, 4)), np.empty(6), room_for_steps(6)
 
     factor = 1.0
     linearize_features(
@@ -83,21 +83,9 @@ def minimise_feature_level(
         return T, H, now, 0, factor, FEATURES_NOT_FINITE
 
     for iteration in range(max_iterations):
-        for i in range(6):
-            for j in range(6):
-                A[i, j] = SCALE[i] * H[i, j] * SCALE[j]
-            A[i, i] *= 1.0 + damping
-            negative[i] = -SCALE[i] * g[i]
-        if not solve_cholesky_with(A, negative, 6, L, step):
+        if not damped_step(H, g, damping, extrapolate_below, step_room, step):
             return T, H, now, iteration, factor, SINGULAR
-        longer = (extrapolate_below / damping) ** 0.25 if damping < extrapolate_below else 1.0
-        size2 = 0.0
-        for i in range(6):
-            step[i] *= longer
-            size2 += step[i] * step[i]
-            xi[i] = SCALE[i] * step[i]
-        se3_exp_into(xi, increment)
-        product_into(increment, T, trial_T)
+        moved_pose(step, T, step_room, trial_T)
         linearize_features(
             level_map,
             points,
@@ -123,6 +111,6 @@ def minimise_feature_level(
             damping *= accepted
         else:
             damping = max(rejected * damping, floor)
-        if not np.sqrt(size2) > smallest_step:
+        if not length(step) > smallest_step:
             return T, H, now, iteration + 1, factor, CONVERGED
     return T, H, now, max_iterations, factor, ITERATIONS_SPENT

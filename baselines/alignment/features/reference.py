@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.alignment.depth_map import KEPT_BORDER, coarse_depths
-from baselines.alignment.feature_pyramid import FeaturePyramid, level_coordinates, sample
+from baselines.alignment.features.pyramid import FeaturePyramid, level_coordinates, sample
+from baselines.alignment.shared.depth_map import KEPT_BORDER, coarse_depths
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints

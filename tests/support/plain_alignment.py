@@ -1,7 +1,6 @@
-"""The same alignment in plain vectorised NumPy, written from the formulas alone.
+"""Direct alignment in plain vectorised NumPy, written from the formulas alone.
 
-It says what the compiled modules compute, and is what they are tested and timed against. Double precision; intensity
-images only for the whole solve, any number of channels for one linearization.
+It says what ``baselines.alignment.direct`` computes, and is what that is tested and timed against. Double precision.
 """
 
 from __future__ import annotations
@@ -13,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.alignment.depth_map import LevelPoints
-from baselines.alignment.pyramid import SMALLEST_AREA, Level, level_camera
-from baselines.alignment.solver import Settings
+from baselines.alignment.direct.settings import Settings
+from baselines.alignment.shared.depth_map import LevelPoints
+from baselines.alignment.shared.pyramid import SMALLEST_AREA, Level, level_camera
 from relocbench.geometry import Camera, se3_exp
 
 Array = NDArray[np.float64]
@@ -83,19 +82,17 @@ def linearize(
     b: float,
     huber: float,
     cutoff: float,
-    per_channel: bool = False,
 ) -> NormalEquations:
-    """Residuals, robust weights, Jacobians (N, D, 8) and their products, all points at once."""
+    """Residuals (N,), robust weights, Jacobians (N, 8) and their products, all points at once."""
     camera = level.camera
     kept, u, v, i, px, py = projected(camera, points.points, T_query_ref)
     if not u.size:
         return NormalEquations(np.inf, 0, 0, np.zeros((8, 8)), np.zeros(8))
 
-    value, gx, gy = np.split(bilinear(level.map, px, py), 3, axis=1)
-    reference = points.values[kept].astype(np.float64)
+    value, gx, gy = bilinear(level.map, px, py).T
+    reference = points.values[kept, 0].astype(np.float64)
     residual = value - (np.exp(a) * reference + b)
     gx, gy = gx * camera.fx, gy * camera.fy
-    u, v, i = u[:, None], v[:, None], i[:, None]
     J = np.stack(
         [
             i * gx,
@@ -109,20 +106,18 @@ def linearize(
         ],
         axis=-1,
     )
-    size = np.abs(residual) if per_channel else np.linalg.norm(residual, axis=1, keepdims=True)
+    size = np.abs(residual)
     w = np.where(size < huber, 1.0, huber / np.maximum(size, huber))
     saturated = size > cutoff
     energy = np.where(saturated, 2 * huber * cutoff - huber**2, w * size**2 * (2 - w))
-    w = np.broadcast_to(np.where(saturated, 0.0, w), residual.shape)
-    flat, weights = J.reshape(-1, 8), w.reshape(-1)
-    weighted = flat * weights[:, None]
+    weighted = J * np.where(saturated, 0.0, w)[:, None]
     count = size.size
     return NormalEquations(
         energy=float(energy.sum() / count),
         valid=count,
         saturated=int(saturated.sum()),
-        H=weighted.T @ flat / count,
-        g=weighted.T @ residual.reshape(-1) / count,
+        H=weighted.T @ J / count,
+        g=weighted.T @ residual / count,
     )
 
 

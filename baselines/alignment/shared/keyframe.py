@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines.alignment.pyramid import Level
-from baselines.alignment.selection import select_pixels
+from baselines.alignment.shared.pyramid import Level
+from baselines.alignment.shared.selection import select_pixels
 from relocbench.tracking import KeyframePoints, Reference
 
 

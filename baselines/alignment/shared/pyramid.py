@@ -41,6 +41,11 @@ def level_camera(camera: Camera, level: int) -> Camera:
     return replace(camera.scaled(1.0 / (1 << level)), width=width, height=height)
 
 
+def camera_intrinsics(camera: Camera) -> NDArray[np.float64]:
+    """(4,) fx, fy, cx, cy of a pinhole camera, pixels."""
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float64)
+
+
 def image_pyramid(image: NDArray[np.uint8], camera: Camera, max_levels: int = 6) -> list[Level]:
     """Intensity pyramid, finest level first.
 

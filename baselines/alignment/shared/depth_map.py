@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.alignment.pyramid import Level
+from baselines.alignment.shared.pyramid import Level
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints
 

@@ -1,6 +1,6 @@
 """Alignment on feature maps in plain vectorised NumPy, written from the formulas alone.
 
-It says what the compiled modules compute, and is what they are tested and timed against. Double precision.
+It says what ``baselines.alignment.features`` computes, and is what that is tested and timed against. Double precision.
 """
 
 from __future__ import annotations
@@ -9,11 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from plain_alignment import bilinear, projected
 
-from baselines.alignment.feature_pyramid import FeatureLevel, FeaturePyramid
-from baselines.alignment.feature_reference import FeaturePoints, ReferenceFeatures
-from baselines.alignment.feature_settings import Damping, FeatureSettings
-from baselines.alignment.plain import bilinear, projected
+from baselines.alignment.features.pyramid import FeatureLevel, FeaturePyramid
+from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
+from baselines.alignment.features.settings import FeatureSettings
+from baselines.alignment.shared.damping import Damping
 from relocbench.geometry import se3_exp
 
 Array = NDArray[np.float64]

@@ -8,14 +8,15 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.alignment.feature_kernel import COUNT, ENERGY, NOT_FINITE, SATURATED, SQUARES, WEIGHT
-from baselines.alignment.feature_levenberg import FEATURES_NOT_FINITE, minimise_feature_level
-from baselines.alignment.feature_pyramid import FeaturePyramid
-from baselines.alignment.feature_reference import ReferenceFeatures
-from baselines.alignment.feature_settings import FeatureSettings
-from baselines.alignment.levenberg import NO_RESIDUALS, SINGULAR
-from baselines.alignment.solver import LevelOutcome, best_of, camera_intrinsics, coarse_to_fine
-from baselines.alignment.starts import Start
+from baselines.alignment.features.kernel import COUNT, ENERGY, NOT_FINITE, SATURATED, SQUARES, WEIGHT
+from baselines.alignment.features.levenberg import FEATURES_NOT_FINITE, minimise_feature_level
+from baselines.alignment.features.pyramid import FeaturePyramid
+from baselines.alignment.features.reference import ReferenceFeatures
+from baselines.alignment.features.settings import FeatureSettings
+from baselines.alignment.shared.levels import LevelOutcome, best_of, coarse_to_fine, trouble_of
+from baselines.alignment.shared.levenberg import NO_RESIDUALS
+from baselines.alignment.shared.pyramid import camera_intrinsics
+from baselines.alignment.shared.starts import Start
 from relocbench.errors import MethodError
 from relocbench.geometry import compose
 
@@ -136,7 +137,9 @@ def align_features(
         valid, saturated = int(statistics[COUNT]), int(statistics[SATURATED])
         variance = _variance(statistics, query_level.channels, settings.per_channel)
         outcome = LevelOutcome(level, iterations, float(statistics[ENERGY]), valid, saturated, factor, end)
-        return outcome, _trouble(outcome, T, int(statistics[NOT_FINITE]))
+        if end == FEATURES_NOT_FINITE:
+            return outcome, f"features are not finite at {int(statistics[NOT_FINITE])} points on level {level}"
+        return outcome, trouble_of(outcome, T)
 
     coarsest = _coarsest(reference, query, settings)
     begin = coarsest if first_level is None else min(first_level, coarsest)
@@ -175,18 +178,6 @@ def _variance(statistics: Array, channels: int, per_channel: bool) -> float:
     inliers = statistics[COUNT] - statistics[SATURATED]
     freedom = inliers * (1 if per_channel else channels) - UNKNOWNS
     return float(statistics[SQUARES] * statistics[WEIGHT] / freedom) if freedom > 0 else float("nan")
-
-
-def _trouble(outcome: LevelOutcome, T: Array, not_finite: int) -> str:
-    if outcome.end == NO_RESIDUALS:
-        return f"no point falls into the query on level {outcome.level}"
-    if outcome.end == FEATURES_NOT_FINITE:
-        return f"features are not finite at {not_finite} points on level {outcome.level}"
-    if outcome.end == SINGULAR:
-        return f"the normal equations are singular on level {outcome.level}"
-    if not (np.all(np.isfinite(T)) and np.isfinite(outcome.energy)):
-        return f"the estimate is not finite on level {outcome.level}"
-    return ""
 
 
 def _require_same_channels(reference: ReferenceFeatures, query: FeaturePyramid) -> None:

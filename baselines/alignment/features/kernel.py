@@ -1,7 +1,6 @@
 """Residuals, robust weights and normal equations of alignment on feature maps, in one pass over the points.
 
-Warp and geometry are those of :mod:`baselines.alignment.kernel`. Per point, with D channels (von Stumberg et al.,
-GN-Net, RA-L 2020):
+Per point, with D channels and p' where it falls in the query (von Stumberg et al., GN-Net, RA-L 2020):
 
     r   = F'(p') - F_ref                        F' looked up bilinearly
     F_g = [F'(p' + x) - F'(p' - x), F'(p' + y) - F'(p' - y)] / 2           (D, 2), one pixel to either side
@@ -20,24 +19,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from baselines.alignment.kernel import (
-    AXX,
-    AXY,
-    AYY,
-    BLOCK,
-    BORDER,
-    BX,
-    BY,
-    FAST,
-    PX,
-    PY,
-    SCRATCH_ROWS,
-    VALID,
-    FloatArray,
-    Number,
-    accumulate_pose,
-    warp,
-)
+from baselines.alignment.shared.compiled import FAST, FloatArray, Number
+from baselines.alignment.shared.normal_equations import accumulate_pose, divide_and_mirror
+from baselines.alignment.shared.scratch import AXX, AXY, AYY, BLOCK, BX, BY, PX, PY, SHARED_ROWS, VALID
+from baselines.alignment.shared.warp import SMALLEST_SIDE, warp
 
 Array = NDArray[np.float64]
 
@@ -60,7 +45,7 @@ def _weigh(
     s: FloatArray,
     statistics: Array,
 ) -> None:
-    """Rows A (2x2, focal lengths included) and b of points start .. start + n; the statistics are added to."""
+    """Write rows A and b for points start .. start + n; the statistics are added to."""
     number = s.dtype.type
     zero, half, one, two = number(0), number(0.5), number(1), number(2)
     infinite = number(np.inf)
@@ -199,7 +184,7 @@ def linearize_features(
     g[:] = 0.0
     statistics[:] = 0.0
     height, width = level_map.shape[0], level_map.shape[1]
-    if min(height, width) >= 2 * BORDER + 2:
+    if min(height, width) >= SMALLEST_SIDE:
         for start in range(0, points.shape[1], BLOCK):
             n = min(BLOCK, points.shape[1] - start)
             warp(points, start, n, K, T, width, height, scratch)
@@ -211,13 +196,9 @@ def linearize_features(
         return
     statistics[ENERGY] /= total
     statistics[SQUARES] /= total
-    for row in range(6):
-        g[row] /= total
-        for column in range(row, 6):
-            H[row, column] /= total
-            H[column, row] = H[row, column]
+    divide_and_mirror(H, g, total)
 
 
 def working_room(dtype: Any = np.float32) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The arrays that :func:`linearize_features` works in, for points of this precision."""
-    return np.empty((SCRATCH_ROWS, BLOCK), dtype), np.empty(4, dtype), np.empty((4, 4), dtype)
+    return np.empty((SHARED_ROWS, BLOCK), dtype), np.empty(4, dtype), np.empty((4, 4), dtype)

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from baselines.alignment.pyramid import Level
+from baselines.alignment.shared.pyramid import Level
 
 BLOCK = 32
 """pixels; side of the blocks that have a threshold of their own"""

@@ -1,0 +1,1 @@
+"""Direct image alignment on intensities, with an affine change of brightness (DSO)."""

@@ -1,0 +1,1 @@
+"""Image alignment on feature maps of D channels (GN-Net)."""
