@@ -125,7 +125,7 @@ def keyframe_points() -> KeyframePoints:
 def evaluation_ms(reference: ReferenceFeatures, query: FeaturePyramid, repeats: int) -> float:
     """One residual + Jacobian + accumulation of all points on level 0."""
     points, level = reference.levels[0], query.levels[0]
-    K, T, room = camera_intrinsics(level.camera), np.eye(4), working_room()
+    K, T, room = camera_intrinsics(level.camera), np.eye(4), working_room(points.points)
     H, g, statistics = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS)
     given = (level.map, points.points, points.values, points.weights, K, T, 0.3, 2.0, False, room, H, g, statistics)
     return median_ms(lambda: linearize_features(*given), repeats)

@@ -1,19 +1,18 @@
 """Residuals, robust weights and normal equations of alignment on feature maps, in one pass over the points.
 
-Per point, with D channels and p' where it falls in the query (von Stumberg et al., GN-Net, RA-L 2020):
+Per point, with D channels and p' where it falls in the query (:mod:`~baselines.alignment.shared.warp`; von Stumberg et
+al., GN-Net, RA-L 2020):
 
     r   = F'(p') - F_ref                        F' looked up bilinearly
     F_g = [F'(p' + x) - F'(p' - x), F'(p' + y) - F'(p' - y)] / 2           (D, 2), one pixel to either side
     J   = F_g dp'/dxi,      H = sum omega w J^T J,      g = sum omega w J^T r
 
 omega is the point's own weight, w the Huber weight. F_g^T w F_g and F_g^T w r, a 2x2 tensor and a 2-vector, are formed
-first and meet the 2x6 geometry once. The bilinear map and its central differences at a place need the twelve pixels of
-a 4x4 square without its corners.
+first and meet the 2x6 geometry once (:mod:`~baselines.alignment.shared.normal_equations`). The bilinear map and its
+central differences at a place need the twelve pixels of a 4x4 square without its corners.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -199,6 +198,8 @@ def linearize_features(
     divide_and_mirror(H, g, total)
 
 
-def working_room(dtype: Any = np.float32) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The arrays that :func:`linearize_features` works in, for points of this precision."""
+@njit(cache=True)
+def working_room(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The arrays that :func:`linearize_features` works in, in the precision of the points."""
+    dtype = points.dtype
     return np.empty((SHARED_ROWS, BLOCK), dtype), np.empty(4, dtype), np.empty((4, 4), dtype)

@@ -13,6 +13,7 @@ from baselines.alignment.features.kernel import (
     SATURATED,
     STATISTICS,
     linearize_features,
+    working_room,
 )
 from baselines.alignment.shared.compiled import FloatArray
 from baselines.alignment.shared.levenberg import (
@@ -27,7 +28,6 @@ from baselines.alignment.shared.levenberg import (
     moved_pose,
     room_for_steps,
 )
-from baselines.alignment.shared.scratch import BLOCK, SHARED_ROWS
 
 Array = NDArray[np.float64]
 
@@ -60,8 +60,7 @@ def minimise_feature_level(
         raised, how it ended (CONVERGED, ITERATIONS_SPENT, SINGULAR, NO_RESIDUALS, FEATURES_NOT_FINITE).
     """
     damping, accepted, rejected, floor, extrapolate_below, smallest_step = damping_schedule
-    dtype = points.dtype
-    room = (np.empty((SHARED_ROWS, BLOCK), dtype), np.empty(4, dtype), np.empty((4, 4), dtype))
+    room = working_room(points)
     H, g, now = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS)
     trial_H, trial_g, trial = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS)
     T, trial_T, step, step_room = T_start.copy(), np.empty((4, 4)), np.empty(6), room_for_steps(6)

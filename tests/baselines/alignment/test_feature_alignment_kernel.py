@@ -68,7 +68,7 @@ def run(
         huber,
         cutoff,
         per_channel,
-        working_room(points.dtype),
+        working_room(points),
         H,
         g,
         statistics,
