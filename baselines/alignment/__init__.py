@@ -1,4 +1,8 @@
-"""Coarse-to-fine direct image alignment, on intensities or on feature maps."""
+"""Coarse-to-fine image alignment: the pose of a query relative to a reference whose depth is known at some pixels.
+
+``direct`` aligns intensities, with an affine change of brightness (DSO); ``features`` aligns maps of D channels
+(GN-Net). Neither knows the other; both are built from ``shared``. ``matching`` finds single pixels instead of a pose.
+"""
 
 from baselines.alignment.direct.kernel import linearize
 from baselines.alignment.direct.settings import Settings

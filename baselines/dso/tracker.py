@@ -17,6 +17,7 @@ from pydantic import Field
 from baselines.alignment import (
     DSO_PATTERN,
     Alignment,
+    Level,
     LevelPoints,
     MatchSettings,
     Settings,
@@ -28,7 +29,6 @@ from baselines.alignment import (
     match_pixels_by_level,
     small_rotations,
 )
-from baselines.alignment.shared.pyramid import Level
 from relocbench.tracking import Query, Reference, TrackResult
 
 Array = NDArray[np.float64]

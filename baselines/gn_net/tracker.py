@@ -28,13 +28,13 @@ from baselines.alignment import (
     align_features_best,
     choose_points,
     image_pyramid,
+    level_camera,
     match_pixels,
     match_pixels_by_level,
     require_pinhole,
     small_rotations,
 )
 from baselines.alignment.features.pyramid import level_coordinates
-from baselines.alignment.shared.pyramid import level_camera
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.network import FeatureNet, image_tensor
 from baselines.gn_net.start import SeenLandmarks, StartSettings, find_landmarks

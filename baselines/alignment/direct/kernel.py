@@ -1,8 +1,10 @@
 """Residuals, robust weights and normal equations of direct alignment, in one pass over the points.
 
-Per point, with p' where it falls in the query (Engel, Koltun and Cremers, Direct Sparse Odometry, PAMI 2018):
+Per point, with p' where it falls in the query (:mod:`~baselines.alignment.shared.warp`; Engel, Koltun and Cremers,
+Direct Sparse Odometry, PAMI 2018):
 
-    r = I'(p') - (gain I_ref + offset)        I' looked up bilinearly, as are its stored gradients g
+    r   = I'(p') - (gain I_ref + offset)      I' looked up bilinearly, as are its stored gradients g (1, 2)
+    J   = [g dp'/dxi, -gain I_ref, -1]        derivatives by xi, a = log gain and b = offset
 
 Points are worked on in blocks: warp, look up, weigh, accumulate. None of these loops has a branch, so that the compiler
 makes SIMD code of them.

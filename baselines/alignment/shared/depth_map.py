@@ -23,12 +23,12 @@ STRAIGHT = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 @dataclass(frozen=True, eq=False)
 class LevelPoints:
-    """What the alignment of one level needs of the reference."""
+    """What direct alignment of one level needs of the reference."""
 
     points: NDArray[np.float32]
     """(3, N) normalised x, y and inverse depth (1/m)"""
     values: NDArray[np.float32]
-    """(N, D) the reference's values at the pixels"""
+    """(N, D) the reference's values at the pixels; direct alignment takes D = 1"""
     uv: NDArray[np.int32]
     """(N, 2) the pixels, at this level"""
 

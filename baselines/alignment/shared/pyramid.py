@@ -1,7 +1,7 @@
-"""Image pyramids whose pixels carry value and gradient, laid out for the alignment kernel.
+"""Image pyramids whose pixels carry value and gradient, as direct alignment and the matching of pixels read them.
 
 A level's map is (H, W, 3 D) float32: at each pixel the D values, then the D derivatives along x, then those along y.
-One bilinear look-up therefore reads each of the four pixels as one contiguous run.
+One bilinear look-up therefore reads each of the four pixels as one contiguous run. An intensity image has D = 1.
 """
 
 from __future__ import annotations
