@@ -2,7 +2,7 @@ VENV ?= .venv
 RUN := $(VENV)/bin
 RECORDINGS ?= ../shared/data
 
-.PHONY: help setup test test-busy test-processors kills fuzz lint format demo bench docs constraints clean
+.PHONY: help setup test test-busy test-processors kills fuzz lint format demo bench prove docs constraints clean
 .PHONY: leaderboard leaderboard-weather leaderboard-retrieval leaderboard-relocalization
 
 help:            ## list the targets
@@ -25,7 +25,7 @@ test-processors: setup ## the tests as other processors would run them, a table 
 	VENV=$(VENV) tools/test_processors.sh $(TESTS)
 
 kills: setup     ## kill each kind of job twenty times in the middle of its work and compare what it leaves
-	$(RUN)/python benchmarks/kills.py
+	$(RUN)/python benchmarks/truth/kills.py
 
 fuzz: setup      ## damaged files for every reader (INPUTS=20000 SECONDS= SEED=0 JOBS=2 ONLY=part,of,names KEEP=folder)
 	PYTHONPATH=.:tests:tests/support OMP_NUM_THREADS=1 $(RUN)/python -m fuzz --seed $(or $(SEED),0) --jobs $(or $(JOBS),2) \
@@ -45,8 +45,11 @@ format: setup    ## format the code
 demo: setup      ## small dataset -> three trackers -> leaderboard
 	$(RUN)/relocbench demo --out demo-output
 
-bench: setup     ## every benchmark; each prints one JSON line last
-	@for script in benchmarks/*.py; do echo "== $$script"; $(RUN)/python $$script || exit 1; done
+bench: setup     ## speed and memory; each benchmark prints one JSON line last
+	@for script in benchmarks/speed/*.py; do echo "== $$script"; $(RUN)/python $$script || exit 1; done
+
+prove: setup     ## the long proofs: truth of ground truth and of rendering, kills, other processors (hours)
+	@for script in $$(grep -l __main__ benchmarks/truth/*.py); do echo "== $$script"; $(RUN)/python $$script || exit 1; done
 
 docs: setup      ## check links and commands of docs/ and README.md, build the pages into site/
 	$(RUN)/python tools/check_docs.py
@@ -56,13 +59,13 @@ leaderboard: setup ## make the published results again (RECORDINGS=folder of kit
 	tools/publish_leaderboard.sh $(RECORDINGS)
 
 leaderboard-weather: setup ## make the published results across weathers again (renders and evaluates for hours)
-	$(RUN)/python benchmarks/cross_weather.py --out leaderboard/weather
+	$(RUN)/python benchmarks/publish/cross_weather.py --out leaderboard/weather
 
 leaderboard-retrieval: setup ## make the published results of retrieval across views again (trains for hours; SAMPLE=folder of real pairs)
 	tools/publish_retrieval.sh $(or $(SCRATCH),retrieval-scratch) $(SAMPLE)
 
 leaderboard-relocalization: setup ## make the published results of both halves in a row again
-	$(RUN)/python benchmarks/relocalization.py --out leaderboard/relocalization
+	$(RUN)/python benchmarks/publish/relocalization.py --out leaderboard/relocalization
 
 constraints: setup ## pin the newest versions that fit
 	$(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --extra registration --upgrade --generate-hashes \

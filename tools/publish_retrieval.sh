@@ -28,7 +28,7 @@ relocbench train lpn --dataset train --config global-average "${backbone[@]}" --
 relocbench train lpn --dataset backbone-train --config global-average "${backbone[@]}" --set backbone_rate=5e-3 \
   --backbone-weights backbone-first/weights.safetensors --set epochs.all=90 --set steps_per_epoch=30 --no-validation --out backbone
 
-python "$repository/benchmarks/lpn_configurations.py" --train train --test test ${sample:+"$sample"} --scratch systems \
+python "$repository/benchmarks/publish/lpn_configurations.py" --train train --test test ${sample:+"$sample"} --scratch systems \
   --out "$repository/leaderboard/retrieval" ${sample:+"$repository/leaderboard/retrieval/real"} \
   --backbone-weights backbone/weights.safetensors "${network[@]}" --set size=128 --set backbone_rate=1e-3 --set rate=3e-3 \
   --set network.dropout=0.25 --set epochs.all=8 --set epochs.classifier=2 --set epochs.refined=4 --set epochs.heatmap=4 \

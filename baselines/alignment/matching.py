@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from baselines.alignment.shared.pyramid import Level
+from relocbench.kernels import njit
 
 Array = NDArray[np.float64]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from baselines.alignment.shared.compiled import FAST
+from relocbench.kernels import njit
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -1,6 +1,6 @@
 """Kills jobs again and again at chosen points of their work, and compares what they leave with an undisturbed run.
 
-``from kill_campaign import campaign``; ``benchmarks/kills.py`` prints its table.
+``from kill_campaign import campaign``; ``benchmarks/truth/kills.py`` prints its table.
 """
 
 from __future__ import annotations

@@ -5,5 +5,5 @@ from __future__ import annotations
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-BENCHMARKS = ROOT / "benchmarks"
+TRUTH = ROOT / "benchmarks" / "truth"
 DOCS = ROOT / "docs"

@@ -14,7 +14,7 @@ from small_dataset import make_small_dataset
 
 @pytest.mark.slow
 def test_a_build_killed_twice_in_its_work_ends_with_the_bytes_of_one_that_was_not(tmp_path: Path) -> None:
-    """The short version of ``benchmarks/kills.py``, whose jobs have workers as well."""
+    """The short version of ``benchmarks/truth/kills.py``, whose jobs have workers as well."""
     recording = write_kitti_recording(tmp_path / "recording")
     options = ("--correspondences", 100, "--max-disparity", 64, "-j", 1, "-q")
     build = ("python", "-m", "relocbench", "build-dataset", "kitti", recording, *options)

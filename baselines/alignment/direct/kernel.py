@@ -13,13 +13,13 @@ makes SIMD code of them.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from baselines.alignment.shared.compiled import FAST, FloatArray, Number
 from baselines.alignment.shared.normal_equations import accumulate_pose, divide_and_mirror
 from baselines.alignment.shared.scratch import AXX, AXY, AYY, BLOCK, BX, BY, ID, PX, PY, SHARED_ROWS, VALID, U, V
 from baselines.alignment.shared.warp import SMALLEST_SIDE, warp
+from relocbench.kernels import njit
 
 # Rows of the scratch block behind the shared ones: what is looked up, and the products with the brightness columns.
 F, FX, FY = SHARED_ROWS, SHARED_ROWS + 1, SHARED_ROWS + 2

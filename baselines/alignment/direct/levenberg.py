@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import astuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from baselines.alignment.direct.kernel import linearize
@@ -24,6 +23,7 @@ from baselines.alignment.shared.levenberg import (
     moved_pose,
     room_for_steps,
 )
+from relocbench.kernels import njit
 
 Array = NDArray[np.float64]
 

@@ -15,13 +15,13 @@ central differences at a place need the twelve pixels of a 4x4 square without it
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from baselines.alignment.shared.compiled import FAST, FloatArray, Number
 from baselines.alignment.shared.normal_equations import accumulate_pose, divide_and_mirror
 from baselines.alignment.shared.scratch import AXX, AXY, AYY, BLOCK, BX, BY, PX, PY, SHARED_ROWS, VALID
 from baselines.alignment.shared.warp import SMALLEST_SIDE, warp
+from relocbench.kernels import njit
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from baselines.alignment.features.kernel import (
@@ -28,6 +27,7 @@ from baselines.alignment.shared.levenberg import (
     moved_pose,
     room_for_steps,
 )
+from relocbench.kernels import njit
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 A level's map is (H, W, D) float32 with the channels innermost. Gradients are not stored: the kernel takes the central
 differences where it samples. It reads twelve pixels of D values, as much memory as four pixels of 3 D values with
 stored gradients, and spares a query the writing of maps three times the size, which takes longer than the whole
-alignment (``benchmarks/feature_alignment.py`` prints both).
+alignment (``benchmarks/speed/feature_alignment.py`` prints both).
 """
 
 from __future__ import annotations

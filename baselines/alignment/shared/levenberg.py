@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from baselines.alignment.shared.small_matrices import product, se3_exp, solve_cholesky
+from relocbench.kernels import njit
 
 Array = NDArray[np.float64]
 Room = tuple[Array, Array, Array, Array, Array]

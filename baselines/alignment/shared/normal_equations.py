@@ -13,11 +13,11 @@ and a 2-vector b, focal lengths included, which meet the 2x6 geometry P once.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from baselines.alignment.shared.compiled import FAST, FloatArray
 from baselines.alignment.shared.scratch import AXX, AXY, AYY, BX, BY, ID, U, V
+from relocbench.kernels import njit
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
+from relocbench.kernels import njit
 
 Map = NDArray[np.float32]
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from baselines.alignment.shared.pyramid import Level
+from relocbench.kernels import njit
 
 BLOCK = 32
 """pixels; side of the blocks that have a threshold of their own"""

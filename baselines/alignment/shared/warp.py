@@ -8,10 +8,9 @@ and Cremers, Direct Sparse Odometry, PAMI 2018):
 
 from __future__ import annotations
 
-from numba import njit
-
 from baselines.alignment.shared.compiled import FAST, FloatArray
 from baselines.alignment.shared.scratch import ID, PX, PY, VALID, U, V
+from relocbench.kernels import njit
 
 BORDER = 2
 """pixels; nearer to the query's border a point is dropped"""

@@ -1,4 +1,4 @@
-"""Registration of real clouds as ``benchmarks/real_clouds.py`` measures it, and the benchmark's own tools.
+"""Registration of real clouds as ``benchmarks/truth/real_clouds.py`` measures it, and the benchmark's own tools.
 
 The figures that are held here have a margin over what the benchmark prints. Poses of the graphs that come with the
 scans are no truth to centimetres: methods that share no code agree with one another and not with them.
@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from repository import BENCHMARKS
+from repository import TRUTH
 
 from relocbench.datasets.groundtruth.submaps.prepared import Prepared
 from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, so3_exp
 
-sys.path.insert(0, str(BENCHMARKS))
+sys.path.insert(0, str(TRUTH))
 from real_clouds_figures import register_all, tell_kitti_00, tell_precision, tell_starts
 from real_clouds_methods import Candidate, adjusted, allowed, apart, best, methods, turned_identities
 from real_clouds_scans import SOURCES, Scans, Source, read_scans, submap
@@ -116,7 +116,7 @@ def test_without_recordings_the_benchmark_says_so_and_ends_well(
 ) -> None:
     monkeypatch.setattr(os, "environ", os.environ.copy())
     monkeypatch.setattr(sys, "argv", ["real_clouds.py", "--data", str(tmp_path)])
-    runpy.run_path(str(BENCHMARKS / "real_clouds.py"), run_name="__main__")
+    runpy.run_path(str(TRUTH / "real_clouds.py"), run_name="__main__")
     said = capsys.readouterr()
     assert json.loads(said.out.splitlines()[-1]) == {"benchmark": "real_clouds"}
     assert said.err.count("skipped: ") == 2

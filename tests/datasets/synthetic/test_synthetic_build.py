@@ -56,7 +56,7 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 def resumed(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """The same without extras: killed when the first images were on disk, and finished by two workers.
 
-    ``benchmarks/kills.py`` kills workers as well.
+    ``benchmarks/truth/kills.py`` kills workers as well.
     """
     folder = tmp_path_factory.mktemp("killed")
     out = folder / "out"

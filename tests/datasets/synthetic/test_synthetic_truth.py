@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from repository import BENCHMARKS
+from repository import TRUTH
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.rendered import dataset as synthetic
@@ -22,7 +22,7 @@ from relocbench.execution import Run
 from relocbench.geometry import Camera
 from relocbench.progress import Silent
 
-sys.path.insert(0, str(BENCHMARKS))
+sys.path.insert(0, str(TRUTH))
 from realistic_change import PATCHES, TRACKED, Apart, Frames, matches, patch_correlations
 from synthetic_truth import Eye, Scenes, Tally, check, check_depth, report
 

@@ -7,7 +7,8 @@ Apart: the satellite images of all places in one condition are looked for among 
 normalised cross-correlation of their grey levels at 32 x 32 pixels, the plainest comparison there is. The share that
 finds its own place says whether an eye could; the pairs of places that are nearest to each other are named.
 
-    python benchmarks/cross_view_rendering.py [--size 256] [--extent 250] [--places 24] [--seed 0] [--sheet FILE.png]
+    python benchmarks/speed/cross_view_rendering.py [--size 256] [--extent 250] [--places 24] [--seed 0]
+        [--sheet FILE.png]
 
 ``--sheet`` writes the picture of docs/cross-view.md: some places by satellite, from the drone's rounds, and the street.
 JSON on the last line.

@@ -8,7 +8,7 @@ is ahead of each retriever's: the share that better retrieval could win for that
 
 Datasets and results in ``--scratch`` are taken up where they are; run again, it does what is missing.
 
-    python benchmarks/relocalization.py --scratch S [--out leaderboard/relocalization] [--workers N]
+    python benchmarks/publish/relocalization.py --scratch S [--out leaderboard/relocalization] [--workers N]
         [-r RETRIEVER ...] [-m TRACKER ...]
 
 JSON on the last line.

@@ -4,7 +4,7 @@ A textured corridor (floor, ceiling, two walls and a back wall, ray-cast analyti
 then drives one metre on. The reference is prepared beforehand; what is timed is everything a query costs: its pyramid
 and the coarse-to-fine solve from the identity. Both implementations see the same arrays and must find the same pose.
 
-    python benchmarks/alignment.py [--repeats N]
+    python benchmarks/speed/alignment.py [--repeats N]
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported, the path before what tests share)
@@ -14,7 +14,7 @@ import os
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support"))
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # one core; read when numpy is imported
 

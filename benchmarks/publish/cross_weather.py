@@ -14,7 +14,7 @@ as one observation, not as many.
 
 Datasets and results in ``--scratch`` are taken up where they are; run again, it does what is missing.
 
-    python benchmarks/cross_weather.py --scratch S [--out leaderboard/weather] [--workers N] [-m METHOD ...]
+    python benchmarks/publish/cross_weather.py --scratch S [--out leaderboard/weather] [--workers N] [-m METHOD ...]
 
 JSON on the last line.
 """
@@ -49,8 +49,8 @@ RIVALS = ("dso", "orb-pnp")
 """the subject is to be ahead of both"""
 _HEAD = """# Across weathers
 
-Printed by `python benchmarks/cross_weather.py`; what is asked and how intervals are made stands there. Shares are in
-percent, failures count as infinite errors. A difference whose interval excludes zero has a star.
+Printed by `python benchmarks/publish/cross_weather.py`; what is asked and how intervals are made stands there. Shares
+are in percent, failures count as infinite errors. A difference whose interval excludes zero has a star.
 """
 
 

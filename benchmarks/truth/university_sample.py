@@ -5,7 +5,7 @@ histogram in L*a*b* reached on it: drone to satellite R@1 6.6 %, R@5 17.2 %, R@1
 where chance is 0.2 %. It does not say how many cells the histogram has nor how two are compared; ``as_noted`` in the
 last line tells whether all four come out. Other retrievers are asked in the same way.
 
-    python benchmarks/university_sample.py SAMPLE [--method NAME] ... [--set NAME.key=value] ...
+    python benchmarks/truth/university_sample.py SAMPLE [--method NAME] ... [--set NAME.key=value] ...
 
 A table on standard output, JSON on the last line.
 """

@@ -8,7 +8,7 @@ the ray. Prints a table and one JSON line last.
 A ray that passes an edge within ``_SILHOUETTE_PX`` may end on either side of it. Disagreements there are counted like
 all others, and told apart: the answer also holds for a ray so far beside it.
 
-    python benchmarks/synthetic_truth.py [--steps N] [--correspondences N] [--seed N]
+    python benchmarks/truth/synthetic_truth.py [--steps N] [--correspondences N] [--seed N]
 """
 
 from __future__ import annotations

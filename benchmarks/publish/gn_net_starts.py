@@ -6,7 +6,7 @@ finest level, with fewer points, with fewer samples of RANSAC. Printed for each:
 many pairs end within 0.25 m and 2 degrees from it, how many if the identity is tried too and the lower energy
 wins, and processor time of matching and PnP.
 
-    python benchmarks/gn_net_starts.py [-d DATASET] [--pairs N] [--weights FILE]
+    python benchmarks/publish/gn_net_starts.py [-d DATASET] [--pairs N] [--weights FILE]
 
 ``-d`` has a validation split; without one a district is rendered. JSON on the last line.
 """

@@ -15,7 +15,7 @@ builder's search alone and with coarser ones besides. ``right`` is the place wit
 KITTI 00: along-track distances of odometry from scans against those of scan-to-scan registration, and depth of an
 image from the builder's submap against semi-global matching of the stereo pair, in pixels of disparity.
 
-    python benchmarks/real_clouds.py [--data DIR] [--starts N] [--seed N] [--parts precision,starts,kitti00]
+    python benchmarks/truth/real_clouds.py [--data DIR] [--starts N] [--seed N] [--parts precision,starts,kitti00]
 
 Recordings are looked for in --data, by default $RELOCBENCH_REAL_DATA or ../shared/data; what is absent is skipped.
 Tables go to standard error; one JSON line comes last.
@@ -41,7 +41,7 @@ from real_clouds_scans import SOURCES, read_scans
 from relocbench.errors import RelocbenchError
 
 PARTS = ("precision", "starts", "kitti00")
-DATA = Path(os.environ.get("RELOCBENCH_REAL_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
+DATA = Path(os.environ.get("RELOCBENCH_REAL_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
 
 
 def main() -> None:

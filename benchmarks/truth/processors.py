@@ -4,7 +4,7 @@ Each setting restricts one library to older instructions (or another number of t
 and a small rendered one are built under each of them and compared, file by file, with those of the plain setting. A
 processor that has fewer instructions than a setting takes away shows nothing for it.
 
-    python benchmarks/processors.py [--recordings FOLDER] [--only NAME,...]
+    python benchmarks/truth/processors.py [--recordings FOLDER] [--only NAME,...]
 
 It prints a table, the files that differ, by how many grey levels images do, and one JSON line last.
 """

@@ -5,7 +5,7 @@ The keyframe is prepared and the query's features are made beforehand; what is t
 among matched features (``matched_start``), and the alignment from both starts. ``dso`` makes its query's pyramid within
 its time.
 
-    python benchmarks/gn_net_tracking.py [--repeats N] [--weights FILE]
+    python benchmarks/speed/gn_net_tracking.py [--repeats N] [--weights FILE]
 
 JSON on the last line.
 """

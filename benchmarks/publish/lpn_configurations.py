@@ -11,7 +11,7 @@ trained on ImageNet. Only the order of systems can be compared with it, and diff
 
 Trainings and answers in --scratch are taken up where they are; run again, it does what is missing.
 
-    python benchmarks/lpn_configurations.py --train TRAIN --test TEST [TEST ...] --scratch S [--config NAME ...]
+    python benchmarks/publish/lpn_configurations.py --train TRAIN --test TEST [TEST ...] --scratch S [--config NAME ...]
         [--seed N ...] [--set key=value ...] [--out leaderboard/retrieval [FOLDER ...]] [--device cpu] [--jobs N]
 
 JSON on the last line.
@@ -198,8 +198,8 @@ def page(rows: Sequence[Row], given: argparse.Namespace, folder: Path, chance: d
     lines = [
         "# LPN's configurations",
         "",
-        "Printed by `python benchmarks/lpn_configurations.py`; how it is made stands there. Percent, mean ± standard "
-        "deviation over the seeds.",
+        "Printed by `python benchmarks/publish/lpn_configurations.py`; how it is made stands there. Percent, mean ± "
+        "standard deviation over the seeds.",
         "",
         *(f"- Trained on {s.name}, fingerprint `{s.fingerprint}`, {len(s.train_labels)} places." for s in trained_on),
         f"- Asked on {test.name}, fingerprint `{test.fingerprint}`: "

@@ -6,7 +6,7 @@ pixel is wrong if it is off by more than 10 cm and 3 % of its depth, ``at edge``
 two pixels. ``nes`` is the mean of (error / sigma)^2 over pixels with less than 5 sigma, ``model`` the same with the
 sigma that ``a + b z + c z^2`` gives.
 
-    python benchmarks/groundtruth_depth.py [--work DIR] [--conditions Sunny,Rain,Snow] [--pictures DIR]
+    python benchmarks/truth/groundtruth_depth.py [--work DIR] [--conditions Sunny,Rain,Snow] [--pictures DIR]
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)

@@ -12,7 +12,7 @@ find the same metrics, but for near ties that float32 products cannot tell apart
 
 Peak memory is what NumPy holds at most beyond the descriptors, in a run of its own.
 
-    python benchmarks/retrieval.py [--size D] [--noise N] [--reference-queries N]
+    python benchmarks/speed/retrieval.py [--size D] [--noise N] [--reference-queries N]
 
 Seconds are by the clock (least of ``--repeats`` runs) and of the processor. JSON on the last line.
 """

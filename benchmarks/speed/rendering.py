@@ -17,7 +17,7 @@ are there. Three references:
 Ratios are of processor seconds, which other programs on the machine hardly change; images per second are by the clock,
 and beside them stands what two cores make of the processor seconds when nothing else runs.
 
-    python benchmarks/rendering.py [--frames N]
+    python benchmarks/speed/rendering.py [--frames N]
 
 Prints one JSON line last.
 """

@@ -18,8 +18,9 @@ so that the limit of 2 degrees can be judged.
 ``--vary`` adds conditions that differ from a named one in some factors, to find out which of them matters. All of its
 kind are driven along the same poses as the named one.
 
-    python benchmarks/realistic_change.py [--steps N] [--pairs N] [--split validation] [--seed N] [--conditions A,B]
-    python benchmarks/realistic_change.py --split train --conditions Night --vary Dark=Night:headlights=false
+    python benchmarks/truth/realistic_change.py [--steps N] [--pairs N] [--split validation] [--seed N]
+        [--conditions A,B]
+    python benchmarks/truth/realistic_change.py --split train --conditions Night --vary Dark=Night:headlights=false
 
 JSON on the last line.
 """

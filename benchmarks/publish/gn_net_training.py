@@ -5,7 +5,7 @@ pair; files are not read. Seconds are the median over the steps, wall clock, of 
 is made too (a training makes it in the background); processor seconds stand beside them, for other work on the machine
 makes the first longer.
 
-    python benchmarks/gn_net_training.py [--steps N] [--set key=value ...] [--trainer gn-net]
+    python benchmarks/publish/gn_net_training.py [--steps N] [--set key=value ...] [--trainer gn-net]
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ command runs in a process of its own, from its start to its end; its peak memory
 process and those that it waited for. The reference of each leaderboard's seconds is a plain ``pandas.read_csv`` of the
 same results' tables (``PAIRSET.csv`` and ``PAIRSET.errors.csv``) in the same run.
 
-    python benchmarks/leaderboard.py [--sets N] [--methods N] [--pairs N] [--no-plots]
+    python benchmarks/speed/leaderboard.py [--sets N] [--methods N] [--pairs N] [--no-plots]
 
 Prints one JSON line last.
 """

@@ -1,13 +1,13 @@
 """How long alignment on feature maps takes on one core, compiled and in plain NumPy.
 
-The corridor of ``benchmarks/alignment.py`` carries D = 16 smooth features on its surfaces, on each of four levels from
-512x512 down with waves twice as long. 2000 pixels of the reference have depth. The query stands 1 m ahead and is
+The corridor of ``benchmarks/speed/alignment.py`` carries D = 16 smooth features on its surfaces, on each of four levels
+from 512x512 down with waves twice as long. 2000 pixels of the reference have depth. The query stands 1 m ahead and is
 turned; its maps carry smooth noise, and a part of them shows something else. What is timed is the tracking alone: maps
 of both sides exist (a network makes them), the query is solved for from the identity. Both implementations see the same
 arrays and must find the same pose. Beside it: one evaluation, which takes gradients where
 the map is sampled, and what storing the gradients of a query would cost.
 
-    python benchmarks/feature_alignment.py [--repeats N]
+    python benchmarks/speed/feature_alignment.py [--repeats N]
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported, the path before what tests share)
@@ -17,7 +17,7 @@ import os
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support"))
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[variable] = "1"  # one core; read when numpy is imported
 

@@ -5,7 +5,7 @@ pooling and classifier), in channels-last layout with batch normalisation folded
 turn, so that whatever else the machine does falls on both: on two threads by the clock, and on one thread in processor
 time, which waits for nobody. The weights are as drawn: time does not depend on them.
 
-    python benchmarks/gn_net.py [--repeats N]
+    python benchmarks/speed/gn_net.py [--repeats N]
 """
 
 # ruff: noqa: E402  (the number of threads must be set before torch is imported)

@@ -8,7 +8,7 @@ and comes back. Each query image (one a metre, a camera that looks ahead) is pai
 within 5 cm and half a degree of a limit it is neither. ``wrong`` is an accepted pair that is off by more than 0.3 m or
 1 deg. The normalised error squared is the mean of ``e^T C^-1 e / 6`` over accepted pairs, 1 if covariances are right.
 
-    python benchmarks/ground_truth.py [--split train] [--work DIR] [--parts pairs,starts,ablation,speed] [--long]
+    python benchmarks/truth/ground_truth.py [--split train] [--work DIR] [--parts pairs,starts,ablation,speed] [--long]
 
 Parts: ``pairs`` the tables above; ``starts`` the first pair without any prior, and with right and wrong ones by hand;
 ``ablation`` pairs on their own, then with one stage of the builder after the other; ``speed`` processor seconds a pair
