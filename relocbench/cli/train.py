@@ -81,7 +81,12 @@ def train(
 
     Example: relocbench train lpn -d university --config lpn-rpp --backbone-weights resnet50.pth -o trained
     """
-    from relocbench.errors import ConfigError, MethodError
+    from relocbench.errors import ConfigError, DatasetError, MethodError
+
+    for root in dataset or ():
+        if not root.is_dir():  # trainers take seconds to load
+            raise DatasetError("no such folder; expected a dataset", root)
+
     from relocbench.files import alone_writing_to, dump_yaml, remove_parts
     from relocbench.methods.trainers import chosen_options, trainer_named
     from relocbench.training import PlaceTrainer

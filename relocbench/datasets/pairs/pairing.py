@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.pairfile import Pair
@@ -166,6 +165,8 @@ def _within(
     rows = reference.keyframe_rows
     keys = reference.T_world_cam[rows]
     key_times = np.array([reference.timestamps[r] for r in rows], dtype=np.int64)
+    from scipy.spatial import cKDTree  # takes half a second to load, which a mistyped path should not wait for
+
     tree = cKDTree(keys[:, :3, 3])
     for q, T_world_query in enumerate(query.T_world_cam):
         centre = T_world_query[:3, 3]

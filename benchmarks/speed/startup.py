@@ -1,0 +1,66 @@
+"""How long relocbench takes to start: imported, asked for help, and given a path that is not there.
+
+    python benchmarks/speed/startup.py [--repeats N]
+
+Each is a process of its own. The reference is a process in the same run that starts Python and does nothing; of
+repeats, which alternate, the least counts. Prints a table and one JSON line last.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+
+NOTHING = "python that does nothing"
+
+
+def calls(out: str) -> dict[str, list[str]]:
+    """What is timed -> arguments of Python."""
+    missing = f"{out}/missing"
+    command = ["-m", "relocbench"]
+    return {
+        NOTHING: ["-c", "pass"],
+        "import relocbench": ["-c", "import relocbench"],
+        "relocbench --help": [*command, "--help"],
+        "wrong path: inspect": [*command, "inspect", missing],
+        "wrong path: validate": [*command, "validate", missing],
+        "wrong path: evaluate": [*command, "evaluate", "--dataset", missing, "--method", "identity"],
+        "wrong path: build-dataset": [*command, "build-dataset", "kitti", missing, "--out", f"{out}/built"],
+        "wrong path: leaderboard": [*command, "leaderboard", missing],
+        "wrong path: train": [*command, "train", "gn-net", "--dataset", missing, "--out", f"{out}/trained"],
+    }
+
+
+def seconds(arguments: list[str], expected: int) -> float:
+    """Of a process from start to end, by the clock."""
+    start = time.perf_counter()
+    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False)
+    spent = time.perf_counter() - start
+    if done.returncode != expected:
+        raise SystemExit(f"{arguments} ended with {done.returncode}, expected {expected}: {done.stderr}")
+    return spent
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=5)
+    repeats = parser.parse_args().repeats
+    with tempfile.TemporaryDirectory() as out:
+        asked = calls(out)
+        least = dict.fromkeys(asked, float("inf"))
+        for _ in range(repeats + 1):  # the first round fills caches
+            for name, arguments in asked.items():
+                least[name] = min(least[name], seconds(arguments, 2 if name.startswith("wrong") else 0))
+    base = least[NOTHING]
+    for name, spent in least.items():
+        print(f"{name:28} {1e3 * spent:7.0f} ms   {spent / base:5.1f} times {NOTHING}")
+    beyond = {name: round(1e3 * (spent - base), 1) for name, spent in least.items() if name != NOTHING}
+    print(json.dumps({"benchmark": "startup", "python_ms": round(1e3 * base, 1), "beyond_python_ms": beyond}))
+
+
+if __name__ == "__main__":
+    main()
