@@ -8,13 +8,13 @@ from pathlib import Path
 
 import torch
 
-import relocbench
+from relocbench import version
 
 
 def versions() -> dict[str, str]:
     """Of what training depends on."""
     known = {name: metadata.version(name) for name in ("torch", "numpy", "opencv-python-headless", "numba")}
-    return {"relocbench": relocbench.__version__, "python": platform.python_version(), **known}
+    return {"relocbench": version.__version__, "python": platform.python_version(), **known}
 
 
 def hardware(device: torch.device) -> str:

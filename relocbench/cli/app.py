@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-import relocbench
+from relocbench import version
 from relocbench.cli.build_dataset import build_dataset
 from relocbench.cli.check_method import check_method
 from relocbench.cli.demo import demo
@@ -32,7 +32,7 @@ app = typer.Typer(
 
 def _print_version(value: bool) -> None:
     if value:
-        print(f"relocbench {relocbench.__version__}")
+        print(f"relocbench {version.__version__}")
         raise typer.Exit
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-import relocbench
+from relocbench import version
 from relocbench.errors import ConfigError
 from relocbench.execution.scheduler import Scheduler
 
@@ -41,7 +41,7 @@ def greet(paths: Sequence[Path]) -> Greeting:
 def versions_here() -> dict[str, str]:
     """Of what work that is passed between processes depends on."""
     return {
-        "relocbench": relocbench.__version__,
+        "relocbench": version.__version__,
         "python": ".".join(platform.python_version_tuple()[:2]),
         **{name: _version(name) for name in _PACKAGES},
     }

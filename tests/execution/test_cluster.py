@@ -176,7 +176,7 @@ def test_a_worker_that_does_not_see_the_folders_is_refused(dask: DaskProcesses, 
 
 def test_a_worker_with_another_version_is_refused(dask: DaskProcesses, tmp_path: Path) -> None:
     older = tmp_path / "older.py"
-    older.write_text("import relocbench\nrelocbench.__version__ = '0.0.1'\n")
+    older.write_text("from relocbench import version\nversion.__version__ = '0.0.1'\n")
     dask.add_workers(1, preload=older)
     with pytest.raises(ConfigError, match=r"worker .* runs other versions: relocbench 0\.0\.1 there, .* here"):
         list(run_units(square, [1, 2], Run(scheduler=where(dask))))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import relocbench
+from relocbench import version
 from relocbench.datasets.core.pairfile import write_pose_lines
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import write_record
@@ -55,7 +55,7 @@ def write_chain_results(
         scores[name] = summary(name, rows, run.top)
     write_record(folder.run_yaml, run)
     record_of_scores = ChainScores(
-        relocbench=relocbench.__version__,
+        relocbench=version.__version__,
         answers=dict(sorted(hashes.items())),
         basins=dict(sorted(used.items())),
         tasks=dict(sorted(scores.items())),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-import relocbench
+from relocbench import version
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, answers_hash, ranking_of, read_answers
@@ -48,7 +48,7 @@ def score_retriever(asked: SetRecord, folder: RetrieverResults, *, seed: int = 0
             hashes[name] = answers_hash(folder.answers(name))
             tasks[name] = summary(name, record, checked_answers(name, record, folder), seed)
     scores = RetrievalScores(
-        relocbench=relocbench.__version__, answers=hashes, denominator=str(Denominator.ALL), tasks=tasks
+        relocbench=version.__version__, answers=hashes, denominator=str(Denominator.ALL), tasks=tasks
     )
     write_record(folder.scores_yaml, scores)
     return scores

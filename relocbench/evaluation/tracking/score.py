@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import relocbench
+from relocbench import version
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair, PairKey, distances_and_angles, read_pose_lines
@@ -86,7 +86,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
             matching[pair_set.name] = matching_scores(pair_set, folder)
     known = {s for s in dataset.pair_set_names if folder.predictions(s).exists()}
     score_record = ScoreRecord(
-        relocbench=relocbench.__version__,
+        relocbench=version.__version__,
         predictions={k: v for k, v in sorted(hashes.items()) if k in known},
         pair_sets={k: v for k, v in sorted(scores.items()) if k in known},
         matching={k: v for k, v in sorted(matching.items()) if k in known and folder.matching(k).exists()},

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from relocbench import __version__
 from relocbench.datasets.core.schema import Transform
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, DriveStyle, Route, drive, route_length
@@ -41,6 +40,7 @@ from relocbench.execution import Run
 from relocbench.files import atomic_write, dump_yaml, read_bytes, remove_parts, write_text
 from relocbench.geometry import make_transform, transform_to_tq
 from relocbench.progress import Reporter, Silent
+from relocbench.version import __version__
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,195 @@
+"""relocbench in a notebook: open a dataset, look at its pairs, run methods, and have the numbers as DataFrames.
+
+``import relocbench as rb`` offers all of it as ``rb.open_dataset``, ``rb.iterate_pairs``, ``rb.evaluate``,
+``rb.read_leaderboard``, ``rb.read_errors``, ``rb.trackers`` and ``rb.retrievers``; nothing is loaded before it is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pairfile import Pair
+from relocbench.progress import Reporter, Silent
+from relocbench.tracking import Query, Reference
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PairView:
+    """A pair as a tracker sees it, with its truth."""
+
+    pair_set: str
+    """name of its pair set"""
+    pair: Pair
+    """keys, group, overlap and the uncertainty of the truth"""
+    reference: Reference
+    """the keyframe: image, camera, depth in metres or sparse points"""
+    query: Query
+    """image and camera"""
+
+    @property
+    def T_query_ref(self) -> Array | None:
+        """(4, 4) true pose, query camera from reference camera, metres; None where the truth is withheld."""
+        return self.pair.T_query_ref
+
+
+def open_dataset(folder: Path | str) -> Dataset:
+    """A dataset folder, as ``relocbench build-dataset`` writes it. Nothing but its descriptions is read yet.
+
+    Raises:
+        DatasetError: no such folder, no dataset, an unfinished one, or other content than its fingerprint says.
+    """
+    return Dataset(folder)
+
+
+def iterate_pairs(
+    dataset: Dataset, *, split: str | None = None, pair_set: str | None = None, neighbours: int = 0
+) -> Iterator[PairView]:
+    """The accepted pairs of a dataset, read one after another.
+
+    Args:
+        split: only the pair sets of this split.
+        pair_set: only this pair set.
+        neighbours: so many posed frames before and after each keyframe come with it.
+
+    Raises:
+        DatasetError: an unknown split or pair set, or a file that is damaged, when it is reached.
+    """
+    chosen = dataset.pair_sets(split)
+    if pair_set is not None:
+        wanted = dataset.pair_set(pair_set).name
+        chosen = [one for one in chosen if one.name == wanted]
+    for one in chosen:
+        for pair in one.pairs:
+            yield PairView(one.name, pair, dataset.reference(one, pair, neighbours), dataset.query(one, pair))
+
+
+def evaluate(
+    dataset: Dataset | Path | str,
+    methods: str | Sequence[str],
+    *,
+    out: Path | str = "results",
+    settings: Mapping[str, Any] | None = None,
+    split: str | None = None,
+    workers: int | None = None,
+    seed: int = 0,
+    reporter: Reporter | None = None,
+) -> pd.DataFrame:
+    """Run trackers on a dataset and compare everything that the results folder then holds on it.
+
+    As ``relocbench evaluate`` and ``relocbench leaderboard``: answers that are there are kept, a killed run goes on.
+
+    Args:
+        methods: names, dotted paths ``package.module:Class`` or ``LABEL=TARGET``.
+        out: the results folder.
+        settings: parameters of the methods, ``{"iterations": 5}`` or ``{"LABEL.iterations": 5}``.
+        split: only the pair sets of this split.
+        workers: processes; None: one a core; 0: this process, without limits, for a debugger.
+        seed: of methods that have one.
+        reporter: hears of progress.
+
+    Returns:
+        As :func:`read_leaderboard`, of this dataset.
+
+    Raises:
+        RelocbenchError: a bad dataset, method or setting.
+    """
+    from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
+
+    options = EvaluateOptions(
+        dataset=dataset.root if isinstance(dataset, Dataset) else Path(dataset),
+        methods=(methods,) if isinstance(methods, str) else tuple(methods),
+        set=tuple(f"{key}={value}" for key, value in (settings or {}).items()),
+        out=Path(out),
+        split=split,
+        workers=workers,
+        seed=seed,
+    )
+    report = evaluate_methods(options, reporter or Silent())
+    return read_leaderboard(report.results, split=split)
+
+
+def read_leaderboard(results: Path | str, *, split: str | None = None, metric: str | None = None) -> pd.DataFrame:
+    """What a results folder says about trackers: a row for each dataset, pair set, group and method, ranked.
+
+    The columns are those of ``leaderboard.csv``: shares from 0 to 1, metres, degrees, seconds.
+
+    Args:
+        results: the results folder, or one ``DATASET@FINGERPRINT`` folder of it; read only.
+        split: only the pair sets of this split.
+        metric: that ranks; default: the one of ``relocbench leaderboard``.
+
+    Raises:
+        PredictionError: no results, a bad file, or scores that are missing or stale.
+        ConfigError: an unknown metric or split.
+    """
+    import pandas as pd
+
+    from relocbench.leaderboard.tracking.load import load_results
+    from relocbench.leaderboard.tracking.long_form import leaderboard_rows
+    from relocbench.leaderboard.tracking.tables import RANKING, make_board, ranking_metric
+
+    ranked_by = metric or RANKING
+    ranking_metric(ranked_by)  # an unknown one is told before anything is read
+    board = make_board(load_results(Path(results), split), metric=ranked_by, split=split)
+    return pd.DataFrame(leaderboard_rows(board))
+
+
+def read_errors(results: Path | str, *, split: str | None = None) -> pd.DataFrame:
+    """The errors of every pair and every tracker in a results folder; a failure has infinite errors.
+
+    The columns are those of ``errors.csv``: translation in metres, rotation in degrees.
+
+    Raises:
+        PredictionError, ConfigError: as :func:`read_leaderboard`.
+    """
+    import pandas as pd
+
+    from relocbench.evaluation.common.results import ERROR_COLUMNS
+    from relocbench.leaderboard.tracking.load import load_results
+
+    frames = []
+    for entry in load_results(Path(results), split):
+        for name in entry.pair_sets:
+            for method in (method for method in entry.methods if name in method.errors):
+                table = method.errors[name]
+                columns = {
+                    "dataset": entry.record.name,
+                    "pair_set": name,
+                    "method": method.label,
+                    "ref_timestamp_ns": table.keys[:, 0],
+                    "query_timestamp_ns": table.keys[:, 1],
+                    "group": table.groups,
+                    "status": table.statuses,
+                    **{column: table.column(column) for column in ERROR_COLUMNS[4:]},
+                }
+                frames.append(pd.DataFrame(columns))
+    return pd.concat(frames, ignore_index=True)
+
+
+def trackers() -> dict[str, str]:
+    """The installed trackers: name -> ``package.module:Class``."""
+    return _installed("tracking")
+
+
+def retrievers() -> dict[str, str]:
+    """The installed retrievers: name -> ``package.module:Class``."""
+    return _installed("retrieval")
+
+
+def _installed(task: str) -> dict[str, str]:
+    from relocbench.methods import KINDS, installed_methods
+
+    (kind,) = (kind for kind in KINDS if kind.task == task)
+    return {name: point.value for name, point in installed_methods(kind).items()}
