@@ -128,7 +128,7 @@ class RetrievalSet(Protocol):
 
     @property
     def fingerprint(self) -> str:
-        """Of everything that can change a score.
+        """A hash of everything that can change a score.
 
         A set that also has a ``question``, the same for copies whose images differ in last digits, is compared by that.
         """

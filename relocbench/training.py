@@ -63,7 +63,7 @@ class TrainingData(Protocol):
     def __len__(self) -> int: ...
 
     def label(self, index: int) -> PairLabel:
-        """Of a pair, without reading it: so that pairs can be drawn evenly over conditions and traversals."""
+        """What a pair is, without reading it, so that pairs can be drawn evenly over conditions and traversals."""
         ...
 
     def load(self, index: int) -> TrainingPair:

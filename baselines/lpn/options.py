@@ -68,5 +68,5 @@ class NetworkOptions:
 
     @property
     def least_parameters(self) -> int:
-        """Of the heads' first layers alone; the last map has 512 channels or more."""
+        """The parameters of the heads' first layers alone; the last map has 512 channels or more."""
         return self.parts * self.width * 512

@@ -12,7 +12,7 @@ from relocbench import version
 
 
 def versions() -> dict[str, str]:
-    """Of what training depends on."""
+    """Versions of what training depends on."""
     known = {name: metadata.version(name) for name in ("torch", "numpy", "opencv-python-headless", "numba")}
     return {"relocbench": version.__version__, "python": platform.python_version(), **known}
 

@@ -59,7 +59,7 @@ KINDS = {
 
 @dataclass
 class Tally:
-    """Of one kind of start."""
+    """What came of one kind of start."""
 
     near: list[bool] = field(default_factory=list)
     """within 0.5 m and 2 degrees before anything is aligned"""

@@ -168,7 +168,7 @@ def weights_of(given: argparse.Namespace) -> dict[tuple[str, int], Path]:
 
 
 def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], test: Path) -> list[Row]:
-    """Of every system on one test set; what is missing is asked."""
+    """A row for every system on one test set; what is missing is asked."""
     rows, seeds = [], given.seed
     for name in given.config:
         labels = {f"{name}-seed{seed}": "lpn" for seed in seeds}
@@ -248,7 +248,7 @@ def _cell(mean: float, deviation: float) -> str:
 
 
 def summary(rows: Sequence[Row]) -> dict[str, Any]:
-    """Of one test set, for the last line."""
+    """The figures of one test set, for the last line."""
     return {
         row.name: {d: {m: round(row.mean_and_deviation(d, m)[0], 2) for m in METRICS} for d in DIRECTIONS}
         for row in rows

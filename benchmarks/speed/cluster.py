@@ -17,7 +17,7 @@ from relocbench.execution import Run, Scheduler, kept_workers, run_units
 
 
 def seconds_a_unit(count: int, workers: int, scheduler: Scheduler | None) -> float:
-    """Of ``count`` units that do nothing, after the first result."""
+    """Seconds for each of ``count`` units that do nothing, after the first result."""
     results = run_units(abs, range(count), Run(workers, scheduler))
     next(results)
     start = time.perf_counter()

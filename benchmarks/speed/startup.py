@@ -36,7 +36,7 @@ def calls(out: str) -> dict[str, list[str]]:
 
 
 def seconds(arguments: list[str], expected: int) -> float:
-    """Of a process from start to end, by the clock."""
+    """Seconds that a process takes from start to end, by the clock."""
     start = time.perf_counter()
     done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False)
     spent = time.perf_counter() - start

@@ -131,7 +131,7 @@ def errors(T_query_ref: Array, true: Array) -> tuple[float, float, Array, Array]
 
 
 def figures(rows: Sequence[Judged]) -> dict[str, float]:
-    """Of a set of pairs; shares in percent, nan where there is nothing to tell."""
+    """The figures of a set of pairs; shares in percent, nan where there is nothing to tell."""
     overlapping = [r for r in rows if r.kind == "overlapping"]
     elsewhere = [r for r in rows if r.kind == "elsewhere"]
     accepted = [r for r in rows if r.accepted]

@@ -166,7 +166,7 @@ class Search:
         self._features: list[list[Features]] = [[describe(side.submap, o) for side in sides] for o in options]
 
     def guesses(self, pair: Pair) -> list[list[Array]]:
-        """Of each search."""
+        """The guesses of each search."""
         found = zip(self._features, self._options, strict=True)
         return [guesses(features[pair[0]], features[pair[1]], None, o) for features, o in found]
 

@@ -195,7 +195,7 @@ def patch_correlations(reference: Frames, r: int, query: Frames, q: int) -> Arra
 
 
 def drive_name(split: str, condition: str, number: int) -> str:
-    """Of a traversal, as the town names it."""
+    """The name of a traversal, as the town gives it."""
     return f"{split}-{condition}-{number}"
 
 
@@ -219,7 +219,7 @@ def correlate(dataset: Dataset, split: str, names: list[str], count: int) -> dic
 
 
 def variant(text: str) -> Variant:
-    """Of ``NAME=CONDITION:factor=value,...``. Raises ConfigError."""
+    """The variant that ``NAME=CONDITION:factor=value,...`` describes. Raises ConfigError."""
     name, _, rest = text.partition("=")
     base, _, given = rest.partition(":")
     changed = {key: yaml.safe_load(value) for key, _, value in (item.partition("=") for item in given.split(","))}

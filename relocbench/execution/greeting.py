@@ -39,7 +39,7 @@ def greet(paths: Sequence[Path]) -> Greeting:
 
 
 def versions_here() -> dict[str, str]:
-    """Of what work that is passed between processes depends on."""
+    """Versions of what work depends on that is passed between processes."""
     return {
         "relocbench": version.__version__,
         "python": ".".join(platform.python_version_tuple()[:2]),

@@ -75,7 +75,7 @@ class PlaceBatches(Dataset[Batch]):
         return {view: self._read(view, numbers[view], step) for view in self._options.views}
 
     def _numbers(self, step: int) -> dict[View, list[int]]:
-        """Of the images of a batch."""
+        """The numbers of the images of a batch."""
         batch = self._options.batch
         if not self._options.paired:
             return {view: [self._draw(view, step * batch + row) for row in range(batch)] for view in self._of_view}

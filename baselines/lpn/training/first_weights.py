@@ -91,7 +91,7 @@ def number_of(seed: int, *of: int) -> int:
 
 
 def _told(path: Path, digest: str) -> str:
-    """Of a backbone's file."""
+    """What the model card says of a backbone's file."""
     file = f"file {path.name}, SHA-256 {digest[:16]}"
     if are_weights(path):
         about = load_weights(path)[1]

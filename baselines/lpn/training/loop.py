@@ -266,7 +266,7 @@ class Training:
         return TrainingReport(self._weights, self.step, scores, best.step)
 
     def _about(self, stage: str, step: int, scores: dict[str, Any] | None) -> About:
-        """Of the weights; ``stage`` is named where they are not the last one's."""
+        """What is told of the weights; ``stage`` is named where they are not the last one's."""
         options = self.options
         return About(
             configuration=options.configuration + (f" (stage {stage})" if stage else ""),

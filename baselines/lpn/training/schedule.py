@@ -37,7 +37,7 @@ class Schedule:
 
     @property
     def steps(self) -> int:
-        """Of all stages."""
+        """The steps of all stages together."""
         return self.stretches[-1].last
 
     def at(self, done: int) -> int:
@@ -45,7 +45,7 @@ class Schedule:
         return next(number for number, stretch in enumerate(self.stretches) if done <= stretch.last)
 
     def factor(self, step: int) -> float:
-        """Of the learning rates at a step: a ramp, 1, and after a share of the stage's epochs ``decay``."""
+        """The factor of the learning rates at a step: a ramp, 1, and after a share of the stage's epochs ``decay``."""
         stretch = self.stretches[self.at(step + 1)]
         done = step - stretch.first
         ramp = min((done + 1) / self.options.warm_up, 1.0) if self.options.warm_up else 1.0

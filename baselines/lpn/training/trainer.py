@@ -23,11 +23,11 @@ class LpnTrainer:
     configurations: tuple[str, ...] = tuple(CONFIGURATIONS)
 
     def default_options(self) -> dict[str, Any]:
-        """Of LPN itself."""
+        """The options of LPN itself."""
         return self.options_of("lpn")
 
     def options_of(self, configuration: str) -> dict[str, Any]:
-        """Of a configuration. Raises ConfigError: there is none of that name."""
+        """The options of a configuration. Raises ConfigError: there is none of that name."""
         return plain(usual_options(configuration))
 
     def train_places(

@@ -54,7 +54,7 @@ _OTHER_FORMATS = (
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """Of a PNG or JPEG."""
+    """What the header of a PNG or JPEG says."""
 
     format: Literal["PNG", "JPEG"]
     width: int

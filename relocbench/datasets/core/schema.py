@@ -50,7 +50,7 @@ class Transform(Strict):
 
     @classmethod
     def of(cls, matrix: NDArray[np.float64]) -> Transform:
-        """Of a (4, 4) matrix."""
+        """The transform of a (4, 4) matrix."""
         t, q = transform_to_tq(matrix)
         return cls.model_validate({"translation_m": t.tolist(), "quaternion_xyzw": q.tolist()})
 
@@ -99,7 +99,7 @@ class CameraEntry(Strict):
         T_rig_cam: NDArray[np.float64] | None = None,
         depth_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> CameraEntry:
-        """Of a camera, its (4, 4) extrinsics (default: the rig's own frame) and its depth noise."""
+        """The entry of a camera, its (4, 4) extrinsics (default: the rig's own frame) and its depth noise."""
         transform = Transform.of(np.eye(4) if T_rig_cam is None else T_rig_cam)
         return cls.model_validate({**camera.to_dict(), "T_rig_cam": transform.model_dump(), "depth_sigma": depth_sigma})
 

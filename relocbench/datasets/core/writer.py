@@ -170,7 +170,7 @@ class DatasetWriter:
 
 
 def versions() -> dict[str, str]:
-    """Of what can change a result."""
+    """Versions of the packages that can change a result."""
     return {"python": platform.python_version(), **{name: metadata.version(name) for name in _VERSIONED}}
 
 

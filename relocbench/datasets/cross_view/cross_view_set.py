@@ -60,7 +60,7 @@ class CrossViewSet:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Of all images and their labels. A set that was not made here is hashed once, which reads every file."""
+        """A hash of all images and their labels. A set from elsewhere is hashed once, which reads every file."""
         return self.fingerprinted()
 
     @property

@@ -56,7 +56,7 @@ class Layout:
 
     @property
     def keys(self) -> Iterator[str]:
-        """Of every image."""
+        """The key of every image."""
         for folder in self.all:
             for images in folder.images.values():
                 yield from images

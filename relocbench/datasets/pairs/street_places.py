@@ -61,7 +61,7 @@ class StreetPlaces:
 
     @property
     def name(self) -> str:
-        """Of the dataset, with what is right: each choice is a set of its own."""
+        """The dataset's name and what counts as right: each choice is a set of its own."""
         if self.rule == "pairs":
             return f"{self.dataset.name}.places-pairs"
         heading = "" if self.heading_deg is None else f"-{self.heading_deg:g}deg"
@@ -77,7 +77,7 @@ class StreetPlaces:
 
     @property
     def options(self) -> dict[str, float | str]:
-        """Of the command line, that make this set."""
+        """The command line's options that make this set."""
         if self.rule == "pairs":
             return {"positives": "pairs"}
         heading: dict[str, float | str] = {} if self.heading_deg is None else {"heading": self.heading_deg}
@@ -85,7 +85,7 @@ class StreetPlaces:
 
     @property
     def fingerprint(self) -> str:
-        """Of the dataset and of what is right."""
+        """A hash of the dataset's fingerprint and of what counts as right."""
         return self._with_what_is_right(self.dataset.fingerprint)
 
     @property
@@ -122,7 +122,7 @@ class StreetPlaces:
         return tuple(self.task(s) for s in self.pair_sets)
 
     def task(self, pair_set: PairSet) -> RetrievalTask:
-        """Of one pair set. Raises DatasetError."""
+        """The retrieval task of one pair set. Raises DatasetError."""
         reference, query = self.dataset.traversal(pair_set.reference), self.dataset.traversal(pair_set.query)
         camera = pair_set.camera
         keyframes = reference.keyframe_timestamps(camera)

@@ -71,7 +71,7 @@ class ReferencePoints:
 
     @classmethod
     def of(cls, reference: Reference) -> ReferencePoints:
-        """Of a keyframe, sparse or dense."""
+        """The surface points of a keyframe, sparse or dense."""
         points = reference.points
         depth = 1.0 / points.inverse_depth
         return cls(points.uv, depth, points.sigma * depth * depth)

@@ -76,7 +76,7 @@ class _Plain:
         return self.of(values, depth) if known else self._words(values)
 
     def _scalar(self, value: Any) -> Any:
-        """Of the plain types themselves: a subclass may show JSON something else."""
+        """A value of one of the plain types themselves: a subclass may show JSON something else."""
         if value is None or isinstance(value, bool):
             return value
         if isinstance(value, str):

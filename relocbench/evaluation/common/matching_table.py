@@ -23,7 +23,7 @@ Summary = dict[str, dict[str, float | int | None]]
 
 @dataclass(frozen=True)
 class Found:
-    """Of the correspondences of a pair, started so far off, how many the method brought near the truth."""
+    """How many correspondences of a pair, started so far off, the method brought near the truth."""
 
     offset_px: int
     count: int

@@ -23,7 +23,7 @@ class Offers:
 
 
 def offers_of(spec: MethodSpec, run: Run) -> Offers:
-    """Of a class they are known as it stands; of anything else that makes trackers, by making one.
+    """What a method offers. A class tells it as it stands; anything else that makes trackers has to make one.
 
     Raises:
         MethodError: no such method, or its constructor raised.

@@ -145,7 +145,7 @@ def _probe(
 
 
 def chosen_pairs(dataset: Dataset, options: ProbeOptions) -> list[tuple[PairSet, list[PairKey]]]:
-    """Of each pair set up to ``options.pairs`` pairs with ground truth, evenly spread.
+    """Up to ``options.pairs`` pairs with ground truth of each pair set, evenly spread.
 
     Raises:
         ConfigError: none is left.

@@ -162,7 +162,7 @@ def _values(
     *,
     of_starts: bool = False,
 ) -> list[Array]:
-    """Of each pair set (K, N): the share of successes of each pair at each offset."""
+    """The share of successes of each pair at each offset, (K, N) for each pair set."""
     out = []
     for name in names:
         tallies = [t[what, level] for t in found[name] if (what, level) in t]

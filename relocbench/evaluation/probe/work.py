@@ -115,7 +115,7 @@ def ask_pairs(
 
 
 def _digest(dataset: Dataset, spec: MethodSpec, task: Task) -> str:
-    """Of all that an answer depends on: a file that a parameter names is known by its content."""
+    """A digest of all that an answer depends on; a file that a parameter names counts by its content."""
     about = {
         "dataset": dataset.fingerprint,
         "target": spec.target,

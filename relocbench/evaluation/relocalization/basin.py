@@ -40,7 +40,7 @@ class Basins:
     """(method, ``translation`` or ``rotation``, conditions) -> radius"""
 
     def of(self, tracker: str, condition_ref: str, condition_query: str, reach: tuple[float, float]) -> Basin:
-        """Of a tracker on a task. A tracker that was not measured, as it starts from no prior, has the pairs' reach."""
+        """The basin of a tracker on a task. One that was not measured, starting from no prior, has the pairs' reach."""
         if self.given is not None:
             return Basin(*self.given, "given")
         if self.measured is None:

@@ -94,12 +94,12 @@ class RelocalizationReport:
         return {folder.label: folder.scores() for folder in self.folders}
 
     def scores(self, folder: ChainResults) -> dict[str, Values]:
-        """Of the tasks that were asked."""
+        """Scores of the tasks that were asked."""
         tasks = self._scores[folder.label].tasks
         return {name: values for name, values in tasks.items() if name in self.tasks.names}
 
     def basins(self, folder: ChainResults) -> dict[str, ChainBasin]:
-        """Of the tasks that were asked."""
+        """Basins of the tasks that were asked."""
         return {name: basin for name, basin in self._scores[folder.label].basins.items() if name in self.tasks.names}
 
     def to_dict(self) -> dict[str, Any]:

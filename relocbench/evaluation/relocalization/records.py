@@ -83,7 +83,7 @@ class ChainRun(Strict):
 
 
 class ChainBasin(Strict):
-    """Of a chain on a task."""
+    """How far from a query a keyframe may be for the chain's tracker to find the pose, on one task."""
 
     metres: float
     degrees: float

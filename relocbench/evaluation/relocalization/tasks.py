@@ -24,7 +24,7 @@ _VERSION = 1
 
 @dataclass(frozen=True, eq=False)
 class ChainTasks:
-    """Of one dataset; those that were chosen."""
+    """The tasks that chains are asked on one dataset, as far as they were chosen."""
 
     asked: OpenedSet
     """for retrievers"""

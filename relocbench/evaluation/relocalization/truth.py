@@ -26,7 +26,7 @@ _ROUNDING = 1 + 1e-9
 
 
 class MapTruth:
-    """Of one pair set.
+    """True poses of the queries of one pair set in the map.
 
     Args:
         pair_set: every pair has its pose.

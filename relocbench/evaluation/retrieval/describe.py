@@ -160,7 +160,7 @@ def shared_images(tasks: Sequence[RetrievalTask]) -> frozenset[str]:
 
 
 def descriptor_variance(*described: Described) -> float | None:
-    """Of descriptors divided by their norms about their mean: ``1 - |mean|^2``; None where there is none."""
+    """The variance of normalised descriptors about their mean, ``1 - |mean|^2``; None where there is no descriptor."""
     total, count = np.zeros(1), 0
     for each in described:
         values = each.values[each.finite].astype(np.float64)
@@ -173,7 +173,7 @@ def descriptor_variance(*described: Described) -> float | None:
 
 
 def nothing(count: int, message: str) -> Described:
-    """Of images that were never described."""
+    """The result for images that were never described."""
     return Described(np.full((count, 1), np.nan), (one_line(message),) * count, np.zeros(count))
 
 

@@ -84,7 +84,7 @@ class RetrievalReport:
     """label and what to look at, where R@1 is no better than chance"""
 
     def scores(self, folder: RetrieverResults) -> dict[str, Values]:
-        """Of the tasks that were asked."""
+        """Scores of the tasks that were asked."""
         names = [task.name for task in self.asked.chosen]
         return {name: values for name, values in folder.retrieval_scores().tasks.items() if name in names}
 

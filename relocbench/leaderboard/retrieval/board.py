@@ -195,7 +195,7 @@ def _copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
 
 
 def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int) -> SetBoard:
-    """Of all copies of a question; the first stands for all, and a label that occurs again is told apart."""
+    """The board of all copies of a question; the first stands for all, and a label that occurs again is told apart."""
     record, *others = (folder.record for folder in copies)
     for folder, other in zip(copies[1:], others, strict=True):
         different = [n for n in other.tasks if other.tasks[n] != record.tasks.get(n, other.tasks[n])]

@@ -53,7 +53,7 @@ def retrieval_rows(board: RetrievalBoard) -> list[dict[str, Value]]:
 
 
 def _row(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable, row: RetrievalRow | None) -> dict[str, Value]:
-    """Of a method, or of chance."""
+    """The row of a method, or of chance."""
     one = table.records[0] if len(table.records) == 1 else None
     place: dict[str, Value] = {
         "dataset": asked.record.name,

@@ -41,7 +41,7 @@ def chance_level(relevance: Relevance, metrics: Sequence[str]) -> dict[str, floa
 
 
 def _expected(metric: str, n: int, size: int, whole: int) -> float:
-    """Of one query with n positives among ``size`` images; ``whole`` counts junk too."""
+    """The expected metric of one query with n positives among ``size`` images; ``whole`` counts junk too."""
     recall = _RECALL.fullmatch(metric)
     if recall is not None:
         return _recall(n, size, int(recall[1]))

@@ -55,7 +55,7 @@ def count_decided(
 
 @njit(cache=True, fastmath={"reassoc", "contract"})
 def _exact_product(query: Array, row: Scaled) -> float:
-    """Of integers whose partial sums float64 holds: the order of the additions changes nothing."""
+    """The product of integers whose partial sums float64 holds: the order of the additions changes nothing."""
     total = 0.0
     for i in range(len(query)):
         total += query[i] * np.rint(np.float64(row[i]))

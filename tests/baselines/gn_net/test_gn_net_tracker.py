@@ -25,7 +25,7 @@ SMALL = NetworkOptions(widths=(8, 12, 16), dim=8, levels=3)
 
 @pytest.fixture(scope="module", params=[0, 1], ids=["full", "half"])
 def weights(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of a network that learnt nothing, whose finest map has all or half the image's resolution.
+    """Weights of a network that learnt nothing, whose finest map has all or half the image's resolution.
 
     Random filters see texture all the same.
     """

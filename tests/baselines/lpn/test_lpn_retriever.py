@@ -29,7 +29,7 @@ ABOUT = About("lpn", 64, "drawn, no ImageNet", ("drone", "satellite"), 0, {"data
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Of LPN in small, as drawn."""
+    """The drawn weights of a small LPN."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("baselines.lpn.backbone.resnet18", NarrowResNet)
         path = tmp_path_factory.mktemp("weights") / "lpn.safetensors"

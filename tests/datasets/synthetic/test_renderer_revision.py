@@ -15,7 +15,7 @@ HOW = "raise RENDERER_REVISION and write the golden values anew: python tests/su
 
 @pytest.mark.slow
 def test_what_is_rendered_is_what_the_revision_says() -> None:
-    """Of the renderer itself; processors differ by a grey level here and there, which means of blocks hardly show."""
+    """The renderer is asked; processors differ by a grey level here and there, which means of blocks hardly show."""
     golden = json.loads(GOLDEN.read_text())
     assert golden["revision"] == RENDERER_REVISION, f"the golden values are of another revision; {HOW}"
     found = summary()

@@ -47,7 +47,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def report(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Report:
-    """Of a method that misbehaves at each pair otherwise, and of a good one that is asked after it."""
+    """The report of a method that misbehaves in another way at each pair, and of a good one that is asked after it."""
     methods = (f"bad={HERE}:Misbehaving", "good=trackers_for_tests:Shift")
     out = tmp_path_factory.mktemp("results")
     return evaluate_methods(EvaluateOptions(dataset=dataset.root, methods=methods, out=out, workers=1), Silent())

@@ -82,7 +82,7 @@ def spread(found: list[Building], spacing_m: float, rng: np.random.Generator) ->
 
 
 def _distance(points: Array, front: PeriodicFront) -> Array:
-    """Of points (N, 2) from the row's line of facades."""
+    """The distances of points (N, 2) from the row's line of facades."""
     along = front.end - front.start
     t = np.clip((points - front.start) @ along / float(along @ along), 0, 1)
     return np.asarray(np.linalg.norm(points - front.start - t[:, None] * along, axis=1))

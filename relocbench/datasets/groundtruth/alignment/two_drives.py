@@ -27,7 +27,7 @@ FirstPose = tuple[int, int, Array]
 
 @dataclass(frozen=True)
 class AlignmentOptions:
-    """Of everything between two recordings and the poses of one in the other."""
+    """Options of everything between two recordings and the poses of one in the other."""
 
     block_m: float = 2.0
     submap_m: float = 60.0

@@ -175,7 +175,7 @@ def _claim(
 
 
 def _digest(nodes: Nodes) -> str:
-    """Of all that blocks depend on."""
+    """A digest of all that blocks depend on."""
     digest = hashlib.sha256(json.dumps(len(nodes)).encode())
     for part in (nodes.times_ns, nodes.T_odom_node, nodes.travelled_m, nodes.stretches(), *nodes.begins_and_ends()):
         digest.update(np.ascontiguousarray(part).tobytes())

@@ -186,7 +186,7 @@ def classify(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _over_path(points: Array, normals: Array, poses: Array) -> tuple[Array, Array, Array]:
-    """Of each point by the pose nearest in plan: height over its floor, the normal's share of up, distance in plan."""
+    """By the pose nearest in plan, for each point: height over its floor, share of up in the normal, distance."""
     n = len(points)
     height, level, away = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):

@@ -30,7 +30,7 @@ class StereoPair:
         return frozenset(self.left.times_ns.tolist()) & frozenset(self.right.times_ns.tolist())
 
     def depth(self, time_ns: int) -> DepthImage:
-        """Of the left image at a time that both have. Raises DatasetError with the file of a damaged image."""
+        """Depth of the left image at a time that both have. Raises DatasetError with the file of a damaged image."""
         return depth_by_stereo(_image(self.left, time_ns), _image(self.right, time_ns), self.geometry)
 
 

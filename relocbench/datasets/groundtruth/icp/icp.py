@@ -39,7 +39,7 @@ _THIN = 0.02
 
 @dataclass(frozen=True)
 class RefinementOptions:
-    """Of the way from a prediction to the pose."""
+    """Options of the refinement from a predicted pose."""
 
     metric: Metric = "plane"
     levels: tuple[int, ...] = (0, 1, 2)
@@ -272,7 +272,7 @@ def assess(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: Refineme
 
 
 def _variance(problem: Linearised) -> float:
-    """Of a residual, in m^2, as one of many that err alike."""
+    """The variance of a residual in m^2, as one of many that err alike."""
     return float(max(problem.sigma_m, 1e-3) ** 2 * CORRELATION)
 
 

@@ -75,7 +75,7 @@ class PairOutcome:
 
     @property
     def sigma_translation_m(self) -> float | None:
-        """Of a direction: ``sqrt(trace / 3)``."""
+        """The standard deviation in one direction, ``sqrt(trace / 3)``, metres."""
         return None if self.covariance is None else float(np.sqrt(np.trace(self.covariance[:3, :3]) / 3))
 
     def refused(self, reason: str) -> PairOutcome:
@@ -146,7 +146,7 @@ class Side:
         return Place(around[nearest], T_world_rig, ways[nearest])
 
     def _same_piece(self, around: list[int], time_ns: int) -> list[int]:
-        """Of two nodes, those that the odometry reaches without a gap."""
+        """Those of two nodes that the odometry reaches without a gap."""
         pieces = self.nodes.stretch
         if pieces is None or pieces[around[0]] == pieces[around[1]]:
             return around

@@ -166,7 +166,7 @@ def spread(count: int, most: int) -> NDArray[np.int64]:
 
 
 def _worst(drives: Drives, cross: Edges, failing: Mask, tested: Tested, options: GraphOptions) -> Mask:
-    """Of registrations that fail, the worst of each neighbourhood along the query's drive."""
+    """The worst of the failing registrations in each neighbourhood along the query's drive."""
     at = drives.travelled_m[cross.second]
     out = np.zeros(len(cross), dtype=bool)
     excess = tested.chi2 / np.maximum(tested.freedom, 1)

@@ -47,7 +47,7 @@ Remember = Callable[[str, Callable[[], Outcome]], Outcome]
 
 @dataclass(frozen=True)
 class TrackingOptions:
-    """Of a whole drive."""
+    """Options of the registration of a whole drive."""
 
     step_m: float = 4.0
     """between the nodes of the query that are registered"""

@@ -27,7 +27,7 @@ Matcher = Literal["ransac", "fgr", "kiss-matcher"]
 
 @dataclass(frozen=True)
 class GlobalOptions:
-    """Of the search for guesses."""
+    """Options of the search for first guesses."""
 
     matcher: Matcher = "ransac"
     voxel_m: float = 0.7

@@ -26,7 +26,7 @@ Guess = tuple[int, int, Array]
 
 @dataclass(frozen=True)
 class HypothesisOptions:
-    """Of the choice between guesses."""
+    """Options that decide between several first guesses of a pose."""
 
     stretch_m: float = 50.0
     """how far each is followed"""

@@ -27,7 +27,7 @@ NOTHING_JUDGED = Evidence(_NAN, _NAN, _NAN, _NAN, _NAN, _NAN, _NAN, (_NAN, _NAN,
 
 @dataclass(frozen=True)
 class RegisterOptions:
-    """Of one registration."""
+    """Options of one registration of two submaps."""
 
     backend: Backend = "own"
     refinement: RefinementOptions = field(default_factory=RefinementOptions)

@@ -54,7 +54,7 @@ def robust_sigma(residuals: Array) -> float:
 
 
 def measure_residuals(found: InspectedSet) -> Residuals:
-    """Of up to 40 registrations that the graph kept, evenly along the drive.
+    """Residuals of up to 40 registrations that the graph kept, evenly along the drive.
 
     Raises:
         DatasetError: a block is missing or damaged.

@@ -48,7 +48,7 @@ def xyzrpy_from_transform(transform: ArrayLike) -> Array:
 
 @dataclass(frozen=True)
 class OdometryErrors:
-    """Of stereo visual odometry; by default it drifts by about 0.8 m and 0.3 degrees in 100 m."""
+    """The errors of stereo visual odometry; by default it drifts by about 0.8 m and 0.3 degrees in 100 m."""
 
     scale: float = 0.008
     """standard deviation of the share by which steps are too long or too short"""
@@ -104,7 +104,7 @@ def gauss_markov(steps: Array, rng: np.random.Generator) -> Array:
 
 @dataclass(frozen=True)
 class InertialErrors:
-    """Of a GNSS/INS without corrections from a base station, standard deviations."""
+    """The errors of a GNSS/INS without corrections from a base station, as standard deviations."""
 
     offset_m: tuple[float, float, float] = (1.5, 1.5, 3.0)
     """east, north, up: of the whole drive; another drive has another"""

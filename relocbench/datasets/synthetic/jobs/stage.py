@@ -89,7 +89,7 @@ def moving_scene(place: Place, factors: Factors, moving: Sequence[MovingCar]) ->
 
 
 def frame_seed(seed: int, traversal: int, step: int, camera: int) -> int:
-    """Of the noise, rain and snow of one image: it depends on nothing that was rendered before."""
+    """The seed of the noise, rain and snow of one image; it depends on nothing that was rendered before."""
     return int(np.random.SeedSequence([seed, 7, traversal, step, camera]).generate_state(1)[0])
 
 

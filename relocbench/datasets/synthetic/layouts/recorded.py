@@ -118,7 +118,7 @@ class Layout(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the drive."""
+        """The drive's name."""
         ...
 
     @property

@@ -53,7 +53,7 @@ _REFLECTANCE = np.array([_REFLECTANCE_OF[material] for material in Material])
 
 
 def extinction(factors: Factors) -> float:
-    """Of the air, 1/m: fog, and rain and dry snow after ITU-R P.1814 (1.076 R^0.67 and 5.545 S^1.38 dB/km)."""
+    """Extinction of the air, 1/m: fog; rain and dry snow after ITU-R P.1814 (1.076 R^0.67, 5.545 S^1.38 dB/km)."""
     decibels_per_km = 1.076 * factors.rain_mm_h**0.67 + 5.545 * factors.snowfall_mm_h**1.38
     return float(factors.fog_density + decibels_per_km / 1000 * np.log(10) / 10)
 

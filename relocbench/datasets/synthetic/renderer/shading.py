@@ -24,7 +24,7 @@ _FOG_LAYER_M = 160.0
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def sky_radiance(sky: Sky, x: float, y: float, z: float) -> Vector:
-    """Of a unit direction; below the horizon that of the horizon."""
+    """The sky's radiance in a unit direction; below the horizon it is the horizon's."""
     z = max(z, 0.0)
     scale = MAP * 0.5 / (1 + z)
     u, v = x * scale + MAP * 0.5 - 0.5, y * scale + MAP * 0.5 - 0.5

@@ -181,7 +181,7 @@ def _pyramid(image: NDArray[np.floating]) -> NDArray[np.uint64]:
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _log2(x: float) -> float:
-    """Of a positive number, linear between powers of two: at most 0.09 too small, which no blend of levels shows."""
+    """Base-2 logarithm, linear between powers of two: at most 0.09 too small, which no blend of levels shows."""
     bits = np.int64(np.float32(x).view(np.int32))
     return (bits - 0x3F800000) / 8388608.0
 

@@ -157,7 +157,7 @@ class StreetNetwork:
         return chain
 
     def _lane_radius(self, node: int, turn: float) -> float:
-        """Of the lane's middle: a right turn (negative) runs inside of the centre line."""
+        """The radius of the lane's middle: a right turn (negative) runs inside of the centre line."""
         if self.degree(node) == 2:
             return self.bend_radius(node, turn) + np.sign(turn) * LANE_M / 2
         if abs(turn) < _STRAIGHT:

@@ -78,7 +78,7 @@ class Planting:
 
 
 def _stretch(network: StreetNetwork, block: Block, i: int) -> tuple[Floats, Floats, Floats, float, float]:
-    """Of an edge: a point on the kerb line at its start, directions along it and into the block, and where it is
+    """A block's edge: a point on the kerb line at its start, directions along it and into the block, and where it is
     clear of crossings (from, to) in metres."""
     u, v = block.edge(i)
     d = network.nodes[v] - network.nodes[u]
