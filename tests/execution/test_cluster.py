@@ -172,6 +172,13 @@ def test_a_worker_that_does_not_see_the_folders_is_refused(dask: DaskProcesses, 
     results = dict(run_units(square, [1, 2], Run(scheduler=where(dask).sharing(tmp_path, tmp_path))))
     assert results == {0: 1, 1: 4}
     assert not list(tmp_path.iterdir())
+    made = make_small_dataset(tmp_path.with_name(f"{tmp_path.name}-data"))
+    seen = Path(f"/proc/self/task/{os.getpid()}") / "root" / made.root.relative_to("/")
+    ended = relocbench(
+        "evaluate", "-d", seen, "-m", "identity", "--scheduler", dask.address, "-o", tmp_path / "results"
+    )
+    assert ended.status == 2
+    assert "not seen by worker" in ended.complaint
 
 
 def test_a_worker_with_another_version_is_refused(dask: DaskProcesses, tmp_path: Path) -> None:
