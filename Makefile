@@ -2,7 +2,7 @@ VENV ?= .venv
 RUN := $(VENV)/bin
 RECORDINGS ?= ../shared/data
 
-.PHONY: help setup test test-busy test-processors kills fuzz lint format demo bench prove docs constraints clean
+.PHONY: help setup test test-busy test-processors kills fuzz lint format demo bench prove docs light constraints clean
 .PHONY: leaderboard leaderboard-weather leaderboard-retrieval leaderboard-relocalization
 
 help:            ## list the targets
@@ -66,6 +66,9 @@ leaderboard-retrieval: setup ## make the published results of retrieval across v
 
 leaderboard-relocalization: setup ## make the published results of both halves in a row again
 	$(RUN)/python benchmarks/publish/relocalization.py --out leaderboard/relocalization
+
+light: setup     ## the light installation: from the built wheel into an environment of its own (PYTHONS=python3.11 ...)
+	VENV=$(VENV) tools/light_install.sh $(PYTHONS)
 
 constraints: setup ## pin the newest versions that fit
 	$(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --extra registration --upgrade --generate-hashes \

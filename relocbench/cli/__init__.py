@@ -17,6 +17,21 @@ _SURROUNDINGS = {
     )
 }
 """what the system refuses: no mistake of the program"""
+_PACKAGES = {
+    "cv2": "opencv-python-headless",
+    "gtsam": "gtsam",
+    "kiss_icp": "kiss-icp",
+    "matplotlib": "matplotlib",
+    "numba": "numba",
+    "open3d": "open3d",
+    "pandas": "pandas",
+    "pyarrow": "pyarrow",
+    "safetensors": "safetensors",
+    "scipy": "scipy",
+    "torch": "torch",
+    "torchvision": "torchvision",
+}
+"""import name -> package: what a light installation may lack"""
 _SYMLINK_LOOP = "Symlink loop from "
 """what Python before 3.13 raises for ELOOP where a path is resolved"""
 
@@ -39,6 +54,12 @@ def main() -> None:
             tell_once()
             leave()
         raise
+    except ModuleNotFoundError as bad:
+        package = _PACKAGES.get((bad.name or "").split(".")[0])
+        if package is None:
+            raise
+        print(f"relocbench: needs the package '{package}', which is not installed here", file=sys.stderr)
+        sys.exit(USER_ERROR)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)

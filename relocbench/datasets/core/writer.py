@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import platform
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -170,8 +171,12 @@ class DatasetWriter:
 
 
 def versions() -> dict[str, str]:
-    """Versions of the packages that can change a result."""
-    return {"python": platform.python_version(), **{name: metadata.version(name) for name in _VERSIONED}}
+    """Versions of the packages that can change a result. One that is not installed is left out: nothing has used it."""
+    found = {"python": platform.python_version()}
+    for name in _VERSIONED:
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
 
 
 def _kept(path: Path) -> bool:
