@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Sequence
 from pathlib import Path
@@ -83,6 +84,14 @@ class Whitened(Thumbnail):
     def describe(self, images: Sequence[ImageView]) -> Descriptors:
         assert self.mean is not None
         return super().describe(images) - self.mean
+
+
+class OfItsProcess(Whitened):
+    """Tells which process it lives in."""
+
+    @property
+    def info(self) -> dict[str, Any]:
+        return {"process": os.getpid()}
 
 
 class Reversing(Thumbnail):

@@ -15,7 +15,7 @@ from relocbench.evaluation.common.info_text import info_text
 from relocbench.evaluation.common.lost_pairs import how_lost
 from relocbench.evaluation.common.worker import CONSTRUCTOR
 from relocbench.evaluation.retrieval.checked import checked_descriptors, checked_scores, rerank_top_of
-from relocbench.execution import MANY_TIMES, Loss, Run, messages_to_stderr, run_limited, step
+from relocbench.execution import MANY_TIMES, Limits, Loss, Run, messages_to_stderr, run_limited, step
 from relocbench.methods import MethodSpec
 from relocbench.retrieval import (
     Descriptors,
@@ -107,8 +107,9 @@ class InWorker:
         MethodError: the retriever's constructor raises.
     """
 
-    def __init__(self, spec: MethodSpec, run: Run) -> None:
-        self._spec, self._run = spec, run
+    def __init__(self, spec: MethodSpec, limits: Limits) -> None:
+        self._spec = spec
+        self._run = Run(1, limits=limits)  # one process: what a call was fitted to lives in it
         self._token = uuid.uuid4().hex
         self._fitted_by: tuple[Any, ...] = ()
         self._answered = False
@@ -169,7 +170,7 @@ class InWorker:
 
 def asked_of(spec: MethodSpec, run: Run) -> Asked:
     """In a worker process, or with 0 workers in this one. Raises MethodError."""
-    return InThisProcess(created(spec)) if run.workers == 0 else InWorker(spec, run)
+    return InThisProcess(created(spec)) if run.workers == 0 else InWorker(spec, run.limits)
 
 
 def created(spec: MethodSpec) -> Retriever:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,13 @@ from small_views import make_small_views
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import DatasetError, MethodError, PredictionError
 from relocbench.evaluation.retrieval.answers import read_answers, read_lists
+from relocbench.evaluation.retrieval.asked import asked_of
 from relocbench.evaluation.retrieval.check import check_retriever
 from relocbench.evaluation.retrieval.describe import BATCH
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, RetrievalReport, evaluate_retrievers
 from relocbench.evaluation.retrieval.ranking import nearest, rank_task
 from relocbench.evaluation.retrieval.run import Asking, check_task
+from relocbench.execution import Run, Scheduler, kept_workers
 from relocbench.methods import RETRIEVERS, parse_method
 from relocbench.metrics import (
     chance_level,
@@ -187,6 +190,19 @@ def test_a_fitting_retriever_is_fitted_anew_to_each_gallery(views: Path, tmp_pat
     assert report.scores(report.folders[0])[task.name]["AP"] == pytest.approx(expected.average_precision.mean())
     broken = run(views, tmp_path, f"b={HERE}:Whitened", set=("breaks=true",))
     assert "fit: ValueError: too few images" in broken.broken[0][1]
+
+
+def test_a_retriever_lives_in_one_process_wherever_the_rest_of_the_work_runs(views: Path) -> None:
+    images = open_cross_view(views).tasks()[0].gallery[:3]
+    nobody = Scheduler(address="tcp://127.0.0.1:9")
+    with kept_workers():
+        asked = asked_of(parse_method(f"{HERE}:OfItsProcess", kind=RETRIEVERS), Run(2, scheduler=nobody))
+        before = asked.info
+        assert asked.fit(images, 0)[2] == ""
+        described = [asked.describe((one,)) for one in images for _ in range(3)]
+        assert all(not broke and len(values) == 1 for values, _, broke in described)
+        assert asked.info == before
+    assert before["process"] != os.getpid()
 
 
 def test_reranking_orders_the_first_and_leaves_the_rest(views: Path, tmp_path: Path) -> None:
