@@ -86,7 +86,7 @@ def retrieve(
     seed: int,
     reporter: Reporter,
 ) -> list[Ranked]:
-    """Ask retrievers as ``relocbench evaluate --task retrieval --positives pairs`` does, if they have not answered yet.
+    """Ask retrievers as ``relocbench evaluate-retrieval --positives pairs`` does, if they have not answered yet.
 
     Their results are the same files, scored as they are there.
 
