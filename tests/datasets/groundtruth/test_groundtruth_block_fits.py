@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
-from relocbench.datasets.groundtruth.pose_graph.block_fits import meet
+from relocbench.datasets.groundtruth.pose_graph.block_fits import Contacts, meet
 from relocbench.datasets.groundtruth.pose_graph.edge_information import (
     distorted,
     held,
@@ -49,12 +50,12 @@ def walls(seed: int, flanks: float, noise_m: float = 0.01, tilt: float = 0.05) -
     return Submap(0, points.astype(np.float32), normals.astype(np.float32), origins, kind, ones, block)
 
 
-def contacts(seed: int, flanks: float, T=None):
+def contacts(seed: int, flanks: float, T: NDArray[np.float64] | None = None) -> Contacts:
     ref, query = (PlaneMap(walls(seed + k, flanks), OPTIONS) for k in (0, 100))
     return meet(ref.level(0), query.sample(0), np.eye(4) if T is None else T)
 
 
-def test_a_bare_wall_does_not_claim_to_know_the_way_along_it():
+def test_a_bare_wall_does_not_claim_to_know_the_way_along_it() -> None:
     met = contacts(1, flanks=0.0)
     plain = met.by_planes.T @ (met.weights[:, None] * met.by_planes)
     instrumented = met.by_points.T @ (met.weights[:, None] * met.by_planes)
@@ -64,7 +65,7 @@ def test_a_bare_wall_does_not_claim_to_know_the_way_along_it():
     np.testing.assert_allclose(instrumented[1, 1], plain[1, 1], rtol=0.02)
 
 
-def test_what_faces_along_the_street_still_counts_in_full():
+def test_what_faces_along_the_street_still_counts_in_full() -> None:
     met = contacts(2, flanks=1.0)
     instrumented = met.by_points.T @ (met.weights[:, None] * met.by_planes)
     facing = np.abs(met.by_planes[:, 0]) > 0.9
@@ -72,7 +73,7 @@ def test_what_faces_along_the_street_still_counts_in_full():
     assert instrumented[0, 0] == pytest.approx(met.weights[facing].sum(), rel=0.05)
 
 
-def test_the_step_leads_back_along_the_street():
+def test_the_step_leads_back_along_the_street() -> None:
     off = 0.03
     met = contacts(3, 1.0, se3_exp([off, 0.01, 0, 0, 0, 0]))
     H = held(met.by_points.T @ (met.weights[:, None] * met.by_planes), LEVER_M)
@@ -81,7 +82,7 @@ def test_the_step_leads_back_along_the_street():
     assert step[1] == pytest.approx(-0.01, abs=0.003)
 
 
-def test_information_promises_what_the_steps_show():
+def test_information_promises_what_the_steps_show() -> None:
     steps, variances = [], []
     for seed in range(40):
         met = contacts(1000 + seed, 1.0)
@@ -100,7 +101,7 @@ def test_information_promises_what_the_steps_show():
 
 @settings(deadline=None, max_examples=50)
 @given(st.integers(0, 2**32 - 1))
-def test_nothing_is_held_less_than_not_at_all(seed):
+def test_nothing_is_held_less_than_not_at_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
     H = rng.normal(size=(6, 6)) * np.outer(*[np.array([1, 1, 1, 10, 10, 10])] * 2)
     out = held(H, LEVER_M)
@@ -110,14 +111,14 @@ def test_nothing_is_held_less_than_not_at_all(seed):
     np.testing.assert_allclose(held(positive, LEVER_M), positive, rtol=1e-9, atol=1e-9 * np.abs(positive).max())
 
 
-def test_the_odometry_inside_blocks_bounds_what_an_edge_is_worth():
+def test_the_odometry_inside_blocks_bounds_what_an_edge_is_worth() -> None:
     variance = np.array([1e-4, 4e-6, 4e-6, 1e-7, 1e-7, 1e-7])
     worth = np.linalg.inv(distorted(1e12 * np.eye(6), variance))
     np.testing.assert_allclose(np.diag(worth), variance, rtol=1e-3)
     np.testing.assert_allclose(distorted(np.eye(6), np.zeros(6)), np.eye(6))
 
 
-def test_points_face_their_planes_only():
+def test_points_face_their_planes_only() -> None:
     ref, query = walls(5, 0.0), walls(105, 0.0)
     turned = replace(query, normals=-query.normals)
     assert len(meet(PlaneMap(ref, OPTIONS).level(0), PlaneMap(turned, OPTIONS).sample(0), np.eye(4))) == 0

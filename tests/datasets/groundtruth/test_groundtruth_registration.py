@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import street_clouds as clouds
+from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.icp.backends import refine_with
-from relocbench.datasets.groundtruth.icp.icp import RefinementOptions, linearise, linearise_both, refine
+from relocbench.datasets.groundtruth.icp.icp import (
+    Linearised,
+    Metric,
+    RefinementOptions,
+    linearise,
+    linearise_both,
+    refine,
+)
 from relocbench.datasets.groundtruth.registration import along_drive as tracking
 from relocbench.datasets.groundtruth.registration.along_drive import TrackingOptions, track
 from relocbench.datasets.groundtruth.registration.global_registration import (
@@ -21,35 +30,38 @@ from relocbench.datasets.groundtruth.registration.global_registration import (
     distinct,
     guesses,
 )
-from relocbench.datasets.groundtruth.registration.hypotheses import Outcome
+from relocbench.datasets.groundtruth.registration.hypotheses import Guess, Outcome
+from relocbench.datasets.groundtruth.registration.submap_pair import Side
 from relocbench.datasets.groundtruth.submaps.free_space import FreeSpace
 from relocbench.datasets.groundtruth.submaps.planes import balanced, direction_bins, grid_planes, thinned
 from relocbench.datasets.groundtruth.submaps.prepared import Prepared
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.verification.alternatives import SlideOptions, alternatives, period, slides
-from relocbench.datasets.groundtruth.verification.evidence import Evidence
+from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
 from relocbench.datasets.groundtruth.verification.verification import Thresholds, gather_evidence, verdict
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, se3_log
 
+Array = NDArray[np.float64]
+Pair = tuple[Prepared, Prepared]
 RNG = np.random.default_rng(0)
 T_STREET_REF, T_STREET_QUERY = clouds.pose(100.0, 0.3, 1.0), clouds.pose(101.2, -0.6, -2.0)
 TRUTH = invert(T_STREET_REF) @ T_STREET_QUERY
 
 
-def error(T, truth=TRUTH) -> tuple[float, float]:
+def error(T: Array, truth: Array = TRUTH) -> tuple[float, float]:
     """Metres and degrees."""
     d = invert(truth) @ T
     return float(np.linalg.norm(d[:3, 3])), float(np.degrees(rotation_angle(d[:3, :3])))
 
 
 @pytest.fixture(scope="module")
-def pair() -> tuple[Prepared, Prepared]:
+def pair() -> Pair:
     street = clouds.irregular(3)
     return Prepared(clouds.submap(street, 1, T_STREET_REF)), Prepared(clouds.submap(street, 2, T_STREET_QUERY))
 
 
-def test_nearest_planes_are_those_of_a_search_through_all():
+def test_nearest_planes_are_those_of_a_search_through_all() -> None:
     points, normals = RNG.uniform(-5, 5, size=(3000, 3)), RNG.normal(size=(3000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     planes = grid_planes(points, normals, np.ones(3000), np.zeros((3000, 3)), 0.8)
@@ -62,20 +74,20 @@ def test_nearest_planes_are_those_of_a_search_through_all():
     assert 50 < np.count_nonzero(found >= 0) < 500
 
 
-def test_a_grid_is_not_searched_further_than_it_can():
+def test_a_grid_is_not_searched_further_than_it_can() -> None:
     planes = grid_planes(np.zeros((1, 3)), np.array([[0, 0, 1.0]]), np.ones(1), np.zeros((1, 3)), 0.5)
     with pytest.raises(ValueError, match=r"0\.5 m cells"):
         planes.nearest(np.zeros((1, 3)), np.zeros((1, 3)), 0.6)
 
 
-def test_thinning_leaves_one_point_a_voxel():
+def test_thinning_leaves_one_point_a_voxel() -> None:
     points = RNG.uniform(-2, 2, size=(2000, 3))
     kept = points[thinned(points, 0.5)]
     cells = np.floor(kept / 0.5)
     assert len(np.unique(cells, axis=0)) == len(kept) == len(np.unique(np.floor(points / 0.5), axis=0))
 
 
-def test_sampling_gives_rare_directions_their_share():
+def test_sampling_gives_rare_directions_their_share() -> None:
     normals = np.repeat([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]], [9900, 100], axis=0)
     rows = balanced(direction_bins(normals), 400, np.ones(10000))
     assert np.count_nonzero(rows >= 9900) == 100
@@ -85,7 +97,7 @@ def test_sampling_gives_rare_directions_their_share():
 
 @pytest.mark.parametrize("planes_stretch", [False, True])
 @pytest.mark.parametrize("metric", ["plane", "generalised"])
-def test_linearisation_is_the_derivative(metric, planes_stretch):
+def test_linearisation_is_the_derivative(metric: Metric, planes_stretch: bool) -> None:
     centres = RNG.uniform(-20, 20, size=(40, 3))
     normals = RNG.normal(size=(40, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -95,10 +107,19 @@ def test_linearisation_is_the_derivative(metric, planes_stretch):
     points = apply(invert(T), centres + 0.02 * RNG.normal(size=(40, 3)))
     facing = normals @ T[:3, :3]
 
-    def at(x):
+    def at(x: Array) -> Linearised:
         stretched, moved = (planes.stretched(x[6]), points) if planes_stretch else (planes, points + x[6] * carried)
-        given = {"carried": carried, "planes_stretch": planes_stretch}
-        return linearise(stretched, moved, facing, T @ se3_exp(x[:6]), 0.9, scale_m=1e6, metric=metric, **given)
+        return linearise(
+            stretched,
+            moved,
+            facing,
+            T @ se3_exp(x[:6]),
+            0.9,
+            carried=carried,
+            planes_stretch=planes_stretch,
+            scale_m=1e6,
+            metric=metric,
+        )
 
     here, small = at(np.zeros(7)), 1e-5
     assert here.count == 40
@@ -111,18 +132,18 @@ def test_linearisation_is_the_derivative(metric, planes_stretch):
     np.testing.assert_allclose(slope, here.H, rtol=0.05, atol=0.02 * np.abs(here.H).max())
 
 
-def test_both_ways_pull_in_the_same_direction(pair):
+def test_both_ways_pull_in_the_same_direction(pair: Pair) -> None:
     options = RefinementOptions()
     wrong = np.array([0.05, -0.04, 0.03, 0.002, -0.003, 0.004])
-    sides = [(side.planes.level(1), side.planes.sample(1)) for side in pair]
-    problem = linearise_both(*sides, TRUTH @ se3_exp(wrong), 0.5, 0.5, options)
+    ref, query = ((side.planes.level(1), side.planes.sample(1)) for side in pair)
+    problem = linearise_both(ref, query, TRUTH @ se3_exp(wrong), 0.5, 0.5, options)
     step = -np.linalg.solve(problem.H[:6, :6], problem.g[:6])
     np.testing.assert_allclose(step, -wrong, atol=0.03)
     np.testing.assert_allclose(step[3:], -wrong[3:], atol=0.002)
 
 
 @pytest.mark.parametrize("metric", ["plane", "generalised"])
-def test_refinement_finds_the_pose_from_a_metre_away(pair, metric):
+def test_refinement_finds_the_pose_from_a_metre_away(pair: Pair, metric: Metric) -> None:
     start = TRUTH @ se3_exp([0.8, -0.5, 0.2, 0.01, -0.01, np.radians(3.0)])
     found = refine(pair[0].planes, pair[1].planes, start, RefinementOptions(metric=metric))
     metres, degrees = error(found.T_ref_query)
@@ -142,7 +163,7 @@ def longer(submap: Submap, share: float) -> Submap:
 
 @pytest.mark.parametrize("metric", ["plane", "generalised"])
 @pytest.mark.parametrize("share", [0.03, -0.02])
-def test_refinement_finds_by_how_much_one_odometry_is_longer(pair, share, metric):
+def test_refinement_finds_by_how_much_one_odometry_is_longer(pair: Pair, share: float, metric: Metric) -> None:
     # Here places on the road see what stands beside them: origins lie along x only, as those of a car do.
     query = Prepared(longer(pair[1].submap, share))
     start = TRUTH @ se3_exp([0.3, -0.2, 0.05, 0.005, -0.005, 0.01])
@@ -156,7 +177,7 @@ def test_refinement_finds_by_how_much_one_odometry_is_longer(pair, share, metric
     assert error(rigid.T_ref_query)[0] > 2 * metres
 
 
-def test_what_stands_far_ahead_alone_is_worth_less_with_the_stretch_unknown(pair):
+def test_what_stands_far_ahead_alone_is_worth_less_with_the_stretch_unknown(pair: Pair) -> None:
     def far_ahead(submap: Submap) -> Submap:
         keep = submap.origins[:, 0] > 15
         names = ("points", "normals", "origins", "surface", "steady", "block")
@@ -172,16 +193,16 @@ def test_what_stands_far_ahead_alone_is_worth_less_with_the_stretch_unknown(pair
     assert sigma_unknown > 5 * sigma_known
 
 
-def test_refinement_gives_the_same_bytes(pair):
+def test_refinement_gives_the_same_bytes(pair: Pair) -> None:
     start = TRUTH @ se3_exp([0.3, -0.2, 0.1, 0, 0, 0.02])
     a = refine(pair[0].planes, pair[1].planes, start)
-    again = (Prepared(side.submap).planes for side in pair)
-    b = refine(*again, start)
+    ref, query = (Prepared(side.submap).planes for side in pair)
+    b = refine(ref, query, start)
     assert a.T_ref_query.tobytes() == b.T_ref_query.tobytes()
     assert a.information.tobytes() == b.information.tobytes()
 
 
-def test_information_tells_the_error():
+def test_information_tells_the_error() -> None:
     street, options, normalised = clouds.irregular(5), RefinementOptions(drift_per_m=0.0, turn_per_m=0.0), []
     for seed in range(12):
         ref, query = (
@@ -194,7 +215,7 @@ def test_information_tells_the_error():
     assert 0.01 < np.mean(normalised) < 1.5
 
 
-def test_bare_walls_hold_nothing_along_the_street():
+def test_bare_walls_hold_nothing_along_the_street() -> None:
     street = clouds.irregular(3, deepest=0.0)
     ref, query = (Prepared(clouds.submap(street, k, T)) for k, T in enumerate((T_STREET_REF, T_STREET_QUERY)))
     start = TRUTH @ se3_exp([0.4, 0.2, 0.1, 0, 0, 0.01])
@@ -217,7 +238,7 @@ def wall(y: float, origins_y: float, surface: Surface = Surface.STRUCTURE, low: 
     return Submap(0, points, normals, origins, kind, np.ones(len(x), np.float32), np.zeros(len(x), np.int32))
 
 
-def test_a_wall_cannot_stand_where_beams_went_through():
+def test_a_wall_cannot_stand_where_beams_went_through() -> None:
     near, far = FreeSpace(wall(6.0, 0.0, low=2.5)), FreeSpace(wall(15.0, 0.0))
     nothing = np.zeros(len(near.pieces), dtype=bool)
     through = near.judge(far.beams, np.eye(4))
@@ -230,17 +251,17 @@ def test_a_wall_cannot_stand_where_beams_went_through():
     assert np.isnan(behind.violations(np.zeros(len(far.pieces), dtype=bool)))
 
 
-def test_what_both_have_measured_contradicts_nothing():
+def test_what_both_have_measured_contradicts_nothing() -> None:
     near, far = FreeSpace(wall(6.0, 0.0)), FreeSpace(wall(15.0, 0.0))
     assert near.judge(far.beams, np.eye(4)).violations(np.ones(len(near.pieces), dtype=bool)) == 0.0
 
 
-def test_leaves_are_no_walls_and_low_things_count_less():
+def test_leaves_are_no_walls_and_low_things_count_less() -> None:
     assert len(FreeSpace(wall(6.0, 0.0, Surface.ROUGH)).pieces) == 0
     assert set(FreeSpace(wall(6.0, 0.0, low=-1.5)).pieces.weights) == {0.3}
 
 
-def test_the_right_pose_is_trusted(pair):
+def test_the_right_pose_is_trusted(pair: Pair) -> None:
     found = refine(pair[0].planes, pair[1].planes, TRUTH @ se3_exp([0.3, 0, 0, 0, 0, 0.01]))
     evidence = gather_evidence(*pair, found.T_ref_query, found.information)
     assert verdict(evidence) == ""
@@ -249,13 +270,13 @@ def test_the_right_pose_is_trusted(pair):
 
 
 @pytest.mark.parametrize("slide", [5.0, -9.0, 20.0])
-def test_a_slid_pose_is_rejected_with_a_reason(pair, slide):
+def test_a_slid_pose_is_rejected_with_a_reason(pair: Pair, slide: float) -> None:
     T = make_transform(np.eye(3), [slide, 0, 0]) @ TRUTH
     reason = verdict(gather_evidence(*pair, T, 1e6 * np.eye(6)))
     assert reason.split()[0] in ("free", "overlap", "too", "details:")
 
 
-def test_another_street_is_rejected(pair):
+def test_another_street_is_rejected(pair: Pair) -> None:
     other = Prepared(clouds.submap(clouds.irregular(77), 4, T_STREET_QUERY))
     found = refine(pair[0].planes, other.planes, TRUTH)
     assert verdict(gather_evidence(pair[0], other, found.T_ref_query, found.information))
@@ -279,13 +300,13 @@ GOOD = Evidence(0.95, 0.95, 0.01, 0.01, 0.01, 0.01, 0.05, (1.0, 0.0, 0.0), 0.1, 
         ({"detail_query": 0.2}, "details: 20 % of the query's surfaces"),
     ],
 )
-def test_a_verdict_says_why(change, reason):
+def test_a_verdict_says_why(change: dict[str, Any], reason: str) -> None:
     said = verdict(replace(GOOD, **change), Thresholds())
     assert said.startswith(reason)
     assert bool(said) == bool(reason)
 
 
-def test_slides_hold_the_right_place_and_the_wrong_ones():
+def test_slides_hold_the_right_place_and_the_wrong_ones() -> None:
     street = clouds.periodic(6.0)
     ref, query = (Prepared(clouds.submap(street, k, T)).planes for k, T in enumerate((T_STREET_REF, T_STREET_QUERY)))
     assert period(ref) == pytest.approx(6.0, abs=0.3)
@@ -297,17 +318,17 @@ def test_slides_hold_the_right_place_and_the_wrong_ones():
     assert any(t > 175 for t in turned)
 
 
-def test_global_registration_repeats_and_finds_the_place(pair):
+def test_global_registration_repeats_and_finds_the_place(pair: Pair) -> None:
     options = GlobalOptions(iterations=10_000, seeds=(0,))
-    features = [describe(side.submap, options) for side in pair]
-    found, again = (guesses(*features, None, options) for _ in range(2))
+    ref, query = (describe(side.submap, options) for side in pair)
+    found, again = (guesses(ref, query, None, options) for _ in range(2))
     assert [T.tobytes() for T in found] == [T.tobytes() for T in again]
     assert min(error(T)[0] for T in found) < 1.0
     refined = [refine(pair[0].planes, pair[1].planes, T) for T in found]
     assert min(error(r.T_ref_query)[0] for r in refined) < 0.01
 
 
-def test_a_prior_limits_position_and_turn():
+def test_a_prior_limits_position_and_turn() -> None:
     prior = Prior(np.eye(4), 2.0, 5.0)
     assert prior.allows(se3_exp([5.9, 0, 0, 0, 0, np.radians(14.0)]))
     assert not prior.allows(se3_exp([6.1, 0, 0, 0, 0, 0]))
@@ -315,49 +336,51 @@ def test_a_prior_limits_position_and_turn():
     assert Prior(np.eye(4), 2.0).allows(se3_exp([0, 0, 0, 0, 0, np.pi]))
 
 
-def test_guesses_that_hardly_differ_are_one():
+def test_guesses_that_hardly_differ_are_one() -> None:
     near, far = se3_exp([0.3, 0, 0, 0, 0, 0.01]), se3_exp([3.0, 0, 0, 0, 0, 0])
     kept = distinct([np.eye(4), near, far], 1.0, 4.0)
     assert [float(T[0, 3]) for T in kept] == [0.0, 3.0]
 
 
-def test_a_missing_package_is_named(pair, monkeypatch):
+def test_a_missing_package_is_named(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "small_gicp", None)
     monkeypatch.setitem(sys.modules, "kiss_matcher", None)
     with pytest.raises(ConfigError, match="small_gicp"):
         refine_with("small_gicp", *pair, TRUTH, RefinementOptions())
     options = GlobalOptions(matcher="kiss-matcher")
-    features = [describe(side.submap, options) for side in pair]
+    ref, query = (describe(side.submap, options) for side in pair)
     with pytest.raises(ConfigError, match="kiss-matcher"):
-        guesses(*features, None, options)
+        guesses(ref, query, None, options)
 
 
-def test_small_gicp_agrees(pair):
+def test_small_gicp_agrees(pair: Pair) -> None:
     found = refine_with("small_gicp", *pair, TRUTH @ se3_exp([0.3, 0.1, 0, 0, 0, 0.01]), RefinementOptions())
     assert error(found.T_ref_query)[0] < 0.02
     assert error(found.T_ref_query)[1] < 0.1
 
 
 @pytest.mark.slow
-def test_kiss_matcher_finds_the_place(pair):
+def test_kiss_matcher_finds_the_place(pair: Pair) -> None:
     options = GlobalOptions(matcher="kiss-matcher")
-    features = [describe(side.submap, options) for side in pair]
-    found = guesses(*features, None, options)
+    ref, query = (describe(side.submap, options) for side in pair)
+    found = guesses(ref, query, None, options)
     assert min(error(T)[0] for T in found) < 1.0
     assert min(error(T)[1] for T in found) < 5.0
 
 
-def test_open3d_agrees(pair):
+def test_open3d_agrees(pair: Pair) -> None:
     found = refine_with("open3d", *pair, TRUTH @ se3_exp([0.3, 0.1, 0, 0, 0, 0.01]), RefinementOptions())
     assert error(found.T_ref_query)[0] < 0.01
     with pytest.raises(ConfigError, match="no registration backend 'icp'"):
         refine_with("icp", *pair, TRUTH, RefinementOptions())  # type: ignore[arg-type]
 
 
-def tracked(ref: clouds.Drive, query: clouds.Drive, **given):
+def tracked(
+    ref: clouds.Drive, query: clouds.Drive, first: Guess | None = None
+) -> tuple[list[Registration], list[float], list[str]]:
     said: list[str] = []
     options = TrackingOptions(step_m=8.0, search=GlobalOptions(iterations=10_000))
-    found = track(ref, query, ref.nodes, query.nodes, options=options, say=said.append, **given)
+    found = track(ref, query, ref.nodes, query.nodes, options=options, first=first, say=said.append)
     errors = [
         error(r.T_ref_query, invert(ref.T_street_node[r.ref]) @ query.T_street_node[r.query])[0]
         for r in found
@@ -367,7 +390,7 @@ def tracked(ref: clouds.Drive, query: clouds.Drive, **given):
 
 
 @pytest.mark.slow
-def test_a_drive_is_tracked_from_one_pair_and_a_drive_that_goes_on_ends_with_the_reason():
+def test_a_drive_is_tracked_from_one_pair_and_a_drive_that_goes_on_ends_with_the_reason() -> None:
     street = clouds.irregular(3)
     ref, query = clouds.Drive(street, 1, 35.0, 120.0), clouds.Drive(street, 2, 60.0, 160.0, lateral=0.8)
     first = (15, 2, invert(ref.T_street_node[15]) @ query.T_street_node[2] @ se3_exp([0.4, 0.1, 0, 0, 0, 0.02]))
@@ -382,13 +405,13 @@ def test_a_drive_is_tracked_from_one_pair_and_a_drive_that_goes_on_ends_with_the
 
 
 @pytest.mark.slow
-def test_coarser_searches_follow_where_the_first_leads_to_nothing(monkeypatch):
+def test_coarser_searches_follow_where_the_first_leads_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     street = clouds.irregular(3)
     ref, query = clouds.Drive(street, 1, 60.0, 100.0), clouds.Drive(street, 2, 62.0, 86.0)
     right = invert(ref.T_street_node[4]) @ query.T_street_node[0] @ se3_exp([0.4, 0.1, 0, 0, 0, 0.02])
-    asked = []
+    asked: list[tuple[float, int]] = []
 
-    def by_features(_ref, _query, node, search):
+    def by_features(_ref: Side, _query: Side, node: int, search: GlobalOptions) -> list[Guess]:
         asked.append((search.voxel_m, len(search.seeds)))
         return [(4, node, right)] if search.voxel_m > 1.2 else []
 
@@ -399,11 +422,16 @@ def test_coarser_searches_follow_where_the_first_leads_to_nothing(monkeypatch):
     assert max(errors) < 0.05
 
 
-def test_what_is_ambiguous_is_not_searched_on(monkeypatch):
+def test_what_is_ambiguous_is_not_searched_on(monkeypatch: pytest.MonkeyPatch) -> None:
     street = clouds.irregular(3)
     ref, query = clouds.Drive(street, 1, 60.0, 80.0), clouds.Drive(street, 2, 62.0, 66.0)
-    asked = []
-    monkeypatch.setattr(tracking, "guesses_by_features", lambda *a: asked.append(a[-1].voxel_m) or [])
+    asked: list[float] = []
+
+    def nothing_found(_ref: Side, _query: Side, _node: int, search: GlobalOptions) -> list[Guess]:
+        asked.append(search.voxel_m)
+        return []
+
+    monkeypatch.setattr(tracking, "guesses_by_features", nothing_found)
     monkeypatch.setattr(tracking, "settle", lambda *a: Outcome(None, "ambiguous: two poses", ambiguous=True))
     found, errors, _ = tracked(ref, query)
     assert asked == [0.7]
@@ -412,7 +440,7 @@ def test_what_is_ambiguous_is_not_searched_on(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_wrong_first_pair_is_found_out():
+def test_a_wrong_first_pair_is_found_out() -> None:
     street = clouds.irregular(3)
     ref, query = clouds.Drive(street, 1, 60.0, 100.0), clouds.Drive(street, 2, 62.0, 100.0)
     wrong = (8, 2, make_transform(np.eye(3), [12.0, 0, 0]) @ invert(ref.T_street_node[8]) @ query.T_street_node[2])

@@ -28,6 +28,8 @@ from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp,
 
 pytestmark = pytest.mark.slow
 FindData = Callable[[str], Path]
+Scans = dict[str, tuple[np.ndarray, list[Prepared]]]
+Guessed = Callable[[str, int], list[np.ndarray]]
 
 FILES = {
     "kitti_07_dump": [f"{k:06d}/points.bin" for k in range(5)],
@@ -57,7 +59,7 @@ def submap(points: np.ndarray) -> Submap:
 
 
 @pytest.fixture(scope="module")
-def scans(real_data: FindData) -> dict[str, tuple[np.ndarray, list[Prepared]]]:
+def scans(real_data: FindData) -> Scans:
     folder = real_data("lidar_submaps_with_graph")
     found = {}
     for name, files in FILES.items():
@@ -68,7 +70,7 @@ def scans(real_data: FindData) -> dict[str, tuple[np.ndarray, list[Prepared]]]:
 
 
 @pytest.fixture(scope="module")
-def guessed(scans) -> Callable[[str, int], list[np.ndarray]]:
+def guessed(scans: Scans) -> Guessed:
     """What becomes of the guesses that features alone make of a scan and the next one."""
 
     @cache
@@ -86,7 +88,9 @@ def error(T: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("name", "metres", "degrees"), [("kitti_07_dump", 0.035, 0.32), ("newer_01", 0.025, 0.08)])
-def test_neighbours_agree_with_the_graph_from_no_prior_at_all(scans, guessed, name, metres, degrees):
+def test_neighbours_agree_with_the_graph_from_no_prior_at_all(
+    scans: Scans, guessed: Guessed, name: str, metres: float, degrees: float
+) -> None:
     poses, sides = scans[name]
     for i in range(4):
         ref, query = sides[i], sides[i + 1]
@@ -97,7 +101,7 @@ def test_neighbours_agree_with_the_graph_from_no_prior_at_all(scans, guessed, na
 
 
 @pytest.mark.parametrize("name", list(FILES))
-def test_any_turn_and_a_coarse_place_lead_to_the_same_pose(scans, name):
+def test_any_turn_and_a_coarse_place_lead_to_the_same_pose(scans: Scans, name: str) -> None:
     """From the graph's place with the heading wrong by up to 4 degrees: what global registration leaves open."""
     poses, sides = scans[name]
     for (i, j), yaw in zip(combinations(range(3), 2), (4.0, -3.0, 2.0), strict=True):
@@ -110,7 +114,7 @@ def test_any_turn_and_a_coarse_place_lead_to_the_same_pose(scans, name):
         assert d < 0.03
 
 
-def test_from_the_identity_turned_by_up_to_thirty_degrees(scans, guessed):
+def test_from_the_identity_turned_by_up_to_thirty_degrees(scans: Scans, guessed: Guessed) -> None:
     """Newer College: neighbours lie a metre apart; where the identity is too coarse a prediction, features help."""
     poses, sides = scans["newer_01"]
     for (i, j), yaw in (((0, 1), 30.0), ((1, 2), -30.0), ((2, 3), 20.0), ((3, 4), -10.0)):
@@ -123,7 +127,7 @@ def test_from_the_identity_turned_by_up_to_thirty_degrees(scans, guessed):
         assert d < 0.15
 
 
-def test_far_pairs_close_the_cycle_of_near_ones(scans):
+def test_far_pairs_close_the_cycle_of_near_ones(scans: Scans) -> None:
     poses, sides = scans["newer_01"]
 
     def registered(i: int, j: int) -> np.ndarray:
@@ -137,7 +141,7 @@ def test_far_pairs_close_the_cycle_of_near_ones(scans):
     assert d < 0.1
 
 
-def test_right_poses_of_a_dense_scene_are_trusted_and_wrong_ones_are_not(scans):
+def test_right_poses_of_a_dense_scene_are_trusted_and_wrong_ones_are_not(scans: Scans) -> None:
     poses, sides = scans["newer_01"]
     for i in range(4):
         ref, query = sides[i], sides[i + 1]
