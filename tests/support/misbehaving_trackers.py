@@ -79,8 +79,8 @@ class LoudText(str):
 class RaisingResult(TrackResult):
     """A result whose confidence is a property that raises."""
 
-    @property
-    def confidence(self) -> Any:  # type: ignore[override]
+    @property  # type: ignore[misc]
+    def confidence(self) -> Any:
         raise LookupError("not known yet")
 
     @confidence.setter
@@ -233,7 +233,7 @@ class Batching:
 class Declaring(Batching):
     """Declares something that is not what it should be."""
 
-    track_batch = None
+    track_batch = None  # type: ignore[assignment]
 
     def __init__(self, what: str = "word") -> None:
         self.what = what

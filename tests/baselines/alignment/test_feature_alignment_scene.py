@@ -12,7 +12,7 @@ from relocbench.geometry import apply
 
 def test_corresponding_places_have_the_same_features_on_every_level() -> None:
     moved = (0.1, -0.05, -0.2, 1, -2, 1)
-    points, T = keyframe_points(), motion(moved[:3], moved[3:])  # type: ignore[arg-type]
+    points, T = keyframe_points(), motion(moved[:3], moved[3:])
     in_ref = CAMERA.unproject(points.uv)[0] / points.inverse_depth[:, None]
     for number, (reference, query) in enumerate(zip(pyramid().levels, pyramid(moved).levels, strict=True)):
         u_ref, u_query = reference.camera.project(in_ref)[0], query.camera.project(apply(T, in_ref))[0]

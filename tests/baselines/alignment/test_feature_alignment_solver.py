@@ -288,7 +288,7 @@ def test_features_that_are_not_finite_are_a_stated_trouble(
     values[5] = bad
     levels[level] = FeaturePoints(levels[level].points, values, levels[level].weights)
     for unit in ("absolute", "spread"):
-        found = align_features(ReferenceFeatures.of(levels), query, MOTION, FeatureSettings(unit=unit))  # type: ignore[arg-type]
+        found = align_features(ReferenceFeatures.of(levels), query, MOTION, FeatureSettings(unit=unit))
         assert "not finite" in found.trouble
         assert f"on level {level}" in found.trouble
 

@@ -35,7 +35,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 def evaluate(dataset: Dataset, out: Path, *methods: str, settings: tuple[str, ...] = (), **options: object) -> Report:
     chosen = {"workers": 0, **options}
     return evaluate_methods(
-        EvaluateOptions(dataset=dataset.root, methods=methods, set=settings, out=out, **chosen),  # type: ignore[arg-type]
+        EvaluateOptions(dataset=dataset.root, methods=methods, set=settings, out=out, **chosen),
         Silent(),
     )
 

@@ -59,7 +59,7 @@ def evaluate(
 ) -> Report:
     options = {"workers": 0, "matching": True, **more}
     return evaluate_methods(
-        EvaluateOptions(dataset=dataset.root, methods=methods, set=settings, out=out, **options),  # type: ignore[arg-type]
+        EvaluateOptions(dataset=dataset.root, methods=methods, set=settings, out=out, **options),
         notes or Silent(),
     )
 

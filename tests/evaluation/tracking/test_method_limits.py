@@ -47,7 +47,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 def evaluate(dataset: Dataset, out: Path, *methods: str, settings: tuple[str, ...] = (), **more: object) -> Report:
     options = {"workers": 1, "pair_sets": (ACROSS,), **more}
     return evaluate_methods(
-        EvaluateOptions(dataset=dataset.root, methods=methods, set=settings, out=out, **options),  # type: ignore[arg-type]
+        EvaluateOptions(dataset=dataset.root, methods=methods, set=settings, out=out, **options),
         Silent(),
     )
 
@@ -162,7 +162,7 @@ def test_prepare_that_always_ends_the_process_is_not_tried_on_every_keyframe(dat
 def test_a_method_that_prepares_some_keyframes_is_tried_on_all(tmp_path: Path) -> None:
     dataset = make_small_dataset(tmp_path / "data", frames=5, size=(64, 48))
     first, *others = sorted({p.ref_timestamp_ns for p in dataset.pair_set(ACROSS).pairs})
-    settings = ("bad.deed=leave", f"bad.mark={tmp_path / 'mark'}")
+    settings: tuple[str, ...] = ("bad.deed=leave", f"bad.mark={tmp_path / 'mark'}")
     settings = (*settings, f"bad.at={','.join(f'keyframe {at}' for at in others)}")
     report = evaluate(dataset, tmp_path / "out", f"bad={HERE}:InPrepare", settings=settings)
     assert {pair.split()[0] for pair, answer in answers(report).items() if answer.status == "ok"} == {str(first)}
@@ -228,7 +228,7 @@ def test_an_image_on_which_a_retriever_ends_its_process_costs_itself_alone(
         methods=(f"bad={HERE}:Describes", "good=colour-histogram"),
         set=settings,
         pair_sets=("drone-satellite",),
-        **more,  # type: ignore[arg-type]
+        **more,
     )
     report = evaluate_retrievers(options, Silent())
     bad, good = (retrieved(folder.answers("drone-satellite")) for folder in report.folders)
@@ -260,13 +260,13 @@ def test_sizes_are_read_as_people_write_them(text: str | int, size: int) -> None
 @pytest.mark.parametrize("text", ["", "many", "4XB", "-1GB", "GB", "1e3GB"])
 def test_what_is_no_size_is_refused(text: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is not a size"):
-        EvaluateOptions(dataset=tmp_path, methods=("identity",), memory_limit=text)  # type: ignore[arg-type]
+        EvaluateOptions(dataset=tmp_path, methods=("identity",), memory_limit=text)
 
 
 def test_limits_that_cannot_be_kept_are_refused(dataset: Dataset, tmp_path: Path) -> None:
     for more in ({"workers": 0}, {"scheduler": "tcp://127.0.0.1:9"}):
         with pytest.raises(ValueError, match="--time-limit cannot be kept"):
-            EvaluateOptions(dataset=tmp_path, methods=("identity",), time_limit=3, **more)  # type: ignore[arg-type]
+            EvaluateOptions(dataset=tmp_path, methods=("identity",), time_limit=3, **more)
 
 
 def test_a_memory_limit_without_proc_is_one_clear_line(

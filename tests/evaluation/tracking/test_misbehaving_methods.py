@@ -152,7 +152,7 @@ def test_neighbours_that_are_no_number_are_told(what: str, words: str) -> None:
 def test_a_declaration_that_is_no_number_costs_the_methods_pairs_alone(dataset: Dataset, tmp_path: Path) -> None:
     methods = (f"bad={HERE}:Declaring", f"fine={HERE}:Declaring", f"batch={HERE}:Batching")
     options = {"set": ("fine.what=number", "batch.answer=breaks"), "workers": 1, "out": tmp_path}
-    report = evaluate_methods(EvaluateOptions(dataset=dataset.root, methods=methods, **options), Silent())  # type: ignore[arg-type]
+    report = evaluate_methods(EvaluateOptions(dataset=dataset.root, methods=methods, **options), Silent())
     rows = [read_errors(folder.errors(ACROSS)) for folder in report.folders]
     assert {row.status for row in rows[0]} == {"error"}
     assert {row.status for row in rows[1]} == {"ok"}
