@@ -20,7 +20,7 @@ from relocbench.leaderboard.tracking.write import write_leaderboard
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_small_dataset(tmp_path_factory.mktemp("data") / "small", splits={"test": (ACROSS,)}).root
+    return make_small_dataset(tmp_path_factory.mktemp("data") / "small", splits={"test": [ACROSS]}).root
 
 
 @pytest.fixture(scope="module")

@@ -90,7 +90,8 @@ def test_a_worker_that_dies_with_a_result_that_nobody_fetched_costs_a_retry(
 ) -> None:
     """Dask itself would wait for such a result without end."""
     monkeypatch.setattr(cluster, "ANSWER_TIMEOUT_S", 3600.0)
-    take, deaths = cluster._Dispatch._take, []
+    take = cluster._Dispatch._take
+    deaths: list[list[str]] = []
 
     def die_before(self: cluster._Dispatch[int, int], keys: list[str]) -> Iterator[tuple[int, int]]:
         if keys and not deaths:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from fuzz.asking import asks
 from fuzz.parser import Parser, Place
@@ -30,7 +31,7 @@ def write_images(root: Path) -> None:
     grey = rng.integers(0, 256, (12, 16), dtype=np.uint8)
     colour = rng.integers(0, 256, (12, 16, 3), dtype=np.uint8)
     depth = rng.integers(0, 65536, (12, 16), dtype=np.uint16)
-    pictures = {
+    pictures: dict[str, NDArray[np.uint8] | NDArray[np.uint16]] = {
         "grey.png": grey,
         "colour.png": colour,
         "alpha.png": np.dstack([colour, grey]),

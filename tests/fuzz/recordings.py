@@ -198,9 +198,11 @@ def _kitti_calibration(sequence: object) -> None:
 
 def _kitti_recording(place: Place) -> None:
     from relocbench.datasets.importers.kitti.recording import read_kitti
+    from relocbench.datasets.sensors.recording import CameraStream, LidarStream
 
     recording = read_kitti(place.root / "kitti", "00", odometry="poses")
-    for stream in (*recording.lidars, *recording.cameras.values()):
+    streams: list[LidarStream | CameraStream] = [*recording.lidars, *recording.cameras.values()]
+    for stream in streams:
         for index in range(len(stream.times_ns)):
             stream.read(index)
 
@@ -248,10 +250,12 @@ def _robotcar_files(name: str) -> Read:
 def _robotcar(place: Place) -> None:
     from relocbench.datasets.importers.robotcar.recording import read_robotcar
     from relocbench.datasets.importers.robotcar.sensors import read_look_up_table
+    from relocbench.datasets.sensors.recording import CameraStream, LidarStream
 
     read_look_up_table.cache_clear()
     recording = read_robotcar(place.root / "2014-11-18-13-20-12")
-    for stream in (*recording.lidars, *recording.cameras.values()):
+    streams: list[LidarStream | CameraStream] = [*recording.lidars, *recording.cameras.values()]
+    for stream in streams:
         for index in range(len(stream.times_ns)):
             stream.read(index)
 

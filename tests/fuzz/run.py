@@ -104,7 +104,7 @@ class Outcome:
             "slowest s",
             "peak MiB",
         )
-        rows = [head]
+        rows: list[tuple[str, ...]] = [head]
         for name, tally in sorted(self.tallies.items()):
             o = tally.outcomes
             other = tally.faults - o["traceback"] - o["hang"] - o["death"]

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, PredictionError
@@ -39,8 +40,8 @@ STEPS = ("step_1", "step_2", "step_8", "step_10")
 class Made:
     """What a method answers on one pair set: errors of each pair, inf where it fails."""
 
-    translation_m: Sequence[float]
-    rotation_deg: Sequence[float]
+    translation_m: Sequence[float] | NDArray[np.float64]
+    rotation_deg: Sequence[float] | NDArray[np.float64]
     broke: frozenset[int] = frozenset()
     seconds: float = 0.25
 
@@ -354,7 +355,7 @@ def test_another_metric_can_rank_and_one_that_is_no_mean_cannot(two_sets: MadeRe
 
 
 def test_a_split_limits_tables_and_totals(tmp_path: Path) -> None:
-    splits = {"train": (NIGHT,), "test": (WINTER,)}
+    splits: dict[str, tuple[str, ...]] = {"train": (NIGHT,), "test": (WINTER,)}
     results = MadeResults(tmp_path / "results", {WINTER: 30, NIGHT: 20}, splits=splits)
     results.write_dataset()
     results.add("mine", {WINTER: made(1, 30, 0.1)})

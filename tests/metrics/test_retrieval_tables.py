@@ -127,7 +127,7 @@ def test_bounds_allow_for_what_rounding_took(recall: str, ap: str, fault: str | 
 def test_true_rows_pass_however_they_are_rounded(places: list[int], of_recall: int, of_ap: int) -> None:
     n = len(places)
     recall = Decimal(100 * sum(place == 0 for place in places)) / n
-    mrr = sum(Decimal(100) / (place + 1) for place in places) / n
+    mrr = sum((Decimal(100) / (place + 1) for place in places), Decimal(0)) / n
     printed = f"{recall:.{of_recall}f}", f"{(recall + mrr) / 2:.{of_ap}f}"
     assert single_positive_fault(*printed) is None
 

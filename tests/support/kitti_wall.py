@@ -20,9 +20,9 @@ CALIBRATION = (
 def wall_image(x: float, depth: float) -> NDArray[np.uint8]:
     """A textured wall at ``depth`` seen by a camera at (x, 0, 0)."""
     texture = np.random.default_rng(5).integers(0, 255, size=(HEIGHT // 2, 400)).astype(np.uint8)
-    texture = cv2.GaussianBlur(cv2.resize(texture, (800, HEIGHT)), (0, 0), 1.0)
+    blurred = cv2.GaussianBlur(cv2.resize(texture, (800, HEIGHT)), (0, 0), 1.0)
     u, v = np.meshgrid(np.arange(WIDTH, dtype=np.float32), np.arange(HEIGHT, dtype=np.float32))
-    return np.asarray(cv2.remap(texture, u + np.float32(300 + FOCAL * x / depth), v, cv2.INTER_LINEAR))
+    return np.asarray(cv2.remap(blurred, u + np.float32(300 + FOCAL * x / depth), v, cv2.INTER_LINEAR))
 
 
 def write_kitti_recording(root: Path, frames: Sequence[int] = (2, 3, 4, 6, 9), posed: int = 8) -> Path:

@@ -121,7 +121,7 @@ def linearize(
     )
 
 
-def bilinear(level_map: NDArray[np.float32], px: Array, py: Array) -> Array:
+def bilinear(level_map: NDArray[np.floating], px: Array, py: Array) -> Array:
     """(H, W, C) looked up at N pixels -> (N, C)."""
     ix, iy = px.astype(int), py.astype(int)
     ax, ay = (px - ix)[:, None], (py - iy)[:, None]

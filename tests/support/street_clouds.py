@@ -120,7 +120,7 @@ class Drive:
         for step in steps:
             odometry.append(odometry[-1] @ step)
         count = len(odometry)
-        self.nodes = Nodes(np.arange(count) * 200_000_000, np.array(odometry), np.arange(count) * 2.0)
+        self.nodes = Nodes(np.arange(count) * 200_000_000, np.array(odometry), np.arange(count, dtype=float) * 2.0)
 
     def at(self, node: int) -> Submap:
         return submap(self.street, 1000 * self.seed + node, self.T_street_node[node], node=node)

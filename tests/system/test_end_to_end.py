@@ -10,7 +10,8 @@ from statistics import median
 import pytest
 from command_line import relocbench
 
-from relocbench.evaluation.common.results import PairErrors, all_results, read_errors
+from relocbench.evaluation.common.error_table import ErrorTable
+from relocbench.evaluation.common.results import all_results, read_errors
 
 pytestmark = pytest.mark.slow
 METHODS = ("-m", "identity", "-m", "orb-pnp", "-m", "dso")
@@ -22,13 +23,13 @@ def run(*arguments: object) -> str:
     return outcome.out
 
 
-def errors_by_method(results: Path) -> dict[str, list[PairErrors]]:
+def errors_by_method(results: Path) -> dict[str, ErrorTable]:
     (folder,) = all_results(results)
     (pair_set,) = folder.record.pair_sets
     return {m.label: read_errors(m.errors(pair_set)) for m in folder.methods()}
 
 
-def medians(rows: list[PairErrors], *groups: str) -> tuple[float, float]:
+def medians(rows: ErrorTable, *groups: str) -> tuple[float, float]:
     """(metres, degrees) over all pairs of the groups, failed ones included."""
     chosen = [r for r in rows if r.group in groups]
     assert chosen

@@ -17,15 +17,16 @@ from relocbench import geometry
 from relocbench.geometry import Camera
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.floating]
 
 CAMERA = Camera("pinhole", 80, 60, 70.0, 75.0, 39.0, 30.5)
 T = geometry.se3_exp(np.array([0.05, -0.03, 0.1, 0.02, -0.01, 0.03]))
 
 
 def run(
-    level_map: Array,
-    points: Array,
-    values: Array,
+    level_map: Floats,
+    points: Floats,
+    values: Floats,
     pose: Array,
     gain: float = 1.0,
     offset: float = 0.0,

@@ -81,7 +81,8 @@ def test_compiled_and_plain_take_the_same_path(reference: list[LevelPoints]) -> 
     fast = align(reference, levels, np.eye(4), Settings())
     T, a, b, iterations = plain.align(reference, levels, np.eye(4), Settings())
     np.testing.assert_allclose(fast.T_query_ref, T, atol=1e-4)
-    assert (fast.a, fast.b) == (pytest.approx(a, abs=1e-4), pytest.approx(b, abs=1e-2))
+    assert fast.a == pytest.approx(a, abs=1e-4)
+    assert fast.b == pytest.approx(b, abs=1e-2)
     assert abs(sum(iterations) - sum(outcome.iterations for outcome in fast.outcomes)) <= 3
 
 
@@ -135,7 +136,8 @@ def test_the_unit_of_the_values_is_free() -> None:
             levels.append(Level(with_gradients(values), level_camera(CAMERA, number)))
             height, width = values.shape[0] // 2 * 2, values.shape[1] // 2 * 2
             even = values[:height, :width]
-            values = (even[::2, ::2] + even[::2, 1::2] + even[1::2, ::2] + even[1::2, 1::2]) / 4
+            of_four = (even[::2, ::2] + even[::2, 1::2] + even[1::2, ::2] + even[1::2, 1::2]) / 4
+            values = np.asarray(of_four, dtype=np.float32)
         return levels
 
     grey, depth = render(np.eye(4))

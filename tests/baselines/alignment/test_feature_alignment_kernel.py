@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba.core.runtime._nrt_python as _nrt_python
 import numpy as np
 import plain_feature_alignment as plain
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numba.core.runtime import _nrt_python, rtsys
+from numba.core.runtime import rtsys
 from numpy.typing import NDArray
 from plain_alignment import bilinear
 
@@ -34,6 +35,7 @@ from relocbench import geometry
 from relocbench.geometry import Camera
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.floating]
 
 CAMERA = Camera("pinhole", 80, 60, 70.0, 75.0, 39.0, 30.5)
 T = geometry.se3_exp(np.array([0.05, -0.03, 0.1, 0.02, -0.01, 0.03]))
@@ -47,14 +49,14 @@ class Outcome:
 
 
 def run(
-    level_map: Array,
-    points: Array,
-    values: Array,
+    level_map: Floats,
+    points: Floats,
+    values: Floats,
     pose: Array,
     huber: float = 9.0,
     cutoff: float = 20.0,
     per_channel: bool = False,
-    weights: Array | None = None,
+    weights: Floats | None = None,
 ) -> Outcome:
     weights = np.ones(points.shape[1], points.dtype) if weights is None else weights
     H, g, statistics = np.full((6, 6), np.nan), np.full(6, np.nan), np.full(STATISTICS, np.nan)
@@ -138,10 +140,11 @@ def test_agrees_with_plain_numpy_and_with_the_intensity_kernel(
     values, weights = rng.normal(size=(count, channels)), rng.uniform(0.2, 5, count)
     points = FeaturePoints(places.astype(np.float32), values.astype(np.float32), weights.astype(np.float32))
     pose = geometry.se3_exp(rng.normal(size=6) * [0.1, 0.1, 0.3, 0.1, 0.1, 0.1])
-    wide = [a.astype(np.float64) for a in (level.map, points.points, points.values, points.weights)]
+    wide_map, wide_points = level.map.astype(np.float64), points.points.astype(np.float64)
+    wide_values, wide_weights = points.values.astype(np.float64), points.weights.astype(np.float64)
 
     slow = plain.linearize(level, points, pose, huber, huber * ratio, per_channel)
-    found = run(*wide[:3], pose, huber, huber * ratio, per_channel, wide[3])
+    found = run(wide_map, wide_points, wide_values, pose, huber, huber * ratio, per_channel, wide_weights)
     statistics = found.statistics
     assert (statistics[COUNT], statistics[SATURATED], statistics[NOT_FINITE]) == (slow.valid, slow.saturated, 0)
     if slow.valid:
@@ -152,10 +155,10 @@ def test_agrees_with_plain_numpy_and_with_the_intensity_kernel(
     np.testing.assert_allclose(found.g, slow.g, rtol=1e-8, atol=1e-8 * np.abs(slow.g).max(initial=1))
 
     if channels == 1:  # the intensity kernel knows no weights, and has its gradients stored
-        alike = run(*wide[:3], pose, huber, huber * ratio, per_channel)
+        alike = run(wide_map, wide_points, wide_values, pose, huber, huber * ratio, per_channel)
         H, g = np.zeros((8, 8)), np.zeros(8)
         stored, light = with_gradients(level.map).astype(np.float64), np.array([1.0, 0.0])
-        arrays = (stored, wide[1], wide[2], camera_intrinsics(CAMERA), pose, light)
+        arrays = (stored, wide_points, wide_values, camera_intrinsics(CAMERA), pose, light)
         energy, valid, saturated = linearize(*arrays, huber, huber * ratio, H, g)
         assert (alike.statistics[COUNT], alike.statistics[SATURATED]) == (valid, saturated)
         if valid:

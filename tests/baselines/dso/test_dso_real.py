@@ -46,7 +46,7 @@ def kitti_reference(sequence: Path, frame: int) -> Reference:
         speckleRange=2,
     )
     disparity = matcher.compute(left, right).astype(np.float32) / 16
-    depth = np.zeros_like(disparity)
+    depth = np.zeros_like(disparity, dtype=np.float32)
     known = disparity > 1
     depth[known] = KITTI_BASELINE_TIMES_FOCAL_LENGTH / disparity[known]
     half_pixel = 0.5 / KITTI_BASELINE_TIMES_FOCAL_LENGTH

@@ -163,7 +163,7 @@ def test_augmentation_changes_light_and_moves_nothing() -> None:
         assert 0 <= changed.min() <= changed.max() <= 1
         grey = changed.mean(-1)
         across, down = np.abs(np.diff(grey, axis=1)).sum(0), np.abs(np.diff(grey, axis=0)).sum(1)
-        assert (np.argmax(across), np.argmax(down)) == (31, 19)
+        assert (int(np.argmax(across)), int(np.argmax(down))) == (31, 19)
         means.append(float(grey.mean()))
     assert np.std(means) > 0.02
     first, again = (augment(image, AugmentationOptions(), np.random.default_rng(5)) for _ in range(2))

@@ -6,6 +6,7 @@ import json
 import math
 from contextlib import nullcontext
 from dataclasses import replace
+from typing import Literal
 
 import pytest
 import torch
@@ -95,9 +96,7 @@ def test_infonce_against_finite_differences() -> None:
     f, g, u = (noise(2, 5, 3, seed=seed).requires_grad_() for seed in range(3))
     mask = torch.rand((2, 5), generator=generator()) < 0.8
     spread = 30 * u.detach()
-    assert torch.autograd.gradcheck(  # type: ignore[no-untyped-call]
-        lambda a, b: infonce_terms(a, b, spread, spread, mask, 0.7, 2.0)[0], (f, g)
-    )
+    assert torch.autograd.gradcheck(lambda a, b: infonce_terms(a, b, spread, spread, mask, 0.7, 2.0)[0], (f, g))
 
 
 @pytest.mark.parametrize("changed", [{"temperature": 0.0}, {"weight": -1.0}, {"points": 1}])
@@ -388,6 +387,9 @@ ALL = LossOptions(
 )
 
 
+Start = Literal["drawn", "integrated", "affine"]
+
+
 def pyramids(seed: int = 0) -> tuple[list[Tensor], list[Tensor]]:
     sides = [
         [0.5 * noise(2, 4, 24 >> level, 32 >> level, seed=seed + 10 * side + level).float() for level in range(2)]
@@ -457,7 +459,7 @@ def test_what_is_masked_out_or_off_the_map_has_no_say() -> None:
 
 
 @pytest.mark.parametrize("start", ["drawn", "integrated", "affine"])
-def test_every_weight_of_the_network_is_trained(start: str) -> None:
+def test_every_weight_of_the_network_is_trained(start: Start) -> None:
     net = FeatureNet(NetworkOptions(widths=(4, 6, 8), finest=0, dim=4, levels=2))
     pictures = torch.rand((4, 3, 24, 32), generator=generator(3))
     maps = net(pictures)
@@ -518,11 +520,12 @@ def test_loss_options_survive_json() -> None:
 
 
 @pytest.mark.parametrize("start", ["drawn", "integrated", "affine"])
-def test_nothing_stays_behind_on_the_cpu(start: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_stays_behind_on_the_cpu(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     """Tensors of another device than the CPU refuse to be mixed with it; the meta device has shapes alone."""
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())  # which the meta device has not
     options = replace(ALL, gauss_newton=replace(ALL.gauss_newton, start=start))
     ref, query = ([level.to("meta") for level in side] for side in pyramids())
-    value = total_loss(ref, query, *(part.to("meta") for part in points()), options, generator())
+    u_ref, u_query, mask = (part.to("meta") for part in points())
+    value = total_loss(ref, query, u_ref, u_query, mask, options, generator())
     assert value.total.device.type == "meta"
     assert value.total.shape == ()

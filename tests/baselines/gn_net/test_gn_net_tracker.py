@@ -8,15 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 from small_dataset import WITHIN, make_small_dataset, render, small_camera, small_pose
 
+from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
 from baselines.gn_net.tracker import GnNet, GnNetContrastive, LmNet
 from baselines.gn_net.weights import save_weights
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import MethodError
-from relocbench.geometry import make_transform, rotation_angle, so3_exp
+from relocbench.geometry import Camera, make_transform, rotation_angle, so3_exp
 from relocbench.methods import parse_method
 from relocbench.tracking import KeyframePoints, Query, Reference, SupportsMatching, SupportsPrepare, fault_of
 
@@ -61,6 +63,8 @@ def test_the_tracker_finds_small_motions(weights: Path, dataset: Dataset) -> Non
     for pair in pair_set.pairs[:3]:
         found = tracker.track(tracker.prepare(dataset.reference(pair_set, pair)), dataset.query(pair_set, pair))
         assert fault_of(found) is None
+        assert found.T_query_ref is not None
+        assert pair.T_query_ref is not None
         off = np.linalg.inv(found.T_query_ref) @ pair.T_query_ref
         assert np.linalg.norm(off[:3, 3]) < 0.03 < np.linalg.norm(pair.T_query_ref[:3, 3])
         assert np.degrees(rotation_angle(off[:3, :3])) < 0.3
@@ -86,7 +90,12 @@ def test_one_prepared_reference_serves_all_queries_and_the_network_sees_it_once(
     tracker = GnNet(weights=weights)
     seen = []
     features = tracker.features
-    monkeypatch.setattr(tracker, "features", lambda image, camera: seen.append(image.shape) or features(image, camera))
+
+    def counted(image: NDArray[np.uint8], camera: Camera) -> FeaturePyramid:
+        seen.append(image.shape)
+        return features(image, camera)
+
+    monkeypatch.setattr(tracker, "features", counted)
     reference = tracker.prepare(a_reference())
     for frame in (0, 1, 1):
         tracker.track(reference, a_query(small_pose(frame)))
@@ -103,6 +112,7 @@ def test_the_prior_is_where_the_alignment_starts(weights: Path) -> None:
     reference = tracker.prepare(a_reference())
     prior = make_transform(so3_exp([0.0, 0.01, 0.0]), [0.02, 0.0, 0.0])
     found = tracker.track(reference, a_query(small_pose(0)), prior)
+    assert found.T_query_ref is not None
     assert np.abs(found.T_query_ref - np.eye(4)).max() < 1e-3
 
 
@@ -176,4 +186,7 @@ def test_answers_do_not_depend_on_what_was_asked_before(weights: Path) -> None:
     tracker = GnNet(weights=weights)
     reference = tracker.prepare(a_reference())
     together = [tracker.track(reference, q).T_query_ref for q in reversed(queries)][::-1]
-    assert all(np.array_equal(a, b) for a, b in zip(alone, together, strict=True))
+    for a, b in zip(alone, together, strict=True):
+        assert a is not None
+        assert b is not None
+        assert np.array_equal(a, b)

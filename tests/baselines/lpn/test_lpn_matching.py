@@ -158,7 +158,7 @@ def test_only_the_first_of_a_ranking_are_sorted_anew() -> None:
     assert torch.equal(found[:, 5:], ranking[:, 5:])
     distances = aligned_distance(queries[:, None], gallery[None])
     for q in range(70):
-        expected = sorted(ranking[q, :5].tolist(), key=lambda row, q=q: float(distances[q, row]))
+        expected = sorted(ranking[q, :5].tolist(), key=distances[q].tolist().__getitem__)
         assert found[q, :5].tolist() == expected
     assert torch.equal(rerank(queries, gallery, ranking, top=0), ranking)
     assert torch.equal(rerank(queries, gallery, ranking, top=100), rerank(queries, gallery, ranking, top=9))

@@ -61,4 +61,7 @@ def test_each_configuration_trains_and_is_evaluated(
     (folder,) = found.folders
     for direction in DIRECTIONS:
         values = found.scores(folder)[direction]
-        assert np.isfinite([values[metric] for metric in ("R@1", "R@5", "AP")]).all()
+        for metric in ("R@1", "R@5", "AP"):
+            value = values[metric]
+            assert value is not None
+            assert np.isfinite(value)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from made_places import NarrowResNet, picture
+from numpy.typing import NDArray
 from safetensors.torch import save_file
 
 from baselines.lpn.descriptor import parts_of
@@ -38,7 +40,11 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def views(count: int = 5, view: str = "drone", side: int = 64) -> list[ImageView]:
-    return [ImageView(f"{n}", view, lambda n=n: picture(n, view, 0, side)) for n in range(count)]
+    return [ImageView(f"{n}", view, partial(picture, n, view, 0, side)) for n in range(count)]
+
+
+def mirror_image(view: ImageView) -> NDArray[np.uint8]:
+    return view.image[:, ::-1].copy()
 
 
 def test_descriptors_are_those_of_the_network_with_mirror_images(weights: Path) -> None:
@@ -54,7 +60,7 @@ def test_descriptors_are_those_of_the_network_with_mirror_images(weights: Path) 
     parts = network.embed("drone", images) + network.embed("drone", images.flip(-1))
     expected = torch.nn.functional.normalize(parts, dim=-1).flatten(1) / 2
     assert np.allclose(rows, expected.detach().numpy(), atol=1e-4)
-    mirrored = [replace(each, read=lambda each=each: each.image[:, ::-1].copy()) for each in asked]
+    mirrored = [replace(each, read=partial(mirror_image, each)) for each in asked]
     assert np.allclose(rows, retriever.describe(mirrored), atol=1e-4)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 from made_places import TINY, NarrowResNet, made_places
+from torch import Tensor
 
 from baselines.lpn.configurations import CONFIGURATIONS
 from baselines.lpn.images import as_network_takes_them
@@ -147,7 +148,7 @@ def test_it_learns_places_it_can_tell_apart(tmp_path: Path) -> None:
 def test_going_on_after_a_kill_ends_with_the_same_bytes(tmp_path: Path, name: str, breaks: tuple[int, ...]) -> None:
     """A step reads four images: cut in step 1 and 2, or in step 2 and in step 3, the first of another stage."""
     whole, cut = tmp_path / "whole", tmp_path / "cut"
-    more = {"epochs": epochs(name, 2), "checkpoint_every": 1}
+    more: dict[str, Any] = {"epochs": epochs(name, 2), "checkpoint_every": 1}
     train(whole, name, **more)
     for images_read in breaks:
         with pytest.raises(KeyboardInterrupt, match=CUT_SHORT):
@@ -286,10 +287,12 @@ def test_the_backbone_of_another_training_can_be_taken(tmp_path: Path, trained: 
 @pytest.mark.usefixtures("without_curves")
 def test_half_precision_where_it_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[bool] = []
-    monkeypatch.setattr(
-        "baselines.lpn.training.loop.as_network_takes_them",
-        lambda *given: seen.append(torch.is_autocast_enabled("cpu")) or as_network_takes_them(*given),
-    )
+
+    def watched(*given: Any) -> Tensor:
+        seen.append(torch.is_autocast_enabled("cpu"))
+        return as_network_takes_them(*given)
+
+    monkeypatch.setattr("baselines.lpn.training.loop.as_network_takes_them", watched)
     losses = []
     for chosen in (None, False, True):
         train(tmp_path / str(chosen), mixed_precision=chosen)

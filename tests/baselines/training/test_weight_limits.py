@@ -248,6 +248,7 @@ def test_the_state_of_another_network_or_optimiser_is_refused(tmp_path: Path) ->
         with pytest.raises(MethodError, match="a checkpoint of another network: '"):
             check_state(net, state, path)
     groups = values["optimiser"]["param_groups"]
+    other: dict[str, Any]
     for other in (
         {},
         {"param_groups": [], "state": {}},

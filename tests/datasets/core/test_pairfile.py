@@ -64,6 +64,7 @@ def test_comments_commas_and_blank_lines_are_understood(tmp_path: Path) -> None:
     assert [line.key for line in lines] == [(1, 2), (3, 4), (5, 6)]
     assert [line.line for line in lines] == [3, 4, 5]
     assert lines[0].T_query_ref is None
+    assert lines[1].T_query_ref is not None
     np.testing.assert_allclose(lines[1].T_query_ref, QUARTER_TURN, atol=1e-15)
 
 
@@ -121,6 +122,7 @@ def test_a_table_keeps_what_nine_columns_cannot_and_rejected_pairs_stay_out_of_t
     for before, after in zip(PAIRS, back, strict=True):
         bare = replace(before, T_query_ref=None)
         assert replace(after, T_query_ref=None).__dict__ == bare.__dict__
+    assert back[0].T_query_ref is not None
     np.testing.assert_allclose(back[0].T_query_ref, QUARTER_TURN, atol=1e-15)
     assert back[0].distance_m == pytest.approx(np.sqrt(5.25))
     assert back[0].angle_deg == pytest.approx(90.0)

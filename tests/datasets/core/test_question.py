@@ -199,7 +199,9 @@ def test_retrievers_on_two_copies_of_one_question_stand_in_one_table(original: D
     retrieved(original, results, "random", "colour-histogram")
     retrieved(other, results, "random")
     first, second = sorted(found.record.fingerprint for found in all_sets(results))
-    (board,) = write_retrieval_leaderboard(results, tmp_path / "board", reporter=Silent()).sets
+    boards = write_retrieval_leaderboard(results, tmp_path / "board", reporter=Silent())
+    assert boards is not None
+    (board,) = boards.sets
     assert (board.record.fingerprint, board.copies) == (first, (second,))
     assert {m.label for m in board.methods} == {"colour-histogram", "random", f"random@{second[:12]}"}
     assert "on other copies of the same question" in (tmp_path / "board" / "retrieval.md").read_text()

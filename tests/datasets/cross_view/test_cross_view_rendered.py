@@ -249,7 +249,9 @@ def test_more_places_than_the_towns_have_room_for_are_refused(tmp_path: Path) ->
 
 
 def test_the_command_prints_what_it_made(made: CrossViewSet) -> None:
-    given = [x for k, v in TINY.items() for x in (f"--{k.replace('_', '-')}", ",".join(v) if k == "conditions" else v)]
+    given = [
+        x for k, v in TINY.items() for x in (f"--{k.replace('_', '-')}", ",".join(v) if isinstance(v, tuple) else v)
+    ]
     outcome = relocbench("build-dataset", "cross-view", "--out", made.root, *given)
     assert outcome.status == 0
     for words in ("test/query_drone", "test/gallery_satellite", "Overcast", made.fingerprint[:12]):

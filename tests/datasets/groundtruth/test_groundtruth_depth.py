@@ -76,10 +76,10 @@ def sampled(
     return as_submap(p, n, origins)
 
 
-def as_submap(points: Array, normals: Array, origins: Array) -> Submap:
+def as_submap(points: NDArray[np.floating], normals: NDArray[np.floating], origins: NDArray[np.floating]) -> Submap:
     count = len(points)
-    single = (a.astype(np.float32) for a in (points, normals, origins))
-    return Submap(0, *single, np.zeros(count, np.uint8), np.ones(count, np.float32), np.zeros(count, np.int32))
+    p, n, o = (a.astype(np.float32) for a in (points, normals, origins))
+    return Submap(0, p, n, o, np.zeros(count, np.uint8), np.ones(count, np.float32), np.zeros(count, np.int32))
 
 
 def joined(*submaps: Submap) -> Submap:
@@ -178,7 +178,7 @@ def test_points_without_a_plane_before_a_wall_hide_it() -> None:
 
 def test_a_surface_scanned_twice_and_a_little_apart_becomes_one() -> None:
     # 3 cm between the visits, as odometry drifts.
-    again = replace(sampled([END], seed=1), points=sampled([END]).points + np.float32([0.03, 0.05, 0.08]))
+    again = replace(sampled([END], seed=1), points=sampled([END]).points + np.array([0.03, 0.05, 0.08], np.float32))
     options = DepthOptions(noise=DepthNoise(0.01, 0.0, 0.0, 0.001, 0.0))
     found = submap_depth(joined(sampled([END]), again), CAMERA, T_CAM_NODE, options)
     inner = exact([((20.0, -6.0, 1.0), (0, 12.0, 0), (0, 0, 5.0))]) > 0
@@ -193,12 +193,12 @@ def test_depth_agrees_with_rays_cast_against_the_surfels_triangles() -> None:
     surfels = make_surfels(submap)
     vertices, triangles = star_triangles(surfels.points, surfels.normals, surfels.axes, surfels.reach)
     scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-    scene.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(triangles))
+    scene.add_triangles(o3d.core.Tensor.from_numpy(vertices), o3d.core.Tensor.from_numpy(triangles))
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(float)
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones_like(u)], -1)
     origins = np.broadcast_to(T_NODE_CAM[:3, 3], rays.shape)
     cast = np.concatenate([origins, rays @ T_NODE_CAM[:3, :3].T], -1).astype(np.float32)
-    hit = scene.cast_rays(o3d.core.Tensor(cast))["t_hit"].numpy()
+    hit = scene.cast_rays(o3d.core.Tensor.from_numpy(cast))["t_hit"].numpy()
     found = submap_depth(submap, CAMERA, T_CAM_NODE)
     both = np.isfinite(hit) & (found.depth > 0)
     assert both.sum() > 0.9 * (found.depth > 0).sum()
@@ -282,7 +282,8 @@ def test_agreement_is_in_pixels_of_disparity() -> None:
     stereo[:, :3] = 245.0 * 0.5 / (245.0 * 0.5 / 10 + 2)  # two pixels nearer
     stereo[:, 3] = 0
     found = cross_check(lidar, stereo, CAMERA, 0.5)
-    assert (found.pixels, found.median_px) == (90, pytest.approx(0.0, abs=1e-6))
+    assert found.pixels == 90
+    assert found.median_px == pytest.approx(0.0, abs=1e-6)
     assert found.within_1px == pytest.approx(60 / 90)
     assert found.within_3px == 1.0
     kept = without_contradicted(DepthImage(lidar, lidar * 0), stereo, CAMERA, 0.5, limit_px=1.0)
@@ -390,5 +391,6 @@ def accumulated(scans: list[Array]) -> Submap:
         origins.append(np.repeat(T[None, :3, 3], len(scan), 0))
     p, o = np.concatenate(points), np.concatenate(origins)
     keep = thin(p, 0.1)
-    p, o = p[keep].astype(np.float32), o[keep].astype(np.float32)
-    return as_submap(p, towards(fit_normals(p, np.arange(len(p)), SurfaceOptions()), p, o), o)
+    kept, seen_from = p[keep].astype(np.float32), o[keep].astype(np.float32)
+    normals = fit_normals(kept.astype(np.float64), np.arange(len(kept)), SurfaceOptions())
+    return as_submap(kept, towards(normals, kept, seen_from), seen_from)

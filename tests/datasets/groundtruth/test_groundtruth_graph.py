@@ -74,7 +74,9 @@ def used(solution: Solution) -> NDArray[np.bool_]:
 
 def lone_nodes(count: int = 2) -> Nodes:
     """Nodes of which odometry says nothing."""
-    return Nodes(np.arange(count), np.tile(np.eye(4), (count, 1, 1)), np.arange(count) * 2.0, np.arange(count))
+    return Nodes(
+        np.arange(count), np.tile(np.eye(4), (count, 1, 1)), np.arange(count, dtype=float) * 2.0, np.arange(count)
+    )
 
 
 def test_a_single_registration_comes_out_with_its_own_covariance_in_our_order() -> None:
@@ -342,7 +344,8 @@ def test_pairs_come_out_camera_to_camera_with_sigmas_along_across_and_above_the_
 
 def test_between_nodes_a_pose_follows_the_odometry_and_is_less_certain() -> None:
     reference, query, found = two_drives(100.0, 14)
-    coarse = Nodes(*(a[::4] for a in (query.nodes.times_ns, query.nodes.T_odom_node, query.nodes.travelled_m)))
+    fine = query.nodes
+    coarse = Nodes(fine.times_ns[::4], fine.T_odom_node[::4], fine.travelled_m[::4])
     fewer = [replace(r, query=r.query // 4) for r in found if r.query % 4 == 0]
     solution = optimise(reference.nodes, coarse, fewer, options=INDEPENDENT)
     outcomes = Outcomes(solution, (reference.nodes, trajectory(reference)), (coarse, trajectory(query)), fewer)

@@ -180,8 +180,9 @@ def test_details_are_where_both_drives_see_walls_of_two_directions() -> None:
     for place in places:
         assert np.min(np.abs(ends - place[0])) < 0.8
         assert 8.0 < abs(place[1]) < 14.0
-    bare = [Cloud.of(street_clouds.submap(street_clouds.irregular(1, deepest=0.0), k, T), np.eye(4)) for k in (1, 2)]
-    assert detail_places(*bare, np.zeros(2)) == []
+    street = street_clouds.irregular(1, deepest=0.0)
+    ref, query = (Cloud.of(street_clouds.submap(street, k, T), np.eye(4)) for k in (1, 2))
+    assert detail_places(ref, query, np.zeros(2)) == []
 
 
 def test_a_pair_that_the_graph_does_not_tie_is_shown_by_what_was_refused(tmp_path: Path) -> None:

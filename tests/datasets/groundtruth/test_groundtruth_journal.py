@@ -19,7 +19,8 @@ def outcome(node: int) -> Outcome:
     rng = np.random.default_rng(node)
     pose = np.eye(4) if node % 2 else np.full((4, 4), np.nan)
     pose[:3, 3] = rng.normal(size=3) / 3
-    evidence = Evidence(*rng.random(6).tolist(), float("nan"), (0.1, 0.2, 1 / 3), 0.3, 0.4, 0.5)
+    a, b, c, d, e, f = rng.random(6).tolist()
+    evidence = Evidence(a, b, c, d, e, f, float("nan"), (0.1, 0.2, 1 / 3), 0.3, 0.4, 0.5)
     found = Registration(node, node + 1, pose, rng.normal(size=(6, 6)), evidence, "" if node % 2 else "too far")
     return Outcome(found if node != 3 else None, "" if node != 3 else "nothing there")
 

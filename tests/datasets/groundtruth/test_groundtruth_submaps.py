@@ -357,7 +357,8 @@ def test_damaged_block_is_named(built: tuple[Nodes, BlockStore], tmp_path: Path)
 
 def test_claims_are_those_of_all_blocks_at_once() -> None:
     rng = np.random.default_rng(5)
-    claims, inside = VoxelClaims(), {}
+    claims = VoxelClaims()
+    inside: dict[int, tuple[NDArray[np.int64], NDArray[np.float32]]] = {}
     for turn in range(120):
         if inside and rng.random() < 0.45:
             gone = list(inside)[int(rng.integers(len(inside)))]
@@ -444,7 +445,7 @@ def test_step_costs_the_same_however_long_the_drive(built: tuple[Nodes, BlockSto
     poses[:, 0, 3] = 2.0 * np.arange(count)
     for k in range(count):
         write_block(store.path(k), block)
-    drive = Nodes(START_NS + np.arange(count) * 10**9, poses, 2.0 * np.arange(count))
+    drive = Nodes(START_NS + np.arange(count) * 10**9, poses, 2.0 * np.arange(count, dtype=float))
     window = SubmapWindow(drive, store)
     work, claims = [], []
     for node in range(count):

@@ -164,8 +164,8 @@ def written_scan(path: Path, points: Array, times: Array) -> None:
     elif path.suffix == ".npy":
         np.save(path, np.column_stack([points, times]))
     else:
-        cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor(points.astype(np.float32)))
-        cloud.point["t"] = o3d.core.Tensor(times.reshape(-1, 1))
+        cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor.from_numpy(points.astype(np.float32)))
+        cloud.point["t"] = o3d.core.Tensor.from_numpy(times.reshape(-1, 1))
         o3d.t.io.write_point_cloud(path, cloud)
 
 

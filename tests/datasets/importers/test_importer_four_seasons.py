@@ -409,7 +409,10 @@ def test_relocalization_file_with_poses_is_the_truth_and_agrees_with_the_recordi
     given = {line.key: line.T_query_ref for line in read_pose_lines(file)}
     assert given.keys() == pair_set.by_key.keys()
     for key, pair in pair_set.by_key.items():
-        np.testing.assert_allclose(pair.T_query_ref, given[key], atol=2e-9)
+        told = given[key]
+        assert told is not None
+        assert pair.T_query_ref is not None
+        np.testing.assert_allclose(pair.T_query_ref, told, atol=2e-9)
         assert pair.group == "easy"
     (note,) = [n for n in notes if "differ from the recordings' own" in n]
     assert float(note.split(" by ")[1].split(" m")[0]) < 1e-6
@@ -430,6 +433,7 @@ def test_withheld_truth_stays_withheld_unless_it_is_asked_from_the_poses(
         if known:
             truth = invert(two_drives[1].T_true_cam[pair.query_timestamp_ns])
             truth = truth @ two_drives[0].T_true_cam[pair.ref_timestamp_ns]
+            assert pair.T_query_ref is not None
             np.testing.assert_allclose(pair.T_query_ref, truth, atol=1e-7)
 
 

@@ -97,6 +97,7 @@ def test_one_folder_is_paired_with_itself_by_steps_and_keeps_the_true_poses(tmp_
     assert sorted(p.group for p in pair_set.pairs) == ["step_-2"] * 2 + ["step_1"] * 3
     for pair in pair_set.pairs:
         r, q = ((t - START_NS) / STEP_NS for t in pair.key)
+        assert pair.T_query_ref is not None
         np.testing.assert_allclose(pair.T_query_ref, invert(pose(q)) @ pose(r), atol=2e-9)
         assert pair.overlap is not None
         assert pair.overlap > 0.5
@@ -112,6 +113,7 @@ def test_two_folders_are_paired_across_by_nearness(tmp_path: Path) -> None:
     assert pair_set.name == "summer__winter__cam0"
     assert [p.key for p in pair_set.pairs] == [(frame_time(i), frame_time(i) + months) for i in range(2)]
     for i, pair in enumerate(pair_set.pairs):
+        assert pair.T_query_ref is not None
         np.testing.assert_allclose(pair.T_query_ref, invert(pose(i, 0.1)) @ pose(i), atol=2e-9)
 
 
@@ -229,6 +231,7 @@ def test_several_cameras_lie_in_subfolders_and_give_a_pair_set_each(tmp_path: Pa
     assert dataset.pair_set_names == ["rig__rig__left", "rig__rig__right"]
     (pair,) = dataset.pair_set("rig__rig__right").pairs
     truth = invert(pose(1) @ T_rig_right) @ pose(0) @ T_rig_right
+    assert pair.T_query_ref is not None
     np.testing.assert_allclose(pair.T_query_ref, truth, atol=1e-9)
 
 

@@ -275,7 +275,7 @@ def test_real_stereo_depth_carries_pose_estimation_to_centimetres(
     assert any("20 of 25 frames are no keyframes" in note for note in notes.notes)
     pair_set = dataset.pair_sets()[0]
     assert len(pair_set.pairs) == 5
-    sift = cv2.SIFT_create(3000)
+    sift = cv2.SIFT.create(3000)
     errors = []
     for pair in pair_set.pairs:
         reference, query = dataset.reference(pair_set, pair), dataset.query(pair_set, pair)
@@ -283,7 +283,9 @@ def test_real_stereo_depth_carries_pose_estimation_to_centimetres(
         assert pair.T_query_ref is not None
         assert pair.distance_m == pytest.approx(1.2, abs=0.05)
         keys, described = zip(*(sift.detectAndCompute(i, None) for i in (reference.image, query.image)), strict=True)
-        matches = [m for m, n in cv2.BFMatcher().knnMatch(*described, k=2) if m.distance < 0.8 * n.distance]
+        matches = [
+            m for m, n in cv2.BFMatcher().knnMatch(described[0], described[1], k=2) if m.distance < 0.8 * n.distance
+        ]
         uv = np.array([keys[0][m.queryIdx].pt for m in matches])
         seen = np.array([keys[1][m.trainIdx].pt for m in matches])
         z = reference.depth[tuple(np.rint(uv[:, ::-1]).astype(int).T)].astype(np.float64)

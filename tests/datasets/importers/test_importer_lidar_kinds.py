@@ -109,7 +109,9 @@ def generic_drive(kitti: Path, sequence: str, folder: Path) -> Path:
         t, q = transform_to_tq(pose)
         return {"translation_m": t.tolist(), "quaternion_xyzw": q.tolist()}
 
-    height, width = cv2.imread(str(next((folder / "images" / "cam0").iterdir())), cv2.IMREAD_UNCHANGED).shape[:2]
+    image = cv2.imread(str(next((folder / "images" / "cam0").iterdir())), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    height, width = image.shape[:2]
     camera = {"model": "pinhole", "width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
     cameras = {"cam0": camera | {"T_rig_cam": transform(invert(T_cam0_lidar))}}
     (folder / "camera.yaml").write_text(yaml.safe_dump({"cameras": cameras}))

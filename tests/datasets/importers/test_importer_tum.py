@@ -181,7 +181,7 @@ def test_a_missing_list_is_named(recording: Path, tmp_path: Path, name: str) -> 
 def mean_rotation_error_of_pnp_deg(dataset: Dataset) -> float:
     """SIFT and PnP from the depth of the keyframe against the dataset's truth, mean over the pairs."""
     pair_set = dataset.pair_sets()[0]
-    sift = cv2.SIFT_create(2000)
+    sift = cv2.SIFT.create(2000)
     errors = []
     for pair in pair_set.pairs:
         reference, query = dataset.reference(pair_set, pair), dataset.query(pair_set, pair)
@@ -189,7 +189,9 @@ def mean_rotation_error_of_pnp_deg(dataset: Dataset) -> float:
         assert pair.T_query_ref is not None
         grey = [cv2.cvtColor(i, cv2.COLOR_RGB2GRAY) for i in (reference.image, query.image)]
         keys, described = zip(*(sift.detectAndCompute(i, None) for i in grey), strict=True)
-        matches = [m for m, n in cv2.BFMatcher().knnMatch(*described, k=2) if m.distance < 0.8 * n.distance]
+        matches = [
+            m for m, n in cv2.BFMatcher().knnMatch(described[0], described[1], k=2) if m.distance < 0.8 * n.distance
+        ]
         uv = np.array([keys[0][m.queryIdx].pt for m in matches])
         seen = np.array([keys[1][m.trainIdx].pt for m in matches])
         z = reference.depth[tuple(np.rint(uv[:, ::-1]).astype(int).T)].astype(np.float64)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from relocbench.datasets.core.npy import parse_npz
 from relocbench.datasets.groundtruth.blocks.store import read_block
@@ -43,7 +44,7 @@ def npy_of(shape: str, dtype: str = "'<f4'", body: bytes = b"") -> bytes:
     return npy(f"{{'descr': {dtype}, 'fortran_order': False, 'shape': {shape}, }}\n", body)
 
 
-def saved(values: np.ndarray) -> bytes:
+def saved(values: ArrayLike) -> bytes:
     stream = io.BytesIO()
     np.save(stream, values)
     return stream.getvalue()
@@ -103,7 +104,7 @@ REFUSED: dict[str, tuple[str, bytes, str]] = {
 
 
 def stream(path: Path, **settings: object) -> GenericLidarStream:
-    lidar = GenericLidar(pattern="spinning", **settings)  # type: ignore[arg-type]
+    lidar = GenericLidar(pattern="spinning", **settings)
     return GenericLidarStream("top", lidar, np.eye(4), (path,), np.array([10**18]))
 
 
@@ -191,13 +192,13 @@ def test_scans_that_open3d_writes_are_read_as_it_reads_them(tmp_path: Path, suff
 
     rng = np.random.default_rng(1)
     path = tmp_path / f"0.{suffix}"
-    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor(rng.normal(0, 30, (500, 3)).astype(np.float32)))
-    cloud.point["intensity"] = o3d.core.Tensor(rng.random((500, 1)).astype(np.float32))
-    cloud.point["t"] = o3d.core.Tensor(rng.random((500, 1)))
-    cloud.point["ring"] = o3d.core.Tensor(np.repeat(np.arange(50, dtype=np.uint8), 10)[:, None])
-    cloud.point["normals"] = o3d.core.Tensor(rng.normal(size=(500, 3)).astype(np.float32))
-    assert o3d.t.io.write_point_cloud(str(path), cloud, write_ascii=how == "ascii", compressed=how == "compressed")
-    theirs = o3d.t.io.read_point_cloud(str(path)).point
+    cloud = o3d.t.geometry.PointCloud(o3d.core.Tensor.from_numpy(rng.normal(0, 30, (500, 3)).astype(np.float32)))
+    cloud.point["intensity"] = o3d.core.Tensor.from_numpy(rng.random((500, 1)).astype(np.float32))
+    cloud.point["t"] = o3d.core.Tensor.from_numpy(rng.random((500, 1)))
+    cloud.point["ring"] = o3d.core.Tensor.from_numpy(np.repeat(np.arange(50, dtype=np.uint8), 10)[:, None])
+    cloud.point["normals"] = o3d.core.Tensor.from_numpy(rng.normal(size=(500, 3)).astype(np.float32))
+    assert o3d.t.io.write_point_cloud(path, cloud, write_ascii=how == "ascii", compressed=how == "compressed")
+    theirs = o3d.t.io.read_point_cloud(path).point
     found = read_point_cloud(path)
     for i, axis in enumerate("xyz"):
         assert np.array_equal(found[axis], theirs["positions"].numpy()[:, i])

@@ -123,7 +123,7 @@ class Planes:
 
     def distances(self, query: Array) -> tuple[Array, Array]:
         """Signed distances (M,) of points from the planes of their nearest ones, where there are any, and normals."""
-        distance, nearest = self.tree.query(query, distance_upper_bound=0.3)
+        distance, nearest = (np.asarray(found) for found in self.tree.query(query, distance_upper_bound=0.3))
         met = np.isfinite(distance)
         met[met] = self.flat[nearest[met]]
         normals = self.normals[nearest[met]]

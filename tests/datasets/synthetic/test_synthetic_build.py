@@ -133,7 +133,9 @@ def test_distances_of_pairs_follow_the_distribution_that_was_asked_for(mean: flo
         driven = drive(Straight(), 400, style, np.random.default_rng(k))
         times = tuple(range(400))
         frames.append(PosedFrames(times, driven.T_world_rig, frozenset(times)))
-    pairs = drawn_pairs(*frames, DistanceSpread(mean, 10.0, 30.0), np.random.default_rng(2), same_traversal=False)
+    reference, query = frames
+    spread = DistanceSpread(mean, 10.0, 30.0)
+    pairs = drawn_pairs(reference, query, spread, np.random.default_rng(2), same_traversal=False)
     distances = [p.distance_m for p in pairs if p.distance_m is not None]
     assert len(pairs) > 350
     assert np.mean(distances) == pytest.approx(mean, rel=0.15)
@@ -260,10 +262,10 @@ def test_conditions_share_what_stands_still(town: Dataset) -> None:
     time_ns = traversal.timestamps("front")[0]
     changed = images.read_image(extra_path(town.root, QUERY, "changed", "front", time_ns)) > 0
     semantic = images.read_image(extra_path(town.root, QUERY, "semantic", "front", time_ns))
-    assert not np.any(changed & np.isin(semantic, (Semantic.SKY,)) & (traversal.depth("front", time_ns) > 0))
-    assert 0 < np.mean(changed) < 0.5
     depth = traversal.depth("front", time_ns)
     assert depth is not None
+    assert not np.any(changed & np.isin(semantic, (Semantic.SKY,)) & (depth > 0))
+    assert 0 < np.mean(changed) < 0.5
     T_world_cam = traversal.T_world_cam("front", time_ns)
     v, u = np.nonzero(~changed & (depth > 0))
     for row in np.random.default_rng(0).choice(len(u), 12, replace=False):
@@ -390,7 +392,8 @@ def test_the_estimate_counts_what_is_left() -> None:
     spent = [Spent(images=9, setup_s=10.0, seconds=4.0, bytes=9_000_000)] * 2
     camera = Camera("pinhole", 32, 32, 30, 30, 15.5, 15.5)
     frame = FrameWork(camera, np.eye(4), 0, {"image": Path("x")})
-    unit = RenderUnit(PLACE, *[condition_named("Sunny").factors] * 2, (StepWork((), (frame,) * 1000),))
+    sunny = condition_named("Sunny").factors
+    unit = RenderUnit(PLACE, sunny, sunny, (StepWork((), (frame,) * 1000),))
     # 1000 images of half a second on two workers, and one scene to make ready.
     assert "about 4 min at 4.0 images/s with 2 workers, 1.0 GB" in estimate(spent, [unit], 2)
     assert duration(3 * 3600) == "3.0 h"

@@ -93,7 +93,8 @@ def test_every_field_of_the_layout_is_there_and_in_its_range(robotcar: Path, nam
             for path in files.values():
                 image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
                 assert image is not None
-                assert (image.dtype, image.shape) == (np.uint8, (height, width))
+                assert image.dtype == np.uint8
+                assert image.shape == (height, width)
                 assert image.std() > 8
     for sensor, first_us in LASERS.items():
         files = reading.files(sensor, ".bin")

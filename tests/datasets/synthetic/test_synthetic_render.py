@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from typing import TypedDict
 
 import numpy as np
 import pytest
@@ -22,6 +23,23 @@ CAMERA = Camera("pinhole", SIZE, SIZE, 60.0, 60.0, (SIZE - 1) / 2, (SIZE - 1) / 
 QUIET = {"read_noise": 0.0, "shot_noise": 0.0, "vignetting": 0.0}
 CLEAR = Factors(sun_elevation_deg=40, sun_azimuth_deg=135, auto_exposure=False, **QUIET)
 ROAD, WALL, BLOCK = 0, 7, 9
+
+
+class Changes(TypedDict, total=False):
+    """Factors that a test sets apart from ``CLEAR``."""
+
+    cloud_cover: float
+    exposure_ev: float
+    fog_density: float
+    gamma: float
+    headlights: bool
+    lens_drops: float
+    puddles: float
+    rain_mm_h: float
+    snow_cover: float
+    street_lamps: bool
+    sun_elevation_deg: float
+    wetness: float
 
 
 def quad(corner: Array, a: Array, b: Array, material: Material, semantic: Semantic, instance: int) -> Mesh:
@@ -173,7 +191,7 @@ def test_a_frame_is_the_same_bytes_alone_and_after_others() -> None:
         {"exposure_ev": 1.0},
     ],
 )
-def test_weather_and_light_change_the_image_and_leave_the_truth(factors: dict[str, object]) -> None:
+def test_weather_and_light_change_the_image_and_leave_the_truth(factors: Changes) -> None:
     clear, changed = shot(), shot(**factors)
     assert np.abs(grey(clear) - grey(changed)).mean() > 2
     for name in ("depth", "normal", "instance", "semantic"):
@@ -181,7 +199,7 @@ def test_weather_and_light_change_the_image_and_leave_the_truth(factors: dict[st
 
 
 def test_snow_whitens_what_faces_up_and_nothing_else() -> None:
-    overcast = {"cloud_cover": 1.0}
+    overcast: Changes = {"cloud_cover": 1.0}
     bare, snow = shot(**overcast), shot(snow_cover=1.0, **overcast)
     # Pixels of edges mix their surfaces, and windows of a wall its neighbours: look at the inside of surfaces.
     up = bare.normal[..., 2] > 0.9
@@ -240,7 +258,7 @@ def test_the_sun_throws_a_shadow_where_the_geometry_says_and_an_overcast_sky_non
 
 def test_wet_ground_mirrors_the_wall() -> None:
     T = pose(x=-5.0, y=-4.0, z=1.6, yaw=np.pi / 2, pitch=0.0)
-    overcast = {"cloud_cover": 1.0}
+    overcast: Changes = {"cloud_cover": 1.0}
     wet, dry = shot(T, wetness=1.0, puddles=1.0, **overcast), shot(T, **overcast)
     # Looking at the wall's end, road pixels k rows below the horizon mirror the wall or the sky k rows above it.
     road = (wet.semantic == Semantic.ROAD)[SIZE // 2 :]
@@ -259,7 +277,7 @@ def test_wet_ground_mirrors_the_wall() -> None:
 def test_texture_keeps_still_when_the_camera_moves_by_less_than_a_pixel() -> None:
     quarter = Camera("pinhole", SIZE, SIZE, CAMERA.fx, CAMERA.fy, CAMERA.cx + 0.25, CAMERA.cy)
     whole = Camera("pinhole", SIZE, SIZE, CAMERA.fx, CAMERA.fy, CAMERA.cx + 1.0, CAMERA.cy)
-    overcast = {"cloud_cover": 1.0}
+    overcast: Changes = {"cloud_cover": 1.0}
     still, moved, next_pixel = (grey(shot(camera=c, **overcast)) for c in (CAMERA, quarter, whole))
     inside = (np.abs(still - np.roll(still, 1, 1)) < 40) & (np.arange(SIZE) > 2)
     np.testing.assert_allclose(next_pixel[:, 2:], still[:, 1:-1], atol=12)
@@ -270,7 +288,7 @@ def test_texture_keeps_still_when_the_camera_moves_by_less_than_a_pixel() -> Non
 
 def test_textures_hold_no_energy_that_eightfold_sampling_does_not_have() -> None:
     fine = CAMERA.scaled(8)
-    overcast = {"cloud_cover": 1.0, "gamma": 1.0}
+    overcast: Changes = {"cloud_cover": 1.0, "gamma": 1.0}
     frame, reference = shot(**overcast), shot(camera=fine, **overcast)
     averaged = grey(reference).reshape(SIZE, 8, SIZE, 8).mean(axis=(1, 3))
     image = grey(frame)
@@ -317,7 +335,7 @@ def test_a_moving_car_darkens_the_road_under_it_and_leaves_the_rest_of_the_light
 
 
 def test_edges_are_smooth() -> None:
-    overcast = {"cloud_cover": 1.0, "gamma": 1.0}
+    overcast: Changes = {"cloud_cover": 1.0, "gamma": 1.0}
     frame, reference = shot(**overcast), shot(camera=CAMERA.scaled(8), **overcast)
     averaged = grey(reference).reshape(SIZE, 8, SIZE, 8).mean(axis=(1, 3))
     block_seen = frame.instance == BLOCK
@@ -328,7 +346,7 @@ def test_edges_are_smooth() -> None:
 
 
 def test_noise_has_the_stated_deviation() -> None:
-    flat = {"cloud_cover": 1.0, "sun_elevation_deg": 60.0}
+    flat: Changes = {"cloud_cover": 1.0, "sun_elevation_deg": 60.0}
     clean = shot(**flat)
     noisy = np.stack([shot(seed=k, read_noise=3.0, shot_noise=0.04, **flat).rgb for k in range(12)]).astype(float)
     level = clean.rgb.astype(float)
@@ -344,7 +362,7 @@ def test_noise_has_the_stated_deviation() -> None:
 
 
 def test_exposure_follows_the_stops() -> None:
-    linear = {"gamma": 1.0, "cloud_cover": 1.0}
+    linear: Changes = {"gamma": 1.0, "cloud_cover": 1.0}
     levels = [grey(shot(exposure_ev=ev, **linear)).mean() for ev in (-2.0, -1.0, 0.0)]
     assert levels[0] < levels[1] < levels[2]
     dim, bright = (grey(shot(auto_exposure=True, sun_elevation_deg=e, **linear)).mean() for e in (12.0, 60.0))

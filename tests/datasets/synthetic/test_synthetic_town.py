@@ -44,12 +44,15 @@ class Rays:
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
         self.scene = o3d.t.geometry.RaycastingScene()
-        self.scene.add_triangles(o3d.core.Tensor(mesh.vertices), o3d.core.Tensor(mesh.triangles))
+        self.scene.add_triangles(
+            o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.vertices)),
+            o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.triangles)),
+        )
 
     def cast(self, origins: Any, directions: Any) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """Distance (inf where nothing is hit) and triangle of each ray."""
         both = np.concatenate(np.broadcast_arrays(origins, directions), axis=-1).astype(np.float32)
-        answer = self.scene.cast_rays(o3d.core.Tensor(both))
+        answer = self.scene.cast_rays(o3d.core.Tensor.from_numpy(both))
         return answer["t_hit"].numpy(), answer["primitive_ids"].numpy().astype(np.int64)
 
 
@@ -86,8 +89,8 @@ def poses_along(district: District, length: float, seed: int, step: float) -> ND
 
 
 def test_bars_boxes_and_prisms_are_closed_and_face_outward() -> None:
-    bar = tube([[0, 0, 0], [0, 0, 1], [0.3, 0, 2]], [0.5, 0.4, 0.1], 12, Material.METAL)
-    outline = [[0, 0], [2, 0], [2, 1], [1, 0.2], [0, 1]]
+    bar = tube([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.3, 0.0, 2.0]], [0.5, 0.4, 0.1], 12, Material.METAL)
+    outline = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 0.2], [0.0, 1.0]]
     solid = prism(outline, -1.0, 2.0, Material.WOOD)
     assert [open_edges(s) for s in (bar, solid, boxes([0, 0, 0], [1, 2, 3], Material.WOOD))] == [0, 0, 0]
     assert volume(boxes([0, 0, 0], [1, 2, 3], Material.WOOD)) == pytest.approx(6)

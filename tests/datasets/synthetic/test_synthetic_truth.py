@@ -47,7 +47,11 @@ def triangles(corners: np.ndarray) -> Mesh:
         corners.reshape(-1, 3).astype(np.float32),
         np.arange(3 * count, dtype=np.uint32).reshape(-1, 3),
         np.zeros((count, 3, 2), np.float32),
-        *(np.zeros(count, kind) for kind in (np.uint8, np.uint8, np.uint32, np.uint32, np.float32)),
+        np.zeros(count, np.uint8),
+        np.zeros(count, np.uint8),
+        np.zeros(count, np.uint32),
+        np.zeros(count, np.uint32),
+        np.zeros(count, np.float32),
     )
 
 
@@ -93,7 +97,8 @@ def test_the_check_finds_depth_that_is_off_by_a_centimetre(busy: Dataset) -> Non
     assert depth is not None
     eye = Scenes(busy).eye(traversal.name, "front", time_ns)
     tally = Tally()
-    check_depth(tally, eye, depth + np.float32(0.01) * (depth > 0), 1000, np.random.default_rng(0))
+    off = np.asarray(depth + np.float32(0.01) * (depth > 0), dtype=np.float32)
+    check_depth(tally, eye, off, 1000, np.random.default_rng(0))
     assert np.mean(tally.depth_units[0] > 1.0) == pytest.approx(np.mean(depth > 0), abs=0.06)
 
 

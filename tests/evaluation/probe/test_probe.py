@@ -24,7 +24,7 @@ from relocbench.datasets.pairs.correspondences import Correspondences
 from relocbench.evaluation.probe import ProbeOptions, probe_methods
 from relocbench.evaluation.probe.feature_maps import places_of, principal_components
 from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, OFFSETS_PX, with_structure
-from relocbench.evaluation.probe.poses import CONVERGED, OFFSETS, draw_priors, probe_poses
+from relocbench.evaluation.probe.poses import CONVERGED, OFFSETS, What, draw_priors, probe_poses
 from relocbench.evaluation.probe.table import ACROSS as ACROSS_CONDITIONS
 from relocbench.geometry import make_transform, se3_exp, so3_exp
 from relocbench.metrics import pose_errors
@@ -48,16 +48,16 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 def options(dataset: Dataset, out: Path, *methods: str, **more: object) -> ProbeOptions:
     given = {"workers": 0, "pairs": 3, "per_pair": 20, "directions": 1, **more}
-    return ProbeOptions(dataset=dataset.root, methods=methods, out=out, **given)  # type: ignore[arg-type]
+    return ProbeOptions(dataset=dataset.root, methods=methods, out=out, **given)
 
 
 @pytest.mark.parametrize("what", ["translation", "rotation"])
-def test_priors_are_off_by_the_offset_and_by_nothing_else(what: str) -> None:
-    priors = draw_priors(TRUTH, what, (1, 2), 3, seed=0)  # type: ignore[arg-type]
-    assert priors.shape == (len(OFFSETS[what]), 3, 4, 4)  # type: ignore[index]
+def test_priors_are_off_by_the_offset_and_by_nothing_else(what: What) -> None:
+    priors = draw_priors(TRUTH, what, (1, 2), 3, seed=0)
+    assert priors.shape == (len(OFFSETS[what]), 3, 4, 4)
     flat = priors.reshape(-1, 4, 4)
     errors = pose_errors(flat, np.repeat(TRUTH[None], len(flat), axis=0))
-    wanted = np.repeat(OFFSETS[what], 3)  # type: ignore[index]
+    wanted = np.repeat(OFFSETS[what], 3)
     moved, turned = errors.translation_error_m, errors.rotation_error_deg
     off, kept = (moved, turned) if what == "translation" else (turned, moved)
     np.testing.assert_allclose(off, wanted, atol=1e-9)
@@ -308,7 +308,9 @@ def test_untrained_weights_of_gn_net_are_probed_and_drawn(dataset: Dataset, tmp_
     )
     assert outcome.status == 0, outcome.err
     (sheet,) = (tmp_path / "out").glob("features_gn-net_*.png")
-    height, width = cv2.imread(str(sheet)).shape[:2]
+    image = cv2.imread(str(sheet))
+    assert image is not None
+    height, width = image.shape[:2]
     assert (width, height) == (5 * 160, 3 * (120 + 22))  # image and four levels; keyframe, summer, winter
     shares = [float(r["share"]) for r in rows(tmp_path / "out" / "probe.csv")]
     assert all(0 <= share <= 1 for share in shares)

@@ -114,7 +114,10 @@ def test_where_a_chain_is_lost(dataset: Dataset, tmp_path: Path) -> None:
         scores = report.scores(folder(report, tracker))[ACROSS]
         lost = [scores[f"failed_{o}"] for o in OUTCOMES if o != "right"]
         assert scores["recall@(0.25m,2deg)"] == pytest.approx(1 - sum(v for v in lost if v is not None))
-        assert scores["right_and_hit"] + scores["right_without_hit"] == pytest.approx(scores["recall@(0.25m,2deg)"])
+        hit, without_hit = scores["right_and_hit"], scores["right_without_hit"]
+        assert hit is not None
+        assert without_hit is not None
+        assert hit + without_hit == pytest.approx(scores["recall@(0.25m,2deg)"])
         assert (scores["basin_recall@1"], scores["hit"], scores["queries"]) == (0.5, 0.625, 8)
     assert report.scores(folder(report, "t"))[ACROSS]["right_given_hit"] == pytest.approx(4 / 5)
     floor = rows(report, "keyframe-pose")

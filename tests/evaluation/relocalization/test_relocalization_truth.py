@@ -32,6 +32,7 @@ def test_every_keyframe_of_a_posed_traversal_can_be_judged(dataset: Dataset) -> 
         expected = np.stack([truth(ref, query) for ref in range(6)])
         assert known.relative(query) == pytest.approx(expected, abs=1e-9)
     pair = dataset.pair_set(ACROSS).pairs[0]
+    assert pair.T_query_ref is not None
     assert np.array_equal(known.relative(0)[0], pair.T_query_ref)  # a pair's own pose as it stands
     assert known.spread == pytest.approx(np.zeros(5), abs=1e-9)
     assert known.reach == pytest.approx((np.hypot(0.12, 0.15), 2.0))
@@ -58,8 +59,8 @@ def test_without_poses_only_paired_keyframes_can_be_judged(tmp_path: Path) -> No
     assert known.spread.size == 0
     poses.write_text("".join(lines[:3]))  # of keyframes 0 and 1: whoever is paired with one of them sees both
     known = truth_of(Dataset(made.root))
-    judged = [np.flatnonzero(np.isfinite(known.relative(q)).all(axis=(1, 2))).tolist() for q in range(5)]
-    assert judged == [[0, 1], [0, 1], [0, 1, 2], [2, 3], [3, 4]]
+    all_judged = [np.flatnonzero(np.isfinite(known.relative(q)).all(axis=(1, 2))).tolist() for q in range(5)]
+    assert all_judged == [[0, 1], [0, 1], [0, 1, 2], [2, 3], [3, 4]]
 
 
 def test_pairs_that_disagree_are_told(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from retrievers_for_tests import Thumbnail
 from small_views import make_small_views
 
@@ -73,7 +74,12 @@ def test_an_image_under_two_names_is_described_once() -> None:
 
     def view(key: str, content: str, side: str = "drone") -> ImageView:
         grey = np.full((2, 2, 3), ord(content[:1] or key[:1]), dtype=np.uint8)
-        return ImageView(key, side, lambda: read.append(key) or grey, content)
+
+        def counted() -> NDArray[np.uint8]:
+            read.append(key)
+            return grey
+
+        return ImageView(key, side, counted, content)
 
     queries = (view("q0", "a"), view("q1", "a"), view("q2", ""))
     gallery = (view("g0", "b"), view("g1", "a"), view("g2", ""), view("g3", "a", "satellite"))
@@ -523,13 +529,15 @@ def test_rank_task_hears_of_each_block() -> None:
     from relocbench.evaluation.retrieval.describe import Describer
 
     describer = Describer(Thumbnail(side=2))
-    sides = [describer(side, lambda count: None) for side in (task.queries, task.gallery)]
-    list(rank_task(task, *sides, None, None, heard.append))
+    queries, gallery = (describer(side, lambda count: None) for side in (task.queries, task.gallery))
+    list(rank_task(task, queries, gallery, None, None, heard.append))
     assert sum(heard) == 2
 
 
 def test_a_grey_image_is_seen_in_three_channels(tmp_path: Path) -> None:
     made = make_small_views(tmp_path / "town", places=2)
     for path in (made / "test").rglob("*.png"):
-        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert grey is not None
+        cv2.imwrite(str(path), grey)
     assert run(made, tmp_path / "out", f"t={HERE}:Thumbnail").broken == []
