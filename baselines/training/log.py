@@ -12,7 +12,7 @@ from relocbench.errors import MethodError, quoted
 
 _STEP = "step"
 _MOST_DIGITS = 18
-TIMED = "seconds"
+SECONDS = "seconds"
 """the one column that differs from one run to the next"""
 
 Row = dict[str, str]

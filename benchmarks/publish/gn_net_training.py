@@ -66,10 +66,10 @@ def main() -> None:
     given = parser.parse_args()
     usual = trainer_named(given.trainer).default_options()
     options = options_from_dict(TrainOptions, trainer_options(usual, None, given.settings))
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    device = "cuda" if torch.cuda.is_available() else "cpu"
     rows: dict[str, list[float]] = {"batch": [], "batch, processor": [], "step": [], "step, processor": []}
     with TemporaryDirectory() as folder:
-        training = Training(Made(), None, options, TrainingRun(Path(folder)), GnNet, device)
+        training = Training(Made(), None, options, TrainingRun(Path(folder), device=device), GnNet)
         for number in range(given.steps + 1):
             start = time.perf_counter(), time.process_time()
             batch = training.batches[number]
@@ -86,7 +86,7 @@ def main() -> None:
     print(f"{given.trainer}: {words}, {torch.get_num_threads()} threads")
     for name, seconds in medians.items():
         print(f"  {name:<18} {seconds:7.3f} s")
-    print(json.dumps({"benchmark": "gn_net_training", "device": device.type, **medians}))
+    print(json.dumps({"benchmark": "gn_net_training", "device": device, **medians}))
 
 
 if __name__ == "__main__":

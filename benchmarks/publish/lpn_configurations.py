@@ -36,7 +36,7 @@ import numpy as np
 
 from baselines.lpn.configurations import CONFIGURATIONS, REPLACED_PARTITION_LOSS, configuration
 from baselines.lpn.training.card import differences
-from baselines.lpn.training.first_weights import start_of
+from baselines.lpn.training.initial_weights import start_of
 from baselines.lpn.training.options import TrainOptions
 from baselines.options import options_from_dict
 from relocbench.cli.console import reporter

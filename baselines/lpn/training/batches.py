@@ -10,11 +10,9 @@ rounds, the second half the drone's, and the partner is drawn among the place's 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset
 
@@ -22,6 +20,7 @@ from baselines.lpn.images import as_bytes, resized
 from baselines.lpn.network import VIEWS, View
 from baselines.lpn.training.augmentation import augmented
 from baselines.lpn.training.options import TrainOptions
+from baselines.training.random_streams import shuffled_round
 from relocbench.errors import ConfigError
 from relocbench.retrieval import PlaceData
 
@@ -106,8 +105,8 @@ class PlaceBatches(Dataset[Batch]):
 
     def _draw(self, view: View, draw: int) -> int:
         numbers = self._of_view[view]
-        turn, place = divmod(draw, len(numbers))
-        return numbers[int(_order(self._options.seed, VIEWS.index(view), turn, len(numbers))[place])]
+        _, index = shuffled_round(self._options.seed, (_ROUND, VIEWS.index(view)), draw, len(numbers))
+        return numbers[index]
 
     def _partners(self, view: View, led: Sequence[int], rng: np.random.Generator) -> list[int]:
         of_place = self._of_place[view]
@@ -131,8 +130,3 @@ class PlaceBatches(Dataset[Batch]):
             raise ConfigError("paired batches need two or more places with drone and satellite images")
         for view in self._pair:
             self._of_view[view] = [n for n in self._of_view[view] if self._data.images[n].place in both]
-
-
-@lru_cache(maxsize=64)
-def _order(seed: int, view: int, turn: int, count: int) -> NDArray[np.int64]:
-    return np.random.default_rng([seed, _ROUND, view, turn]).permutation(count)

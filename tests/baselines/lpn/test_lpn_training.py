@@ -378,8 +378,8 @@ def test_paired_batches_show_the_same_places_and_each_view_leads_half() -> None:
 def test_rates_fall_after_two_thirds_of_each_stage_and_rise_in_the_beginning() -> None:
     options = replace(usual_options("lpn-rpp"), epochs={"uniform": 120, "classifier": 60, "refined": 50}, warm_up=4)
     schedule = Schedule(options, 2)
-    assert [(s.first, s.last) for s in schedule.stretches] == [(0, 240), (240, 360), (360, 460)]
-    assert [schedule.at(step) for step in (0, 240, 241, 360, 460)] == [0, 0, 1, 1, 2]
+    assert [(s.first, s.last) for s in schedule.stages] == [(0, 240), (240, 360), (360, 460)]
+    assert [schedule.stage_at(step) for step in (0, 240, 241, 360, 460)] == [0, 0, 1, 1, 2]
     assert [schedule.factor(step) for step in (0, 1, 4, 159, 160, 239)] == [0.25, 0.5, 1, 1, 0.1, 0.1]
     assert [schedule.factor(step) for step in (240, 244, 319, 320)] == [0.25, 1, 1, 0.1]
 
