@@ -226,8 +226,8 @@ class GnNet:
 
     def _answer(self, found: FeatureAlignment, seen: SeenLandmarks | None) -> TrackResult:
         info = self._info(found)
-        if found.trouble:
-            return TrackResult.failure(found.trouble, **info)
+        if found.failure:
+            return TrackResult.failure(found.failure, **info)
         if found.final.valid < max(self.min_points, MIN_VALID_SHARE * found.residuals):
             return TrackResult.failure(
                 f"only {found.final.valid} of {found.residuals} residuals project into the query", **info

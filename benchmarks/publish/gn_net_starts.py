@@ -76,12 +76,12 @@ def off(T_query_ref: Array, truth: Array) -> tuple[float, float]:
 
 def right(found: FeatureAlignment, truth: Array) -> bool:
     metres, degrees = off(found.T_query_ref, truth)
-    return not found.trouble and metres <= 0.25 and degrees <= 2.0
+    return not found.failure and metres <= 0.25 and degrees <= 2.0
 
 
 def better(one: FeatureAlignment, other: FeatureAlignment) -> FeatureAlignment:
-    if one.trouble or other.trouble:
-        return other if one.trouble else one
+    if one.failure or other.failure:
+        return other if one.failure else one
     return one if one.final.energy <= other.final.energy else other
 
 
