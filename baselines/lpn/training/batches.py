@@ -1,10 +1,10 @@
-"""Batches of images by view, read by background processes; the same whatever their number.
+"""Batches of images by view, the same whatever the number of background processes that read them.
 
-The batch of a step is a function of the step and the seed alone, so that a training that goes on from a checkpoint sees
-what it would have seen. Each view goes round its own images, each round in an order of its own, independently of the
-other views: a batch of drone images and one of satellite images show different places, as in the authors' loader.
-Paired batches (DWDR) show the same place in each row of drone and satellite: the first half follows the satellite's
-rounds, the second half the drone's, and the partner is drawn among the place's images.
+The batch of a step is a function of the step and the seed alone, so that a resumed training sees the same batches. The
+images of each view are gone through round after round, each in a random order of its own and independently of other
+views: the drone and satellite images of a batch show different places, as in the authors' loader. Paired batches (DWDR)
+show the same place by drone and by satellite in each row: the first half of the rows follows the rounds of the
+satellite's images, the second half those of the drone's, and the partner is drawn from the place's images.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class PlaceBatches(Dataset[Batch]):
     """The batch of each step.
 
     Raises:
-        ConfigError: a view without images, fewer than two places, or no place with both views where they are paired.
+        ConfigError: a view has no images, or there are fewer than two places (with both views, if batches are paired).
     """
 
     def __init__(self, data: PlaceData, options: TrainOptions, steps: int = 0) -> None:
@@ -58,12 +58,12 @@ class PlaceBatches(Dataset[Batch]):
 
     @property
     def places_by_view(self) -> dict[View, int]:
-        """How many places each view shows."""
+        """The number of places that each view shows."""
         return {view: len(by_place) for view, by_place in self._of_place.items()}
 
     @property
     def places_of_all_views(self) -> int:
-        """How many places all views show: only they teach what the views have in common."""
+        """The number of places that all views show; only from them is learnt what the views have in common."""
         return len(set.intersection(*(set(by_place) for by_place in self._of_place.values())))
 
     def __len__(self) -> int:
@@ -74,7 +74,7 @@ class PlaceBatches(Dataset[Batch]):
         return {view: self._read(view, numbers[view], step) for view in self._options.views}
 
     def _numbers(self, step: int) -> dict[View, list[int]]:
-        """The numbers of the images of a batch."""
+        """The indices of the images of a batch, by view."""
         batch = self._options.batch
         if not self._options.paired:
             return {view: [self._draw(view, step * batch + row) for row in range(batch)] for view in self._of_view}
@@ -124,7 +124,7 @@ class PlaceBatches(Dataset[Batch]):
     _pair: tuple[View, View] = ("satellite", "drone")
 
     def _keep_pairs(self) -> None:
-        """Drop the images of places that only one of both views shows."""
+        """Drop the images of places that only one of the two views shows."""
         both = set.intersection(*(set(self._of_place[view]) for view in self._pair))
         if len(both) < 2:
             raise ConfigError("paired batches need two or more places with drone and satellite images")
