@@ -1,9 +1,8 @@
-"""What a step of GN-Net's training costs with the usual options: reading and changing a batch, forward, backward.
+"""The time of a step of GN-Net's training with default options: making a batch, forward and backward pass.
 
-Images are smooth noise of 512x512 pixels in memory, the query's shifted by whole pixels, with 4000 correspondences a
-pair; files are not read. Seconds are the median over the steps, wall clock, of this process alone, in which the batch
-is made too (a training makes it in the background); processor seconds stand beside them, for other work on the machine
-makes the first longer.
+Images are smooth noise of 512x512 pixels in memory, the query's shifted by whole pixels, with 4000 correspondences for
+each pair; no files are read. Times are medians over the steps, in wall-clock seconds and, since other programs lengthen
+these, in processor seconds. The batch is made in the same process, whereas a training makes it in the background.
 
     python benchmarks/publish/gn_net_training.py [--steps N] [--set key=value ...] [--trainer gn-net]
 """
@@ -76,7 +75,7 @@ def main() -> None:
             middle = time.perf_counter(), time.process_time()
             training.one_step(batch)
             end = time.perf_counter(), time.process_time()
-            if number:  # the first step allocates
+            if number:  # the first step allocates memory memory
                 rows["batch"].append(middle[0] - start[0])
                 rows["batch, processor"].append(middle[1] - start[1])
                 rows["step"].append(end[0] - middle[0])

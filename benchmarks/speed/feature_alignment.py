@@ -1,4 +1,4 @@
-"""How long alignment on feature maps takes on one core, compiled and in plain NumPy.
+"""The time of one alignment on feature maps on one core, compiled and in plain NumPy.
 
 The corridor of ``benchmarks/speed/alignment.py`` carries D = 16 smooth features on its surfaces, on each of four levels
 from 512x512 down with waves twice as long. 2000 pixels of the reference have depth. The query stands 1 m ahead and is
@@ -51,15 +51,15 @@ SHORTEST = 0.7
 """m; the shortest wave of the finest level"""
 TURN_DEG = (1.0, -2.0, 0.5)
 NOISE = 0.3
-"""standard deviation on each channel of the query, whose features have a mean square of 1/2"""
+"""standard deviation of the noise in each channel of the query, whose features have a mean square of 1/2"""
 NOISE_GRID = 8
 """pixels"""
 HIDDEN = (0.1, 0.5, 0.4, 0.9)
-"""top, bottom, left, right of the part of the query that shows something else, as shares of its sides"""
+"""top, bottom, left and right of the part of the query that shows something else, as shares of its sides"""
 
 
 def surface(T_cam_world: Array, camera: Camera) -> tuple[Array, Array]:
-    """World point (H, W, 3) and depth (H, W) that each pixel of the corridor shows, metres."""
+    """The world point (H, W, 3) and the depth (H, W) of each pixel of the corridor, metres."""
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
     rays, _ = camera.unproject(np.stack([u, v], axis=-1))
     T_world_cam = invert(T_cam_world)
@@ -73,7 +73,7 @@ def surface(T_cam_world: Array, camera: Camera) -> tuple[Array, Array]:
 
 
 def features(points: Array, level: int) -> NDArray[np.float32]:
-    """D smooth functions of world points (H, W, 3), each a sum of seeded waves, with mean square 1/2 -> (H, W, D)."""
+    """D smooth functions (H, W, D) of world points (H, W, 3), each a sum of seeded waves with mean square 1/2."""
     rng = np.random.default_rng(100 + level)
     lengths = SHORTEST * 2.0**level * np.exp(rng.uniform(0, np.log(4), (CHANNELS, WAVES)))
     directions = rng.normal(size=(CHANNELS, WAVES, 3))
@@ -88,7 +88,7 @@ def features(points: Array, level: int) -> NDArray[np.float32]:
 
 
 def pyramid(T_cam_world: Array, changed: bool) -> FeaturePyramid:
-    """All levels of what a camera at this pose sees, each rendered by the level's own camera."""
+    """The features that a camera at this pose sees, each level rendered with its own camera."""
     rng = np.random.default_rng(11)
     maps = []
     for level in range(LEVELS):
@@ -96,7 +96,7 @@ def pyramid(T_cam_world: Array, changed: bool) -> FeaturePyramid:
         points, _ = surface(T_cam_world, camera)
         if changed:
             rows, columns = slice(*_span(HIDDEN[:2], camera.height)), slice(*_span(HIDDEN[2:], camera.width))
-            points[rows, columns] += 50.0  # elsewhere in the world: as smooth, unrelated
+            points[rows, columns] += 50.0  # equally smooth, but unrelated
         values = features(points, level)
         if changed:
             values += NOISE * smooth_noise(values.shape, rng)
@@ -105,7 +105,7 @@ def pyramid(T_cam_world: Array, changed: bool) -> FeaturePyramid:
 
 
 def smooth_noise(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Noise of variance one, drawn every eighth pixel and interpolated: a network errs smoothly. (H, W, D)."""
+    """Noise (H, W, D) of variance 1, interpolated from every eighth pixel, as the errors of a network are smooth."""
     coarse = rng.standard_normal((shape[0] // NOISE_GRID, shape[1] // NOISE_GRID, shape[2]), dtype=np.float32)
     fine = cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
     return np.asarray(fine / fine.std(), dtype=np.float32)
@@ -116,7 +116,7 @@ def _span(shares: tuple[float, ...], side: int) -> tuple[int, int]:
 
 
 def keyframe_points() -> KeyframePoints:
-    """2000 pixels drawn at random over the image, with their exact inverse depth."""
+    """2000 random pixels of the image with their exact inverse depth."""
     rng = np.random.default_rng(3)
     uv = np.rint(rng.uniform(4, [CAMERA.width - 5, CAMERA.height - 5], (POINTS, 2)))
     depth = surface(np.eye(4), CAMERA)[1][uv[:, 1].astype(int), uv[:, 0].astype(int)]
@@ -124,7 +124,7 @@ def keyframe_points() -> KeyframePoints:
 
 
 def evaluation_ms(reference: ReferenceFeatures, query: FeaturePyramid, repeats: int) -> float:
-    """One residual + Jacobian + accumulation of all points on level 0."""
+    """The time of one evaluation of the normal equations with all points on level 0, milliseconds."""
     points, level = reference.levels[0], query.levels[0]
     K, T, workspace = camera_intrinsics(level.camera), np.eye(4), workspace_for(points.points)
     H, g, statistics = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS)

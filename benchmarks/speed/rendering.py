@@ -1,25 +1,27 @@
-"""Images per second of the procedural renderer on two cores, beside bare ray casting and beside Mitsuba 3.
+"""The speed of the procedural renderer on two cores, compared with bare ray casting and with Mitsuba 3.
 
-Two worker processes render 512x512 frames along a drive as a build does (`render_unit`: RGB and depth, encoded and on
-disk), `Sunny` first, then `WetNoon`; each is timed after its first images, when district, ray tree and compiled code
-are there. Three references:
+Two worker processes render 512x512 frames along a drive as a build does (`render_unit`: RGB and depth, encoded and
+written to disk), first in `Sunny`, then in `WetNoon`. Times exclude the first images, for which the district, the ray
+tree and compiled code are loaded. It is compared with:
 
-- *bare rays*: in the same two processes, Embree's time for one primary ray a pixel and one shadow ray for every
-  surface that faces the sun, of the same frames, and nothing else: no edges, mirrors, colours, files.
-- *Mitsuba 3*: the same triangles, the same cameras, the sun and a constant sky, direct light (`direct`), one grey
-  diffuse material instead of textures, no mirrors, no files. Both cores work on one frame. Its light is sampled, ours
-  is not: the sample count is the least at which the median over all surface pixels of its noise, after our own
-  exposure and tone curve, is down to the noise of our camera model, which hides it from then on. That favours Mitsuba:
-  edges, where its noise is largest, do not move the median, and sampling noise as large as the camera's is allowed.
-  The ratio at 16 samples, far too few, stands beside it, to show how far the conclusion hangs on the count.
-- *memory*: the peak of each worker over all of this, set-up included.
+- *bare rays*: in the same two processes, the time of Embree for one primary ray per pixel and one shadow ray for every
+  surface that faces the sun, of the same frames, without edges, mirrors, colours and files.
+- *Mitsuba 3*: the same triangles and cameras, the sun and a constant sky, direct illumination (`direct`), one grey
+diffuse
+  material instead of textures, no mirrors and no files. Both cores work on one frame. Mitsuba samples illumination,
+  which
+  our renderer does not: the number of samples is the smallest for which the median noise over all surface pixels, after
+  our exposure and tone curve, is no larger than the noise of our camera model. This favours Mitsuba: edges, where its
+  noise is largest, do not change the median, and sampling noise as large as the camera's is accepted. The ratio at 16
+  samples, which are far too few, is also given, to show how much the conclusion depends on the number.
 
-Ratios are of processor seconds, which other programs on the machine hardly change; images per second are by the clock,
-and beside them stands what two cores make of the processor seconds when nothing else runs.
+The peak memory of each worker, including set-up, is measured too. Ratios are of processor seconds, which other programs
+hardly affect. Images per second are by wall-clock time; the number that two undisturbed cores would reach is also
+given.
 
     python benchmarks/speed/rendering.py [--frames N]
 
-Prints one JSON line last.
+The last line is JSON.
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)
@@ -28,7 +30,7 @@ from __future__ import annotations
 import os
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ[variable] = "1"  # in each worker; Mitsuba has a pool of its own
+    os.environ[variable] = "1"  # in each worker; Mitsuba has its own thread pool
 
 import argparse
 import json
@@ -80,7 +82,7 @@ def poses(count: int) -> list[Array]:
 
 
 def unit_of(factors: Factors, shown: list[Array], folder: Path) -> RenderUnit:
-    """What a build hands to a worker, for these frames."""
+    """The unit of work for these frames, as a build makes it."""
     steps = []
     for i, T_world_cam in enumerate(shown):
         missing = {"image": folder / f"image-{i}.png", "depth": folder / f"depth-{i}.png"}
@@ -89,7 +91,7 @@ def unit_of(factors: Factors, shown: list[Array], folder: Path) -> RenderUnit:
 
 
 def bare_seconds(factors: Factors, shown: list[Array]) -> float:
-    """Embree's own processor time for primary and shadow rays of the frames; what prepares the rays is not counted."""
+    """Embree's processor time for primary and shadow rays of the frames, without the preparation of the rays."""
     renderer = stage.renderer(PLACE, factors)
     v, u = np.mgrid[:SIZE, :SIZE].astype(np.float32)
     asked = np.ones(SIZE * SIZE, dtype=np.bool_)
@@ -110,13 +112,13 @@ def bare_seconds(factors: Factors, shown: list[Array]) -> float:
 
 
 def peak_mib() -> float:
-    """VmHWM is this program's own; ru_maxrss of a process counts what its parent held when it was forked."""
+    """The peak memory of this program. ru_maxrss would include what the parent held when it forked."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
 
 
 def work(number: int, frames: int, folder: Path, together: Barrier, answers: Queue[dict[str, Any]]) -> None:
-    """One worker: its own frames, at the same time as the other's."""
+    """One worker, which renders its frames while the other renders its own."""
     pin_threads()
     shown = poses(WORKERS * frames)[number::WORKERS]
     told: dict[str, Any] = {}
@@ -145,7 +147,7 @@ def work(number: int, frames: int, folder: Path, together: Barrier, answers: Que
 
 
 def measure(frames: int, folder: Path) -> list[dict[str, Any]]:
-    """What each worker tells."""
+    """The measurements of each worker."""
     context = get_context("spawn")
     together, answers = context.Barrier(WORKERS), context.Queue()
     workers = [context.Process(target=work, args=(k, frames, folder, together, answers)) for k in range(WORKERS)]
@@ -158,7 +160,7 @@ def measure(frames: int, folder: Path) -> list[dict[str, Any]]:
 
 
 class Mitsuba:
-    """The district in Mitsuba."""
+    """The district as a Mitsuba scene."""
 
     def __init__(self, factors: Factors, variant: str) -> None:
         import mitsuba as mi
@@ -190,14 +192,14 @@ class Mitsuba:
                 "sun": {
                     "type": "directional",
                     "direction": (-sky.to_sun).tolist(),
-                    # Our unit of sunlight is the radiance of white paper that faces it.
+                    # The unit of sunlight is the radiance of white paper that faces the sun.
                     "irradiance": {"type": "rgb", "value": (np.pi * sky.sun).tolist()},
                 },
             }
         )
 
     def linear(self, T_world_cam: Array, spp: int, seed: int) -> Floats:
-        """(H, W, 3) light of one frame."""
+        """The radiance (H, W, 3) of one frame."""
         mi = self._mi
         # Mitsuba's cameras have x to the left and y up.
         to_world = mi.ScalarTransform4f((T_world_cam @ np.diag([-1.0, -1.0, 1.0, 1.0])).tolist())
@@ -215,7 +217,7 @@ class Mitsuba:
         return np.array(mi.render(self._scene, sensor=sensor, spp=spp, seed=seed))[..., :3]
 
     def comparable_spp(self, T_world_cam: Array) -> tuple[int, float, float]:
-        """Samples a pixel, and the median noise at :data:`TRIAL_SPP` and of our camera, in grey levels."""
+        """The number of samples per pixel, and the median noise of Mitsuba and of our camera in grey levels."""
         frame = self._renderer.render(CAMERA, T_world_cam, 0)
         seen = frame.depth > 0
         level = frame.rgb.astype(np.float64).mean(axis=-1)[seen]
@@ -230,7 +232,7 @@ class Mitsuba:
         return max(1, math.ceil(TRIAL_SPP * (noise / camera) ** 2)), noise, camera
 
     def seconds(self, spp: int) -> tuple[float, float]:
-        """An image by the clock and of the processor, along the drive, after one image that compiles."""
+        """Wall-clock and processor seconds of an image along the drive, after one image that compiles."""
         shown = poses(2 + MITSUBA_FRAMES)[1:-1]
         self.linear(shown[0], 1, 0)
         start, cpu = time.perf_counter(), time.process_time()
@@ -241,7 +243,7 @@ class Mitsuba:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=20, help="images a worker and condition")
+    parser.add_argument("--frames", type=int, default=20, help="images for each worker and condition")
     parser.add_argument(
         "--mitsuba-variant", default="scalar_rgb", help="llvm_ad_rgb where Mitsuba's LLVM backend works"
     )
