@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Set up everything that relocbench needs: a virtual environment, pinned packages, one system library.
+# Set up what relocbench needs: a virtual environment, pinned packages, and one system library.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -27,7 +27,7 @@ if [ ! -x "$venv/bin/python" ]; then
   "$python" -m venv "$venv" || fail "cannot make a virtual environment; on Debian: apt-get install python3-venv"
 fi
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "uv==$uv_version"
-echo "set-up: installing pinned packages (torch is large: minutes on a slow line)"
+echo "set-up: installing pinned packages (torch is large; this may take minutes)"
 export VIRTUAL_ENV="$PWD/$venv"
 case "$venv" in /*) VIRTUAL_ENV="$venv" ;; esac
 "$venv/bin/uv" pip install --quiet --require-hashes -r constraints.txt

@@ -1,9 +1,9 @@
-"""Pairs on their own for ``ground_truth.py``: nothing is shared by neighbours, nothing is verified.
+"""Registration of single pairs for ``ground_truth.py``, without neighbours and without verification.
 
-``open3d_pairs`` is the recipe that is commonly written with Open3D, everything anew for each pair: both clouds thinned
-to 0.5 m, normals, FPFH, RANSAC of 100 000 iterations; both thinned to 0.1 m, normals, point-to-plane ICP. ``own_pairs``
-is this package's search (three seeded runs of RANSAC) and refinement of the same submaps, the best fitting answer
-taken.
+``open3d_pairs`` is the usual recipe with Open3D, computed anew for each pair: both clouds are downsampled to 0.5 m,
+with normals and FPFH features, for RANSAC with 100 000 iterations, and to 0.1 m, with normals, for point-to-plane ICP.
+``own_pairs`` is this package's search (three seeded runs of RANSAC) and refinement on the same submaps, of which the
+best fit is taken.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ class AloneUnit:
 
 
 Answers = list[tuple[Array, Spent, int]]
-"""``T_ref_query`` node to node, its cost, points of both submaps"""
+"""``T_ref_query`` from node to node, its cost, and the points of both submaps"""
 
 
 def open3d_pairs(unit: AloneUnit) -> Answers:
-    """The plain recipe; laying the raw points of the submaps together is not counted."""
+    """The plain recipe; the time to assemble the raw points of the submaps is not counted."""
     out = []
     for ref, query in unit.nodes:
         clouds = [raw_submap(d, n, unit.options.submap_m) for d, n in ((unit.reference, ref), (unit.query, query))]
@@ -52,7 +52,7 @@ def open3d_pairs(unit: AloneUnit) -> Answers:
 
 
 def raw_submap(drive: Drive, node: int, length_m: float) -> Array:
-    """(N, 3) every point measured along so much of the road, laid along the odometry, in the node's frame."""
+    """All points (N, 3) measured along a stretch of road, assembled by odometry, in the node's frame."""
     nodes, options = drive.nodes, BlockOptions()
     near = np.flatnonzero(np.abs(nodes.travelled_m - nodes.travelled_m[node]) <= length_m / 2)
     begin, end = nodes.begins_and_ends()

@@ -1,4 +1,4 @@
-"""The drives of ``ground_truth.py``, cut into blocks, and what its parts share."""
+"""The drives of ``ground_truth.py`` and their blocks, which its parts share."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from relocbench.geometry import invert, rotation_angle
 
 Array = NDArray[np.float64]
 DrivePair = tuple[int, int]
-"""numbers of the reference's and the query's leg"""
+"""indices of the reference's and the query's drive"""
 
 OPTIONS = FieldOptions()
 """the builder's defaults"""
 
 
 class World:
-    """Drives of one split, cut and registered as far as they were asked for."""
+    """The drives of one split, whose blocks and registrations are made when they are needed."""
 
     def __init__(self, taken: dict[int, Taken], work: Path, workers: int, spoken: Spoken) -> None:
         self.taken, self.work, self.workers, self.spoken = taken, work, workers, spoken
@@ -70,7 +70,7 @@ class World:
         return np.asarray(invert(T[0]) @ T[1])
 
     def node_pairs(self, ref: int, query: int, count: int) -> list[tuple[int, int]]:
-        """Overlapping (reference node, query node), evenly along the query's drive, the nearest in truth."""
+        """Overlapping (reference node, query node), evenly along the query's drive; the reference is the nearest."""
         exact, nodes = self.exact(ref, query), self.drives[query].nodes
         there = self.taken[ref].truth.at(self.drives[ref].nodes.times_ns)[:, :3, 3]
         good = [q for q, t in enumerate(nodes.times_ns.tolist()) if exact.overlap(t)[1] == "overlapping"]
@@ -89,7 +89,7 @@ def judge(world: World, pair: DrivePair, outcomes: Sequence[PairOutcome]) -> lis
 
 
 def apart(T: Array, true: Array) -> tuple[float, float]:
-    """Metres and degrees."""
+    """Translation error in metres and rotation error in degrees."""
     E = invert(true) @ T
     return float(np.linalg.norm(E[:3, 3])), float(np.degrees(rotation_angle(E[:3, :3])))
 
