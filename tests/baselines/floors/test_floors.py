@@ -100,7 +100,7 @@ def test_orb_words_find_places_of_other_corners() -> None:
 def test_an_image_without_features_is_not_described_and_a_gallery_without_them_has_no_vocabulary() -> None:
     retriever = OrbBagOfWords(words=16)
     bare = [view_of(f"{value}", partial(plain, value)) for value in (0, 128)]
-    with pytest.raises(MethodError, match="ORB finds 0 different features"):
+    with pytest.raises(MethodError, match="ORB finds only 0 different features"):
         retriever.fit(bare, seed=0)
     retriever.fit([each.image for each in corner_places(3).images], seed=0)
     assert np.isnan(retriever.describe(bare)).all()
