@@ -14,9 +14,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-_BLOCK = 64
-"""queries in a block: 64 x 100 x 4 x 512 float32 are 52 MB"""
-
 
 def part_distances(f: Tensor, g: Tensor) -> Tensor:
     """The distances d (..., P, R) of parts f (..., P, D) and g (..., R, D); 0, with zero derivative, at equal parts."""
@@ -37,32 +34,3 @@ def shortest_path(d: Tensor) -> Tensor:
 def aligned_distance(f: Tensor, g: Tensor) -> Tensor:
     """The distance (...) of images with parts f (..., P, D) and g (..., R, D)."""
     return shortest_path(part_distances(f, g))
-
-
-@torch.no_grad()
-def rerank(queries: Tensor, gallery: Tensor, ranking: Tensor, top: int = 100) -> Tensor:
-    """Sort the first ``top`` entries of each ranking by the aligned distance; the others keep their places.
-
-    Args:
-        queries: (Q, P, D) parts.
-        gallery: (G, P, D) parts.
-        ranking: (Q, R) int64, rows of the gallery, best first.
-        top: number of entries; 0 changes nothing.
-
-    Returns:
-        The new ranking (Q, R) int64; entries of equal distance keep their order.
-
-    Raises:
-        ValueError: the shapes disagree, or ``top`` is negative.
-    """
-    if queries.ndim != 3 or gallery.ndim != 3 or queries.shape[1:] != gallery.shape[1:]:
-        raise ValueError(f"parts of queries are {tuple(queries.shape)}, of the gallery {tuple(gallery.shape)}")
-    if ranking.ndim != 2 or len(ranking) != len(queries) or top < 0:
-        raise ValueError(f"a ranking {tuple(ranking.shape)} of {len(queries)} queries, its first {top} sorted anew")
-    out = ranking.clone()
-    for start in range(0, len(queries), _BLOCK):
-        block = slice(start, start + _BLOCK)
-        first = ranking[block, :top]
-        distances = aligned_distance(queries[block, None], gallery[first])
-        out[block, :top] = first.gather(1, distances.argsort(dim=1, stable=True))
-    return out
