@@ -101,15 +101,21 @@ def fill_network(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) 
     Raises:
         MethodError: a tensor is missing, unknown, of another shape or type, or not finite; it is named.
     """
-    expected = network.state_dict()
-    for name in sorted(expected.keys() | tensors.keys()):
-        if name not in tensors or name not in expected:
-            raise MethodError(f"'{name}' is {'missing' if name in expected else 'not part of this network'}", path)
-        found, wanted = tensors[name], expected[name]
-        if found.shape != wanted.shape or found.dtype != wanted.dtype:
-            raise MethodError(
-                f"'{name}' is {tuple(found.shape)} {found.dtype}, expected {tuple(wanted.shape)} {wanted.dtype}", path
-            )
-        if not bool(found.isfinite().all()):
+    different = difference(network.state_dict(), tensors)
+    if different:
+        raise MethodError(different, path)
+    for name, tensor in sorted(tensors.items()):
+        if not bool(tensor.isfinite().all()):
             raise MethodError(f"'{name}' holds numbers that are not finite", path)
     network.load_state_dict(dict(tensors))
+
+
+def difference(expected: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> str | None:
+    """The first difference in names, shapes or types of two states, in words; None if there is none."""
+    for name in sorted(expected.keys() | set(map(str, found))):
+        if name not in found or name not in expected:
+            return f"'{name[:_MOST_QUOTED]}' is {'missing' if name in expected else 'not part of this network'}"
+        there, wanted = found[name], expected[name]
+        if there.shape != wanted.shape or there.dtype != wanted.dtype:
+            return f"'{name}' is {tuple(there.shape)} {there.dtype}, expected {tuple(wanted.shape)} {wanted.dtype}"
+    return None

@@ -23,10 +23,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.nn.utils import skip_init
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from baselines.gn_net.options import NetworkOptions
+from baselines.initialisation import convolution
 
 _MEAN, _SPREAD = 0.45, 0.25
 """approximate mean and deviation of street images in [0, 1], by which the input is normalised"""
@@ -47,9 +47,9 @@ class FeatureNet(nn.Module):
         self.encoder = nn.ModuleList()
         for inside, outside in zip((3 << (2 * self.options.finest), *widths), widths, strict=False):
             self.encoder.append(nn.Sequential(_Filter(inside, outside, norm), _Filter(outside, outside, norm)))
-        self.reduce = nn.ModuleList(_convolution(widths[k + 1], widths[k], 1) for k in range(len(widths) - 1))
+        self.reduce = nn.ModuleList(convolution(widths[k + 1], widths[k], 1) for k in range(len(widths) - 1))
         self.decoder = nn.ModuleList(_Filter(widths[k], widths[k], norm) for k in range(len(widths) - 1))
-        self.heads = nn.ModuleList(_convolution(widths[k], self.options.dim, 1) for k in range(levels))
+        self.heads = nn.ModuleList(convolution(widths[k], self.options.dim, 1) for k in range(levels))
         self._draw_weights(generator or torch.Generator().manual_seed(0))
 
     def forward(self, images: Tensor) -> tuple[Tensor, ...]:
@@ -124,7 +124,7 @@ class _Filter(nn.Module):
 
     def __init__(self, inside: int, outside: int, norm: bool) -> None:
         super().__init__()
-        self.conv = _convolution(inside, outside, 3, bias=not norm)
+        self.conv = convolution(inside, outside, 3, bias=not norm)
         self.norm: nn.Module = nn.BatchNorm2d(outside) if norm else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:
@@ -134,11 +134,6 @@ class _Filter(nn.Module):
         if isinstance(self.norm, nn.BatchNorm2d):
             self.conv = fuse_conv_bn_eval(self.conv, self.norm)
             self.norm = nn.Identity()
-
-
-def _convolution(inside: int, outside: int, size: int, bias: bool = True) -> nn.Conv2d:
-    """A convolution with uninitialised weights, so that torch's global generator is not used."""
-    return cast(nn.Conv2d, skip_init(nn.Conv2d, inside, outside, size, padding=size // 2, bias=bias))
 
 
 def image_tensor(image: NDArray[np.uint8]) -> Tensor:

@@ -35,6 +35,7 @@ from baselines.alignment import (
     small_rotations,
 )
 from baselines.alignment.features.pyramid import level_coordinates
+from baselines.device import to_device
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.network import FeatureNet, image_tensor
 from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks
@@ -125,9 +126,8 @@ class GnNet:
         self.device = device
         self.seed = seed
         self._last: tuple[Query, FeaturePyramid] | None = None
-        self.net = self._to_device(
-            weights if isinstance(weights, FeatureNet) else load_weights(weights or self._shipped())
-        )
+        net = weights if isinstance(weights, FeatureNet) else load_weights(weights or self._shipped())
+        self.net = to_device(net.for_tracking(), device)
 
     @classmethod
     def files(cls, weights: Path | None = None, **_: Any) -> dict[str, Path]:
@@ -261,12 +261,6 @@ class GnNet:
                 f"--dataset DIR --out OUT) and give --set {self.name}.weights=OUT/weights.safetensors"
             )
         return path
-
-    def _to_device(self, net: FeatureNet) -> FeatureNet:
-        try:
-            return net.for_tracking().to(self.device)
-        except (RuntimeError, AssertionError) as bad:  # no such device, or no driver
-            raise MethodError(f"device '{self.device}' cannot be used: {str(bad).splitlines()[0]}") from bad
 
 
 class GnNetContrastive(GnNet):

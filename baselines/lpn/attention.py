@@ -15,7 +15,7 @@ from typing import Literal, cast
 import torch
 from torch import Tensor, nn
 
-from baselines.lpn.drawing import convolution, draw_weights
+from baselines.initialisation import convolution, draw_weights
 from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torchvision.models import ResNet, resnet18, resnet50  # type: ignore[import-untyped]
 from torchvision.models.resnet import Bottleneck  # type: ignore[import-untyped]
 
-from baselines.lpn.drawing import draw_weights
+from baselines.initialisation import draw_weights
 from baselines.lpn.options import BackboneName
 
 _KEPT = ("conv1", "bn1", "layer1", "layer2", "layer3", "layer4")

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from baselines.lpn.drawing import convolution, draw_weights
+from baselines.initialisation import convolution, draw_weights
 from baselines.lpn.pooling import PartMean, Parts, masked_means
 from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError

@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
+from baselines.device import to_device
 from baselines.lpn.configurations import configuration
 from baselines.lpn.descriptor import parts_of
 from baselines.lpn.dmli import aligned_distance
@@ -67,7 +68,7 @@ class Lpn:
         asked = configuration(config) if config else None
         if asked is not None:
             _check_fits(network.options, asked.network, f"'{self.about.configuration}'", asked.name, Path(weights))
-        self._network = _to_device(network, device)
+        self._network = to_device(network, device).to(memory_format=torch.channels_last)
         self._device = torch.device(device)
         self._batch = batch
         top = asked.rerank_top if asked is not None else self.about.rerank_top
@@ -145,10 +146,3 @@ def _check_fits(found: NetworkOptions, asked: NetworkOptions, holds: str, name: 
     different = [key for key in _TRAINED_ALIKE if getattr(found, key) != getattr(asked, key)]
     if different:
         raise MethodError(f"weights of {holds}, which differs from '{name}' in its {' and '.join(different)}", path)
-
-
-def _to_device(network: LpnNetwork, device: str) -> LpnNetwork:
-    try:
-        return network.to(device).to(memory_format=torch.channels_last)
-    except (RuntimeError, AssertionError) as bad:  # no such device, or no driver
-        raise MethodError(f"device '{device}' cannot be used: {str(bad).splitlines()[0]}") from bad

@@ -20,7 +20,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from baselines.lpn.drawing import convolution
+from baselines.initialisation import convolution
 from baselines.lpn.pooling import PartMean, Parts, masked_means
 from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from baselines.weights_file import difference
 from relocbench.errors import MethodError
 
 
@@ -67,15 +68,9 @@ def check_state(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> 
     Raises:
         MethodError: they are of another network.
     """
-    expected = network.state_dict()
-    for name in sorted(expected.keys() | set(map(str, state))):
-        if name not in state or name not in expected:
-            what = "is missing" if name in expected else "is not part of it"
-            raise MethodError(f"a checkpoint of another network: '{name[:80]}' {what}", path)
-        found, wanted = state[name], expected[name]
-        if found.shape != wanted.shape or found.dtype != wanted.dtype:
-            shapes = f"{tuple(found.shape)} {found.dtype}, expected {tuple(wanted.shape)} {wanted.dtype}"
-            raise MethodError(f"a checkpoint of another network: '{name}' is {shapes}", path)
+    different = difference(network.state_dict(), state)
+    if different:
+        raise MethodError(f"a checkpoint of another network: {different}", path)
 
 
 def restore_optimiser(optimiser: torch.optim.Optimizer, state: Mapping[str, Any], path: Path) -> None:

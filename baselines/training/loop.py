@@ -19,12 +19,12 @@ import yaml
 from torch import Tensor, nn
 from torch.utils.data import Dataset
 
+from baselines.device import device_named, half_precision
 from baselines.files import write_whole
 from baselines.options import plain
 from baselines.training.card import Description, model_card, score_rows
 from baselines.training.checkpoint import Best, Checkpoint, load_checkpoint, save_checkpoint
 from baselines.training.checkpoint_content import check_state, restore_network, restore_optimiser
-from baselines.training.device import device_named, half_precision
 from baselines.training.ema import EmaNetwork
 from baselines.training.loading import batches_in_order
 from baselines.training.log import SECONDS, Row, Table, Window
