@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,7 +107,7 @@ def _minimise(
         (8 if settings.affine else 6, 8),
         settings.cutoff_of(level),
         settings.iterations_of(level),
-        astuple(DSO_DAMPING),
+        DSO_DAMPING.schedule,
     )
     valid, saturated = int(statistics[COUNT]), int(statistics[SATURATED])
     return T, brightness, LevelOutcome(level, iterations, float(statistics[ENERGY]), valid, saturated, factor, end)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,7 +147,7 @@ def align_features(
             (UNKNOWNS, UNKNOWNS),
             cutoff,
             settings.iterations_of(level),
-            astuple(settings.damping),
+            settings.damping.schedule,
         )
         H = mean_H * statistics[WEIGHT]
         valid, saturated = int(statistics[COUNT]), int(statistics[SATURATED])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from functools import cached_property
 
 from relocbench.errors import MethodError
 
@@ -33,6 +34,12 @@ class Damping:
             raise MethodError("damping needs first > 0, floor > 0, 0 < accepted <= 1 and rejected > 1")
         if not (self.extrapolate_below >= 0 and self.smallest_step >= 0):
             raise MethodError("damping needs extrapolate_below and smallest_step of at least 0")
+
+    @cached_property
+    def schedule(self) -> tuple[float, float, float, float, float, float]:
+        """The fields in their order, for compiled functions."""
+        first, accepted, rejected, floor, extrapolate_below, smallest_step = astuple(self)
+        return first, accepted, rejected, floor, extrapolate_below, smallest_step
 
 
 DSO_DAMPING = Damping()

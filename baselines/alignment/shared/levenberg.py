@@ -74,7 +74,7 @@ def minimise_level(
         unknowns: how many are solved for, and the size of the problem's H.
         base_cutoff: of the robust loss; doubled while more than 60 % of the residuals are saturated.
         max_iterations: at most so many.
-        schedule: the fields of :class:`~baselines.alignment.shared.damping.Damping` in their order.
+        schedule: of :class:`~baselines.alignment.shared.damping.Damping`.
 
     Returns:
         T_query_ref (4, 4), brightness (2,), H and the statistics there, the number of iterations, the factor by which
