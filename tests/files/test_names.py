@@ -159,7 +159,7 @@ def test_a_fingerprint_that_is_no_part_of_a_path_is_refused(fingerprint: str, tm
 
 def test_a_dataset_is_not_written_under_a_name_that_leads_out_of_it(tmp_path: Path) -> None:
     for name in ("../../escaped", "/escaped", "a\0b", "dataset.yaml", "x" * 201):
-        with pytest.raises(ConfigError, match=r"dataset name .* --name gives another"):
+        with pytest.raises(ConfigError, match=r"dataset name .* choose another with --name"):
             DatasetWriter(tmp_path / "out", name, {"kind": "test"})
     assert list(tmp_path.iterdir()) == []
 

@@ -185,7 +185,7 @@ def test_a_sentence_of_a_receiver_with_wrong_fields_is_told_with_its_line(tmp_pa
         for byte in body.encode():
             checksum ^= byte
         path.write_text(f"$GPRMC\n${body}*{checksum:02X}\n")
-        with pytest.raises(DatasetError, match=r"track\.nmea:2: a GGA sentence with a right checksum and wrong fields"):
+        with pytest.raises(DatasetError, match=r"track\.nmea:2: a GGA sentence has a correct checksum"):
             read_gga(path)
 
 
@@ -270,7 +270,7 @@ def test_an_endless_path_in_a_manifest_is_cut(tmp_path: Path) -> None:
     (tmp_path / "manifest.csv").write_text(f"path,bytes,sha256\n{'a/' * 2000},1,{'0' * 64}\n")
     (fault,) = fingerprint.faults(DatasetLayout(tmp_path))
     assert str(fault).startswith(f"{tmp_path}/a/a/")
-    assert "missing; it stands in manifest.csv" in str(fault)
+    assert "missing; it is listed in manifest.csv" in str(fault)
     assert len(str(fault)) < len(str(tmp_path)) + 300
 
 
