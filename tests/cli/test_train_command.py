@@ -77,9 +77,9 @@ def test_pairs_of_a_split_hold_what_both_images_see(dataset: Dataset) -> None:
 
 def test_the_test_split_is_never_learnt_from(tmp_path: Path) -> None:
     both = make_small_dataset(tmp_path / "d", correspondences=50, splits={"train": [WITHIN], "test": [ACROSS]})
-    with pytest.raises(ConfigError, match="the test split is for scores"):
+    with pytest.raises(ConfigError, match="the test split must not be learnt from"):
         DatasetPairs([both.root], "test")
-    with pytest.raises(ConfigError, match="split 'train' holds 'summer' that the test split holds too"):
+    with pytest.raises(ConfigError, match="split 'train' shares traversal 'summer' with the test split"):
         DatasetPairs([both.root])
     for split in ("test", "train"):
         told = train(both.root, tmp_path / "out", "--split", split)

@@ -213,7 +213,7 @@ def test_times_of_points_have_the_unit_that_is_said(tmp_path: Path) -> None:
     assert (lidar.read(1).times_ns - lidar.times_ns[1])[:3].tolist() == [0, 1000, 2000]
     values[0, 3] = 2e6
     np.save(path, values)
-    with pytest.raises(DatasetError, match="more than a second from the scan's time"):
+    with pytest.raises(DatasetError, match="more than a second away from the scan's time"):
         read_generic(folder).lidars[0].read(1)
 
 
@@ -256,7 +256,7 @@ def test_a_generic_scan_that_is_cut_off_is_named(tmp_path: Path, suffix: str) ->
         ({"time": "when"}, "has no when"),
         ({"columns": ["x", "y", "z"]}, "has 4 columns, lidar.yaml names 3"),
         ({"patern": "spinning"}, "unknown key 'lidars.top.patern'"),
-        ({"columns": ["x", "y"]}, "columns must name x, y and z"),
+        ({"columns": ["x", "y"]}, "columns must contain x, y and z"),
         ({"pattern": "push-broom"}, "no spinning lidar"),
     ],
 )

@@ -423,7 +423,7 @@ def out_inside_a_recording(reference: Path, query: Path) -> list[object]:
 
 
 DAMAGES: list[tuple[Damage, str]] = [
-    (cut_scan, r"lms_front/\d+\.bin: \d+ bytes are no whole number of points"),
+    (cut_scan, r"lms_front/\d+\.bin: \d+ bytes are not a whole number of points"),
     (scan_of_nans, r"lms_front/\d+\.bin: holds a value that is not finite"),
     (scan_without_bytes, r"lms_rear/\d+\.bin: is empty"),
     (scans_without_returns, r"no (road|point)|could be accepted"),

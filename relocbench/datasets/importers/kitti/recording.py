@@ -1,4 +1,4 @@
-"""A sequence in the layout of KITTI odometry as a recording: velodyne, rectified cameras, odometry.
+"""A sequence in the layout of KITTI odometry, read as a recording: velodyne, rectified cameras, odometry.
 
 The rig is the lidar: x forward, y left, z up.
 """
@@ -30,14 +30,14 @@ OdometrySource = Literal["lidar", "poses"]
 
 CAMERAS = ("image_0", "image_1", "image_2", "image_3")
 REAL_ELEVATION_DEG = 0.205
-"""by which the beams of the real KITTI point too low, Deschaud, IMLS-SLAM, ICRA 2018, as KISS-ICP applies it"""
+"""by how much the beams of the real KITTI lidar point too low (Deschaud, IMLS-SLAM, ICRA 2018; as in KISS-ICP)"""
 _TURN_NS = 100_000_000
 _MAX_RANGE_M = 120.0
 
 
 @dataclass(frozen=True, eq=False)
 class VelodyneStream:
-    """Scans of the velodyne; the rig's frame is its own."""
+    """The scans of the velodyne, whose frame is the rig's."""
 
     files: tuple[Path, ...]
     times_ns: Times
@@ -53,11 +53,13 @@ class VelodyneStream:
         return np.eye(4)
 
     def read(self, index: int) -> Scan:
-        """A scan. Where the car's motion is still in it, a point's azimuth tells when its beam was fired: the lidar
-        turns clockwise seen from above, ten times a second, and looks forward at the scan's time.
+        """Read a scan.
+
+        If scans are not motion-compensated, a point's time follows from its azimuth: seen from above the lidar turns
+        clockwise, ten times a second, and faces forward at the scan's time.
 
         Raises:
-            DatasetError: the file is missing or cut off.
+            DatasetError: the file is missing or truncated.
         """
         points = read_scan(self.files[index])
         times = np.full(len(points), self.times_ns[index], dtype=np.int64)
@@ -68,7 +70,7 @@ class VelodyneStream:
 
 
 def raised(points: Array, elevation_deg: float) -> Array:
-    """(N, 3) points turned up by an angle, each within the vertical plane of its own beam."""
+    """Points (N, 3) turned up by an angle, each within the vertical plane of its beam."""
     level = np.hypot(points[:, 0], points[:, 1])
     c, s = np.cos(np.radians(elevation_deg)), np.sin(np.radians(elevation_deg))
     scale = c - s * points[:, 2] / np.maximum(level, 1e-9)
@@ -77,7 +79,7 @@ def raised(points: Array, elevation_deg: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RectifiedCamera:
-    """Rectified images: they can be linked to as they are."""
+    """The images of a rectified camera, which can be linked unchanged."""
 
     name: str
     camera: Camera
@@ -86,7 +88,7 @@ class RectifiedCamera:
     times_ns: Times
 
     def read(self, index: int) -> NDArray[np.uint8]:
-        """(H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
+        """Read an image, (H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
         path = self.files[index]
 
         def check_size(size: tuple[int, int]) -> None:
@@ -114,21 +116,21 @@ def read_kitti(
     reporter: Reporter | None = None,
     from_lidar: FromLidar = lidar_odometry,
 ) -> FieldRecording:
-    """Look through a sequence, and compute its odometry where none is taken from it.
+    """Read a sequence as a recording; scans and images are opened later, on demand.
 
     Args:
-        root: holds ``sequences`` and ``poses``.
-        odometry: ``lidar`` registers scan after scan; ``poses`` takes ``poses/NN.txt``, whose real ones are smoothed
-            GNSS/INS and locally wrong by up to a quarter of a step.
-        cameras: which to read; default: those whose folders hold images.
-        motion: whether the car's own motion is still in the scans (``distorted``) or not, as in KITTI's own.
-        elevation_deg: turn beams up; the real lidar's want :data:`REAL_ELEVATION_DEG`.
-        rate_hz: frames a second where ``times.txt`` is missing.
-        from_lidar: computes odometry from scans; called when everything else was found good.
+        root: folder that holds ``sequences`` and ``poses``.
+        odometry: ``lidar`` registers successive scans; ``poses`` reads ``poses/NN.txt``, which for the real data is
+            smoothed GNSS/INS and locally wrong by up to a quarter of a step.
+        cameras: cameras to read; default: those whose folders hold images.
+        motion: ``compensated`` if the scans are motion-compensated, as KITTI's own are, or ``distorted``.
+        elevation_deg: angle by which to turn the beams up; the real lidar needs :data:`REAL_ELEVATION_DEG`.
+        rate_hz: frames per second if ``times.txt`` is missing.
+        from_lidar: computes odometry from scans; called after everything else has been checked.
 
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
-        ConfigError: a camera that KITTI does not have.
+        ConfigError: KITTI has no such camera.
     """
     report = reporter or Silent()
     files = Sequence(root, sequence)
@@ -154,7 +156,7 @@ def read_kitti(
 
 
 def _image_files(files: Sequence, cameras: Several[str] | None) -> dict[str, dict[int, Path]]:
-    """Camera -> frame number -> file."""
+    """Image files by camera and frame number."""
     for name in cameras or ():
         if name not in CAMERAS:
             raise ConfigError(f"KITTI has no camera '{name}'; there is {', '.join(CAMERAS)}")
@@ -171,17 +173,17 @@ def _image_files(files: Sequence, cameras: Several[str] | None) -> dict[str, dic
 def _times(files: Sequence, rate_hz: float, frames: int, reporter: Reporter) -> Times:
     times = files.times(rate_hz, frames, reporter)
     if len(times) < frames:
-        raise DatasetError(f"holds {len(times)} times, there are {frames} frames", files.folder / "times.txt")
+        raise DatasetError(f"holds {len(times)} times for {frames} frames", files.folder / "times.txt")
     return np.array(times, dtype=np.int64)
 
 
 def _poses(files: Sequence, times: Times) -> Trajectory:
-    """``poses/NN.txt``, which is of camera 0, as the motion of the lidar."""
+    """The motion of the lidar by ``poses/NN.txt``, whose poses are those of camera 0."""
     T_world_cam0 = files.poses()
     if len(T_world_cam0) < 2:
         raise DatasetError(f"holds {len(T_world_cam0)} poses; odometry needs at least 2", files.poses_file)
     if len(times) < len(T_world_cam0):
-        # Times made up from a rate go on as long as there are poses.
+        # times.txt may be shorter than the poses; poses without a time are not used.
         T_world_cam0 = T_world_cam0[: len(times)]
     T_cam0_rig = files.calibration.T_cam0_lidar()
     T_world_rig = np.array(T_world_cam0) @ T_cam0_rig
@@ -195,6 +197,6 @@ def _camera(files: Sequence, name: str, numbers: dict[int, Path], times: Times) 
     try:
         camera = Camera("pinhole", width, height, fx, fy, cx, cy)
     except ValueError as bad:
-        raise DatasetError(f"line 'P{name[-1]}:' is no projection ({bad})", files.calibration.path) from None
+        raise DatasetError(f"line 'P{name[-1]}:' is not a projection ({bad})", files.calibration.path) from None
     T_rig_cam = invert(files.calibration.T_cam0_lidar()) @ files.calibration.T_cam0_cam(name)
     return RectifiedCamera(name, camera, T_rig_cam, tuple(numbers.values()), times[list(numbers)])

@@ -1,7 +1,7 @@
 """TUM RGB-D layout: ``rgb.txt``, ``depth.txt``, ``groundtruth.txt`` and the images they list.
 
 Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012. Depth is registered to the colour
-camera, so that both share its intrinsics. Images and depth are undistorted to a pinhole camera of the same K.
+camera, so that both share its intrinsics. Images and depth are undistorted to a pinhole camera with the same K.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ INTRINSICS: dict[Preset, Camera] = {
     "fr3": Camera("pinhole", 640, 480, 535.4, 539.2, 320.1, 247.6),
     "ros-default": Camera("pinhole", 640, 480, 525.0, 525.0, 319.5, 239.5),
 }
-"""the calibration that the benchmark publishes for each of its cameras"""
+"""the calibrations that the benchmark publishes for its cameras"""
 
 
 class Options(ImportOptions):
@@ -63,25 +63,25 @@ class Options(ImportOptions):
         ("auto",),
         min_length=1,
         max_length=2,
-        description="camera calibration, one or one a recording; auto: by freiburg1..3 in the folder's name",
+        description="camera calibration, one for all or one per recording; auto: by freiburg1..3 in the folder's name",
     )
     time_offset: tuple[float, ...] = Field(
         (0.0,),
         min_length=1,
         max_length=2,
-        description="seconds, one or one a recording: the truth of an image of time t is that of t + time_offset "
-        "(-0.02 mends the clock of freiburg1)",
+        description="seconds, one for all or one per recording: an image at time t has the true pose at t + "
+        "time_offset (-0.02 corrects the clock of freiburg1)",
     )
     max_time_difference: float = Field(
-        0.02, ge=0, description="seconds between an image and its depth image at the most"
+        0.02, ge=0, description="greatest time in seconds between an image and its depth image"
     )
-    max_truth_gap: float = Field(0.1, gt=0, description="seconds of missing truth to interpolate over at the most")
-    depth_scale: float = Field(5000.0, gt=0, description="stored depth of one metre")
+    max_truth_gap: float = Field(0.1, gt=0, description="longest gap in seconds in the true poses to interpolate over")
+    depth_scale: float = Field(5000.0, gt=0, description="stored depth value of one metre")
 
 
 @dataclass(frozen=True)
 class _Frame:
-    """One image, and what belongs to it."""
+    """One image with its depth image and true pose."""
 
     time: int
     image: Path
@@ -91,17 +91,17 @@ class _Frame:
 
 @dataclass(frozen=True)
 class _Unit:
-    """A file to write from a file of the recording."""
+    """One file to convert."""
 
     source: Path
     target: Path
     camera: Camera
     metres_per_unit: float | None
-    """of a depth image; None for an image"""
+    """scale of a depth image; None for an image"""
 
 
 def _convert(unit: _Unit) -> None:
-    """Undistort to the pinhole camera; depth without interpolation, which would invent surfaces between two."""
+    """Undistort an image, or a depth image without interpolation, which would invent surfaces between two others."""
     if unit.metres_per_unit is None:
         image = images.read_image(unit.source, partial(_check_size, unit))
         images.write_image(unit.target, _undistort(image, unit.camera, cv2.INTER_LINEAR))
@@ -130,14 +130,14 @@ def _check_size(unit: _Unit, size: tuple[int, int]) -> None:
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """A dataset of one recording, or of a reference and a query recording that share the world's frame.
+    """Build a dataset from one recording, or from a reference and a query recording that share a world.
 
     Args:
         sources: one or two sequence folders: reference, query.
 
     Raises:
-        DatasetError: with file and line, what is missing or wrong in the recording.
-        ConfigError: options that do not fit it.
+        DatasetError: with file and line: something in a recording is missing or wrong.
+        ConfigError: the options do not fit the recordings.
     """
     assert isinstance(options, Options)
     if not 1 <= len(sources) <= 2:
@@ -199,22 +199,22 @@ def _intrinsics(source: Path, asked: str) -> Camera:
         if f"freiburg{number}" in folder or f"fr{number}" in folder:
             return INTRINSICS[f"fr{number}"]  # type: ignore[index]
     raise ConfigError(
-        f"{source}: --intrinsics is needed (fr1, fr2, fr3 or ros-default); the folder's name does not tell the camera"
+        f"{source}: give --intrinsics (fr1, fr2, fr3 or ros-default); the folder's name does not name the camera"
     )
 
 
 def _frames(source: Path, name: str, time_offset: float, options: Options, reporter: Reporter) -> list[_Frame]:
-    """The images that are there and have a pose, each with the depth image nearest in time."""
+    """The existing images with a pose, each with the depth image nearest in time."""
     listed, depths = _listed(source / "rgb.txt"), _listed(source / "depth.txt")
     there = {t: p for t, p in listed.items() if p.exists()}
     if len(there) < len(listed):
-        reporter.note(f"{name}: {len(listed) - len(there)} of {len(listed)} images in rgb.txt are not there")
+        reporter.note(f"{name}: {len(listed) - len(there)} of {len(listed)} images in rgb.txt do not exist")
     if not there:
-        raise DatasetError("none of the images it lists are there", source / "rgb.txt")
+        raise DatasetError("none of the images it lists exist", source / "rgb.txt")
     depths = {t: p for t, p in depths.items() if p.exists()}
     poses = _poses_at(source / "groundtruth.txt", list(there), round(time_offset * 1e9), options.max_truth_gap)
     if len(poses) < len(there):
-        reporter.note(f"{name}: {len(there) - len(poses)} of {len(there)} images left out, the truth has a gap there")
+        reporter.note(f"{name}: {len(there) - len(poses)} of {len(there)} images without a true pose are left out")
     if not poses:
         raise DatasetError("holds no pose at the time of any image", source / "groundtruth.txt")
     limit = round(options.max_time_difference * 1e9)
@@ -222,14 +222,14 @@ def _frames(source: Path, name: str, time_offset: float, options: Options, repor
     bare = sum(frame.depth is None for frame in frames)
     if bare:
         reporter.note(
-            f"{name}: {bare} of {len(frames)} images are no keyframes, no depth image lies within "
+            f"{name}: {bare} of {len(frames)} images are not keyframes, because no depth image is within "
             f"{options.max_time_difference:g} s"
         )
     return frames
 
 
 def _listed(path: Path) -> dict[int, Path]:
-    """Time in nanoseconds -> file, of a list ``seconds path``. Raises DatasetError with file and line."""
+    """Files by time in nanoseconds from a list ``seconds path``. Raises DatasetError with file and line."""
     files: dict[int, Path] = {}
     for line, fields in read_rows(path, "a list of images (seconds path)", DatasetError):
         if len(fields) != 2:
@@ -239,15 +239,15 @@ def _listed(path: Path) -> dict[int, Path]:
             raise DatasetError(f"time {fields[0]} occurs again", path, line)
         files[time] = path.parent / fields[1]
     if not files:
-        raise DatasetError("lists nothing; expected images (seconds path)", path)
+        raise DatasetError("is empty; expected a list of images (seconds path)", path)
     return files
 
 
 def _poses_at(path: Path, times: list[int], offset_ns: int, max_gap: float) -> dict[int, Array]:
-    """``T_world_cam`` of the times that the truth, read at t + offset, covers without a gap.
+    """True poses ``T_world_cam`` at t + offset, for the times t that are not outside the trajectory or in a gap.
 
     Raises:
-        DatasetError: with file and line, an impossible pose.
+        DatasetError: with file and line: a pose is invalid, or there is none.
     """
     truth = read_trajectory(path)
     if not truth:
@@ -264,7 +264,7 @@ def _poses_at(path: Path, times: list[int], offset_ns: int, max_gap: float) -> d
 
 
 def _nearest(files: dict[int, Path], time: int, limit: int) -> Path | None:
-    """The file nearest in time, if it is within the limit."""
+    """The file nearest in time, or None if it is beyond the limit."""
     times = np.array(sorted(files), dtype=np.int64)
     if not times.size:
         return None
