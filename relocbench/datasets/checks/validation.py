@@ -1,4 +1,4 @@
-"""Every fault of a dataset on disk, with file and line."""
+"""Validation of a dataset on disk: every fault, with file and line."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from relocbench.progress import Reporter
 
 
 def is_dataset_folder(path: Path) -> bool:
-    """Whether a folder is a dataset, or was to become one (a results folder has a ``dataset.yaml`` too)."""
+    """Whether a folder is a finished or unfinished dataset (a results folder also has a ``dataset.yaml``)."""
     layout = DatasetLayout(path)
     return layout.build_yaml.exists() or layout.manifest.exists() or layout.traversals.is_dir()
 
 
 def validate_dataset(root: Path, reporter: Reporter, *, quick: bool = False) -> Findings:
-    """Check everything about a dataset folder.
+    """Check everything in a dataset folder.
 
     Args:
-        quick: hash and decode no image; descriptions, poses, points and pairs are read all the same.
+        quick: neither hash nor decode images; descriptions, poses, points and pairs are checked nevertheless.
     """
     found = Findings()
     layout = DatasetLayout(root)
@@ -88,12 +88,12 @@ def _check_content(
         for kind in ("images", "depth", "points"):
             for path in sorted((drive.layout.root / kind).glob("*/*")):
                 if path.name.startswith(".") and ".part" in path.name:
-                    found.note("left behind by a build that was killed", path)
+                    found.note("is left over from a killed build", path)
                 elif _listed_time(drive, kind, path, found) and (not quick or kind == "points"):
                     digest = digests.get(path.relative_to(layout.root).as_posix(), "")
                     checks.append(partial(_check_file, drive, kind, path, digest))
         _check_cameras(drive, found)
-    # Decoding and hashing let go of the interpreter's lock: threads are enough, and nothing is copied.
+    # Decoding and hashing release the interpreter's lock, so threads suffice and nothing is copied.
     with ThreadPoolExecutor(default_workers()) as pool, reporter.stage("reading images", len(checks)) as advance:
         for result in pool.map(lambda check: check(), checks):
             found.faults += result.faults
@@ -101,14 +101,14 @@ def _check_content(
 
 
 def _listed_time(drive: Drive, kind: str, path: Path, found: Findings) -> bool:
-    """Whether a file stands where the format expects one of its kind; it is then entered in the drive's times."""
+    """Whether a file has the name that the format expects; if so, its time is added to the drive's times."""
     suffixes = {"images": IMAGE_SUFFIXES, "depth": (".png",), "points": (".csv",)}[kind]
     if path.suffix not in suffixes or whole_number(path.stem) is None:
         found.fault(f"expected a file TIMESTAMP{' or '.join(suffixes)}, the timestamp in nanoseconds", path)
         return False
     camera, time = path.parent.name, int(path.stem)
     if kind == "images" and time in drive.times[kind, camera]:
-        found.fault(f"a second image of camera '{camera}' at {time}", path)
+        found.fault(f"is a second image of camera '{camera}' at {time}", path)
     drive.times[kind, camera].add(time)
     return True
 
@@ -126,7 +126,7 @@ def _check_cameras(drive: Drive, found: Findings) -> None:
 
 
 def _check_file(drive: Drive, kind: str, path: Path, digest: str) -> Findings:
-    """Read one file; ``digest``: SHA-256 of its content as it was made, empty where that is not known."""
+    """Check one file; ``digest`` is the SHA-256 of its original content, or empty if unknown."""
     found = Findings()
     entry = drive.file.cameras.get(path.parent.name) if drive.file else None
     camera = entry.camera if entry else None
@@ -149,7 +149,7 @@ def _check_size(camera: Camera, path: Path, size: tuple[int, int]) -> None:
 
 
 def _check_digest(path: Path, digest: str, found: Findings) -> None:
-    """What was changed and can be read all the same."""
+    """Report a file that was changed but is still readable."""
     if digest and path not in found.faulty_files and sha256_file(path) != digest:
         found.fault("content was changed after the dataset was made", path)
 
@@ -197,7 +197,7 @@ def _check_rows(path: Path, lines: dict[PairKey, PoseLine], found: Findings) -> 
     for ref, query in sorted(unknown):
         found.fault(f"holds pair {ref} {query}, which is not in the pair set", path)
     if wrong:
-        found.fault(f"{wrong} rows hold no finite pixels and positive depth; the first is row {first}", path)
+        found.fault(f"{wrong} rows lack finite pixels or positive depth; the first is row {first}", path)
 
 
 def _check_splits(
@@ -208,11 +208,11 @@ def _check_splits(
         for index, name in enumerate(names):
             if name not in pair_sets:
                 line = yaml_line(node, ("splits", split, index))
-                found.fault(f"split '{split}' names pair set '{name}', which is not there", layout.dataset_yaml, line)
+                found.fault(f"split '{split}' names pair set '{name}', which is missing", layout.dataset_yaml, line)
 
 
 def _check_manifest(layout: DatasetLayout, file: DatasetFile, found: Findings) -> None:
-    """Files that are missing, added or changed, where reading them has not found it already."""
+    """Report files that are missing, added or changed, unless an earlier check has reported them."""
     with found.catching():
         fingerprint.check_manifest(layout, file)
     if not layout.manifest.exists():

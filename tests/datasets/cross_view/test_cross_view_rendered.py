@@ -189,7 +189,7 @@ def test_a_finished_set_is_not_made_again_but_mended(made: CrossViewSet, tmp_pat
     assert build(out).fingerprint == made.fingerprint
     assert times == {p: p.stat().st_mtime_ns for p in out.rglob("*.png")}
     (out / "test/gallery_satellite/5000/5000.png").unlink()
-    with pytest.raises(DatasetError, match=r"5000\.png: missing; it stands in manifest\.csv"):
+    with pytest.raises(DatasetError, match=r"5000\.png: missing; it is listed in manifest\.csv"):
         open_cross_view(out)
     assert build(out).fingerprint == made.fingerprint
     assert content(out) == content(made.root)
@@ -199,14 +199,14 @@ def test_what_was_added_or_changed_is_noticed(made: CrossViewSet, tmp_path: Path
     out = tmp_path / "out"
     shutil.copytree(made.root, out)
     shutil.copy(out / "test/gallery_street/5000/1.png", out / "test/gallery_street/5000/2.png")
-    with pytest.raises(DatasetError, match=r"2\.png: stands in no manifest\.csv"):
+    with pytest.raises(DatasetError, match=r"2\.png: is not listed in manifest\.csv"):
         open_cross_view(out)
     with pytest.raises(DatasetError, match=r"2\.png: is no image of this build"):
         build(out)
     (out / "test/gallery_street/5000/2.png").unlink()
     manifest = out / "manifest.csv"
     manifest.write_text(manifest.read_text().replace("gallery_street/5000", "gallery_street/5001", 1))
-    with pytest.raises(DatasetError, match="the fingerprint does not fit"):
+    with pytest.raises(DatasetError, match="the fingerprint does not match"):
         open_cross_view(out)
     with pytest.raises(DatasetError, match="holds a dataset made with other options"):
         build(out, seed=1)
@@ -231,7 +231,7 @@ def test_an_image_depends_on_nothing_that_was_rendered_before(made: CrossViewSet
     [
         (("--conditions", "Hail"), "no condition 'Hail'"),
         (("--conditions", "Sunny,Rain,Rain"), "--conditions: Value error, conditions are the satellite's and then"),
-        (("--split", "train", "--distractors", "3"), "--distractors are of the test split"),
+        (("--split", "train", "--distractors", "3"), "--distractors applies to the test split"),
         (("--places", "6000"), "there are labels for 5000 a split"),
         (("--size", "8"), "--size: Input should be greater than or equal to 32"),
         (("--drone-views", "0"), "--drone-views"),
