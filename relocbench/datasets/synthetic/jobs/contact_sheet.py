@@ -1,4 +1,4 @@
-"""One place in several conditions, side by side, for people to look at."""
+"""A contact sheet of one place in several conditions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _EXTENT_M = 250.0
 def contact_sheet(
     conditions: Mapping[str, Factors], *, seed: int, split: str, at_m: float, width: int, reporter: Reporter
 ) -> NDArray[np.uint8]:
-    """(H, W, 3) RGB: the front camera's view ``at_m`` metres along the drive in each condition, with its label."""
+    """The front camera's view ``at_m`` metres along the drive in each condition, with labels, (H, W, 3) RGB."""
     place = Place(seed, split, _EXTENT_M)
     route = stage.district(place).network.drive(_ROUTE_M, seed)
     camera, T_rig_cam = rig_named("front").cameras(width, width * 3 // 4)["front"]
@@ -51,7 +51,7 @@ def labelled(picture: NDArray[np.uint8], label: str) -> NDArray[np.uint8]:
 
 
 def tiled(pictures: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """Pictures of one size in rows as even as they can be, on white."""
+    """Pictures of the same size in rows of nearly equal length, on white."""
     rows = -(-len(pictures) // _ROW_LENGTH)
     columns = -(-len(pictures) // rows)
     height, width = pictures[0].shape[:2]

@@ -1,4 +1,4 @@
-"""The pair sets of a rendered dataset, each made and written by one worker."""
+"""The pair sets of a rendered dataset; each is computed and written by one worker."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from relocbench.datasets.core.build_options import ImportOptions
 
 _WORTH_WORKERS = 600
-"""pairs: fewer are done before other processes have a district of their own"""
+"""pairs; fewer are finished before other processes have made their districts"""
 
 
 @dataclass(frozen=True, eq=False)
 class PairSetUnit:
-    """One pair set, as a worker needs it."""
+    """One pair set to write."""
 
     layout: DatasetLayout
     name: str
@@ -57,9 +57,12 @@ def write_pair_sets(
     reporter: Reporter,
     run: Run,
 ) -> Mapping[str, Sequence[str]]:
-    """Pair sets of (reference, query) traversals for every camera, with their correspondences: split -> names.
+    """Write the pair sets of (reference, query) traversals for every camera, with correspondences.
 
-    Sets that a former run of the same build finished are kept.
+    Sets that an earlier run of the same build has finished are kept.
+
+    Returns:
+        split -> names of its pair sets.
 
     Raises:
         DatasetError: a pair set would be empty.
@@ -93,7 +96,7 @@ def _unit(
     frames = reference.frames(camera, cameras), query.frames(camera, cameras)
     same = reference is query
     if options.pair_rule is None:
-        # The cameras of a rig share their seed: their pairs are of the same moments wherever the rig allows it.
+        # All cameras of a rig use the same seed, so that their pairs are of the same moments wherever possible.
         rng = np.random.default_rng([options.seed, 6, reference.number, query.number])
         pairs = drawn_pairs(*frames, spread, rng, same_traversal=same)
     else:
@@ -136,7 +139,7 @@ def _views(plan: TraversalPlan, *T_world_cam: np.ndarray, camera: Camera, wanted
 
 
 def write_set(unit: PairSetUnit) -> None:
-    """Measure and write one pair set: correspondences first, the pair file, which tells that all is done, last."""
+    """Compute and write one pair set: the correspondences first, and last the pair file, which marks it as finished."""
     overlaps: dict[PairKey, float] = {}
 
     def measured() -> Iterator[tuple[PairKey, PairCorrespondences]]:
@@ -159,7 +162,7 @@ def write_set(unit: PairSetUnit) -> None:
 
 
 def _is_finished(unit: PairSetUnit) -> bool:
-    """Whether a former run wrote this set and its files are whole."""
+    """Whether an earlier run has written this set and its files are whole."""
     layout = unit.layout
     try:
         if unit.count:

@@ -1,4 +1,4 @@
-"""Getting the images and scans of drives made: by whom, and how long it will take."""
+"""Distribution of the images and scans of drives to workers, with an estimate of the time."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from relocbench.progress import Advance, Reporter
 _IMAGES_A_UNIT = 8
 _SCANS_A_UNIT = 64
 _WORTH_AN_ESTIMATE = 400
-"""images: fewer are rendered soon"""
+"""images; fewer take too little time for an estimate"""
 
 Files = Sequence[tuple[str, int]]
 """(sensor, index) of each"""
@@ -38,7 +38,7 @@ Work = Callable[[Unit], Spent]
 
 @dataclass(frozen=True, eq=False)
 class DriveJob:
-    """What is left to do of a drive."""
+    """The missing images and scans of a drive."""
 
     district: Town
     factors: Factors
@@ -54,7 +54,7 @@ class DriveJob:
 def carry_out(
     jobs: Sequence[DriveJob], renderer_factory: RendererFactory, compose: Composer, reporter: Reporter, run: Run
 ) -> None:
-    """Measure and render what is missing, drive after drive; a long job is first measured on a few files."""
+    """Scan and render what is missing, drive by drive; a long job is first timed on a few files."""
     jobs = [job for job in jobs if job.scans or job.pictures]
     with ExitStack() as stack:
         pickled: dict[int, Path] = {}
@@ -100,7 +100,7 @@ def _do(work: Work, units: Sequence[Unit], advance: Advance, run: Run) -> list[S
 def _measured(
     scans: Sequence[Unit], pictures: Sequence[Unit], reporter: Reporter, run: Run
 ) -> tuple[list[Unit], list[Unit]]:
-    """Do the first unit of each kind in each condition and tell how long the others, which are returned, will take."""
+    """Run the first unit of each kind and condition, report an estimate for the others, and return these."""
     lines, left = [], []
     pilots = {what: _split(units) for what, units in (("scans", scans), ("images", pictures))}
     with reporter.stage("measuring", sum(_count(first) for first, _ in pilots.values())) as advance:
@@ -108,12 +108,12 @@ def _measured(
             first, rest = pilots[what]
             lines.append(estimate(what, _do(work, first, advance, run), rest, run.workers))
             left.append(rest)
-    reporter.note("left to record: " + "; ".join(lines))
+    reporter.note("still to record: " + "; ".join(lines))
     return left[0], left[1]
 
 
 def _split(units: Sequence[Unit]) -> tuple[list[Unit], list[Unit]]:
-    """The first unit of each condition in one district; and all others."""
+    """The first unit of each condition in one district, and all others."""
     first: list[Unit] = []
     rest: list[Unit] = []
     taken: set[Factors] = set()
@@ -125,7 +125,7 @@ def _split(units: Sequence[Unit]) -> tuple[list[Unit], list[Unit]]:
 
 
 def estimate(what: str, spent: Sequence[Spent], rest: Sequence[Unit], workers: int) -> str:
-    """How long the rest will take and how much it will hold, by what the first files took."""
+    """Time and disk space for the rest, extrapolated from the first files."""
     left, measured = _count(rest), sum(s.files - 1 for s in spent)
     if not left or not measured:
         return f"{left} {what}"

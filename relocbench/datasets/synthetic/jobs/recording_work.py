@@ -1,4 +1,4 @@
-"""What a worker does for a recording: some images or some scans, from a district that all workers share."""
+"""A worker's part of a recording: rendering some images or simulating some scans."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MOVING_INSTANCE = 2**31
 
 
 class Town(Protocol):
-    """What is recorded: :class:`relocbench.datasets.synthetic.town.town.District`; it must be picklable."""
+    """What can be recorded, such as :class:`relocbench.datasets.synthetic.town.town.District`; must be picklable."""
 
     @property
     def seed(self) -> int: ...
@@ -47,28 +47,28 @@ class Picture(Protocol):
 
 
 class FrameRenderer(Protocol):
-    """What makes images: :class:`relocbench.datasets.synthetic.renderer.render.Renderer`."""
+    """A renderer of images, such as :class:`relocbench.datasets.synthetic.renderer.render.Renderer`."""
 
     def render(self, camera: Camera, T_world_cam: Array, frame_seed: int, /) -> Picture: ...
 
     @property
     def surroundings(self) -> Any:
-        """What can be given to another renderer of the same town, with cars that move."""
+        """What another renderer of the same town with other moving cars can reuse."""
         ...
 
 
 RendererFactory = Callable[[Mesh, Factors, Array, int, Any], FrameRenderer]
-"""mesh, factors, lamps (N, 3), the seed of all surfaces' patterns, and surroundings or None"""
+"""called with mesh, factors, lamps (N, 3), the seed of the surfaces' patterns, and surroundings or None"""
 Composer = Callable[[Any, Factors, Sequence[MovingCar]], Mesh]
-"""district, factors and moving cars"""
+"""called with district, factors and moving cars"""
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What all units of a recording share."""
+    """What all units of a drive share."""
 
     district: Path
-    """pickled: workers read it once each"""
+    """the pickled district, which each worker reads once"""
     factors: Factors
     layout: Layout
     trajectory: Trajectory
@@ -80,7 +80,7 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """Some images or some scans: (sensor, index) of each."""
+    """Some images or some scans of a drive, as (sensor, index)."""
 
     stage: Stage
     work: Sequence[tuple[str, int]]
@@ -92,19 +92,19 @@ class Unit:
 
 @dataclass(frozen=True)
 class Spent:
-    """What a unit took."""
+    """Time and space that a unit took."""
 
     files: int
     setup_s: float
-    """up to the first file"""
+    """time up to the first file"""
     seconds: float
-    """the others"""
+    """time for the others"""
     bytes: int
 
 
 @contextmanager
 def shared(district: Town, folder: Path) -> Iterator[Path]:
-    """The district where workers find it, wherever they run; gone in the end (or at the next start)."""
+    """Pickle the district to a file that workers can read; it is removed afterwards, or by the next run."""
     pickled = folder / f".district.{secrets.token_hex(4)}.part"
     with atomic_write(pickled, "wb") as stream:
         pickle.dump(district, stream, protocol=pickle.HIGHEST_PROTOCOL)
@@ -188,7 +188,7 @@ def write_scans(unit: Unit) -> Spent:
 
 
 def _measured(unit: Unit, write: Callable[[str, int], None]) -> Spent:
-    """Write the files of a unit. The first one waits for the district and its ray tree."""
+    """Write the files of a unit and time it. The first file includes preparing the district and its ray tree."""
     begin = ready = time.perf_counter()
     for k, (sensor, index) in enumerate(unit.work):
         write(sensor, index)
@@ -199,7 +199,7 @@ def _measured(unit: Unit, write: Callable[[str, int], None]) -> Spent:
 
 
 def _moving_objects(tracks: Sequence[CarTrack]) -> list[lidar.MovingObject]:
-    """Each car in its own frame."""
+    """The moving cars, each with its mesh in its own frame."""
     objects = []
     for k, track in enumerate(tracks):
         mesh = cars(np.eye(4)[None], np.array([track.variant]), np.array([_MOVING_INSTANCE + k]), Semantic.MOVING_CAR)

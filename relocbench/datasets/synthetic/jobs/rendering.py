@@ -1,4 +1,4 @@
-"""Rendering all frames of a build: what is missing, by whom, and how long it will take."""
+"""Rendering of a build's missing frames by workers, with an estimate of the time."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ Array = NDArray[np.float64]
 
 _STEPS_A_UNIT = 8
 _WORTH_AN_ESTIMATE = 400
-"""images: fewer are rendered soon"""
+"""images; fewer take too little time for an estimate"""
 _WORTH_WORKERS = 8
-"""images: fewer are rendered before other processes have started"""
+"""images; fewer are rendered before other processes have started"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class StepWork:
 
 @dataclass(frozen=True, eq=False)
 class RenderUnit:
-    """Some steps of one traversal, done by one worker one after the other; each frame is written on its own."""
+    """Some steps of one traversal, rendered by one worker."""
 
     place: Place
     factors: Factors
@@ -70,13 +70,13 @@ class RenderUnit:
 
 @dataclass(frozen=True)
 class Spent:
-    """What a unit took."""
+    """Time and space that a unit took."""
 
     images: int
     setup_s: float
-    """making the district and its renderer ready, up to the first image"""
+    """time up to the first image, mostly for preparing the district and its renderer"""
     seconds: float
-    """rendering and writing the others"""
+    """time for rendering and writing the others"""
     bytes: int
 
 
@@ -89,7 +89,7 @@ def render_all(
     reporter: Reporter,
     run: Run,
 ) -> None:
-    """Render what is missing; a long job is first measured on a few frames of each condition."""
+    """Render what is missing; a long job is first timed on a few frames of each condition."""
     steps = [(plan, missing_steps(plan, cameras, layout, seed, kinds)) for plan in plans]
     units = [_unit(plan, part) for plan, missing in steps for part in chunks(missing, _STEPS_A_UNIT)]
     total = sum(unit.images for unit in units)
@@ -109,7 +109,7 @@ def render_all(
 def missing_steps(
     plan: TraversalPlan, cameras: Cameras, layout: DatasetLayout, seed: int, kinds: Sequence[str]
 ) -> list[StepWork]:
-    """The steps of a traversal of which a file is missing or torn."""
+    """The steps of a traversal with missing or truncated files."""
     target = layout.traversal(plan.name)
     found = []
     for i, (timestamp, T_world_rig) in enumerate(zip(plan.times, plan.drive.T_world_rig, strict=True)):
@@ -141,7 +141,7 @@ def render_unit(unit: RenderUnit) -> Spent:
             for kind, path in work.missing.items():
                 _WRITERS[kind](path, frame, work, unit)
                 written += path.stat().st_size
-            # The first image waits for the district, for its ray tree and for compilation.
+            # The first image includes making the district and its ray tree, and compilation.
             ready = ready or time.perf_counter()
     assert ready is not None
     return Spent(unit.images, ready - start, time.perf_counter() - ready, written)
@@ -162,7 +162,7 @@ _WRITERS: dict[str, Callable[[Path, Frame, FrameWork, RenderUnit], None]] = {
 
 
 def _split_pilots(units: Sequence[RenderUnit]) -> tuple[list[RenderUnit], list[RenderUnit]]:
-    """The first unit of each condition, in one district; and all others."""
+    """The first unit of each condition in one district, and all others."""
     pilots: list[RenderUnit] = []
     rest: list[RenderUnit] = []
     taken: set[Factors] = set()
@@ -174,9 +174,9 @@ def _split_pilots(units: Sequence[RenderUnit]) -> tuple[list[RenderUnit], list[R
 
 
 def estimate(spent: Sequence[Spent], rest: Sequence[RenderUnit], workers: int) -> str:
-    """How long the rest will take and how much it will hold, by what the first images took.
+    """Time and disk space for the rest, extrapolated from the first images.
 
-    The first units ran beside each other, as the rest will. Every worker makes every district and condition ready.
+    The first units ran in parallel, as the rest will. Every worker prepares every district and condition.
     """
     left = sum(unit.images for unit in rest)
     measured = sum(s.images - 1 for s in spent)
@@ -193,12 +193,12 @@ def estimate(spent: Sequence[Spent], rest: Sequence[RenderUnit], workers: int) -
 
 
 def rate(workers: int, per_image_s: float) -> str:
-    """Images a second; a clock that stands still measures nothing."""
+    """Images per second as text; unknown if no time was measured."""
     return f"{workers / per_image_s:.1f} images/s" if per_image_s > 0 else "an unknown rate"
 
 
 def duration(seconds: float) -> str:
-    """In the unit that people would say it in."""
+    """A duration as text in seconds, minutes or hours."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
