@@ -382,7 +382,7 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
     assert "WIDTHxHEIGHT" in relocbench(*command, "--size", "big", *out).complaint
     assert "no sweep 'mud'" in relocbench(*command, "--sweep", "mud", *out).complaint
     assert "--preset" in relocbench("build-dataset", "synthetic", "--preset", "big", *out).complaint
-    assert "give one of them" in relocbench("preview", *out).complaint
+    assert "takes exactly one of" in relocbench("preview", *out).complaint
     assert not (tmp_path / "out").exists()
 
 

@@ -197,7 +197,7 @@ def test_bad_requests_are_told(district: District) -> None:
         make_district(0, "evaluation")
     with pytest.raises(ConfigError, match="at least 180 m"):
         make_district(0, "test", 100.0)
-    with pytest.raises(ConfigError, match="not negative"):
+    with pytest.raises(ConfigError, match="must not be negative"):
         make_district(-1)
     with pytest.raises(ConfigError, match="positive length"):
         district.network.drive(0.0, 0)

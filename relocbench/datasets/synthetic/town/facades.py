@@ -1,6 +1,6 @@
-"""Fronts of houses: walls with windows set into them, doors, shop fronts, balconies.
+"""Fronts of houses: walls with windows, doors, shop fronts, balconies.
 
-A front lies in the plane y = 0 seen from -y, x to the right, z up; y grows into the house.
+A front lies in the plane y = 0 and is seen from -y: x to the right, z up, y into the house.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ _REVEAL_NORMAL = ((0, 1), (1, 2), (2, 3), (3, 0))
 
 @dataclass(frozen=True)
 class FrontStyle:
-    """What the windows of a front look like."""
+    """The style of a front's windows."""
 
     wall: Material
     trim: Material
     """sills, lintels and bands"""
     frame: Material
     bay_m: float
-    """distance between windows, about"""
+    """approximate distance between windows"""
     width: float
     height: float
     sill: float
-    """above the floor"""
+    """height above the floor"""
     recess: float
     mullions: int
     transom: bool
@@ -39,7 +39,7 @@ class FrontStyle:
     surround: bool
     shutters: bool
     balconies: float
-    """share of the windows above the ground floor that are doors onto balconies"""
+    """share of the windows above the ground floor that have a balcony"""
 
 
 def ring_quads(outer: Floats, inner: Floats, y_outer: Floats, y_inner: Floats) -> Floats:
@@ -49,13 +49,13 @@ def ring_quads(outer: Floats, inner: Floats, y_outer: Floats, y_inner: Floats) -
 
 
 def _corners(rect: Floats, y: Floats) -> Floats:
-    """(N, 4, 3) counter-clockwise seen from -y."""
+    """Corners (N, 4, 3) of rectangles, counter-clockwise seen from -y."""
     x0, x1, z0, z1 = rect.T
     return np.stack([np.stack(p, axis=1) for p in ((x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1))], axis=1)
 
 
 def pane(rect: Floats, y: float, material: Material, variant: NDInts | int = 0) -> Shape:
-    """Panes (N, 4) at a depth, with surface coordinates from the lower left corner of each."""
+    """Rectangles (N, 4) at a depth, each with surface coordinates relative to its lower left corner."""
     depth = np.full(len(rect), y)
     corners = _corners(rect, depth)
     uv = corners[:, :, [0, 2]] - corners[:, :1, [0, 2]]
@@ -65,7 +65,7 @@ def pane(rect: Floats, y: float, material: Material, variant: NDInts | int = 0) 
 def openings(
     cells: Floats, holes: Floats, style: FrontStyle, glass: Material, variant: NDInts, plain: bool = False
 ) -> list[Shape]:
-    """Wall cells (N, 4) with a glazed hole (N, 4) each: wall, reveal, frame, bars and glass.
+    """Wall cells (N, 4), each with a window in a hole (N, 4): wall, reveal, frame, bars and glass.
 
     ``plain`` leaves out frames and bars, for the backs of houses.
     """
@@ -97,7 +97,7 @@ def openings(
 
 
 def trims(holes: Floats, style: FrontStyle, cell_m: float) -> list[Shape]:
-    """Sills below, lintels or surrounds about, and shutters beside windows (N, 4) in cells ``cell_m`` wide."""
+    """Sills, lintels or surrounds, and shutters of windows (N, 4) in cells ``cell_m`` wide."""
     x0, x1, z0, z1 = holes.T
     zero = np.zeros(len(holes))
     low = [np.stack([x0 - 0.08, zero - 0.09, z0 - 0.09], axis=1)]
@@ -119,7 +119,7 @@ def trims(holes: Floats, style: FrontStyle, cell_m: float) -> list[Shape]:
 
 
 def balcony(x0: float, x1: float, z: float) -> Shape:
-    """A slab with a railing of bars before a window from x0 to x1 at floor level z."""
+    """A slab with a railing in front of a window from x0 to x1 at floor level z."""
     left, right, reach = x0 - 0.35, x1 + 0.35, 0.85
     bars = np.linspace(left + 0.03, right - 0.03, max(4, int((right - left) / 0.19)))
     sides = np.linspace(-reach + 0.05, -0.12, 5)
@@ -139,7 +139,7 @@ def balcony(x0: float, x1: float, z: float) -> Shape:
 
 
 def door(cell: Floats, width: float, top: float, style: FrontStyle, variant: int) -> list[Shape]:
-    """A cell (4,) with a door in a deep reveal, a light above it, two panels, a knob and a step."""
+    """A wall cell (4,) with a door in a deep reveal, with transom light, panels, knob and step."""
     middle = (cell[0] + cell[1]) / 2
     hole = np.array([[middle - width / 2, middle + width / 2, 0.05, top]])
     depth = 0.22
@@ -180,7 +180,7 @@ def door(cell: Floats, width: float, top: float, style: FrontStyle, variant: int
 
 
 def shop(cell: Floats, style: FrontStyle, variant: int, awning: bool, door_right: bool) -> list[Shape]:
-    """A shop front over a cell (4,): big panes on a riser, a door, a sign board, perhaps an awning."""
+    """A shop front in a wall cell (4,): large panes on a riser, a door, a sign, and possibly an awning."""
     x0, x1, _, z1 = cell
     hole = np.array([[x0 + 0.3, x1 - 0.3, 0.05, z1 - 0.95]])
     depth = 0.28
@@ -222,7 +222,7 @@ def shop(cell: Floats, style: FrontStyle, variant: int, awning: bool, door_right
 
 
 def _awning(x0: float, x1: float, z: float, variant: int) -> Shape:
-    """A cloth that slopes over the pavement, seen from both sides, with a hanging edge."""
+    """A sloping cloth above the pavement with a hanging edge, visible from both sides."""
     reach, drop = 1.1, 0.55
     cloth = np.array(
         [

@@ -16,19 +16,19 @@ LANE_M = 3.2
 PARKING_M = 2.1
 """width of the parking lane of a street side that has one"""
 KERB_RADIUS_M = 5.5
-"""of the corners of blocks at crossings"""
+"""kerb radius of block corners at crossings"""
 _STRAIGHT = np.radians(35)
-"""a smaller turn is a bend of one street, a larger one a corner"""
+"""turns up to this angle are bends of a street, larger ones are corners"""
 _STEP_M = 0.25
 RUN_IN_M = 12.0
-"""of a walk that lie before its path"""
+"""length of a walk before its path begins"""
 
 HalfEdge = tuple[int, int]
 
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A smooth path on the road, sampled evenly."""
+    """A smooth, evenly sampled path on the road."""
 
     points: Floats
     """(P, 2) metres"""
@@ -37,21 +37,21 @@ class Path:
     step: float
     """metres between samples"""
     streets: tuple[tuple[float, float, int], ...]
-    """(from, to, street id) in metres along the path; ends in the middle of crossings"""
+    """(from, to, street id) in metres along the path; sections end in the middle of crossings"""
 
     @property
     def length(self) -> float:
-        """Metres."""
+        """Length in metres."""
         return self.step * (len(self.points) - 1)
 
     def pose(self, s: float, lateral_m: float = 0.0, yaw_rad: float = 0.0) -> Floats:
         """T_world_vehicle (4, 4) at ``s`` metres: x forward, y left, z up, origin on the road.
 
-        The vehicle is ``lateral_m`` left of the path and turned by ``yaw_rad`` to the left. Raises ConfigError where
-        the path has no such place.
+        The vehicle is ``lateral_m`` left of the path and turned by ``yaw_rad`` to the left. Raises ConfigError if ``s``
+        is outside the path.
         """
         if not -1e-6 <= s <= self.length + 1e-6:
-            raise ConfigError(f"the path is {self.length:.1f} m long, there is no place at {s:.1f} m")
+            raise ConfigError(f"the path is {self.length:.1f} m long and has no place at {s:.1f} m")
         at = np.arange(len(self.points)) * self.step
         x, y, heading = (np.interp(s, at, v) for v in (self.points[:, 0], self.points[:, 1], self.heading))
         yaw = heading + yaw_rad
@@ -61,24 +61,24 @@ class Path:
         return pose
 
     def on_street(self, street: int) -> list[tuple[float, float]]:
-        """The stretches (from, to) in metres on which the path follows the street."""
+        """The sections (from, to) in metres on which the path follows a street."""
         return [(start, end) for start, end, name in self.streets if name == street]
 
 
 @dataclass(frozen=True, eq=False)
 class StreetNetwork:
-    """Nodes are crossings and bends; an edge is a straight piece of a street with a lane each way."""
+    """A planar graph of streets. Nodes are crossings and bends; edges are straight pieces with a lane each way."""
 
     nodes: Floats
     """(N, 2) metres"""
     street: dict[HalfEdge, int]
     """street id of each directed edge, the same for both directions"""
     faces: tuple[tuple[int, ...], ...]
-    """blocks as loops of nodes with the block on the left; the last one is what lies outside, run clockwise"""
+    """blocks as loops of nodes with the block on the left; the last one is the outside, in clockwise order"""
     kerb: dict[HalfEdge, float]
     """distance of the kerb on the left of each directed edge from the centre line"""
     zebras: frozenset[HalfEdge]
-    """directed edges that end at a crossing with a zebra before it"""
+    """directed edges with a zebra crossing before their end"""
 
     def neighbours(self, node: int) -> list[int]:
         return sorted(v for u, v in self.street if u == node)
@@ -98,7 +98,7 @@ class StreetNetwork:
         return KERB_RADIUS_M if abs(turn) > _STRAIGHT else 15.0
 
     def nodes_of(self, street: int) -> list[int]:
-        """The nodes of a street from the crossing at one of its ends to that at the other."""
+        """The nodes of a street from the crossing at one end to that at the other."""
         members = [(u, v) for (u, v), name in self.street.items() if name == street and u < v]
         ends = [n for n in {n for e in members for n in e} if self.degree(n) != 2 or sum(n in e for e in members) == 1]
         chain = [min(ends)]
@@ -109,29 +109,30 @@ class StreetNetwork:
         return chain
 
     def centre_line(self, street: int) -> Floats:
-        """(P, 2) from the crossing at one end of a street to that at the other, bends rounded."""
+        """The centre line (P, 2) of a street between the crossings at its ends, with rounded bends."""
         chain = self.nodes_of(street)
         points = self.nodes[chain]
         turns = turns_of(points)
         return rounded(points, [self.bend_radius(n, t) for n, t in zip(chain[1:-1], turns, strict=True)])
 
     def drive(self, length_m: float, seed: int) -> Path:
-        """A path of ``length_m`` in the middle of the right-hand lane, over streets it has driven least first.
+        """A path of ``length_m`` in the middle of the right-hand lane that prefers the streets it has driven least.
 
-        Deterministic in the network and the seed; never turns back. Raises ConfigError unless the length is positive.
+        It is determined by the network and the seed and never turns back. Raises ConfigError unless the length is
+        positive.
         """
         if length_m <= 0:
             raise ConfigError(f"a drive needs a positive length, got {length_m} m")
         return self.path(self.walk(length_m, seed), RUN_IN_M, length_m)
 
     def walk(self, length_m: float, seed: int) -> list[int]:
-        """The nodes that :meth:`drive` passes, and some more at the end; a longer walk begins as a shorter one."""
+        """The nodes that :meth:`drive` passes, and some more at the end; a longer walk extends a shorter one."""
         return self._route(1.25 * length_m + 60.0, np.random.default_rng(seed))
 
     def path(self, chain: Sequence[int], start_m: float, length_m: float) -> Path:
-        """A path of ``length_m`` in the middle of the right-hand lane along neighbouring nodes, from ``start_m`` on.
+        """A path of ``length_m`` in the middle of the right-hand lane along a chain of nodes, from ``start_m`` on.
 
-        Raises ConfigError where the nodes do not reach so far.
+        Raises ConfigError if the nodes do not reach that far.
         """
         nodes = self.nodes[list(chain)]
         lane = offset_line(nodes, [-LANE_M / 2] * (len(chain) - 1))
@@ -141,7 +142,7 @@ class StreetNetwork:
         return Path(points, heading, _STEP_M, self._streets_along(chain, lane, points))
 
     def _route(self, length_m: float, rng: np.random.Generator) -> list[int]:
-        """Nodes of a walk: at every crossing the edge driven least, never back, never a turn sharper than 110 deg."""
+        """Nodes of a walk that takes the least driven edge at every crossing, without turning back or sharp turns."""
         edges = sorted(self.street)
         chain = list(edges[rng.integers(len(edges))])
         driven = dict.fromkeys(edges, 0)
@@ -157,7 +158,7 @@ class StreetNetwork:
         return chain
 
     def _lane_radius(self, node: int, turn: float) -> float:
-        """The radius of the lane's middle: a right turn (negative) runs inside of the centre line."""
+        """The radius of the lane's middle; in a right turn (negative) the lane is inside of the centre line."""
         if self.degree(node) == 2:
             return self.bend_radius(node, turn) + np.sign(turn) * LANE_M / 2
         if abs(turn) < _STRAIGHT:
@@ -167,7 +168,7 @@ class StreetNetwork:
     def _streets_along(
         self, chain: Sequence[int], lane: Floats, points: Floats
     ) -> tuple[tuple[float, float, int], ...]:
-        """The stretch of the path on every street of the walk; a place belongs to the next node of the walk."""
+        """The sections of the path on each street of the walk."""
         last = len(points) - 1
         cuts, start = [0], 0
         for node in lane[1:-1]:
@@ -189,7 +190,7 @@ class StreetNetwork:
 
 
 def _first_minimum(distance: Floats) -> Floats:
-    """The distances up to where they come near zero for the first time; what is later counts as far."""
+    """The distances up to the first approach to zero; later ones are set to infinity."""
     near = np.flatnonzero(distance < 12.0)
     if len(near) == 0:
         return distance
@@ -199,7 +200,7 @@ def _first_minimum(distance: Floats) -> Floats:
 
 
 def turns_of(points: Floats) -> Floats:
-    """Turn (rad, left positive) at each inner point of a polyline (P, 2): (P - 2,)."""
+    """Turns (P - 2,) at the inner points of a polyline (P, 2), in radians, left positive."""
     step = np.diff(points, axis=0)
     return np.asarray(
         np.arctan2(step[:-1, 0] * step[1:, 1] - step[:-1, 1] * step[1:, 0], (step[:-1] * step[1:]).sum(axis=1))
@@ -207,7 +208,7 @@ def turns_of(points: Floats) -> Floats:
 
 
 def _offset_corner(before: Floats, corner: Floats, after: Floats, first: float, second: float) -> Floats:
-    """Where the lines before-corner and corner-after, moved left by ``first`` and ``second``, meet."""
+    """Intersection of the lines before-corner and corner-after, moved left by ``first`` and ``second``."""
     d = np.stack([corner - before, after - corner])
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     normal = np.stack([-d[:, 1], d[:, 0]], axis=1)
@@ -217,7 +218,7 @@ def _offset_corner(before: Floats, corner: Floats, after: Floats, first: float, 
 
 
 def offset_line(points: Floats, offsets: Sequence[float]) -> Floats:
-    """An open polyline (P, 2) moved left, each piece by its own offset (P - 1); corners are mitred."""
+    """An open polyline (P, 2) moved left, each segment by its own offset (P - 1), with mitred corners."""
     step = np.diff(points, axis=0)
     normal = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.linalg.norm(step, axis=1, keepdims=True)
     inner = [
@@ -228,7 +229,7 @@ def offset_line(points: Floats, offsets: Sequence[float]) -> Floats:
 
 
 def offset_loop(points: Floats, offsets: Sequence[float]) -> Floats:
-    """A closed polygon (P, 2) moved left; ``offsets[i]`` is that of the edge from point i to the next."""
+    """A closed polygon (P, 2) moved left; ``offsets[i]`` is for the edge from point i to the next."""
     count = len(points)
     return np.array(
         [
@@ -239,7 +240,7 @@ def offset_loop(points: Floats, offsets: Sequence[float]) -> Floats:
 
 
 def arc_at(before: Floats, corner: Floats, after: Floats, radius: float) -> Floats:
-    """Points (K, 2) of the arc that rounds a corner; a radius too large for its sides is made smaller."""
+    """Points (K, 2) of an arc that rounds a corner; a radius too large for the sides is reduced."""
     turn = float(turns_of(np.stack([before, corner, after]))[0])
     if abs(turn) < 1e-4:
         return corner[None]
@@ -275,13 +276,13 @@ def resampled(points: Floats, step: float) -> Floats:
 
 
 def _smooth(line: Floats, start_m: float, length_m: float) -> tuple[Floats, Floats]:
-    """Samples and headings of a line of arcs, with the curvature made continuous by averaging over 4 m twice."""
+    """Samples and headings of a line of arcs, smoothed by averaging over 4 m twice for a continuous curvature."""
     fine = resampled(line, 0.1)
     kernel = np.convolve(np.full(41, 1 / 41), np.full(41, 1 / 41))
     soft = np.stack([np.convolve(fine[:, k], kernel, mode="valid") for k in range(2)], axis=1)
     at = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(soft, axis=0), axis=1))])
     if start_m < 0 or at[-1] < start_m + length_m:
-        raise ConfigError(f"the streets reach {at[-1]:.1f} m, a path from {start_m:.1f} m on needs {length_m:.1f} m")
+        raise ConfigError(f"the walk is {at[-1]:.1f} m long, too short for {length_m:.1f} m from {start_m:.1f} m on")
     count = int(np.ceil(length_m / _STEP_M)) + 1
     s = start_m + np.arange(count) * _STEP_M
     points = np.stack([np.interp(s, at, soft[:, 0]), np.interp(s, at, soft[:, 1])], axis=1)
@@ -290,7 +291,7 @@ def _smooth(line: Floats, start_m: float, length_m: float) -> tuple[Floats, Floa
 
 
 def make_network(rng: np.random.Generator, extent_m: float) -> StreetNetwork:
-    """A network in a square of ``extent_m``, its outer streets about 28 m inside of the edge."""
+    """A random network in a square of ``extent_m``, with its outer streets about 28 m from the edge."""
     for _ in range(200):
         nodes, street = _graph(rng, extent_m)
         faces = _faces(nodes, street)
@@ -302,7 +303,7 @@ def make_network(rng: np.random.Generator, extent_m: float) -> StreetNetwork:
 
 
 def _graph(rng: np.random.Generator, extent_m: float) -> tuple[Floats, dict[HalfEdge, int]]:
-    """A shaken grid without some of its inner streets, and with bends in some of the others."""
+    """A randomly perturbed grid without some of its inner streets and with bends in some of the others."""
     count = max(3, int((extent_m - 56) / 60) + 1)
     spacing = (extent_m - 56) / (count - 1)
     line = (np.arange(count) - (count - 1) / 2) * spacing
@@ -329,7 +330,7 @@ def _graph(rng: np.random.Generator, extent_m: float) -> tuple[Floats, dict[Half
 
 
 def _faces(nodes: Floats, street: dict[HalfEdge, int]) -> tuple[tuple[int, ...], ...]:
-    """Loops with the face on the left: at every node the leftmost way on. The outside (negative area) comes last."""
+    """The faces of the graph as loops with the face on the left; the outside (negative area) is last."""
     around: dict[int, list[int]] = {}
     for u in range(len(nodes)):
         ends = [b for a, b in street if a == u]
@@ -355,7 +356,7 @@ def _area(polygon: Floats) -> float:
 
 
 def _is_roomy(nodes: Floats, face: tuple[int, ...]) -> bool:
-    """Whether streets, pavements and a row of houses fit: each edge must keep its direction 22 m inside."""
+    """Whether a block has room for pavements and houses: its polygon must keep its shape when shrunk by 22 m."""
     polygon = nodes[list(face)]
     moved = offset_loop(polygon, [22.0] * len(face))
     before, after = (np.roll(p, -1, axis=0) - p for p in (polygon, moved))
@@ -365,12 +366,12 @@ def _is_roomy(nodes: Floats, face: tuple[int, ...]) -> bool:
 
 
 def _not_between(turn: Floats) -> Floats:
-    """Zero where a turn is neither a bend nor a corner (35 to 50 deg), which neither kind of kerb fits."""
+    """Zero for turns of 35 to 50 deg, for which neither the kerb of a bend nor that of a corner fits, else one."""
     return np.where((np.abs(turn) > _STRAIGHT) & (np.abs(turn) < np.radians(50)), 0.0, 1.0)
 
 
 def frontages(nodes: Floats, face: tuple[int, ...]) -> list[list[HalfEdge]]:
-    """The edges of a face in groups that run on without a corner; one group is one side of a block."""
+    """The edges of a face, grouped into the sides of the block, which are separated by corners."""
     loop = nodes[list(face)]
     turn = turns_of(np.concatenate([loop[-1:], loop, loop[:1]]))
     count = len(face)
@@ -384,7 +385,7 @@ def frontages(nodes: Floats, face: tuple[int, ...]) -> list[list[HalfEdge]]:
 
 
 def _kerbs(rng: np.random.Generator, nodes: Floats, faces: tuple[tuple[int, ...], ...]) -> dict[HalfEdge, float]:
-    """Two in three sides of blocks have a parking lane."""
+    """Kerb distances of all directed edges; two in three block sides have a parking lane."""
     kerb = {}
     for face in faces:
         for group in frontages(nodes, face):
