@@ -201,7 +201,7 @@ def test_what_was_added_or_changed_is_noticed(made: CrossViewSet, tmp_path: Path
     shutil.copy(out / "test/gallery_street/5000/1.png", out / "test/gallery_street/5000/2.png")
     with pytest.raises(DatasetError, match=r"2\.png: is not listed in manifest\.csv"):
         open_cross_view(out)
-    with pytest.raises(DatasetError, match=r"2\.png: is no image of this build"):
+    with pytest.raises(DatasetError, match=r"2\.png: is not an image of this build"):
         build(out)
     (out / "test/gallery_street/5000/2.png").unlink()
     manifest = out / "manifest.csv"
@@ -244,7 +244,7 @@ def test_bad_options_are_one_line(tmp_path: Path, options: tuple[str, ...], word
 
 
 def test_more_places_than_the_towns_have_room_for_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"1 towns of 190 m have room for \d+ places 25 m apart, 90 are asked for"):
+    with pytest.raises(ConfigError, match=r"1 towns of 190 m have room for \d+ places 25 m apart, not for 90"):
         build(tmp_path / "o", places=90, distractors=0, towns=1)
 
 
