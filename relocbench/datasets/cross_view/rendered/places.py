@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic.jobs.stage import Place as Town
 from relocbench.datasets.synthetic.town.mesh import Semantic
-from relocbench.datasets.synthetic.town.planting import inside
+from relocbench.datasets.synthetic.town.polylines import inside
 from relocbench.datasets.synthetic.town.rows import PeriodicFront
 from relocbench.datasets.synthetic.town.town import District
 

@@ -15,7 +15,8 @@ from typing import Literal, Protocol
 import numpy as np
 
 from relocbench.datasets.synthetic.drives.drive import MARGIN_M
-from relocbench.datasets.synthetic.town.network import RUN_IN_M, Path, StreetNetwork, turns_of
+from relocbench.datasets.synthetic.town.network import RUN_IN_M, Path, StreetNetwork
+from relocbench.datasets.synthetic.town.polylines import arc_lengths, turns_of
 from relocbench.datasets.synthetic.town.shapes import Floats
 from relocbench.errors import ConfigError
 
@@ -72,7 +73,7 @@ def route(district: Roads, name: RouteName, length_m: float, seed: int) -> Path:
 
 def _along(network: StreetNetwork, chain: Sequence[int]) -> Floats:
     """Distances (N,) of the nodes along the middle of the road."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(network.nodes[list(chain)], axis=0), axis=1))])
+    return arc_lengths(network.nodes[list(chain)])
 
 
 def _street(u: int, v: int) -> Street:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic.town.mesh import Material
-from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, join, quads
+from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, boxes_of, join, quads
 
 NDInts = NDArray[np.uint32]
 _FRAME_M = 0.06
@@ -123,19 +123,18 @@ def balcony(x0: float, x1: float, z: float) -> Shape:
     left, right, reach = x0 - 0.35, x1 + 0.35, 0.85
     bars = np.linspace(left + 0.03, right - 0.03, max(4, int((right - left) / 0.19)))
     sides = np.linspace(-reach + 0.05, -0.12, 5)
-    post = [(x - 0.012, -reach + 0.02, z, x + 0.012, -reach + 0.045, z + 0.95) for x in bars]
-    post += [
+    posts = [(x - 0.012, -reach + 0.02, z, x + 0.012, -reach + 0.045, z + 0.95) for x in bars]
+    posts += [
         (x - 0.012, y - 0.012, z, x + 0.012, y + 0.012, z + 0.95) for x in (left + 0.03, right - 0.03) for y in sides
     ]
-    rail = [
+    rails = [
         (left, -reach, z + 0.95, right, -reach + 0.06, z + 1.0),
         (left, -reach + 0.06, z + 0.95, left + 0.06, 0.0, z + 1.0),
         (right - 0.06, -reach + 0.06, z + 0.95, right, 0.0, z + 1.0),
     ]
-    bars_box, rails = np.array(post), np.array(rail)
-    rail_box = boxes(rails[:, :3], rails[:, 3:], Material.METAL)
+    rail_box = boxes_of(rails, Material.METAL)
     slab = boxes([left, -reach, z - 0.16], [right, 0.0, z], Material.CONCRETE, without="back")
-    return join([boxes(bars_box[:, :3], bars_box[:, 3:], Material.METAL, without="bottom top"), rail_box, slab])
+    return join([boxes_of(posts, Material.METAL, without="bottom top"), rail_box, slab])
 
 
 def door(cell: Floats, width: float, top: float, style: FrontStyle, variant: int) -> list[Shape]:
@@ -157,14 +156,12 @@ def door(cell: Floats, width: float, top: float, style: FrontStyle, variant: int
             pane(np.array([[x0, x1, leaf_top, z1]]), depth, Material.WINDOW, np.array([variant + 1], np.uint32))
         )
     third = (x1 - x0) / 7
-    panels = np.array(
-        [
-            (a, depth - 0.025, b, a + 2 * third, depth, c)
-            for a in (x0 + third, x1 - 3 * third)
-            for b, c in ((z0 + 0.2, z0 + 0.9), (z0 + 1.05, leaf_top - 0.18))
-        ]
-    )
-    parts.append(boxes(panels[:, :3], panels[:, 3:], Material.DOOR, without="back", variant=variant))
+    panels = [
+        (a, depth - 0.025, b, a + 2 * third, depth, c)
+        for a in (x0 + third, x1 - 3 * third)
+        for b, c in ((z0 + 0.2, z0 + 0.9), (z0 + 1.05, leaf_top - 0.18))
+    ]
+    parts.append(boxes_of(panels, Material.DOOR, without="back", variant=variant))
     parts.append(
         boxes([x1 - 0.12, depth - 0.08, z0 + 1.0], [x1 - 0.07, depth, z0 + 1.05], Material.METAL, without="back")
     )
@@ -174,8 +171,7 @@ def door(cell: Floats, width: float, top: float, style: FrontStyle, variant: int
         (x1, -0.04, 0.0, x1 + 0.14, 0.0, z1 + 0.16),
         (x0, -0.04, z1, x1, 0.0, z1 + 0.16),
     ]
-    frame_box = np.array(frame)
-    parts.append(boxes(frame_box[:, :3], frame_box[:, 3:], style.trim, without="back"))
+    parts.append(boxes_of(frame, style.trim, without="back"))
     return parts
 
 
@@ -201,8 +197,8 @@ def shop(cell: Floats, style: FrontStyle, variant: int, awning: bool, door_right
     glass = np.stack([edges[:-1], edges[1:], np.full(panes, riser), np.full(panes, high)], axis=1)
     names = (variant + 17 * np.arange(panes)).astype(np.uint32)
     parts.append(pane(glass, depth, Material.SHOP_WINDOW, names))
-    posts = np.array([(x - 0.04, depth - 0.08, low, x + 0.04, depth, high) for x in (*edges, a + 0.04, b - 0.04)])
-    parts.append(boxes(posts[:, :3], posts[:, 3:], frame, without="back bottom", variant=variant))
+    posts = [(x - 0.04, depth - 0.08, low, x + 0.04, depth, high) for x in (*edges, a + 0.04, b - 0.04)]
+    parts.append(boxes_of(posts, frame, without="back bottom", variant=variant))
     parts.append(pane(np.array([[*entry, low, low + 0.5]]), depth, Material.DOOR, np.array([variant], np.uint32)))
     parts.append(
         pane(np.array([[*entry, low + 0.5, high]]), depth, Material.SHOP_WINDOW, np.array([variant + 5], np.uint32))

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from relocbench.datasets.synthetic.town.mesh import Material
-from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, join, moved, quads, tube
+from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, boxes_of, join, moved, quads, tube
 
 LAMP_HEAD = np.array([1.25, 0.0, 5.62])
 """position of the light source in the frame of a lamp post"""
@@ -62,8 +62,7 @@ def bench() -> Shape:
     rest = [(-0.14 - 0.03 * k, -0.9, 0.56 + 0.12 * k, -0.10 - 0.03 * k, 0.9, 0.65 + 0.12 * k) for k in range(3)]
     legs = [(x, y - 0.03, 0.0, x + 0.06, y + 0.03, z) for y in (-0.7, 0.7) for x, z in ((-0.12, 0.9), (0.28, 0.43))]
     legs += [(-0.12, y - 0.03, 0.38, 0.34, y + 0.03, 0.43) for y in (-0.7, 0.7)]
-    wood, metal = np.array(seat + rest), np.array(legs)
-    return join([boxes(wood[:, :3], wood[:, 3:], Material.WOOD), boxes(metal[:, :3], metal[:, 3:], Material.METAL)])
+    return join([boxes_of(seat + rest, Material.WOOD), boxes_of(legs, Material.METAL)])
 
 
 @cache
@@ -108,10 +107,10 @@ def fountain() -> Shape:
 @cache
 def shelter() -> Shape:
     """A bus shelter, open towards +x: posts, glass back and side, roof, and a bench inside."""
-    posts = np.array([(x, y, 0, x + 0.07, y + 0.07, 2.35) for x in (-0.7, 0.55) for y in (-1.8, 1.73)])
+    posts = [(x, y, 0, x + 0.07, y + 0.07, 2.35) for x in (-0.7, 0.55) for y in (-1.8, 1.73)]
     roof = boxes([-0.85, -1.95, 2.35], [0.85, 1.95, 2.47], Material.METAL)
     glass = boxes([-0.68, -1.73, 0.15], [-0.65, 1.73, 2.25], Material.CAR_GLASS)
     side = boxes([-0.63, 1.75, 0.15], [0.35, 1.78, 2.25], Material.SHOP_SIGN)
     seat = boxes([-0.55, -1.2, 0.45], [-0.2, 1.2, 0.5], Material.WOOD)
     feet = boxes([[-0.42, -1.0, 0], [-0.42, 0.95, 0]], [[-0.34, -0.95, 0.45], [-0.34, 1.0, 0.45]], Material.METAL)
-    return join([boxes(posts[:, :3], posts[:, 3:], Material.METAL), roof, glass, side, seat, feet])
+    return join([boxes_of(posts, Material.METAL), roof, glass, side, seat, feet])

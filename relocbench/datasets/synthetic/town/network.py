@@ -8,6 +8,17 @@ from itertools import pairwise
 
 import numpy as np
 
+from relocbench.datasets.synthetic.town.polylines import (
+    arc_lengths,
+    area,
+    loop_turns,
+    offset_line,
+    offset_loop,
+    points_at,
+    resampled,
+    rounded,
+    turns_of,
+)
 from relocbench.datasets.synthetic.town.shapes import Floats
 from relocbench.errors import ConfigError
 
@@ -199,93 +210,17 @@ def _first_minimum(distance: Floats) -> Floats:
     return np.where(np.arange(len(distance)) <= end, distance, np.inf)
 
 
-def turns_of(points: Floats) -> Floats:
-    """Turns (P - 2,) at the inner points of a polyline (P, 2), in radians, left positive."""
-    step = np.diff(points, axis=0)
-    return np.asarray(
-        np.arctan2(step[:-1, 0] * step[1:, 1] - step[:-1, 1] * step[1:, 0], (step[:-1] * step[1:]).sum(axis=1))
-    )
-
-
-def _offset_corner(before: Floats, corner: Floats, after: Floats, first: float, second: float) -> Floats:
-    """Intersection of the lines before-corner and corner-after, moved left by ``first`` and ``second``."""
-    d = np.stack([corner - before, after - corner])
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    normal = np.stack([-d[:, 1], d[:, 0]], axis=1)
-    if abs(first - second) < 1e-9:
-        return np.asarray(corner + first * (normal[0] + normal[1]) / (1 + normal[0] @ normal[1]))
-    return np.asarray(corner + np.linalg.solve(normal, [first, second]))
-
-
-def offset_line(points: Floats, offsets: Sequence[float]) -> Floats:
-    """An open polyline (P, 2) moved left, each segment by its own offset (P - 1), with mitred corners."""
-    step = np.diff(points, axis=0)
-    normal = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.linalg.norm(step, axis=1, keepdims=True)
-    inner = [
-        _offset_corner(points[i - 1], points[i], points[i + 1], offsets[i - 1], offsets[i])
-        for i in range(1, len(points) - 1)
-    ]
-    return np.array([points[0] + offsets[0] * normal[0], *inner, points[-1] + offsets[-1] * normal[-1]])
-
-
-def offset_loop(points: Floats, offsets: Sequence[float]) -> Floats:
-    """A closed polygon (P, 2) moved left; ``offsets[i]`` is for the edge from point i to the next."""
-    count = len(points)
-    return np.array(
-        [
-            _offset_corner(points[i - 1], points[i], points[(i + 1) % count], offsets[i - 1], offsets[i])
-            for i in range(count)
-        ]
-    )
-
-
-def arc_at(before: Floats, corner: Floats, after: Floats, radius: float) -> Floats:
-    """Points (K, 2) of an arc that rounds a corner; a radius too large for the sides is reduced."""
-    turn = float(turns_of(np.stack([before, corner, after]))[0])
-    if abs(turn) < 1e-4:
-        return corner[None]
-    sides = np.linalg.norm(np.stack([corner - before, after - corner]), axis=1)
-    tangent = min(abs(radius * np.tan(turn / 2)), 0.48 * float(sides.min()))
-    radius = tangent / abs(np.tan(turn / 2))
-    forward = (corner - before) / sides[0]
-    start = corner - tangent * forward
-    centre = start + np.sign(turn) * radius * np.array([-forward[1], forward[0]])
-    count = max(3, int(np.ceil(abs(turn) / np.radians(9))) + 1)
-    angle = np.linspace(0, turn, count)
-    spoke = start - centre
-    return np.stack(
-        [
-            centre[0] + np.cos(angle) * spoke[0] - np.sin(angle) * spoke[1],
-            centre[1] + np.sin(angle) * spoke[0] + np.cos(angle) * spoke[1],
-        ],
-        axis=1,
-    )
-
-
-def rounded(points: Floats, radii: Sequence[float]) -> Floats:
-    """An open polyline with its inner corners rounded by the radii (P - 2)."""
-    arcs = [arc_at(points[i - 1], points[i], points[i + 1], radii[i - 1]) for i in range(1, len(points) - 1)]
-    return np.concatenate([points[:1], *arcs, points[-1:]])
-
-
-def resampled(points: Floats, step: float) -> Floats:
-    """Points every ``step`` metres along a polyline (P, 2)."""
-    at = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    s = np.arange(0, at[-1], step)
-    return np.stack([np.interp(s, at, points[:, 0]), np.interp(s, at, points[:, 1])], axis=1)
-
-
 def _smooth(line: Floats, start_m: float, length_m: float) -> tuple[Floats, Floats]:
     """Samples and headings of a line of arcs, smoothed by averaging over 4 m twice for a continuous curvature."""
     fine = resampled(line, 0.1)
     kernel = np.convolve(np.full(41, 1 / 41), np.full(41, 1 / 41))
     soft = np.stack([np.convolve(fine[:, k], kernel, mode="valid") for k in range(2)], axis=1)
-    at = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(soft, axis=0), axis=1))])
+    at = arc_lengths(soft)
     if start_m < 0 or at[-1] < start_m + length_m:
         raise ConfigError(f"the walk is {at[-1]:.1f} m long, too short for {length_m:.1f} m from {start_m:.1f} m on")
     count = int(np.ceil(length_m / _STEP_M)) + 1
     s = start_m + np.arange(count) * _STEP_M
-    points = np.stack([np.interp(s, at, soft[:, 0]), np.interp(s, at, soft[:, 1])], axis=1)
+    points = points_at(soft, at, s)
     tangent = np.gradient(points, axis=0)
     return points, np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
 
@@ -347,12 +282,7 @@ def _faces(nodes: Floats, street: dict[HalfEdge, int]) -> tuple[tuple[int, ...],
             ring = around[edge[1]]
             edge = (edge[1], ring[ring.index(edge[0]) - 1])
         faces.append(tuple(loop))
-    return tuple(sorted(faces, key=lambda f: (_area(nodes[list(f)]) < 0, f)))
-
-
-def _area(polygon: Floats) -> float:
-    x, y = polygon[:, 0], polygon[:, 1]
-    return float(0.5 * (x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+    return tuple(sorted(faces, key=lambda f: (area(nodes[list(f)]) < 0, f)))
 
 
 def _is_roomy(nodes: Floats, face: tuple[int, ...]) -> bool:
@@ -360,7 +290,7 @@ def _is_roomy(nodes: Floats, face: tuple[int, ...]) -> bool:
     polygon = nodes[list(face)]
     moved = offset_loop(polygon, [22.0] * len(face))
     before, after = (np.roll(p, -1, axis=0) - p for p in (polygon, moved))
-    turn = turns_of(np.concatenate([polygon[-1:], polygon, polygon[:1]]))
+    turn = loop_turns(polygon)
     fits = (before * after).sum(axis=1) > 2.0 * np.linalg.norm(before, axis=1)
     return bool(fits.all() and (np.abs(turn) < np.radians(115)).all() and (np.abs(_not_between(turn)) > 0).all())
 
@@ -372,8 +302,7 @@ def _not_between(turn: Floats) -> Floats:
 
 def frontages(nodes: Floats, face: tuple[int, ...]) -> list[list[HalfEdge]]:
     """The edges of a face, grouped into the sides of the block, which are separated by corners."""
-    loop = nodes[list(face)]
-    turn = turns_of(np.concatenate([loop[-1:], loop, loop[:1]]))
+    turn = loop_turns(nodes[list(face)])
     count = len(face)
     corners = [i for i in range(count) if abs(turn[i]) > _STRAIGHT]
     if not corners:

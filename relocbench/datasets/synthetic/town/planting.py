@@ -9,7 +9,8 @@ import numpy as np
 
 from relocbench.datasets.synthetic.town import furniture
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
-from relocbench.datasets.synthetic.town.network import StreetNetwork, offset_loop
+from relocbench.datasets.synthetic.town.network import StreetNetwork
+from relocbench.datasets.synthetic.town.polylines import edge_frame, inside, offset_loop
 from relocbench.datasets.synthetic.town.rows import PERIOD_M, Plot
 from relocbench.datasets.synthetic.town.shapes import Floats, Shape, instances, poses, quads, single
 from relocbench.datasets.synthetic.town.streets import KERB_M, Block
@@ -77,14 +78,11 @@ class Planting:
         return self.static, self.foliage
 
 
-def _stretch(network: StreetNetwork, block: Block, i: int) -> tuple[Floats, Floats, Floats, float, float]:
+def _kerb_section(network: StreetNetwork, block: Block, i: int) -> tuple[Floats, Floats, Floats, float, float]:
     """The kerb along a block's edge: a point on the kerb line at the edge's start, the directions along it and into the
     block, and the section (from, to) in metres that is clear of crossings."""
     u, v = block.edge(i)
-    d = network.nodes[v] - network.nodes[u]
-    length = float(np.linalg.norm(d))
-    d = d / length
-    inward = np.array([-d[1], d[0]])
+    d, inward, length = edge_frame(network.nodes[u], network.nodes[v])
     first, last = block.straight(i, network.nodes[u], d)
     start = max(first + 1.5, 13.5 if network.degree(u) > 2 else 0.0)
     end = min(last - 1.5, length - (13.5 if network.degree(v) > 2 else 0.0))
@@ -100,7 +98,7 @@ def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase
     kind_of: dict[int, int] = {}
     for i in range(len(block.face)):
         side = block.sides[i]
-        origin, d, inward, start, end = _stretch(network, block, i)
+        origin, d, inward, start, end = _kerb_section(network, block, i)
         if side.style == "periodic" and phase is not None:
             first = float((phase - origin) @ d) % (4 * PERIOD_M)
             for s in np.arange(first, end, 4 * PERIOD_M):
@@ -114,7 +112,7 @@ def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase
         for s in np.arange(start + 2.0, end - 1.0, gap) if leafy else []:
             place = origin + s * d + 1.05 * inward
             planting.tree(place, kind, float(rng.uniform(0.85, 1.1)))
-            planting.static.append(_pit(place, d))
+            planting.static.append(_tree_pit(place, d))
             taken.append(s)
         for s in np.arange(start + 1.0 + 9.0 * rng.random(), end, 23.0):
             near = [t for t in taken if abs(t - s) < 1.6]
@@ -124,7 +122,7 @@ def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase
         _signs(planting, network, block, i)
 
 
-def _pit(place: Floats, d: Floats) -> Mesh:
+def _tree_pit(place: Floats, d: Floats) -> Mesh:
     """A square of bare soil around a trunk."""
     n = np.array([-d[1], d[0]])
     corners = [place + 0.65 * (a * d + b * n) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
@@ -134,7 +132,7 @@ def _pit(place: Floats, d: Floats) -> Mesh:
 def _scatter(planting: Planting, network: StreetNetwork, block: Block, i: int, taken: list[float]) -> None:
     """Add benches, bins, bollards and a few shelters in free places."""
     rng = planting.rng
-    origin, d, inward, start, end = _stretch(network, block, i)
+    origin, d, inward, start, end = _kerb_section(network, block, i)
     wide = block.sides[i].pavement_m > 2.5
     for s in np.arange(start + 1.0, end - 1.0, 5.5):
         s = s + rng.uniform(-1.5, 1.5)
@@ -165,7 +163,7 @@ def _signs(planting: Planting, network: StreetNetwork, block: Block, i: int) -> 
     """Add signs that face the traffic on this side, one before the crossing and some elsewhere."""
     rng = planting.rng
     u, _ = block.edge(i)
-    origin, d, inward, start, end = _stretch(network, block, i)
+    origin, d, inward, start, end = _kerb_section(network, block, i)
     if network.degree(u) > 2 and rng.random() < 0.8:
         planting.add(
             furniture.sign(int(rng.integers(furniture.SIGN_KINDS))),
@@ -188,9 +186,7 @@ def plant_gardens(planting: Planting, block: Block, plots: list[Plot]) -> None:
         if side.garden_m < 1.0:
             continue
         a, b = block.pavement[i], block.pavement[(i + 1) % count]
-        length = float(np.linalg.norm(b - a))
-        d = (b - a) / length
-        inward = np.array([-d[1], d[0]])
+        d, inward, length = edge_frame(a, b)
         doors = sorted(float((p.door - a) @ d) for p in plots if p.edge == i)
         ends = [0.4, *(x + o for x in doors for o in (-0.8, 0.8)), length - 0.4]
         height = float(planting.rng.uniform(0.8, 1.5))
@@ -221,15 +217,6 @@ def _yard_trees(planting: Planting, block: Block) -> None:
             planting.tree(place, kind, scale, coarse=True)
 
 
-def inside(polygon: Floats, point: Floats) -> bool:
-    """Whether a point is inside a polygon (P, 2), by ray crossing."""
-    a, b = polygon, np.roll(polygon, -1, axis=0)
-    spans = (a[:, 1] > point[1]) != (b[:, 1] > point[1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x = a[:, 0] + (point[1] - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
-    return bool((spans & (x > point[0])).sum() % 2)
-
-
 def plant_square(planting: Planting, block: Block) -> None:
     """Add a fountain in the middle of a square, with benches and bollards around it and trees along the edge."""
     rng = planting.rng
@@ -239,12 +226,10 @@ def plant_square(planting: Planting, block: Block) -> None:
     kind = int(rng.integers(TREE_TYPES))
     for k in range(len(inner)):
         a, b = inner[k], inner[(k + 1) % len(inner)]
-        length = float(np.linalg.norm(b - a))
-        d = (b - a) / length
-        toward = np.array([-d[1], d[0]])
+        d, toward, length = edge_frame(a, b)
         for s in np.arange(2.0, length - 1.0, 7.0):
             planting.tree(a + s * d, kind, float(rng.uniform(0.9, 1.1)))
-            planting.static.append(_pit(a + s * d, d))
+            planting.static.append(_tree_pit(a + s * d, d))
             if rng.random() < 0.6 and s + 3.5 < length:
                 planting.add(furniture.bench(), a + (s + 3.5) * d, toward, Semantic.FURNITURE)
     for angle in np.linspace(0, 2 * np.pi, 9)[:-1]:

@@ -16,6 +16,7 @@ from relocbench.datasets.synthetic.town.buildings import (
     terrace_for_rows,
 )
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
+from relocbench.datasets.synthetic.town.polylines import edge_frame
 from relocbench.datasets.synthetic.town.shapes import Floats, instances
 from relocbench.datasets.synthetic.town.streets import KERB_M, Block
 
@@ -93,10 +94,9 @@ class _Row:
         self.block, self.i = block, i
         count = len(block.face)
         start, end = block.building[i], block.building[(i + 1) % count]
-        self.length = float(np.linalg.norm(end - start))
-        d = (end - start) / self.length
+        d, inward, self.length = edge_frame(start, end)
         self.frame = np.eye(4)
-        self.frame[:2, 0], self.frame[:2, 1] = d, (-d[1], d[0])
+        self.frame[:2, 0], self.frame[:2, 1] = d, inward
         self.frame[:3, 3] = *start, KERB_M
         self.plots: list[Plot] = []
         here, there = i, (i + 1) % count

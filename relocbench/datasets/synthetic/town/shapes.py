@@ -105,11 +105,6 @@ def join(shapes: Sequence[Shape]) -> Shape:
     )
 
 
-def transformed(shape: Shape, transform: Floats) -> Shape:
-    """The shape moved by a rigid (4, 4) transform; its surface coordinates stay."""
-    return replace(shape, vertices=shape.vertices @ transform[:3, :3].T + transform[:3, 3])
-
-
 def moved(shape: Shape, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Shape:
     """The shape shifted."""
     return replace(shape, vertices=shape.vertices + np.array([x, y, z]))
@@ -132,6 +127,12 @@ def boxes(low: ArrayLike, high: ArrayLike, material: ArrayLike, without: str = "
     points = lower[:, None, None] + faces[None] * (upper - lower)[:, None, None]
     spread = [np.repeat(np.broadcast_to(np.asarray(a), (len(lower),)), len(faces)) for a in (material, variant)]
     return quads(points, spread[0], variant=spread[1])
+
+
+def boxes_of(rows: ArrayLike, material: ArrayLike, without: str = "", variant: ArrayLike = 0) -> Shape:
+    """Like :func:`boxes`, for rows (N, 6) of x0, y0, z0, x1, y1, z1."""
+    corners = np.asarray(rows, dtype=float)
+    return boxes(corners[:, :3], corners[:, 3:], material, without, variant)
 
 
 def tube(points: ArrayLike, radii: ArrayLike, sides: int, material: int, cap: bool = True) -> Shape:
@@ -167,19 +168,6 @@ def tube(points: ArrayLike, radii: ArrayLike, sides: int, material: int, cap: bo
     fan = np.array([[0, k + 1, k] for k in range(1, sides - 1)])
     ends = np.concatenate([fan, fan[:, ::-1] + (len(axis) - 1) * sides])
     return join([wall, triangle_shape(vertices, ends, material)])
-
-
-def prism(outline: ArrayLike, y0: float, y1: float, material: int) -> Shape:
-    """An outline (P, 2) in the x-z plane, counter-clockwise seen from -y, drawn out from y0 to y1 > y0."""
-    polygon = np.asarray(outline, dtype=float)
-    count = len(polygon)
-    near = np.insert(polygon, 1, y0, axis=1)
-    far = np.insert(polygon, 1, y1, axis=1)
-    faces = ear_clip(polygon)
-    after = np.roll(np.arange(count), -1)
-    rim = np.stack([near, far, far[after], near[after]], axis=1)
-    ends = triangle_shape(np.concatenate([near, far]), np.concatenate([faces, faces[:, ::-1] + count]), material)
-    return join([quads(rim, material), ends])
 
 
 def ear_clip(polygon: Floats) -> NDArray[np.int64]:

@@ -12,10 +12,16 @@ from relocbench.datasets.synthetic.town.network import (
     PARKING_M,
     HalfEdge,
     StreetNetwork,
-    arc_at,
     frontages,
+)
+from relocbench.datasets.synthetic.town.polylines import (
+    arc_at,
+    arc_lengths,
+    area,
+    edge_frame,
+    loop_turns,
     offset_loop,
-    turns_of,
+    points_at,
 )
 from relocbench.datasets.synthetic.town.shapes import Floats, Shape, ear_clip, join, quads, single, triangle_shape
 
@@ -76,7 +82,7 @@ def make_block(network: StreetNetwork, face: tuple[int, ...], kind: str, sides: 
     edges = [(face[i], face[(i + 1) % count]) for i in range(count)]
     of_edge = tuple(sides[e] for e in edges)
     centre = network.nodes[list(face)]
-    turns = turns_of(np.concatenate([centre[-1:], centre, centre[:1]]))
+    turns = loop_turns(centre)
     kerb_m = [network.kerb[e] for e in edges]
     pavement_m = [k + s.pavement_m for k, s in zip(kerb_m, of_edge, strict=True)]
     building_m = [p + s.garden_m for p, s in zip(pavement_m, of_edge, strict=True)]
@@ -121,8 +127,7 @@ def _square_face(network: StreetNetwork, periodic: int) -> int:
     for k, face in enumerate(network.faces[:-1]):
         edges = zip(face, (*face[1:], face[0]), strict=True)
         if all(network.street[e] != periodic for e in edges):
-            x, y = network.nodes[list(face)].T
-            sizes[k] = abs(float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()))
+            sizes[k] = abs(area(network.nodes[list(face)]))
     return min(sizes, key=lambda k: sizes[k])
 
 
@@ -230,10 +235,9 @@ def _markings(network: StreetNetwork, blocks: tuple[Block, ...]) -> list[Shape]:
     paint = []
     for name in sorted(set(network.street.values())):
         line = network.centre_line(name)
-        at = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+        at = arc_lengths(line)
         s = np.arange(16.0, at[-1] - 16.0, 6.0)
-        place = np.stack([np.interp(s, at, line[:, k]) for k in range(2)], axis=1)
-        ahead = np.stack([np.interp(s + 0.5, at, line[:, k]) for k in range(2)], axis=1)
+        place, ahead = points_at(line, at, s), points_at(line, at, s + 0.5)
         forward = (ahead - place) / np.linalg.norm(ahead - place, axis=1, keepdims=True)
         if len(s):
             paint.append(quads(_strip(place, forward, 3.0, 0.12), Material.LANE_MARKING))
@@ -280,14 +284,12 @@ def bays_of(network: StreetNetwork, block: Block) -> list[tuple[int, Floats, Flo
         u, v = edge = block.edge(i)
         if network.kerb[edge] < LANE_M + 0.1:
             continue
-        d = network.nodes[v] - network.nodes[u]
-        length = float(np.linalg.norm(d))
-        d = d / length
+        d, inward, length = edge_frame(network.nodes[u], network.nodes[v])
         first, last = block.straight(i, network.nodes[u], d)
         start = max(first + 1.0, _kept_free(network, (v, u)))
         room = min(last - 1.0, length - _kept_free(network, (u, v))) - start
         count = max(0, int(room // 5.8))
-        left = np.array([-d[1], d[0]]) * (LANE_M + PARKING_M / 2)
+        left = inward * (LANE_M + PARKING_M / 2)
         for k in range(count):
             s = start + (room - 5.8 * count) / 2 + 5.8 * (k + 0.5)
             found.append((i, network.nodes[u] + s * d + left, -d))
