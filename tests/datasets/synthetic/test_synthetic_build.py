@@ -25,10 +25,11 @@ from relocbench.datasets.synthetic.drives.drive import Drive, DriveStyle, drive,
 from relocbench.datasets.synthetic.drives.rig import RIGS
 from relocbench.datasets.synthetic.drives.traffic import moving_cars
 from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs.estimates import Spent, duration
 from relocbench.datasets.synthetic.jobs.extras import extra_path, read_instance
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
 from relocbench.datasets.synthetic.jobs.plan import make_plans
-from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, Spent, StepWork, duration, estimate
+from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, estimate
 from relocbench.datasets.synthetic.renderer.render import Renderer
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
 from relocbench.datasets.synthetic.town.town import compose
@@ -387,7 +388,7 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
 
 
 def test_the_estimate_counts_what_is_left() -> None:
-    spent = [Spent(images=9, setup_s=10.0, seconds=4.0, bytes=9_000_000)] * 2
+    spent = [Spent(files=9, setup_s=10.0, seconds=4.0, bytes=9_000_000)] * 2
     camera = Camera("pinhole", 32, 32, 30, 30, 15.5, 15.5)
     frame = FrameWork(camera, np.eye(4), 0, {"image": Path("x")})
     unit = RenderUnit(PLACE, *[condition_named("Sunny").factors] * 2, (StepWork((), (frame,) * 1000),))

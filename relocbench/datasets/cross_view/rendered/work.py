@@ -13,7 +13,7 @@ from relocbench.datasets.cross_view.rendered.details import with_aerial_details
 from relocbench.datasets.cross_view.rendered.plan import Photo, Views
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.jobs import stage
-from relocbench.datasets.synthetic.jobs.rendering import duration, rate
+from relocbench.datasets.synthetic.jobs.estimates import Spent, duration, rate, workers_text
 from relocbench.datasets.synthetic.jobs.stage import Place as Town
 from relocbench.datasets.synthetic.renderer.render import Renderer, Surroundings
 from relocbench.datasets.synthetic.renderer.sky import make_sky
@@ -41,15 +41,6 @@ class PhotoUnit:
 
     def __str__(self) -> str:
         return f"{len(self.photos)} images from {self.photos[0].keys[0]} on"
-
-
-@dataclass(frozen=True)
-class Spent:
-    """What a unit took."""
-
-    images: int
-    setup_s: float
-    seconds: float
 
 
 def seen_by(view: str, factors: Factors, views: Views) -> Factors:
@@ -80,7 +71,7 @@ def render_missing(
     done_before: list[Spent] = []
     with reporter.stage("rendering", len(missing)) as advance:
         for _, spent in run_units(render_unit, units, run):
-            advance(spent.images)
+            advance(spent.files)
             done_before.append(spent)
             if len(done_before) == min(run.workers, len(units)) and len(missing) >= _WORTH_AN_ESTIMATE:
                 reporter.note(_estimate(done_before, len(missing), len(units), run.workers))
@@ -119,14 +110,14 @@ def _make_renderer(town: Town, condition: Factors, seen: Factors) -> Renderer:
 
 
 def _estimate(spent: Sequence[Spent], total: int, units: int, workers: int) -> str:
-    measured = sum(max(s.images - 1, 0) for s in spent)
-    left = total - sum(s.images for s in spent)
+    measured = sum(max(s.files - 1, 0) for s in spent)
+    left = total - sum(s.files for s in spent)
     if not measured or not left:
         return f"{left} images are left to render"
     per_image = sum(s.seconds for s in spent) / measured
     setup = sum(s.setup_s for s in spent) / len(spent)
     seconds = (left * per_image + (units - len(spent)) * setup) / workers
     return (
-        f"{left} images are left to render: about {duration(seconds)} with {workers} worker{'s' * (workers != 1)}, "
+        f"{left} images are left to render: about {duration(seconds)} with {workers_text(workers)}, "
         f"{rate(1, per_image)} each once a town is prepared, which takes {duration(setup)}"
     )

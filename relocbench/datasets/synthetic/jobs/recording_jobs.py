@@ -7,13 +7,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.jobs.estimates import Spent, duration, remaining, split_pilots, workers_text
 from relocbench.datasets.synthetic.jobs.recording_work import (
     Composer,
     RendererFactory,
-    Spent,
     Stage,
     Town,
     Unit,
@@ -21,7 +19,6 @@ from relocbench.datasets.synthetic.jobs.recording_work import (
     write_images,
     write_scans,
 )
-from relocbench.datasets.synthetic.jobs.rendering import duration
 from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, Trajectory
 from relocbench.execution import Run, chunks, run_units
 from relocbench.progress import Advance, Reporter
@@ -102,7 +99,7 @@ def _measured(
 ) -> tuple[list[Unit], list[Unit]]:
     """Run the first unit of each kind and condition, report an estimate for the others, and return these."""
     lines, left = [], []
-    pilots = {what: _split(units) for what, units in (("scans", scans), ("images", pictures))}
+    pilots = {what: split_pilots(units, _scene) for what, units in (("scans", scans), ("images", pictures))}
     with reporter.stage("measuring", sum(_count(first) for first, _ in pilots.values())) as advance:
         for what, work in (("scans", write_scans), ("images", write_images)):
             first, rest = pilots[what]
@@ -112,28 +109,16 @@ def _measured(
     return left[0], left[1]
 
 
-def _split(units: Sequence[Unit]) -> tuple[list[Unit], list[Unit]]:
-    """The first unit of each condition in one district, and all others."""
-    first: list[Unit] = []
-    rest: list[Unit] = []
-    taken: set[Factors] = set()
-    for unit in units:
-        new = unit.stage.district == units[0].stage.district and unit.stage.factors not in taken
-        taken.add(unit.stage.factors)
-        (first if new else rest).append(unit)
-    return first, rest
-
-
 def estimate(what: str, spent: Sequence[Spent], rest: Sequence[Unit], workers: int) -> str:
     """Time and disk space for the rest, extrapolated from the first files."""
-    left, measured = _count(rest), sum(s.files - 1 for s in spent)
-    if not left or not measured:
+    left = _count(rest)
+    if not left or not sum(s.files - 1 for s in spent):
         return f"{left} {what}"
-    each = sum(s.seconds for s in spent) / measured
-    scenes = len({(unit.stage.district, unit.stage.factors) for unit in rest})
-    seconds = left * each / workers + scenes * float(np.median([s.setup_s for s in spent]))
-    size = sum(s.bytes for s in spent) / sum(s.files for s in spent) * left
+    expected = remaining(spent, left, len({_scene(unit) for unit in rest}), workers)
     return (
-        f"{left} {what}, about {duration(seconds)} with {workers} worker{'s' if workers != 1 else ''}, "
-        f"{size / 1e9:.1f} GB"
+        f"{left} {what}, about {duration(expected.seconds)} with {workers_text(workers)}, {expected.gigabytes:.1f} GB"
     )
+
+
+def _scene(unit: Unit) -> tuple[Path, Factors]:
+    return unit.stage.district, unit.stage.factors

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
+from relocbench.datasets.synthetic.jobs.estimates import Spent
 from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, SensorMotion, Trajectory, cars_at
 from relocbench.datasets.synthetic.lidar import lidar
 from relocbench.datasets.synthetic.town.cars import cars
@@ -88,18 +89,6 @@ class Unit:
     def __str__(self) -> str:
         sensor, index = self.work[0]
         return f"{len(self.work)} files from {self.stage.layout.path(sensor, index)} on"
-
-
-@dataclass(frozen=True)
-class Spent:
-    """Time and space that a unit took."""
-
-    files: int
-    setup_s: float
-    """time up to the first file"""
-    seconds: float
-    """time for the others"""
-    bytes: int
 
 
 @contextmanager

@@ -15,6 +15,14 @@ from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs import extras, stage
+from relocbench.datasets.synthetic.jobs.estimates import (
+    Spent,
+    duration,
+    rate,
+    remaining,
+    split_pilots,
+    workers_text,
+)
 from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
 from relocbench.datasets.synthetic.jobs.stage import Place
 from relocbench.datasets.synthetic.renderer.render import Frame
@@ -68,18 +76,6 @@ class RenderUnit:
         return f"{self.images} images from {first} on"
 
 
-@dataclass(frozen=True)
-class Spent:
-    """Time and space that a unit took."""
-
-    images: int
-    setup_s: float
-    """time up to the first image, mostly for preparing the district and its renderer"""
-    seconds: float
-    """time for rendering and writing the others"""
-    bytes: int
-
-
 def render_all(
     plans: Sequence[TraversalPlan],
     cameras: Cameras,
@@ -96,14 +92,14 @@ def render_all(
     run = run if total >= _WORTH_WORKERS else run.alone()
     with reporter.stage("rendering", total) as advance:
         if total >= _WORTH_AN_ESTIMATE:
-            pilots, units = _split_pilots(units)
+            pilots, units = split_pilots(units, _scene)
             spent = []
             for _, done in run_units(render_unit, pilots, run):
                 spent.append(done)
-                advance(done.images)
+                advance(done.files)
             reporter.note(estimate(spent, units, run.workers))
         for _, done in run_units(render_unit, units, run):
-            advance(done.images)
+            advance(done.files)
 
 
 def missing_steps(
@@ -161,44 +157,18 @@ _WRITERS: dict[str, Callable[[Path, Frame, FrameWork, RenderUnit], None]] = {
 }
 
 
-def _split_pilots(units: Sequence[RenderUnit]) -> tuple[list[RenderUnit], list[RenderUnit]]:
-    """The first unit of each condition in one district, and all others."""
-    pilots: list[RenderUnit] = []
-    rest: list[RenderUnit] = []
-    taken: set[Factors] = set()
-    for unit in units:
-        new = unit.place == units[0].place and unit.factors not in taken
-        taken.add(unit.factors)
-        (pilots if new else rest).append(unit)
-    return pilots, rest
-
-
 def estimate(spent: Sequence[Spent], rest: Sequence[RenderUnit], workers: int) -> str:
-    """Time and disk space for the rest, extrapolated from the first images.
-
-    The first units ran in parallel, as the rest will. Every worker prepares every district and condition.
-    """
+    """Time and disk space for the rest, extrapolated from the first images."""
     left = sum(unit.images for unit in rest)
-    measured = sum(s.images - 1 for s in spent)
-    size = sum(s.bytes for s in spent) / sum(s.images for s in spent) * left
-    if not measured:
-        return f"{left} images are left to render, {size / 1e9:.1f} GB"
-    per_image = sum(s.seconds for s in spent) / measured
-    scenes = len({(unit.place, unit.factors) for unit in rest})
-    seconds = left * per_image / workers + scenes * float(np.median([s.setup_s for s in spent]))
+    expected = remaining(spent, left, len({_scene(unit) for unit in rest}), workers)
+    if not expected.measured:
+        return f"{left} images are left to render, {expected.gigabytes:.1f} GB"
     return (
-        f"{left} images are left to render: about {duration(seconds)} at {rate(workers, per_image)} with "
-        f"{workers} worker{'s' if workers != 1 else ''}, {size / 1e9:.1f} GB (measured on {measured} images)"
+        f"{left} images are left to render: about {duration(expected.seconds)} at "
+        f"{rate(workers, expected.per_file_s)} with {workers_text(workers)}, {expected.gigabytes:.1f} GB "
+        f"(measured on {expected.measured} images)"
     )
 
 
-def rate(workers: int, per_image_s: float) -> str:
-    """Images per second as text; unknown if no time was measured."""
-    return f"{workers / per_image_s:.1f} images/s" if per_image_s > 0 else "an unknown rate"
-
-
-def duration(seconds: float) -> str:
-    """A duration as text in seconds, minutes or hours."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+def _scene(unit: RenderUnit) -> tuple[Place, Factors]:
+    return unit.place, unit.factors
