@@ -26,7 +26,7 @@ _TABLE_TOLERANCE = 1e-6
 
 
 @dataclass
-class Drive:
+class CheckedTraversal:
     """A traversal whose text files have been checked, with its files by time."""
 
     layout: TraversalLayout
@@ -39,7 +39,7 @@ class Drive:
 
 
 def check_pair_sets(
-    layout: DatasetLayout, drives: dict[str, Drive], found: Findings, reporter: Reporter
+    layout: DatasetLayout, drives: dict[str, CheckedTraversal], found: Findings, reporter: Reporter
 ) -> dict[str, dict[PairKey, PoseLine]]:
     """Check every pair set and return the valid lines of each."""
     names = sorted({p.stem for p in layout.pairs.glob("*") if p.suffix in (".txt", ".csv") and p.name[0] != "."})
@@ -93,7 +93,7 @@ def _check_frames(
     name: str,
     lines: dict[PairKey, PoseLine],
     rows: dict[PairKey, TableRow],
-    drives: dict[str, Drive],
+    drives: dict[str, CheckedTraversal],
     found: Findings,
 ) -> None:
     """Check that the pairs' images and depth exist and that their poses agree with those of the traversals."""
@@ -124,8 +124,8 @@ def _check_frames(
 
 def _compare_poses(
     path: Path,
-    reference: Drive,
-    query: Drive,
+    reference: CheckedTraversal,
+    query: CheckedTraversal,
     camera: str,
     lines: dict[PairKey, PoseLine],
     rows: dict[PairKey, TableRow],

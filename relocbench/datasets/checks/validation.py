@@ -15,7 +15,7 @@ from relocbench.datasets.checks.faults import (
     read_pose_table,
     read_yaml,
 )
-from relocbench.datasets.checks.pair_sets import Drive, check_pair_sets
+from relocbench.datasets.checks.pair_sets import CheckedTraversal, check_pair_sets
 from relocbench.datasets.core import fingerprint, images
 from relocbench.datasets.core.layout import IMAGE_SUFFIXES, DatasetLayout
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
@@ -24,7 +24,6 @@ from relocbench.datasets.pairs.correspondences import check_rows, iterate_corres
 from relocbench.errors import DatasetError, RelocbenchError
 from relocbench.execution import default_workers
 from relocbench.files import load_yaml_values, sha256_file, whole_number, yaml_line
-from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
 
@@ -60,7 +59,7 @@ def validate_dataset(root: Path, reporter: Reporter, *, quick: bool = False) -> 
     return found
 
 
-def _check_traversals(layout: DatasetLayout, found: Findings) -> dict[str, Drive]:
+def _check_traversals(layout: DatasetLayout, found: Findings) -> dict[str, CheckedTraversal]:
     folders = sorted(p for p in layout.traversals.iterdir() if p.is_dir()) if layout.traversals.is_dir() else []
     if not folders:
         found.fault("holds no traversal", layout.traversals)
@@ -70,13 +69,13 @@ def _check_traversals(layout: DatasetLayout, found: Findings) -> dict[str, Drive
         file = read_yaml(traversal.traversal_yaml, TraversalFile, "a traversal description", found)
         if file is not None and file.name != folder.name:
             found.fault(f"key 'name' is '{file.name}', expected the folder's name", traversal.traversal_yaml)
-        drives[folder.name] = Drive(traversal, file, read_pose_table(traversal.poses, found))
+        drives[folder.name] = CheckedTraversal(traversal, file, read_pose_table(traversal.poses, found))
     return drives
 
 
 def _check_content(
     layout: DatasetLayout,
-    drives: dict[str, Drive],
+    drives: dict[str, CheckedTraversal],
     digests: dict[str, str],
     found: Findings,
     reporter: Reporter,
@@ -100,7 +99,7 @@ def _check_content(
             advance(1)
 
 
-def _listed_time(drive: Drive, kind: str, path: Path, found: Findings) -> bool:
+def _listed_time(drive: CheckedTraversal, kind: str, path: Path, found: Findings) -> bool:
     """Whether a file has the name that the format expects; if so, its time is added to the drive's times."""
     suffixes = {"images": IMAGE_SUFFIXES, "depth": (".png",), "points": (".csv",)}[kind]
     if path.suffix not in suffixes or whole_number(path.stem) is None:
@@ -113,7 +112,7 @@ def _listed_time(drive: Drive, kind: str, path: Path, found: Findings) -> bool:
     return True
 
 
-def _check_cameras(drive: Drive, found: Findings) -> None:
+def _check_cameras(drive: CheckedTraversal, found: Findings) -> None:
     if drive.file is None:
         return
     for kind, camera in sorted(drive.times):
@@ -125,7 +124,7 @@ def _check_cameras(drive: Drive, found: Findings) -> None:
             found.fault(f"holds no image of camera '{camera}'", drive.layout.root / "images" / camera)
 
 
-def _check_file(drive: Drive, kind: str, path: Path, digest: str) -> Findings:
+def _check_file(drive: CheckedTraversal, kind: str, path: Path, digest: str) -> Findings:
     """Check one file; ``digest`` is the SHA-256 of its original content, or empty if unknown."""
     found = Findings()
     entry = drive.file.cameras.get(path.parent.name) if drive.file else None
@@ -135,17 +134,12 @@ def _check_file(drive: Drive, kind: str, path: Path, digest: str) -> Findings:
             depths = check_points(path, camera, found)
         else:
             read = images.read_image if kind == "images" else images.read_depth
-            depths = int(np.count_nonzero(read(path, None if camera is None else partial(_check_size, camera, path))))
+            size = None if camera is None else images.ExpectedSize(camera.size, f"camera '{path.parent.name}'")
+            depths = int(np.count_nonzero(read(path, size)))
         if kind != "images" and depths == 0:
             drive.without_depth.add((path.parent.name, int(path.stem)))
         _check_digest(path, digest, found)
     return found
-
-
-def _check_size(camera: Camera, path: Path, size: tuple[int, int]) -> None:
-    if size != camera.size:
-        wanted = "x".join(map(str, camera.size))
-        raise DatasetError(f"image is {size[0]}x{size[1]}, camera '{path.parent.name}' is {wanted}", path)
 
 
 def _check_digest(path: Path, digest: str, found: Findings) -> None:

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
 
-import numpy as np
-
 from relocbench.datasets.core import images
 from relocbench.datasets.cross_view.layout import TRAIN_FOLDERS
 from relocbench.errors import DatasetError
@@ -164,8 +162,7 @@ def shots_of(
 
 def read_rgb(path: Path) -> Image:
     """Read an image as RGB (H, W, 3). Raises DatasetError naming the file."""
-    image = images.read_image(path)
-    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    return images.as_rgb(images.read_image(path))
 
 
 def _task(name: str, queries: Sequence[Shot], gallery: Sequence[Shot]) -> RetrievalTask:

@@ -19,7 +19,7 @@ from relocbench.datasets.cross_view.rendered.plan import Views, choose_places, p
 from relocbench.datasets.cross_view.rendered.work import PhotoUnit, render_unit, seen_by
 from relocbench.datasets.importers.rendered import cross_view
 from relocbench.datasets.synthetic.conditions.condition import condition_named
-from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.town.network import StreetNetwork
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
@@ -36,7 +36,7 @@ TINY = {
     "extent": 190.0,
     "conditions": ("Sunny", "Overcast"),
 }
-TOWN = stage.Place(0, "test", 190.0)
+TOWN = scenes.DistrictSpec(0, "test", 190.0)
 HOUSE = Building(7, np.array([12.0, -30.0]), np.array([9.0, 10.0]), 14.0)
 OPTICS = Optics(64, 80.0)
 
@@ -92,7 +92,7 @@ def test_street_views_stand_on_the_nearest_street_and_face_the_house() -> None:
 
 
 def test_places_keep_their_distance_and_none_is_of_a_row_of_equal_houses() -> None:
-    district = stage.district(TOWN)
+    district = scenes.district(TOWN)
     every, found = buildings(district, every=True), buildings(district)
     assert 5 < len(found) < len(every)
     for front in district.periodic.fronts:
@@ -230,9 +230,9 @@ def test_an_image_depends_on_nothing_that_was_rendered_before(made: CrossViewSet
     ("options", "words"),
     [
         (("--conditions", "Hail"), "no condition 'Hail'"),
-        (("--conditions", "Sunny,Rain,Rain"), "--conditions: Value error, conditions are the satellite's and then"),
+        (("--conditions", "Sunny,Rain,Rain"), "--conditions: Value error, conditions are the satellite's, then"),
         (("--split", "train", "--distractors", "3"), "--distractors applies to the test split"),
-        (("--places", "6000"), "there are labels for 5000 a split"),
+        (("--places", "6000"), "a split has at most 5000"),
         (("--size", "8"), "--size: Input should be greater than or equal to 32"),
         (("--drone-views", "0"), "--drone-views"),
     ],

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.core import images
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import lidar_odometry, straightened
 from relocbench.datasets.importers.generic.recording import read_generic
-from relocbench.datasets.importers.kitti.files import Sequence
+from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG, VelodyneStream, raised, read_kitti
 from relocbench.datasets.importers.robotcar.sensors import LmsStream
 from relocbench.datasets.sensors.recording import Scan, Trajectory
@@ -55,7 +55,7 @@ def true_poses(root: Path) -> Array:
     """(N, 4, 4) ``T_world_lidar``"""
     rows = np.loadtxt(root / "truth" / "00" / "poses_cam0.txt").reshape(-1, 3, 4)
     T_world_cam0 = make_transform(rows[:, :, :3], rows[:, :, 3])
-    return np.asarray(T_world_cam0 @ Sequence(root, "00").calibration.T_cam0_lidar())
+    return np.asarray(T_world_cam0 @ KittiSequence(root, "00").calibration.T_cam0_lidar())
 
 
 @pytest.fixture(scope="module")

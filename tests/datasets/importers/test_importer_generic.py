@@ -264,7 +264,7 @@ def test_unknown_key_of_the_camera_is_named_with_its_line(tmp_path: Path) -> Non
         ("other_clock", r"poses.txt: no image has a pose"),
         ("no_images", r"images: holds no image"),
         ("bad_name", r"first.png: the file's name 'first' is not a time"),
-        ("wrong_size", r"\.png: is 48x36, camera.yaml says 96x72"),
+        ("wrong_size", r"\.png: image is 48x36, expected 96x72"),
         ("truncated", r"\.png: truncated"),
         ("no_scale", r"camera.yaml: key 'depth_scale' is missing"),
         ("orphan_depth", r"5\.png: there is no image at the time of this depth file"),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.synthetic.jobs.stage import Place as Town
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.town.mesh import Semantic
 from relocbench.datasets.synthetic.town.polylines import inside
 from relocbench.datasets.synthetic.town.rows import PeriodicFront
@@ -39,7 +39,7 @@ class PlaceOfTown:
 
     label: str
     """the folder's name, four digits"""
-    town: Town
+    town: DistrictSpec
     building: Building
     distractor: bool = False
     """whether it is in galleries only"""

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from relocbench.datasets.cross_view.rendered import flight
 from relocbench.datasets.cross_view.rendered.flight import Optics
 from relocbench.datasets.cross_view.rendered.places import Building, PlaceOfTown, buildings, spread
-from relocbench.datasets.synthetic.jobs import stage
-from relocbench.datasets.synthetic.jobs.stage import Place as Town
+from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.town.network import StreetNetwork
 from relocbench.errors import ConfigError
 from relocbench.progress import Reporter
@@ -51,7 +51,7 @@ class Photo:
     label: str
     view: str
     condition: str
-    town: Town
+    town: DistrictSpec
     T_world_cam: Array
     seed: int
     """seed of noise and of falling rain and snow"""
@@ -76,7 +76,7 @@ def choose_places(
     if wanted > MOST_PLACES:
         raise ConfigError(f"--places and --distractors ask for {wanted} places; a split has at most {MOST_PLACES}")
     planned = towns if towns is not None else -(-wanted // PLACES_PER_TOWN)
-    chosen: list[tuple[Town, Building, StreetNetwork]] = []
+    chosen: list[tuple[DistrictSpec, Building, StreetNetwork]] = []
     with reporter.stage(f"laying out towns of {split}", planned) as advance:
         k = 0
         while len(chosen) < wanted:
@@ -85,8 +85,8 @@ def choose_places(
                     f"--places: {k} towns of {extent_m:g} m have room for {len(chosen)} places {spacing_m:g} m apart, "
                     f"not for {wanted}; increase --towns or --extent, or decrease --spacing"
                 )
-            town = Town(seed * _SEEDS_PER_SET + k, split, extent_m)
-            district = stage.district(town)
+            town = DistrictSpec(seed * _SEEDS_PER_SET + k, split, extent_m)
+            district = scenes.district(town)
             rng = np.random.default_rng([seed, 31, k, _number(split)])
             share = -(-(wanted - len(chosen)) // max(planned - k, 1))
             found = spread(buildings(district), spacing_m, rng)[:share]

@@ -12,9 +12,9 @@ from relocbench.datasets.core import images
 from relocbench.datasets.cross_view.rendered.details import with_aerial_details
 from relocbench.datasets.cross_view.rendered.plan import Photo, Views
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.estimates import Spent, duration, rate, workers_text
-from relocbench.datasets.synthetic.jobs.stage import Place as Town
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.renderer.render import Renderer, Surroundings
 from relocbench.datasets.synthetic.renderer.sky import make_sky
 from relocbench.datasets.synthetic.renderer.skylight import Skylight
@@ -90,18 +90,18 @@ def render_unit(unit: PhotoUnit) -> Spent:
     return Spent(len(unit.photos), ready - start, time.perf_counter() - ready)
 
 
-_district: stage.Latest[District] = stage.Latest()
-_renderer: stage.Latest[Renderer] = stage.Latest()
-_skylight: stage.Latest[Skylight] = stage.Latest()
+_district: scenes.Latest[District] = scenes.Latest()
+_renderer: scenes.Latest[Renderer] = scenes.Latest()
+_skylight: scenes.Latest[Skylight] = scenes.Latest()
 
 
-def renderer_of(town: Town, condition: Factors, seen: Factors) -> Renderer:
+def renderer_of(town: DistrictSpec, condition: Factors, seen: Factors) -> Renderer:
     """The renderer of a town under a view's factors; objects and skylight are those of the condition itself."""
     return _renderer.get((town, seen), lambda: _make_renderer(town, condition, seen))
 
 
-def _make_renderer(town: Town, condition: Factors, seen: Factors) -> Renderer:
-    district = _district.get(town, lambda: with_aerial_details(stage.district(town)))
+def _make_renderer(town: DistrictSpec, condition: Factors, seen: Factors) -> Renderer:
+    district = _district.get(town, lambda: with_aerial_details(scenes.district(town)))
     mesh = compose(district, seen)
     light = _skylight.get(
         (town, condition), lambda: Renderer(mesh, condition, district.lamps, town.seed).surroundings.skylight

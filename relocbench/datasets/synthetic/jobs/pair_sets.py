@@ -15,9 +15,9 @@ from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.pairs.correspondences import PairCorrespondences, write_correspondences
 from relocbench.datasets.pairs.pairing import make_pairs
+from relocbench.datasets.synthetic.jobs.exact_correspondences import View, exact_correspondences
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
 from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
-from relocbench.datasets.synthetic.jobs.truth import View, exact_correspondences
 from relocbench.errors import DatasetError
 from relocbench.execution import Run, run_units
 from relocbench.geometry import Camera

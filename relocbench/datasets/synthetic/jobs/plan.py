@@ -15,8 +15,8 @@ from relocbench.datasets.synthetic.conditions.condition import NamedCondition
 from relocbench.datasets.synthetic.conditions.presets import SPLITS
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, Drive, DriveStyle, drive, route_length
 from relocbench.datasets.synthetic.drives.traffic import MovingCar, moving_cars
-from relocbench.datasets.synthetic.jobs import stage
-from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.town.network import LANE_M
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
@@ -39,7 +39,7 @@ class TraversalPlan:
     number: int
     """number in the order of (split, condition, traversal), on which seeds depend"""
     split: str
-    place: Place
+    place: DistrictSpec
     condition: NamedCondition
     reference: NamedCondition
     """condition of the split's reference traversal"""
@@ -89,8 +89,8 @@ def make_plans(
     first = next(iter(conditions.values()))
     with reporter.stage("laying out districts", len(splits)) as advance:
         for split in splits:
-            place = Place(seed, split, extent_m)
-            route = stage.district(place).network.drive(route_length(steps, style), seed)
+            place = DistrictSpec(seed, split, extent_m)
+            route = scenes.district(place).network.drive(route_length(steps, style), seed)
             for k, (name, condition) in enumerate(conditions.items()):
                 for number in range(traversals):
                     identity = (SPLITS.index(split) * len(conditions) + k) * traversals + number

@@ -26,14 +26,14 @@ from relocbench.datasets.synthetic.drives.traffic import moving_cars
 from relocbench.datasets.synthetic.jobs.recording_jobs import DriveJob, carry_out
 from relocbench.datasets.synthetic.jobs.recording_work import (
     Composer,
+    RecordableDistrict,
     RendererFactory,
-    Town,
     town_compose,
     town_renderer,
 )
 from relocbench.datasets.synthetic.layouts import robotcar as robotcar_layout
 from relocbench.datasets.synthetic.layouts.kitti import KittiLayout
-from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, Trajectory, car_tracks
+from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, TrueTrajectory, car_tracks
 from relocbench.datasets.synthetic.town.network import LANE_M
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
@@ -115,7 +115,7 @@ class DriveOptions:
 
 
 def record(
-    district: Town,
+    district: RecordableDistrict,
     path: Route,
     factors: Factors,
     out: Path,
@@ -145,7 +145,7 @@ def record(
 
 
 def prepare(
-    district: Town, path: Route, factors: Factors, out: Path, options: DriveOptions
+    district: RecordableDistrict, path: Route, factors: Factors, out: Path, options: DriveOptions
 ) -> tuple[Recorded, DriveJob]:
     """Write a drive's text files and truth, and return a job for the images and scans that are missing.
 
@@ -205,7 +205,7 @@ def _steps(frames: int, layout: str) -> int:
 
 def _drive(
     path: Route, factors: Factors, layout: Layout, style: DriveStyle, seed: tuple[int, int], needed_m: float
-) -> tuple[Trajectory, list[CarTrack]]:
+) -> tuple[TrueTrajectory, list[CarTrack]]:
     """The smooth motion of a drive, and the tracks of the other cars."""
     if path.length < needed_m - 1e-6:
         raise ConfigError(f"the recording needs {needed_m:.1f} m of road, but the path is {path.length:.1f} m long")
@@ -219,13 +219,13 @@ def _drive(
     return _smooth(step_times, driven.T_world_rig), car_tracks(step_times, others)
 
 
-def _smooth(times_ns: NDArray[np.int64], T_world_rig: Array) -> Trajectory:
+def _smooth(times_ns: NDArray[np.int64], T_world_rig: Array) -> TrueTrajectory:
     """Splines through the steps, with continuous velocity and angular velocity, sampled at 100 Hz."""
     fine = np.arange(times_ns[0], times_ns[-1] + 1, _TRUTH_NS, dtype=np.int64)
     knots, at = (times_ns - times_ns[0]) / 1e9, (fine - times_ns[0]) / 1e9
     position = CubicSpline(knots, T_world_rig[:, :3, 3], axis=0)(at)
     rotation = RotationSpline(knots, Rotation.from_matrix(T_world_rig[:, :3, :3]))(at).as_matrix()
-    return Trajectory(fine, make_transform(rotation, position))
+    return TrueTrajectory(fine, make_transform(rotation, position))
 
 
 def _missing(layout: Layout, sensors: Iterable[str]) -> list[tuple[str, int]]:
@@ -256,7 +256,7 @@ def _cameras(layout: Layout) -> dict[str, Any]:
     return {name: mount.camera.to_dict() for name, mount in layout.cameras.items()}
 
 
-def _write_poses(path: Path, trajectory: Trajectory) -> None:
+def _write_poses(path: Path, trajectory: TrueTrajectory) -> None:
     t, q = transform_to_tq(trajectory.T_world_rig)
     with atomic_write(path) as stream:
         stream.write("timestamp_ns,tx,ty,tz,qx,qy,qz,qw\n")

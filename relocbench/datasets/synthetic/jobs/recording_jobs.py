@@ -11,15 +11,15 @@ from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.jobs.estimates import Spent, duration, remaining, split_pilots, workers_text
 from relocbench.datasets.synthetic.jobs.recording_work import (
     Composer,
+    DriveContext,
+    RecordableDistrict,
     RendererFactory,
-    Stage,
-    Town,
     Unit,
     shared,
     write_images,
     write_scans,
 )
-from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, Trajectory
+from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, TrueTrajectory
 from relocbench.execution import Run, chunks, run_units
 from relocbench.progress import Advance, Reporter
 
@@ -37,10 +37,10 @@ Work = Callable[[Unit], Spent]
 class DriveJob:
     """The missing images and scans of a drive."""
 
-    district: Town
+    district: RecordableDistrict
     factors: Factors
     layout: Layout
-    trajectory: Trajectory
+    trajectory: TrueTrajectory
     tracks: Sequence[CarTrack]
     seed: tuple[int, int]
     truth: Path
@@ -58,8 +58,8 @@ def carry_out(
         for job in jobs:
             if id(job.district) not in pickled:
                 pickled[id(job.district)] = stack.enter_context(shared(job.district, job.truth))
-        stages = [
-            Stage(
+        drives = [
+            DriveContext(
                 pickled[id(job.district)],
                 job.factors,
                 job.layout,
@@ -71,9 +71,9 @@ def carry_out(
             )
             for job in jobs
         ]
-        both = list(zip(stages, jobs, strict=True))
-        scans = [Unit(stage, part) for stage, job in both for part in chunks(job.scans, _SCANS_A_UNIT)]
-        pictures = [Unit(stage, part) for stage, job in both for part in chunks(job.pictures, _IMAGES_A_UNIT)]
+        both = list(zip(drives, jobs, strict=True))
+        scans = [Unit(drive, part) for drive, job in both for part in chunks(job.scans, _SCANS_A_UNIT)]
+        pictures = [Unit(drive, part) for drive, job in both for part in chunks(job.pictures, _IMAGES_A_UNIT)]
         if _count(pictures) >= _WORTH_AN_ESTIMATE:
             scans, pictures = _measured(scans, pictures, reporter, run)
         for what, work, units in (("scanning", write_scans, scans), ("rendering", write_images, pictures)):
@@ -121,4 +121,4 @@ def estimate(what: str, spent: Sequence[Spent], rest: Sequence[Unit], workers: i
 
 
 def _scene(unit: Unit) -> tuple[Path, Factors]:
-    return unit.stage.district, unit.stage.factors
+    return unit.drive.district, unit.drive.factors

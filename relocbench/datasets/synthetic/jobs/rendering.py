@@ -14,7 +14,7 @@ from relocbench.datasets.core import images
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
-from relocbench.datasets.synthetic.jobs import extras, stage
+from relocbench.datasets.synthetic.jobs import extras, scenes
 from relocbench.datasets.synthetic.jobs.estimates import (
     Spent,
     duration,
@@ -24,7 +24,7 @@ from relocbench.datasets.synthetic.jobs.estimates import (
     workers_text,
 )
 from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
-from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.renderer.render import Frame
 from relocbench.execution import Run, chunks, run_units
 from relocbench.geometry import Camera
@@ -62,7 +62,7 @@ class StepWork:
 class RenderUnit:
     """Some steps of one traversal, rendered by one worker."""
 
-    place: Place
+    place: DistrictSpec
     factors: Factors
     reference: Factors
     steps: tuple[StepWork, ...]
@@ -115,7 +115,7 @@ def missing_steps(
             files |= {k: extras.extra_path(layout.root, plan.name, k, name, timestamp) for k in kinds}
             missing = {kind: path for kind, path in files.items() if not images.is_whole(path)}
             if missing:
-                number = stage.frame_seed(seed, plan.number, i, c)
+                number = scenes.frame_seed(seed, plan.number, i, c)
                 frames.append(FrameWork(camera, T_world_rig @ T_rig_cam, number, missing))
         if frames:
             found.append(StepWork(plan.moving[i], tuple(frames)))
@@ -131,7 +131,7 @@ def render_unit(unit: RenderUnit) -> Spent:
     written, start = 0, time.perf_counter()
     ready = None
     for step in unit.steps:
-        renderer = stage.renderer(unit.place, unit.factors, step.moving)
+        renderer = scenes.renderer(unit.place, unit.factors, step.moving)
         for work in step.frames:
             frame = renderer.render(work.camera, work.T_world_cam, work.seed)
             for kind, path in work.missing.items():
@@ -144,7 +144,7 @@ def render_unit(unit: RenderUnit) -> Spent:
 
 
 def _write_changed(path: Path, frame: Frame, work: FrameWork, unit: RenderUnit) -> None:
-    extras.write_mask(path, stage.changed_since(unit.place, unit.reference, frame, work.camera, work.T_world_cam))
+    extras.write_mask(path, scenes.changed_since(unit.place, unit.reference, frame, work.camera, work.T_world_cam))
 
 
 _WRITERS: dict[str, Callable[[Path, Frame, FrameWork, RenderUnit], None]] = {
@@ -170,5 +170,5 @@ def estimate(spent: Sequence[Spent], rest: Sequence[RenderUnit], workers: int) -
     )
 
 
-def _scene(unit: RenderUnit) -> tuple[Place, Factors]:
+def _scene(unit: RenderUnit) -> tuple[DistrictSpec, Factors]:
     return unit.place, unit.factors

@@ -24,7 +24,7 @@ _TELEPORT_M = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class TrueTrajectory:
     """The exact motion of the car, defined by :func:`interpolate_trajectory` between these poses."""
 
     times_ns: Times
@@ -41,7 +41,7 @@ class Trajectory:
 class SensorMotion:
     """``T_world_sensor`` at any time of the drive."""
 
-    trajectory: Trajectory
+    trajectory: TrueTrajectory
     T_rig_sensor: Array
 
     def __call__(self, times_ns: Times, /) -> Array:
@@ -149,7 +149,7 @@ class Layout(Protocol):
 
     def write_scan(self, path: Path, points: Array, reflectance: Array, returned: NDArray[np.bool_]) -> None: ...
 
-    def write_texts(self, trajectory: Trajectory, factors: Factors, seed: int) -> dict[str, Any]:
+    def write_texts(self, trajectory: TrueTrajectory, factors: Factors, seed: int) -> dict[str, Any]:
         """Write calibration, times, odometry and other text files; returns the random errors in them, for the truth.
 
         Raises:

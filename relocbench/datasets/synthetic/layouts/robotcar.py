@@ -22,7 +22,7 @@ from relocbench.datasets.core import images
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives import odometry
 from relocbench.datasets.synthetic.layouts import robotcar_odometry
-from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, Trajectory
+from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, TrueTrajectory
 from relocbench.datasets.synthetic.lidar import lidar
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.files import plain_file, write_bytes, write_text
@@ -167,7 +167,7 @@ class RobotCarLayout(FieldsOnly):
         """Write all 541 beams, (0, 0, 0) for those without a return."""
         write_bytes(path, np.column_stack([points[:, :2], reflectance]).astype("<f8").tobytes())
 
-    def write_texts(self, trajectory: Trajectory, factors: Factors, seed: int) -> dict[str, Any]:
+    def write_texts(self, trajectory: TrueTrajectory, factors: Factors, seed: int) -> dict[str, Any]:
         self._write_calibration()
         for sensor in {name.split("/")[0]: name for name in self.times}.values():
             rows = (f"{t // 1000} {1 + i // _CHUNK}\n" for i, t in enumerate(self.times[sensor].tolist()))

@@ -37,7 +37,7 @@ _BLOCKED_BY_DROPS = 0.15
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class RayHits:
     """The first surfaces that N rays hit."""
 
     range: Array
@@ -77,11 +77,11 @@ class LidarScene:
         hits = self.hits(origins, directions)
         return hits.range, hits.material, hits.instance
 
-    def hits(self, origins: Array, directions: Array) -> Hits:
+    def hits(self, origins: Array, directions: Array) -> RayHits:
         """Like :meth:`cast`, with the normals of the surfaces."""
         count = len(origins)
         if self._empty or count == 0:
-            return Hits(
+            return RayHits(
                 np.full(count, np.inf),
                 np.zeros(count, np.uint8),
                 np.zeros(count, np.uint32),
@@ -92,7 +92,7 @@ class LidarScene:
         distance = found["t_hit"].numpy().astype(np.float64)
         met = np.isfinite(distance)
         triangle = np.where(met, found["primitive_ids"].numpy(), 0)
-        return Hits(
+        return RayHits(
             distance,
             np.where(met, self._material[triangle], 0).astype(np.uint8),
             np.where(met, self._instance[triangle], 0).astype(np.uint32),
@@ -137,7 +137,7 @@ class Lidar:
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
+class SimulatedScan:
     """One simulated scan of N beams."""
 
     time_ns: int
@@ -196,7 +196,7 @@ def scan(
     factors: Factors,
     rng: np.random.Generator,
     moving: Sequence[MovingObject] = (),
-) -> Scan:
+) -> SimulatedScan:
     """Simulate one scan.
 
     Args:
@@ -225,7 +225,7 @@ def scan(
     returned = (seen | false_echo) & (blocked >= _BLOCKED_BY_DROPS * factors.lens_drops)
     distance = np.where(returned, np.where(false_echo, echo_m, measured), 0.0)
     brightness = np.where(false_echo, 0.02, reflectance * cosine) * (1 + 0.05 * glitter)
-    return Scan(
+    return SimulatedScan(
         time_ns,
         distance[:, None] * lidar.directions,
         np.where(returned, np.clip(brightness, 0.0, 1.0), 0.0),
@@ -234,7 +234,7 @@ def scan(
     )
 
 
-def compensate(lidar: Lidar, measured: Scan, motion: Motion) -> Array:
+def compensate(lidar: Lidar, measured: SimulatedScan, motion: Motion) -> Array:
     """Motion-compensated points (N, 3) of a scan, in the sensor's frame at the scan's timestamp; 0 without a return."""
     T_world_lidar = motion(measured.time_ns + lidar.offsets_ns)
     T_now_world = invert(motion(np.array([measured.time_ns]))[0])
@@ -244,7 +244,7 @@ def compensate(lidar: Lidar, measured: Scan, motion: Motion) -> Array:
 
 def trace(
     scene: LidarScene, moving: Sequence[MovingObject], origins: Array, directions: Array, times_ns: Times
-) -> Hits:
+) -> RayHits:
     """The first surfaces that rays (N, 3), fired at times (N,), hit among static and moving objects.
 
     For a moving object, rays are transformed to its frame at their times, so that no mesh has to be moved.

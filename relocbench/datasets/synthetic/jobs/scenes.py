@@ -23,7 +23,7 @@ Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
-class Place:
+class DistrictSpec:
     """The parameters that determine a district."""
 
     seed: int
@@ -50,18 +50,18 @@ _renderer: Latest[Renderer] = Latest()
 _surroundings: Latest[Surroundings] = Latest()
 
 
-def district(place: Place) -> District:
+def district(place: DistrictSpec) -> District:
     """The district with these parameters."""
     return _district.get(place, lambda: make_district(place.seed, place.split, place.extent_m))
 
 
-def renderer(place: Place, factors: Factors, moving: Sequence[MovingCar] = ()) -> Renderer:
+def renderer(place: DistrictSpec, factors: Factors, moving: Sequence[MovingCar] = ()) -> Renderer:
     """The renderer of a district in a condition, with the moving cars of one moment."""
     positions = tuple((T_world_car.tobytes(), variant) for T_world_car, variant in moving)
     return _renderer.get((place, factors, positions), lambda: _make_renderer(place, factors, moving))
 
 
-def _make_renderer(place: Place, factors: Factors, moving: Sequence[MovingCar]) -> Renderer:
+def _make_renderer(place: DistrictSpec, factors: Factors, moving: Sequence[MovingCar]) -> Renderer:
     town = district(place)
 
     def still() -> Renderer:
@@ -75,12 +75,12 @@ def _make_renderer(place: Place, factors: Factors, moving: Sequence[MovingCar]) 
 
 
 @lru_cache(maxsize=2)
-def static_scene(place: Place, factors: Factors) -> LidarScene:
+def static_scene(place: DistrictSpec, factors: Factors) -> LidarScene:
     """The scene of all static objects in a condition, for casting rays; those of a reference and a query are kept."""
     return LidarScene(compose(district(place), factors))
 
 
-def moving_scene(place: Place, factors: Factors, moving: Sequence[MovingCar]) -> LidarScene | None:
+def moving_scene(place: DistrictSpec, factors: Factors, moving: Sequence[MovingCar]) -> LidarScene | None:
     """The scene of the moving cars only; None if there are none."""
     if not moving:
         return None
@@ -102,7 +102,7 @@ def pixel_rays(camera: Camera, T_world_cam: Array, pixels: Array) -> tuple[Array
 
 
 def changed_since(
-    place: Place, reference: Factors, frame: Frame, camera: Camera, T_world_cam: Array
+    place: DistrictSpec, reference: Factors, frame: Frame, camera: Camera, T_world_cam: Array
 ) -> NDArray[np.bool_]:
     """Mask (H, W) of pixels that show another object than the reference condition does.
 

@@ -20,7 +20,7 @@ from relocbench.datasets.synthetic.drives.routes import RouteName, route
 from relocbench.datasets.synthetic.jobs.recording import DriveOptions, prepare
 from relocbench.datasets.synthetic.jobs.recording_jobs import DriveJob, carry_out
 from relocbench.datasets.synthetic.jobs.recording_work import town_compose, town_renderer
-from relocbench.datasets.synthetic.layouts.recorded import Layout, Trajectory
+from relocbench.datasets.synthetic.layouts.recorded import Layout, TrueTrajectory
 from relocbench.datasets.synthetic.town.network import Path as Route
 from relocbench.datasets.synthetic.town.town import District, make_district
 from relocbench.errors import DatasetError
@@ -33,7 +33,7 @@ _DRIVES = "drives.csv"
 
 
 @dataclass(frozen=True, eq=False)
-class FieldDrive:
+class PlannedDrive:
     """One drive, before it is recorded."""
 
     split: str
@@ -56,13 +56,13 @@ def plan_drives(
     seed: int,
     extent_m: float,
     reporter: Reporter,
-) -> list[FieldDrive]:
+) -> list[PlannedDrive]:
     """Plan the drives, ordered by split, condition, route and traversal.
 
     Raises:
         ConfigError: a district has no such route of this length.
     """
-    drives: list[FieldDrive] = []
+    drives: list[PlannedDrive] = []
     with reporter.stage("laying out districts", len(splits)) as advance:
         for split in splits:
             town = make_district(seed, split, extent_m)
@@ -70,13 +70,13 @@ def plan_drives(
             for condition in conditions:
                 for name, path in paths.items():
                     for k in range(traversals):
-                        drives.append(FieldDrive(split, condition, name, k, len(drives), town, path))
+                        drives.append(PlannedDrive(split, condition, name, k, len(drives), town, path))
             advance(1)
     return drives
 
 
 def record_all(
-    drives: Sequence[FieldDrive],
+    drives: Sequence[PlannedDrive],
     conditions: Mapping[str, NamedCondition],
     options: DriveOptions,
     out: Path,
@@ -124,7 +124,7 @@ def record_all(
     return RecordingFolder(out, options.layout, rows)
 
 
-def driven_m(trajectory: Trajectory, layout: Layout) -> float:
+def driven_m(trajectory: TrueTrajectory, layout: Layout) -> float:
     """Metres driven between a drive's first and last image or scan."""
     times = np.concatenate(list(layout.times.values()))
     during = (trajectory.times_ns >= times.min()) & (trajectory.times_ns <= times.max())

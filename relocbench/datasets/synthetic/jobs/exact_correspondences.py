@@ -17,8 +17,8 @@ from relocbench.datasets.pairs.correspondences import PairCorrespondences, sprea
 from relocbench.datasets.pairs.visibility import CHECKS, warp
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
-from relocbench.datasets.synthetic.jobs import stage
-from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.geometry import Camera, apply
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ _RELATIVE_TOLERANCE = 5e-4
 class View:
     """One camera at one moment of one traversal."""
 
-    place: Place
+    place: DistrictSpec
     factors: Factors
     camera: Camera
     T_world_cam: Array
@@ -48,8 +48,8 @@ class View:
 
     def cast(self, origins: Array, directions: Array) -> tuple[Array, Mask]:
         """Distances (N,) along unit rays (N, 3) to the first surface, inf if none, and whether it moves (N,)."""
-        distance = np.asarray(stage.static_scene(self.place, self.factors).cast(origins, directions)[0], np.float64)
-        cars = stage.moving_scene(self.place, self.factors, self.moving)
+        distance = np.asarray(scenes.static_scene(self.place, self.factors).cast(origins, directions)[0], np.float64)
+        cars = scenes.moving_scene(self.place, self.factors, self.moving)
         if cars is None:
             return distance, np.zeros(len(distance), dtype=bool)
         to_car = np.asarray(cars.cast(origins, directions)[0], np.float64)
@@ -57,7 +57,7 @@ class View:
 
     def depth(self, pixels: Array) -> tuple[Array, Mask]:
         """Depth along z (N,) of pixels (N, 2), inf if there is none, and whether they show a moving car (N,)."""
-        origins, directions, stretch = stage.pixel_rays(self.camera, self.T_world_cam, pixels)
+        origins, directions, stretch = scenes.pixel_rays(self.camera, self.T_world_cam, pixels)
         distance, moves = self.cast(origins, directions)
         return distance / stretch, moves
 
@@ -67,13 +67,13 @@ class View:
         far = np.linalg.norm(offset, axis=1)
         directions = offset / far[:, None]
         origins = np.broadcast_to(self.T_world_cam[:3, 3], offset.shape).copy()
-        hits = stage.static_scene(self.place, self.factors).hits(origins, directions)
+        hits = scenes.static_scene(self.place, self.factors).hits(origins, directions)
         met = np.isfinite(hits.range)
         slant = np.abs(np.sum(hits.normal * directions, axis=1))
         off = np.abs(np.where(met, hits.range, 0.0) - far)
         across = _ROUNDINGS * float(np.spacing(np.float32(self.place.extent_m)))
         seen = met & (off * slant <= across) & (off <= _TOLERANCE_M + _RELATIVE_TOLERANCE * far)
-        cars = stage.moving_scene(self.place, self.factors, self.moving)
+        cars = scenes.moving_scene(self.place, self.factors, self.moving)
         if cars is not None:
             seen &= hits.range <= cars.cast(origins, directions)[0]
         return np.asarray(seen)
