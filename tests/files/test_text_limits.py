@@ -22,7 +22,7 @@ from relocbench.datasets.groundtruth.pose_graph.files import read_graph
 from relocbench.datasets.groundtruth.registration.files import read_registrations
 from relocbench.datasets.importers.four_seasons import files as four_seasons_files
 from relocbench.datasets.importers.four_seasons.receiver import read_gga
-from relocbench.datasets.importers.kitti.files import Sequence
+from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.robotcar import files as robotcar_files
 from relocbench.datasets.sensors.trajectories import read_trajectory
 from relocbench.errors import DatasetError, RelocbenchError, quoted
@@ -62,7 +62,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "a manifest": lambda path: fingerprint.read_manifest(DatasetLayout(path.parent)),
     "a pair set": lambda path: read_pairs(path.parent / "pairs.txt", path),
     "points": read_points,
-    "KITTI times": lambda path: Sequence(path.parent, "00").times(10.0, 1, Silent()),
+    "KITTI times": lambda path: KittiSequence(path.parent, "00").times(10.0, 1, Silent()),
     "a trajectory": read_trajectory,
     "4Seasons poses": four_seasons_files.read_poses,
     "GNSS poses": four_seasons_files.read_gnss_poses,
@@ -194,7 +194,7 @@ def test_frames_of_kitti_are_named_by_ascii_digits(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     for name in ("000001.png", "²².png", "٣.png", "9" * 30 + ".png"):
         (folder / name).touch()
-    assert list(Sequence(tmp_path, "00").frames("image_2", ".png")) == [1]
+    assert list(KittiSequence(tmp_path, "00").frames("image_2", ".png")) == [1]
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,21 +27,34 @@ DEPTH_SCALE = 256.0
 """a stored depth of 256 is one metre"""
 _POINT_HEADER = "u,v,inverse_depth,sigma"
 
-SizeCheck = Callable[[tuple[int, int]], None]
-"""raises DatasetError unless an image of that size, (width, height), is as expected"""
+
+@dataclass(frozen=True)
+class ExpectedSize:
+    """The size that an image must have."""
+
+    size: tuple[int, int]
+    """(width, height) in pixels"""
+    source: str
+    """where the size comes from, for messages"""
+
+    def check(self, size: tuple[int, int], path: Path) -> None:
+        """Raise DatasetError if an image's size (width, height) is another one."""
+        if size != self.size:
+            found, expected = ("x".join(map(str, s)) for s in (size, self.size))
+            raise DatasetError(f"image is {found}, expected {expected} ({self.source})", path)
 
 
-def read_image(path: Path, check_size: SizeCheck | None = None) -> NDArray[np.uint8]:
+def read_image(path: Path, expected: ExpectedSize | None = None) -> NDArray[np.uint8]:
     """An 8-bit image, (H, W) grey or (H, W, 3) RGB, as stored: an orientation in its metadata is ignored.
 
     Args:
-        check_size: called before anything is decoded.
+        expected: the size, which is checked before anything is decoded.
 
     Raises:
         DatasetError: the file is missing, neither PNG nor JPEG, damaged or too large
-            (:mod:`relocbench.datasets.core.image_header` has the limits), or ``check_size`` raised.
+            (:mod:`relocbench.datasets.core.image_header` has the limits), or has another size.
     """
-    image = _decode(path, check_size)
+    image = _decode(path, expected)
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
     if image.dtype != np.uint8:
@@ -58,14 +71,14 @@ def write_image(path: Path, image: NDArray[np.uint8]) -> None:
     write_bytes(path, _encode(cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image))
 
 
-def read_depth(path: Path, check_size: SizeCheck | None = None) -> NDArray[np.float32]:
+def read_depth(path: Path, expected: ExpectedSize | None = None) -> NDArray[np.float32]:
     """Depth along z in metres, (H, W), 0 where unknown. Raises DatasetError like :func:`read_image`."""
-    return read_raw_depth(path, 1.0 / DEPTH_SCALE, check_size)
+    return read_raw_depth(path, 1.0 / DEPTH_SCALE, expected)
 
 
-def read_raw_depth(path: Path, metres_per_unit: float, check_size: SizeCheck | None = None) -> NDArray[np.float32]:
+def read_raw_depth(path: Path, metres_per_unit: float, expected: ExpectedSize | None = None) -> NDArray[np.float32]:
     """The values of a 16-bit PNG times ``metres_per_unit``, (H, W). Raises DatasetError like :func:`read_image`."""
-    stored = _decode(path, check_size)
+    stored = _decode(path, expected)
     if stored.dtype != np.uint16 or stored.ndim != 2:
         raise DatasetError(f"pixels are {stored.dtype} x {stored.ndim - 1}, expected a 16-bit depth PNG", path)
     return stored.astype(np.float32) * np.float32(metres_per_unit)
@@ -102,6 +115,16 @@ def write_points(path: Path, points: KeyframePoints) -> None:
             stream.write(f"{u!r},{v!r},{idepth!r},{sigma!r}\n")
 
 
+def as_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W, 3) of a grey (H, W) or RGB (H, W, 3) image."""
+    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+
+
+def as_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W) of a grey (H, W) or RGB (H, W, 3) image."""
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+
+
 def is_whole(path: Path) -> bool:
     """Whether an image file exists and was written to its end. Nothing is decoded."""
     try:
@@ -117,11 +140,11 @@ def is_whole(path: Path) -> bool:
         return False
 
 
-def _decode(path: Path, check_size: SizeCheck | None) -> NDArray[Any]:
+def _decode(path: Path, expected: ExpectedSize | None) -> NDArray[Any]:
     data = read_bytes(path, "an image", DatasetError, MOST_FILE_BYTES)
     header = read_header(data, path)
-    if check_size is not None:
-        check_size(header.size)
+    if expected is not None:
+        expected.check(header.size, path)
     check_affordable(header, path)
     check_content(data, header, path)
     try:

@@ -79,14 +79,14 @@ class Traversal:
             DatasetError: the image is missing, damaged or not of the camera's size.
         """
         path = self.layout.find_image(camera, timestamp_ns) or self.layout.image(camera, timestamp_ns)
-        return images.read_image(path, lambda size: self._check_size(size, camera, path))
+        return images.read_image(path, self._expected_size(camera))
 
     def depth(self, camera: str, timestamp_ns: int) -> NDArray[np.float32] | None:
         """Dense depth (H, W) in metres, 0 where unknown; None if the frame has none."""
         path = self.layout.depth(camera, timestamp_ns)
         if not path.exists() and not path.is_symlink():
             return None
-        return images.read_depth(path, lambda size: self._check_size(size, camera, path))
+        return images.read_depth(path, self._expected_size(camera))
 
     def points(self, camera: str, timestamp_ns: int) -> KeyframePoints | None:
         """Sparse keyframe points, or None if the frame has none."""
@@ -132,10 +132,8 @@ class Traversal:
             T_neighbour_ref = invert(self.T_world_cam(camera, t)) @ T_world_ref
             yield Neighbour(t, self.image(camera, t), self.camera(camera), T_neighbour_ref)
 
-    def _check_size(self, size: tuple[int, int], camera: str, path: Path) -> None:
-        if size != self.camera(camera).size:
-            wanted = "x".join(map(str, self.camera(camera).size))
-            raise DatasetError(f"image is {size[0]}x{size[1]}, camera '{camera}' is {wanted}", path)
+    def _expected_size(self, camera: str) -> images.ExpectedSize:
+        return images.ExpectedSize(self.camera(camera).size, f"camera '{camera}'")
 
 
 def read_poses(path: Path) -> dict[int, Array]:

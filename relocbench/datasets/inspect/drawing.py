@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.core.images import as_grey
+
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
@@ -72,7 +74,7 @@ def mixed(warped: Image, known: NDArray[np.bool_], query: Image, scale: int, *, 
 
 
 def red_cyan(warped: Image, known: NDArray[np.bool_], query: Image) -> Image:
-    red, cyan = (np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)) for image in (warped, query))
+    red, cyan = (as_grey(image) for image in (warped, query))
     out: Image = np.stack([red, cyan, cyan], axis=-1).astype(np.uint8)
     out[~known] = cyan[~known, None] // 2
     return out
@@ -122,10 +124,6 @@ def enlarge(image: Image, scale: int) -> Image:
         return np.ascontiguousarray(image)
     enlarged = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
     return np.asarray(enlarged).astype(np.uint8, copy=False)
-
-
-def rgb(image: Image) -> Image:
-    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
 
 
 def _pixel(at: Array) -> tuple[int, int]:

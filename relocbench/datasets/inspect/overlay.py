@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.images import write_image
+from relocbench.datasets.core.images import as_grey, as_rgb, write_image
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.inspect.drawing import (
@@ -33,7 +33,6 @@ from relocbench.datasets.inspect.drawing import (
     match_brightness,
     mixed,
     red_cyan,
-    rgb,
 )
 from relocbench.datasets.pairs.correspondences import spread_sample
 from relocbench.datasets.pairs.visibility import DepthView, ReferencePoints, reference_z_buffer, see, warp
@@ -224,14 +223,14 @@ def draw_pair(
     corners = _corner_rows(reference.image, points.uv, seen.visible)
     everywhere = np.ones(len(points), dtype=np.bool_)
     warped, known = warp_image(reference, query.camera, pair.T_query_ref)
-    other = rgb(query.image)
-    warped = match_brightness(rgb(warped), other, known)
+    other = as_rgb(query.image)
+    warped = match_brightness(as_rgb(warped), other, known)
     near, far = np.percentile(points.depth, [5, 95]) if len(points) else (np.nan, np.nan)
     scale = max(1, round(_PANEL_WIDTH / query.camera.width))
     panels = [
         (
             f"keyframe: points, red {near:.3g} m to blue {far:.3g} m",
-            draw_points(rgb(reference.image), points.uv, colours, everywhere, corners, scale),
+            draw_points(as_rgb(reference.image), points.uv, colours, everywhere, corners, scale),
         ),
         (
             f"query: the same points by the true pose; {np.count_nonzero(seen.visible)} visible, "
@@ -280,8 +279,7 @@ def _corner_rows(image: Image, uv: Array, visible: NDArray[np.bool_]) -> list[in
 
 
 def _smooth_grey(image: Image) -> Array:
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return np.asarray(cv2.GaussianBlur(grey, (0, 0), 1.0), dtype=np.float64)
+    return np.asarray(cv2.GaussianBlur(as_grey(image), (0, 0), 1.0), dtype=np.float64)
 
 
 def _sample(image: NDArray[Any], uv: Array) -> Array:

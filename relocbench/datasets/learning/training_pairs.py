@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.core import fingerprint
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.images import as_rgb
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
@@ -106,8 +107,7 @@ class DatasetPairs:
         at = (source.root, traversal)
         if at not in self._open:
             self._open[at] = Traversal(DatasetLayout(source.root).traversal(traversal))
-        image = self._open[at].image(source.camera, timestamp_ns)
-        return np.repeat(image[..., None], 3, axis=-1) if image.ndim == 2 else image
+        return as_rgb(self._open[at].image(source.camera, timestamp_ns))
 
 
 def without_only_validation(datasets: Sequence[Path], split: str) -> list[Path]:

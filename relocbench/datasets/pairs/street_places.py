@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.images import as_rgb
 from relocbench.datasets.core.layout import TraversalLayout
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.traversal import Traversal
@@ -208,8 +209,7 @@ def _view(traversal: Traversal, camera: str, time: int) -> ImageView:
 
 
 def _read(root: Path, camera: str, time: int) -> Image:
-    image = _traversal(root).image(camera, time)
-    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    return as_rgb(_traversal(root).image(camera, time))
 
 
 @cache

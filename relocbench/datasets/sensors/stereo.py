@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.core.images import as_grey
+
 DISPARITY_SIGMA = 0.5
 """pixels; sigma_z = z^2 sigma_d / (f b). Against the lidar of KITTI the median error of this matcher is 0.4 px."""
 _BLOCK = 5
@@ -40,7 +42,7 @@ def stereo_depth(left: NDArray[np.uint8], right: NDArray[np.uint8], geometry: St
     A match is kept if the match from the right image agrees within a pixel, if it is 10 % better than any other, and if
     it is not part of a speckle.
     """
-    disparity = _match(_grey(left), _grey(right), geometry.max_disparity) - np.float32(geometry.centre_offset)
+    disparity = _match(as_grey(left), as_grey(right), geometry.max_disparity) - np.float32(geometry.centre_offset)
     known = disparity > geometry.focal_baseline / geometry.max_depth
     depth = np.zeros(disparity.shape, dtype=np.float32)
     depth[known] = geometry.focal_baseline / disparity[known]
@@ -68,7 +70,3 @@ def _match(left: NDArray[np.uint8], right: NDArray[np.uint8], count: int) -> NDA
     # A match in the padding is not valid.
     beyond = disparity > np.arange(disparity.shape[1], dtype=np.float32)
     return np.where((disparity <= 0) | beyond, np.float32(-1.0), disparity)
-
-
-def _grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))

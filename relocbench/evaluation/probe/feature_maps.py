@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.images import write_image
+from relocbench.datasets.core.images import as_rgb, write_image
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
-from relocbench.datasets.inspect.drawing import rgb
 from relocbench.errors import MethodError
 from relocbench.evaluation.common.worker import read_only, tracker_of
 from relocbench.execution import MANY_TIMES, Loss, step
@@ -92,7 +91,7 @@ def feature_sheet(place: Place, method: SupportsFeatures, label: str) -> Image:
     ]
     rows = []
     for index, (title, image, _) in enumerate(place.images):
-        panels = [(title, rgb(image))]
+        panels = [(title, as_rgb(image))]
         panels += [(f"{label}, level {level}: 3 components", pictures[index]) for level, pictures in levels]
         rows.append(np.hstack([_panel(text, picture, width, height) for text, picture in panels]))
     return np.vstack(rows)

@@ -5,12 +5,11 @@ Its files are described in ``docs/file-formats.md``. Each folder is one traversa
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
@@ -21,13 +20,14 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, Condition, Strict, Transform, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.assembly import check_conditions, configuration, write_pairs
+from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, timed_files, traversal_names
+from relocbench.datasets.sensors.undistortion import undistort, undistort_points
 from relocbench.errors import DatasetError
 from relocbench.execution import Run, run_units
 from relocbench.files import check_distinct, check_name, fitting_name, load_yaml, load_yaml_values
-from relocbench.geometry import Camera, interpolate_trajectory
+from relocbench.geometry import Camera
 from relocbench.progress import Reporter
-from relocbench.tracking import KeyframePoints
 
 Array = NDArray[np.float64]
 CAMERA_FILE, POSE_FILE = "camera.yaml", "poses.txt"
@@ -199,18 +199,10 @@ def poses_at_images(folder: GenericFolder, max_gap_s: float) -> dict[int, Array]
     if not folder.T_world_rig:
         return {}
     times = np.array(list(folder.T_world_rig), dtype=np.int64)
+    trajectory = Trajectory(times, np.array(list(folder.T_world_rig.values())), math.floor(max_gap_s * 1e9))
     wanted = np.array(folder.image_times, dtype=np.int64)
-    after = np.searchsorted(times, wanted)
-    exact = times[np.minimum(after, len(times) - 1)] == wanted
-    between = (after > 0) & (after < len(times))
-    gap = np.where(between, times[np.minimum(after, len(times) - 1)] - times[np.maximum(after - 1, 0)], 0)
-    posed = wanted[exact | (between & (gap <= max_gap_s * 1e9))]
-    if not posed.size:
-        return {}
-    if len(times) == 1:
-        return {int(t): folder.T_world_rig[int(t)] for t in posed}
-    poses = interpolate_trajectory(times, np.array(list(folder.T_world_rig.values())), posed)
-    return {int(t): pose for t, pose in zip(posed, poses, strict=True)}
+    posed = wanted[trajectory.covers(wanted)]
+    return dict(zip(posed.tolist(), trajectory.at(posed), strict=True))
 
 
 def _write_traversal(
@@ -264,16 +256,16 @@ def _write_frame(unit: _FrameUnit) -> None:
     """Import a frame: link images of a pinhole camera, undistort those of other cameras."""
     where = unit.traversal, unit.camera_name, unit.timestamp_ns
     camera, writer = unit.camera.camera, unit.writer
-    distorted = camera.model != "pinhole"
+    distorted, size = camera.model != "pinhole", expected_size(camera)
     if not distorted:
-        images.read_image(unit.image, partial(check_size, camera, unit.image))
+        images.read_image(unit.image, size)
         writer.link_image(*where, unit.image, copy=unit.options.copy_images)
     elif writer.needs_image(*where):
-        image = images.read_image(unit.image, partial(check_size, camera, unit.image))
+        image = images.read_image(unit.image, size)
         writer.image(*where, undistort(image, camera))
     if unit.depth is not None and writer.needs_depth(*where):
         assert unit.camera.depth_scale is not None
-        depth = images.read_raw_depth(unit.depth, unit.camera.depth_scale, partial(check_size, camera, unit.depth))
+        depth = images.read_raw_depth(unit.depth, unit.camera.depth_scale, size)
         writer.depth(*where, undistort(depth, camera, nearest=True) if distorted else depth)
     if unit.points is not None:
         points = images.read_points(unit.points)
@@ -283,36 +275,13 @@ def _write_frame(unit: _FrameUnit) -> None:
         writer.points(*where, undistort_points(points, camera) if distorted else points)
 
 
-def undistort(image: NDArray[Any], camera: Camera, nearest: bool = False) -> NDArray[Any]:
-    """The image (H, W) or (H, W, 3) that ``camera.pinhole()`` would have taken; 0 where the camera did not look.
-
-    Args:
-        nearest: take the nearest pixel (depth must not be mixed across an edge) instead of interpolating.
-    """
-    u, v = _undistortion_map(camera)
-    return np.asarray(cv2.remap(image, u, v, cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR))
-
-
-def undistort_points(points: KeyframePoints, camera: Camera) -> KeyframePoints:
-    """Points of a distorted image on the one of ``camera.pinhole()``; those whose ray is not known are left out."""
-    pixels, valid = camera.undistort(points.uv, camera.pinhole())
-    return KeyframePoints(pixels[valid], points.inverse_depth[valid], points.sigma[valid])
-
-
-@lru_cache(maxsize=8)
-def _undistortion_map(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    return camera.undistortion_map()
-
-
 def _undistorted_entry(camera: GenericCamera) -> CameraEntry:
     return CameraEntry.of(camera.camera.pinhole(), camera.T_rig_cam.matrix, camera.depth_sigma)
 
 
-def check_size(camera: Camera, path: Path, size: tuple[int, int]) -> None:
-    """Raises DatasetError where an image of that size, (width, height), is not the camera's."""
-    if size != camera.size:
-        told = f"is {size[0]}x{size[1]}, {CAMERA_FILE} says {camera.width}x{camera.height}"
-        raise DatasetError(told, path)
+def expected_size(camera: Camera) -> images.ExpectedSize:
+    """The size of the camera's images by ``camera.yaml``."""
+    return images.ExpectedSize(camera.size, CAMERA_FILE)
 
 
 def _why_no_pose(folder: GenericFolder) -> str:

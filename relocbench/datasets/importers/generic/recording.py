@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -17,13 +16,13 @@ from relocbench.datasets.importers.generic.dataset import (
     CAMERA_FILE,
     POSE_FILE,
     CameraFolder,
-    check_size,
+    expected_size,
     read_folder,
-    undistort,
 )
 from relocbench.datasets.importers.generic.scans import LIDAR_FILE, read_lidar_file, read_lidars
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
+from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import DatasetError
 from relocbench.geometry import Camera, invert, make_transform
 from relocbench.progress import Reporter, Silent
@@ -57,7 +56,7 @@ class GenericCameraStream:
     def read(self, index: int) -> NDArray[np.uint8]:
         """Read an undistorted image, (H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
         path = self.files[index]
-        image = images.read_image(path, partial(check_size, self.distorted, path))
+        image = images.read_image(path, expected_size(self.distorted))
         return image if self.distorted.model == "pinhole" else undistort(image, self.distorted)
 
     def file(self, index: int) -> Path | None:

@@ -26,7 +26,7 @@ from relocbench.datasets.importers.assembly import (
     configuration,
     write_pairs,
 )
-from relocbench.datasets.importers.kitti.files import Sequence
+from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.pairs.pairing import PosedFrames, make_pairs
 from relocbench.datasets.sensors.stereo import StereoGeometry, stereo_depth
 from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, project_scan, read_scan
@@ -61,7 +61,7 @@ class Options(ImportOptions):
 class _Plan:
     """The part of a sequence that goes into the dataset."""
 
-    sequence: Sequence
+    sequence: KittiSequence
     frames: dict[int, Path]
     """frame number -> image, for frames with a pose and a time"""
     poses: list[Array]
@@ -106,12 +106,8 @@ def _compute_depth(unit: _StereoUnit | _LidarUnit) -> None:
         depth = project_scan(read_scan(unit.scan), unit.camera, unit.T_cam_lidar, unit.max_depth)
     else:
         left = images.read_image(unit.left)
-
-        def check_size(size: tuple[int, int]) -> None:
-            if size != left.shape[1::-1]:
-                raise DatasetError(f"size differs from that of the left image {unit.left}", unit.right)
-
-        right = images.read_image(unit.right, check_size)
+        size = images.ExpectedSize((left.shape[1], left.shape[0]), f"the left image {unit.left}")
+        right = images.read_image(unit.right, size)
         depth = stereo_depth(left, right, unit.geometry)
     images.write_depth(unit.depth, depth)
 
@@ -166,7 +162,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     return writer.finish()
 
 
-def _find_sequences(sources: list[Path], options: Options) -> list[Sequence]:
+def _find_sequences(sources: list[Path], options: Options) -> list[KittiSequence]:
     if len(sources) != 1:
         raise ConfigError(f"kitti takes one folder (with sequences/ and poses/), got {len(sources)}; see --sequence")
     root = sources[0].resolve()
@@ -179,15 +175,15 @@ def _find_sequences(sources: list[Path], options: Options) -> list[Sequence]:
         if not options.sequence and len(there) != 1:
             raise ConfigError(f"--sequence is needed: {root} holds {', '.join(there) or 'none'}")
         asked = options.sequence or (there[0],)
-    found = [Sequence(root, name) for name in dict.fromkeys(asked)]
+    found = [KittiSequence(root, name) for name in dict.fromkeys(asked)]
     for sequence in found:
         check_folder(sequence.folder, f"KITTI sequence {sequence.name}")
     return found
 
 
-def _read(sequence: Sequence, options: Options, needs_depth: bool, reporter: Reporter) -> _Plan:
+def _read(sequence: KittiSequence, options: Options, needs_depth: bool, reporter: Reporter) -> _Plan:
     """Read a sequence and select its usable frames; nothing is written."""
-    found = sequence.frames(options.camera, ".png") or sequence.frames(options.camera, ".jpg")
+    found = sequence.image_frames(options.camera)
     if not found:
         raise DatasetError("holds no images (000000.png, ...)", sequence.folder / options.camera)
     poses = sequence.poses()
@@ -205,7 +201,7 @@ def _read(sequence: Sequence, options: Options, needs_depth: bool, reporter: Rep
             f"{sequence.name}: {len(frames) - len(depth_files)} of {len(frames)} frames are not keyframes, because "
             f"they have no {lacking}"
         )
-    camera = _camera(sequence, options.camera, next(iter(frames.values())))
+    camera = sequence.camera(options.camera, next(iter(frames.values())))
     return _Plan(sequence, frames, poses, times, kind, depth_files, camera)
 
 
@@ -249,10 +245,10 @@ def _depth_units(writer: DatasetWriter, plan: _Plan, options: Options) -> list[_
     return units
 
 
-def _depth_kind(sequence: Sequence, options: Options, needs_depth: bool) -> Literal["stereo", "velodyne"] | None:
+def _depth_kind(sequence: KittiSequence, options: Options, needs_depth: bool) -> Literal["stereo", "velodyne"] | None:
     """The source of a sequence's depth; None for a query sequence without depth."""
     right = _right_of(options.camera)
-    has_right = right is not None and bool(sequence.frames(right, ".png") or sequence.frames(right, ".jpg"))
+    has_right = right is not None and bool(sequence.image_frames(right))
     has_scans = bool(sequence.frames("velodyne", ".bin"))
     if options.depth == "stereo" and right is None:
         raise ConfigError(f"stereo depth needs a left camera (image_0 or image_2), got {options.camera}")
@@ -270,15 +266,14 @@ def _right_of(camera: str) -> str | None:
     return {"image_0": "image_1", "image_2": "image_3"}.get(camera)
 
 
-def _depth_files(sequence: Sequence, options: Options, kind: str | None) -> dict[int, Path]:
+def _depth_files(sequence: KittiSequence, options: Options, kind: str | None) -> dict[int, Path]:
     """Frame number -> right image or scan."""
     if kind == "stereo":
-        right = str(_right_of(options.camera))
-        return sequence.frames(right, ".png") or sequence.frames(right, ".jpg")
+        return sequence.image_frames(str(_right_of(options.camera)))
     return sequence.frames("velodyne", ".bin") if kind == "velodyne" else {}
 
 
-def _stereo_geometry(sequence: Sequence, options: Options) -> StereoGeometry:
+def _stereo_geometry(sequence: KittiSequence, options: Options) -> StereoGeometry:
     left = sequence.calibration.projection(options.camera)
     right = sequence.calibration.matrix(f"P{int(options.camera[-1]) + 1}", "stereo depth")
     focal_baseline = float(left[0, 3] - right[0, 3])
@@ -286,16 +281,6 @@ def _stereo_geometry(sequence: Sequence, options: Options) -> StereoGeometry:
         raise DatasetError("the right camera is not to the right of the left one", sequence.calibration.path)
     offset = float(left[0, 2] - right[0, 2])
     return StereoGeometry(focal_baseline, offset, options.max_depth, options.max_disparity)
-
-
-def _camera(sequence: Sequence, camera: str, example: Path) -> Camera:
-    """The camera with the intrinsics of P and the size of an image."""
-    p = sequence.calibration.projection(camera)
-    height, width = images.read_image(example).shape[:2]
-    try:
-        return Camera("pinhole", width, height, p[0, 0], p[1, 1], p[0, 2], p[1, 2])
-    except ValueError as bad:
-        raise DatasetError(f"line 'P{camera[-1]}:' is not a projection ({bad})", sequence.calibration.path) from None
 
 
 def _rate(times: list[int]) -> float | None:

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.core import images
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, parse_seconds, read_rows, read_text, whole_number
-from relocbench.geometry import is_rotation, make_transform, project_to_rotation
+from relocbench.geometry import Camera, is_rotation, make_transform, project_to_rotation
 from relocbench.progress import Reporter
 
 Array = NDArray[np.float64]
@@ -66,7 +67,7 @@ class Calibration:
 
 
 @dataclass(frozen=True)
-class Sequence:
+class KittiSequence:
     """One sequence folder."""
 
     root: Path
@@ -92,6 +93,23 @@ class Sequence:
         """Files of a folder by frame number; a missing folder has none."""
         found = (self.folder / folder).glob(f"*{suffix}")
         return {number: p for p in sorted(found) if (number := whole_number(p.stem)) is not None}
+
+    def image_frames(self, camera: str) -> dict[int, Path]:
+        """Images of a camera by frame number."""
+        return self.frames(camera, ".png") or self.frames(camera, ".jpg")
+
+    def camera(self, camera: str, example: Path) -> Camera:
+        """The rectified camera with the intrinsics of its projection and the size of an image.
+
+        Raises:
+            DatasetError: the image or the projection is bad.
+        """
+        p = self.calibration.projection(camera)
+        height, width = images.read_image(example).shape[:2]
+        try:
+            return Camera("pinhole", width, height, float(p[0, 0]), float(p[1, 1]), float(p[0, 2]), float(p[1, 2]))
+        except ValueError as bad:
+            raise DatasetError(f"line 'P{camera[-1]}:' is not a projection ({bad})", self.calibration.path) from None
 
     def poses(self) -> list[Array]:
         """``T_world_cam0`` (4, 4) of frames 0, 1, 2, ... Raises DatasetError with file and line."""

@@ -5,7 +5,7 @@ The rig is the lidar: x forward, y left, z up.
 
 from __future__ import annotations
 
-from collections.abc import Sequence as Several
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.core import images
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
-from relocbench.datasets.importers.kitti.files import Sequence
+from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Scan, Trajectory
 from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, read_scan
 from relocbench.errors import ConfigError, DatasetError
@@ -90,13 +90,7 @@ class RectifiedCamera:
     def read(self, index: int) -> NDArray[np.uint8]:
         """Read an image, (H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
         path = self.files[index]
-
-        def check_size(size: tuple[int, int]) -> None:
-            if size != self.camera.size:
-                wanted = f"{self.camera.width}x{self.camera.height}"
-                raise DatasetError(f"is {size[0]}x{size[1]}, the first image of {self.name} {wanted}", path)
-
-        return images.read_image(path, check_size)
+        return images.read_image(path, images.ExpectedSize(self.camera.size, f"the first image of {self.name}"))
 
     def file(self, index: int) -> Path | None:
         return self.files[index]
@@ -108,7 +102,7 @@ def read_kitti(
     *,
     name: str | None = None,
     odometry: OdometrySource = "lidar",
-    cameras: Several[str] | None = None,
+    cameras: Sequence[str] | None = None,
     motion: ScanMotion = "compensated",
     elevation_deg: float = 0.0,
     rate_hz: float = 10.0,
@@ -133,7 +127,7 @@ def read_kitti(
         ConfigError: KITTI has no such camera.
     """
     report = reporter or Silent()
-    files = Sequence(root, sequence)
+    files = KittiSequence(root, sequence)
     scans = files.frames("velodyne", ".bin")
     if not scans:
         raise DatasetError("holds no lidar scan; expected velodyne/NNNNNN.bin", files.folder)
@@ -155,14 +149,14 @@ def read_kitti(
     )
 
 
-def _image_files(files: Sequence, cameras: Several[str] | None) -> dict[str, dict[int, Path]]:
+def _image_files(files: KittiSequence, cameras: Sequence[str] | None) -> dict[str, dict[int, Path]]:
     """Image files by camera and frame number."""
     for name in cameras or ():
         if name not in CAMERAS:
             raise ConfigError(f"KITTI has no camera '{name}'; there is {', '.join(CAMERAS)}")
     found: dict[str, dict[int, Path]] = {}
     for name in CAMERAS if cameras is None else dict.fromkeys(cameras):
-        numbers = files.frames(name, ".png") or files.frames(name, ".jpg")
+        numbers = files.image_frames(name)
         if numbers:
             found[name] = numbers
         elif cameras is not None:
@@ -170,14 +164,14 @@ def _image_files(files: Sequence, cameras: Several[str] | None) -> dict[str, dic
     return found
 
 
-def _times(files: Sequence, rate_hz: float, frames: int, reporter: Reporter) -> Times:
+def _times(files: KittiSequence, rate_hz: float, frames: int, reporter: Reporter) -> Times:
     times = files.times(rate_hz, frames, reporter)
     if len(times) < frames:
         raise DatasetError(f"holds {len(times)} times for {frames} frames", files.folder / "times.txt")
     return np.array(times, dtype=np.int64)
 
 
-def _poses(files: Sequence, times: Times) -> Trajectory:
+def _poses(files: KittiSequence, times: Times) -> Trajectory:
     """The motion of the lidar by ``poses/NN.txt``, whose poses are those of camera 0."""
     T_world_cam0 = files.poses()
     if len(T_world_cam0) < 2:
@@ -190,13 +184,7 @@ def _poses(files: Sequence, times: Times) -> Trajectory:
     return Trajectory(times[: len(T_world_rig)], invert(T_world_rig[0]) @ T_world_rig)
 
 
-def _camera(files: Sequence, name: str, numbers: dict[int, Path], times: Times) -> CameraStream:
-    projection = files.calibration.projection(name)
-    height, width = images.read_image(next(iter(numbers.values()))).shape[:2]
-    fx, fy, cx, cy = (float(projection[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    try:
-        camera = Camera("pinhole", width, height, fx, fy, cx, cy)
-    except ValueError as bad:
-        raise DatasetError(f"line 'P{name[-1]}:' is not a projection ({bad})", files.calibration.path) from None
+def _camera(files: KittiSequence, name: str, numbers: dict[int, Path], times: Times) -> CameraStream:
+    camera = files.camera(name, next(iter(numbers.values())))
     T_rig_cam = invert(files.calibration.T_cam0_lidar()) @ files.calibration.T_cam0_cam(name)
     return RectifiedCamera(name, camera, T_rig_cam, tuple(numbers.values()), times[list(numbers)])

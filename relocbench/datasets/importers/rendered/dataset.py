@@ -211,8 +211,8 @@ def record(
     if options.recording is None:
         return None
     from relocbench.datasets.synthetic.drives.drive import DriveStyle
-    from relocbench.datasets.synthetic.jobs.field import check_folder, plan_drives, record_all
     from relocbench.datasets.synthetic.jobs.recording import DriveOptions
+    from relocbench.datasets.synthetic.jobs.recording_set import check_folder, plan_drives, record_all
 
     _no_sources(sources)
     conditions = conditions_of(options.conditions, options.factors, options.sweep, options.sweep_steps, options.traffic)

@@ -100,12 +100,7 @@ class RobotCarCamera:
         """Read an image, (H, W, 3) RGB, black outside the lens's view. Raises DatasetError with the file."""
         path = self.folder / f"{int(self.times_ns[index]) // 1000}.png"
 
-        def check_size(size: tuple[int, int]) -> None:
-            if size != self.camera.size:
-                wanted = f"{self.camera.width}x{self.camera.height}"
-                raise DatasetError(f"is {size[0]}x{size[1]}, the first image of this camera {wanted}", path)
-
-        image = images.read_image(path, check_size)
+        image = images.read_image(path, images.ExpectedSize(self.camera.size, f"the first image of {self.name}"))
         # Some copies of the data set already hold colour images.
         colour = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, self._CODES[self.bayer]), dtype=np.uint8)
         if self.look_up_table is None:

@@ -7,11 +7,9 @@ camera, so that both share its intrinsics. Images and depth are undistorted to a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -29,6 +27,7 @@ from relocbench.datasets.importers.assembly import (
     write_pairs,
 )
 from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
+from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run, run_units
 from relocbench.files import fitting_name, parse_seconds, read_rows
@@ -102,31 +101,14 @@ class _Unit:
 
 def _convert(unit: _Unit) -> None:
     """Undistort an image, or a depth image without interpolation, which would invent surfaces between two others."""
+    size = images.ExpectedSize(unit.camera.size, "--intrinsics")
     if unit.metres_per_unit is None:
-        image = images.read_image(unit.source, partial(_check_size, unit))
-        images.write_image(unit.target, _undistort(image, unit.camera, cv2.INTER_LINEAR))
+        image = images.read_image(unit.source, size)
+        images.write_image(unit.target, undistort(image, unit.camera) if unit.camera.distortion else image)
     else:
-        depth = images.read_raw_depth(unit.source, unit.metres_per_unit, partial(_check_size, unit))
-        images.write_depth(unit.target, _undistort(depth, unit.camera, cv2.INTER_NEAREST))
-
-
-def _undistort(image: NDArray[Any], camera: Camera, interpolation: int) -> NDArray[Any]:
-    if not camera.distortion:
-        return image
-    u, v = _undistortion_map(camera)
-    return np.asarray(cv2.remap(image, u, v, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
-
-
-@lru_cache(maxsize=2)
-def _undistortion_map(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    return camera.undistortion_map()
-
-
-def _check_size(unit: _Unit, size: tuple[int, int]) -> None:
-    if size != unit.camera.size:
-        raise DatasetError(
-            f"image is {size[0]}x{size[1]}, expected {unit.camera.width}x{unit.camera.height}", unit.source
-        )
+        depth = images.read_raw_depth(unit.source, unit.metres_per_unit, size)
+        depth = undistort(depth, unit.camera, nearest=True) if unit.camera.distortion else depth
+        images.write_depth(unit.target, depth)
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:

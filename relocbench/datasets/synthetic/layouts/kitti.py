@@ -14,14 +14,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core import images
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives import odometry
-from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, Trajectory
+from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, TrueTrajectory
 from relocbench.datasets.synthetic.lidar import lidar
 from relocbench.errors import ConfigError
 from relocbench.files import write_bytes, write_text
@@ -102,13 +101,13 @@ class KittiLayout(FieldsOnly):
 
     def write_image(self, camera: str, path: Path, rgb: NDArray[np.uint8]) -> None:
         colour = camera in ("image_2", "image_3")
-        images.write_image(path, rgb if colour else np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)))
+        images.write_image(path, rgb if colour else images.as_grey(rgb))
 
     def write_scan(self, path: Path, points: Array, reflectance: Array, returned: NDArray[np.bool_]) -> None:
         """Write x, y, z, reflectance of the returned points as float32."""
         write_bytes(path, np.column_stack([points, reflectance])[returned].astype("<f4").tobytes())
 
-    def write_texts(self, trajectory: Trajectory, factors: Factors, seed: int) -> dict[str, Any]:
+    def write_texts(self, trajectory: TrueTrajectory, factors: Factors, seed: int) -> dict[str, Any]:
         camera = _CAMERA.scaled(self.scale)
         rows = []
         for i, right_m in enumerate(CAMERAS.values()):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from relocbench.datasets.synthetic.town.shapes import Floats
 
@@ -35,7 +36,7 @@ def arc_lengths(points: Floats) -> Floats:
     return np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
-def points_at(points: Floats, lengths: Floats, s: Floats) -> Floats:
+def points_at(points: Floats, lengths: Floats, s: ArrayLike) -> Floats:
     """Points (N, 2) at distances s (N,) along a polyline (P, 2) with the given :func:`arc_lengths`."""
     return np.stack([np.interp(s, lengths, points[:, k]) for k in range(2)], axis=1)
 
