@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
+from relocbench.datasets.core import manifest
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.schema import DatasetFile
 from relocbench.errors import MOST_QUOTED, DatasetError, cut
-from relocbench.files import atomic_write, parse_count, read_bytes, read_table, sha256_file
+from relocbench.files import read_bytes, sha256_file
 
-_COLUMNS = ("path", "bytes", "sha256")
 _TEXT = (".yaml", ".csv", ".txt")
 SHORT = 12
 """hex digits of a fingerprint that folder names and tables show"""
@@ -29,11 +28,8 @@ def content_files(layout: DatasetLayout) -> list[Path]:
 
 def write_manifest(layout: DatasetLayout) -> None:
     """Hash all content into ``manifest.csv``."""
-    with atomic_write(layout.manifest) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(_COLUMNS)
-        for path in content_files(layout):
-            table.writerow([path.relative_to(layout.root).as_posix(), path.stat().st_size, sha256_file(path)])
+    keys = [path.relative_to(layout.root).as_posix() for path in content_files(layout)]
+    manifest.write_manifest(layout.manifest, manifest.manifest_rows(layout.root, keys))
 
 
 def compute(layout: DatasetLayout, format_version: int, splits: dict[str, tuple[str, ...]]) -> str:
@@ -44,12 +40,7 @@ def compute(layout: DatasetLayout, format_version: int, splits: dict[str, tuple[
 
 def read_manifest(layout: DatasetLayout) -> dict[str, tuple[int, str]]:
     """The manifest as path -> (bytes, sha256). Raises DatasetError with file and line."""
-    path, out = layout.manifest, {}
-    for number, (name, size, digest) in read_table(path, _COLUMNS, "the dataset's manifest", DatasetError):
-        if len(digest) != 64:
-            raise DatasetError("expected path, size in bytes, SHA-256", path, number)
-        out[name] = parse_count(size, "bytes", path, number, DatasetError), digest
-    return out
+    return {key: (size, digest) for key, size, digest in manifest.read_manifest(layout.manifest)}
 
 
 def check_manifest(layout: DatasetLayout, file: DatasetFile) -> None:

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from relocbench.datasets.core import manifest
+from relocbench.datasets.core.manifest import Row
 from relocbench.datasets.core.question import recipe
 from relocbench.datasets.core.schema import Strict
 from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, check_name, parse_count, read_csv, read_table, sha256_file
+from relocbench.files import check_name, read_csv
 
 DATASET_FILE, BUILD_FILE, MANIFEST_FILE, POSES_FILE = "dataset.yaml", "build.yaml", "manifest.csv", "poses.csv"
 FORMAT_VERSION = 1
-_COLUMNS = ("path", "bytes", "sha256")
 
 
 class CrossViewFile(Strict):
@@ -33,20 +33,9 @@ class CrossViewFile(Strict):
     fingerprint: str
 
 
-Row = tuple[str, int, str]
-"""path relative to the root, bytes, SHA-256"""
-
-
 def rows_of(root: Path, keys: Iterable[str]) -> list[Row]:
-    """Manifest rows of files, sorted by path. Raises DatasetError naming a file that cannot be read."""
-    found = []
-    for key in sorted(keys):
-        path = root / key
-        try:
-            found.append((key, path.stat().st_size, sha256_file(path)))
-        except OSError as bad:
-            raise DatasetError(f"cannot be read ({bad.strerror}); expected an image", path) from None
-    return found
+    """Manifest rows of images, sorted by path. Raises DatasetError naming a file that cannot be read."""
+    return manifest.manifest_rows(root, sorted(keys))
 
 
 def fingerprint_of(rows: Sequence[Row]) -> str:
@@ -63,21 +52,12 @@ def question_of(file: CrossViewFile, keys: Iterable[str]) -> str:
 
 def write_manifest(root: Path, rows: Sequence[Row]) -> None:
     """Write ``manifest.csv``."""
-    with atomic_write(root / MANIFEST_FILE) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(_COLUMNS)
-        table.writerows(rows)
+    manifest.write_manifest(root / MANIFEST_FILE, rows)
 
 
 def read_manifest(root: Path) -> list[Row]:
     """Read ``manifest.csv``. Raises DatasetError with file and line."""
-    path = root / MANIFEST_FILE
-    rows = []
-    for number, (key, size, digest) in read_table(path, _COLUMNS, "the set's manifest", DatasetError):
-        if len(digest) != 64:
-            raise DatasetError("expected path, size in bytes, SHA-256", path, number)
-        rows.append((key, parse_count(size, "bytes", path, number, DatasetError), digest))
-    return rows
+    return manifest.read_manifest(root / MANIFEST_FILE)
 
 
 def check_against(root: Path, rows: Sequence[Row], present: Iterable[str]) -> None:

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from relocbench.datasets.core import pairfile
-from relocbench.datasets.core.layout import pair_set_name
+from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
@@ -203,30 +203,55 @@ def write_pair_set(
         count: greatest number of correspondences per pair.
     """
     name = pair_set_name(reference, query, camera)
-    path = writer.layout.correspondence_file(name)
     ordered = sorted(pairs, key=lambda p: p.key)
-    if _is_finished(writer, name, ordered, count):
+    if is_finished(writer.layout, name, ordered, with_correspondences=count > 0):
         return name
     traversals = [Traversal(writer.layout.traversal(t)) for t in (reference, query)]
     measured = [p for p in ordered if p.accepted and p.T_query_ref is not None]
     units = [_Unit(traversals[0], traversals[1], camera, pair, count, seed) for pair in measured]
-    overlaps: dict[PairKey, float] = {}
     run = run if len(units) >= _WORTH_WORKERS else run.alone()
     with reporter.stage(f"correspondences of {name}", len(units)) as advance:
 
         def results() -> Iterator[tuple[PairKey, PairCorrespondences]]:
             for index, found in _in_order(run_units(_work, units, run)):
-                overlaps[measured[index].key] = found.overlap
                 yield measured[index].key, found
                 advance(1)
 
-        if count:
-            write_correspondences(path, results(), sigma=any(_sigma_pose(p) is not None for p in measured))
-        else:
-            for _ in results():
-                pass
-    writer.pairs(reference, query, camera, [replace(p, overlap=overlaps.get(p.key, p.overlap)) for p in ordered])
+        sigma = any(_sigma_pose(p) is not None for p in measured)
+        write_measured(writer.layout, name, ordered, results(), with_correspondences=count > 0, sigma=sigma)
     return name
+
+
+def write_measured(
+    layout: DatasetLayout,
+    name: str,
+    pairs: Sequence[Pair],
+    measured: Iterable[tuple[PairKey, PairCorrespondences]],
+    *,
+    with_correspondences: bool,
+    sigma: bool = False,
+) -> None:
+    """Write a pair set: first its correspondences, if wanted, and last its pairs with the measured overlaps.
+
+    Args:
+        pairs: all pairs of the set, sorted by their keys.
+        measured: results for some or all of the pairs, which are consumed one at a time.
+        sigma: as in :func:`write_correspondences`.
+    """
+    overlaps: dict[PairKey, float] = {}
+
+    def noted() -> Iterator[tuple[PairKey, PairCorrespondences]]:
+        for key, found in measured:
+            overlaps[key] = found.overlap
+            yield key, found
+
+    if with_correspondences:
+        write_correspondences(layout.correspondence_file(name), noted(), sigma=sigma)
+    else:
+        for _ in noted():
+            pass
+    complete = [replace(p, overlap=overlaps.get(p.key, p.overlap)) for p in pairs]
+    pairfile.write_pairs(layout.pair_file(name), layout.pair_table(name), complete)
 
 
 def write_correspondences(
@@ -370,13 +395,12 @@ def _table(key: PairKey, found: PairCorrespondences, schema: pa.Schema) -> pa.Ta
     return pa.Table.from_arrays([pa.array(c) if isinstance(c, np.ndarray) else c for c in columns], schema=schema)
 
 
-def _is_finished(writer: DatasetWriter, name: str, pairs: Sequence[Pair], count: int) -> bool:
-    """Whether an earlier run has written this set; its pair file is written after the correspondences."""
-    layout = writer.layout
+def is_finished(layout: DatasetLayout, name: str, pairs: Sequence[Pair], *, with_correspondences: bool) -> bool:
+    """Whether an earlier run has written this pair set; its pairs are written after the correspondences."""
     if not (layout.pair_file(name).exists() and layout.pair_table(name).exists()):
         return False
     try:
-        if count:
+        if with_correspondences:
             with open_correspondences(layout.correspondence_file(name)):
                 pass
         known = pairfile.read_pairs(layout.pair_file(name), layout.pair_table(name))

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from relocbench.datasets.core import pairfile
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
-from relocbench.datasets.pairs.correspondences import PairCorrespondences, write_correspondences
+from relocbench.datasets.pairs.correspondences import PairCorrespondences, is_finished, write_measured
 from relocbench.datasets.pairs.pairing import make_pairs
 from relocbench.datasets.synthetic.jobs.exact_correspondences import View, exact_correspondences
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
@@ -73,7 +70,7 @@ def write_pair_sets(
         for camera in cameras:
             unit = _unit(reference, query, camera, cameras, layout, options, spread, reporter)
             splits.setdefault(reference.split, []).append(unit.name)
-            if not _is_finished(unit):
+            if not is_finished(layout, unit.name, unit.pairs, with_correspondences=unit.count > 0):
                 units.append(unit)
     run = run if sum(len(u.pairs) for u in units) >= _WORTH_WORKERS else run.alone()
     with reporter.stage("pairs and their correspondences", len(units)) as advance:
@@ -140,34 +137,12 @@ def _views(plan: TraversalPlan, *T_world_cam: np.ndarray, camera: Camera, wanted
 
 def write_set(unit: PairSetUnit) -> None:
     """Compute and write one pair set: the correspondences first, and last the pair file, which marks it as finished."""
-    overlaps: dict[PairKey, float] = {}
 
     def measured() -> Iterator[tuple[PairKey, PairCorrespondences]]:
         for pair in unit.pairs:
             assert pair.T_query_ref is not None
             rng = np.random.default_rng([unit.seed, 8, *pair.key])
             views = unit.references[pair.ref_timestamp_ns], unit.queries[pair.query_timestamp_ns]
-            found = exact_correspondences(*views, pair.T_query_ref, unit.count, rng)
-            overlaps[pair.key] = found.overlap
-            yield pair.key, found
+            yield pair.key, exact_correspondences(*views, pair.T_query_ref, unit.count, rng)
 
-    layout = unit.layout
-    if unit.count:
-        write_correspondences(layout.correspondence_file(unit.name), measured())
-    else:
-        for _ in measured():
-            pass
-    pairs = [replace(p, overlap=overlaps[p.key]) for p in unit.pairs]
-    pairfile.write_pairs(layout.pair_file(unit.name), layout.pair_table(unit.name), pairs)
-
-
-def _is_finished(unit: PairSetUnit) -> bool:
-    """Whether an earlier run has written this set and its files are whole."""
-    layout = unit.layout
-    try:
-        if unit.count:
-            pq.ParquetFile(layout.correspondence_file(unit.name)).close()
-        known = pairfile.read_pairs(layout.pair_file(unit.name), layout.pair_table(unit.name))
-    except (pa.ArrowInvalid, OSError, DatasetError):
-        return False
-    return layout.pair_table(unit.name).exists() and [p.key for p in known] == [p.key for p in unit.pairs]
+    write_measured(unit.layout, unit.name, unit.pairs, measured(), with_correspondences=unit.count > 0)
