@@ -83,6 +83,14 @@ def test_the_truth_is_that_of_the_images_time_plus_the_offset(recording: Path, t
     np.testing.assert_allclose(pose[:3, 3], [0.08, 0, 0], atol=1e-9)
 
 
+def test_an_image_at_the_time_of_a_true_pose_has_it_even_after_a_gap(tmp_path: Path) -> None:
+    path = tmp_path / "groundtruth.txt"
+    path.write_text("".join(f"{s} {s} 0 0 0 0 0 1\n" for s in (1.0, 1.5, 1.6)))
+    times = [1_000_000_000, 1_400_000_000, 1_500_000_000, 1_550_000_000, 1_700_000_000]
+    poses = tum_rgbd._poses_at(path, times, 0, 0.2)
+    assert {t: round(float(T[0, 3]), 9) for t, T in poses.items()} == {times[0]: 1.0, times[2]: 1.5, times[3]: 1.55}
+
+
 def test_nothing_is_interpolated_over_a_gap_of_the_truth(recording: Path, tmp_path: Path) -> None:
     lines = (recording / "groundtruth.txt").read_text().splitlines()
     kept = [line for line in lines if not f"{SECONDS}.16" < line < f"{SECONDS}.27"]

@@ -26,12 +26,13 @@ from relocbench.datasets.importers.assembly import (
     configuration,
     write_pairs,
 )
+from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
 from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run, run_units
 from relocbench.files import fitting_name, parse_seconds, read_rows
-from relocbench.geometry import Camera, interpolate_trajectory
+from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
 Array = NDArray[np.float64]
@@ -235,14 +236,10 @@ def _poses_at(path: Path, times: list[int], offset_ns: int, max_gap: float) -> d
     if not truth:
         raise DatasetError("holds no pose", path)
     stamps = np.array(list(truth), dtype=np.int64)
+    trajectory = Trajectory(stamps, np.array(list(truth.values())), round(max_gap * 1e9))
     wanted = np.array(times, dtype=np.int64) + offset_ns
-    right = np.clip(np.searchsorted(stamps, wanted), 1, max(len(stamps) - 1, 1))
-    inside = (wanted >= stamps[0]) & (wanted <= stamps[-1])
-    covered = inside & ((stamps[right % len(stamps)] - stamps[right - 1]) <= round(max_gap * 1e9))
-    if not np.any(covered):
-        return {}
-    poses = interpolate_trajectory(stamps, np.array(list(truth.values())), wanted[covered])
-    return {times[i]: pose for i, pose in zip(np.nonzero(covered)[0], poses, strict=True)}
+    covered = np.nonzero(trajectory.covers(wanted))[0]
+    return {times[i]: pose for i, pose in zip(covered, trajectory.at(wanted[covered]), strict=True)}
 
 
 def _nearest(files: dict[int, Path], time: int, limit: int) -> Path | None:
