@@ -36,6 +36,8 @@ class Dataset:
             raise DatasetError(why, self.root)
         self.file = load_yaml(self.layout.dataset_yaml, DatasetFile, "a dataset description", DatasetError)
         fingerprint.check_manifest(self.layout, self.file)
+        self._pair_sets: dict[str, PairSet] = {}
+        self._traversals: dict[str, Traversal] = {}
 
     @property
     def name(self) -> str:
@@ -104,11 +106,3 @@ class Dataset:
     def query(self, pair_set: PairSet, pair: Pair) -> Query:
         """The tracker's view of a pair's query."""
         return self.traversal(pair_set.query).query(pair_set.camera, pair.query_timestamp_ns)
-
-    @cached_property
-    def _pair_sets(self) -> dict[str, PairSet]:
-        return {}
-
-    @cached_property
-    def _traversals(self) -> dict[str, Traversal]:
-        return {}

@@ -26,7 +26,7 @@ from relocbench.datasets.synthetic.drives.rig import RIGS
 from relocbench.datasets.synthetic.drives.traffic import moving_cars
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.estimates import Spent, duration
-from relocbench.datasets.synthetic.jobs.extras import extra_path, read_instance
+from relocbench.datasets.synthetic.jobs.extras import extra_path
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
 from relocbench.datasets.synthetic.jobs.plan import make_plans
 from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, estimate
@@ -279,7 +279,10 @@ def test_extras_are_exact_and_outside_of_the_fingerprint(
     town: Dataset, resumed: Dataset, wet: Mesh, tmp_path: Path
 ) -> None:
     time_ns = town.traversal(QUERY).timestamps("front")[0]
-    instance = read_instance(extra_path(town.root, QUERY, "instance", "front", time_ns))
+    r, g, b = np.moveaxis(
+        images.read_image(extra_path(town.root, QUERY, "instance", "front", time_ns)).astype(np.uint32), -1, 0
+    )
+    instance = r + 256 * g + 65536 * b
     assert np.isin(instance, wet.instance).all()
     assert len(np.unique(instance)) > 3
     assert resumed.fingerprint == town.fingerprint

@@ -33,12 +33,6 @@ def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
     images.write_image(path, np.stack(parts, axis=-1))
 
 
-def read_instance(path: Path) -> NDArray[np.uint32]:
-    """(H, W) object numbers."""
-    r, g, b = np.moveaxis(images.read_image(path).astype(np.uint32), -1, 0)
-    return np.asarray(r + 256 * g + 65536 * b)
-
-
 def write_mask(path: Path, mask: NDArray[np.bool_]) -> None:
     """Write a mask (H, W) as 8-bit grey, 255 where it is true."""
     images.write_image(path, np.where(mask, 255, 0).astype(np.uint8))

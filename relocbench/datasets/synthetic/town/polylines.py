@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic.town.shapes import Floats
 
@@ -36,7 +37,7 @@ def arc_lengths(points: Floats) -> Floats:
     return np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
-def points_at(points: Floats, lengths: Floats, s: ArrayLike) -> Floats:
+def points_at(points: Floats, lengths: Floats, s: NDArray[np.floating[Any]]) -> Floats:
     """Points (N, 2) at distances s (N,) along a polyline (P, 2) with the given :func:`arc_lengths`."""
     return np.stack([np.interp(s, lengths, points[:, k]) for k in range(2)], axis=1)
 
