@@ -61,5 +61,5 @@ def parse_npz(data: bytes, names: Iterable[str], path: Path) -> dict[str, NDArra
         raise
     # Archives that are encrypted, split, truncated or of another version raise more than BadZipFile.
     except Exception as bad:
-        raise DatasetError(f"is no whole archive of arrays ({type(bad).__name__})", path) from bad
+        raise DatasetError(f"is not a complete archive of arrays ({type(bad).__name__})", path) from bad
     return out

@@ -26,6 +26,14 @@ def configuration(kind: str, sources: Sequence[Path], options: ImportOptions) ->
     }
 
 
+def open_writer(
+    kind: str, sources: Sequence[Path], options: ImportOptions, out: Path, default_name: str
+) -> DatasetWriter:
+    """The writer of a build. Raises DatasetError or ConfigError like :class:`DatasetWriter`."""
+    name = options.name or default_name
+    return DatasetWriter(out, name, configuration(kind, sources, options), options.licence)
+
+
 def condition_of(options: ImportOptions, traversal: str) -> Condition:
     """The condition that the options give for a traversal; unknown by default."""
     return options.conditions.get(traversal, Condition())

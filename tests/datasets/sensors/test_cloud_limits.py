@@ -262,5 +262,5 @@ def test_a_block_whose_directory_lies_is_refused(tmp_path: Path) -> None:
     data = bytearray(block(tmp_path).read_bytes())
     at = data.find(b"PK\x01\x02")
     data[at + 20 : at + 28] = struct.pack("<II", 2**31, 2**31)  # both sizes of the first entry
-    with pytest.raises(DatasetError, match="is no whole archive of arrays"):
+    with pytest.raises(DatasetError, match="is not a complete archive of arrays"):
         parse_npz(bytes(data), ["points"], Path("0.npz"))

@@ -21,7 +21,7 @@ from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.importers.assembly import check_conditions, condition_of, configuration, write_pairs
+from relocbench.datasets.importers.assembly import check_conditions, condition_of, open_writer, write_pairs
 from relocbench.datasets.importers.four_seasons.calibration import (
     StereoCalibration,
     find_calibration,
@@ -83,12 +83,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     assert isinstance(options, Options)
     names = traversal_names(sources)
     check_conditions(options, names)
-    writer = DatasetWriter(
-        out,
-        options.name or fitting_name("four-seasons-" + "-".join(names)),
-        configuration("four-seasons", sources, options),
-        options.licence,
-    )
+    writer = open_writer("four-seasons", sources, options, out, fitting_name("four-seasons-" + "-".join(names)))
     if writer.complete:
         return Dataset(out)
     recordings = [read_recording(source, name) for source, name in zip(sources, names, strict=True)]

@@ -19,7 +19,7 @@ from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, Condition, Strict, Transform, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.importers.assembly import check_conditions, configuration, write_pairs
+from relocbench.datasets.importers.assembly import check_conditions, open_writer, write_pairs
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, timed_files, traversal_names
 from relocbench.datasets.sensors.undistortion import undistort, undistort_points
@@ -114,12 +114,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     assert isinstance(options, Options)
     names = traversal_names(sources)
     check_conditions(options, names)
-    writer = DatasetWriter(
-        out,
-        options.name or fitting_name("generic-" + "-".join(names)),
-        configuration("generic", sources, options),
-        options.licence,
-    )
+    writer = open_writer("generic", sources, options, out, fitting_name("generic-" + "-".join(names)))
     if writer.complete:
         return Dataset(out)
     folders = [read_folder(source, name) for source, name in zip(sources, names, strict=True)]

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from relocbench.datasets.core.build_options import ImportOptions
-from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.importers.assembly import check_conditions, configuration
+from relocbench.datasets.importers.assembly import check_conditions, open_writer
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
@@ -45,8 +44,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     if len(names) < 2:
         raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(names)}")
     check_conditions(options, names)
-    name = options.name or "generic_lidar_" + names[0]
-    writer = DatasetWriter(out, name, configuration("generic-lidar", sources, options), options.licence)
+    writer = open_writer("generic-lidar", sources, options, out, "generic_lidar_" + names[0])
     recordings = [
         read_generic(
             source,

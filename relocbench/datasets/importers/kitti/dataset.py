@@ -23,7 +23,7 @@ from relocbench.datasets.importers.assembly import (
     check_conditions,
     check_folder,
     condition_of,
-    configuration,
+    open_writer,
     write_pairs,
 )
 from relocbench.datasets.importers.kitti.files import KittiSequence
@@ -125,8 +125,6 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     assert isinstance(options, Options)
     sequences = _find_sequences(sources, options)
     check_conditions(options, [s.traversal for s in sequences])
-    default_name = "kitti_" + "_".join(s.name for s in sequences)
-    settings = configuration("kitti", sources, options)
     plans = [_read(s, options, needs_depth=s is sequences[0], reporter=reporter) for s in sequences]
     reference, query = plans[0], plans[-1]
     if query is not reference and all(np.allclose(p.poses[0], np.eye(4), atol=1e-6) for p in plans):
@@ -144,7 +142,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         source="",
         where=reference.sequence.folder,
     )
-    writer = DatasetWriter(out, options.name or default_name, settings, options.licence)
+    writer = open_writer("kitti", sources, options, out, "kitti_" + "_".join(s.name for s in sequences))
     for plan in plans:
         _write_traversal(writer, plan, options, reporter, run)
     write_pairs(

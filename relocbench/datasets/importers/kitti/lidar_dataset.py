@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field, field_validator
 
 from relocbench.datasets.core.build_options import ImportOptions
-from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.importers.assembly import check_conditions, check_folder, configuration
+from relocbench.datasets.importers.assembly import check_conditions, check_folder, open_writer
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
 from relocbench.files import fitting_name
@@ -66,8 +65,8 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         check_folder(sources[0] / "sequences" / sequence, "a sequence of KITTI odometry")
     names = [f"kitti_{sequence}" for sequence in options.sequence]
     check_conditions(options, names)
-    name = options.name or fitting_name(f"kitti_lidar_{'_'.join(options.sequence)}")
-    writer = DatasetWriter(out, name, configuration("kitti-lidar", sources, options), options.licence)
+    default_name = fitting_name(f"kitti_lidar_{'_'.join(options.sequence)}")
+    writer = open_writer("kitti-lidar", sources, options, out, default_name)
     recordings = [
         read_kitti(
             sources[0],

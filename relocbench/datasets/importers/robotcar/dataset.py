@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from relocbench.datasets.core.build_options import ImportOptions
-from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.importers.assembly import check_conditions, check_folder, configuration
+from relocbench.datasets.importers.assembly import check_conditions, check_folder, open_writer
 from relocbench.execution import Run
 from relocbench.progress import Reporter
 
@@ -54,8 +53,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     )
     check_conditions(options, [r.name for r in recordings])
     check(recordings, options)
-    name = options.name or "robotcar_" + recordings[0].name
-    writer = DatasetWriter(out, name, configuration("robotcar", sources, options), options.licence)
+    writer = open_writer("robotcar", sources, options, out, "robotcar_" + recordings[0].name)
     return build_ground_truth(recordings, writer, options, reporter, run)
 
 

@@ -23,7 +23,7 @@ from relocbench.datasets.importers.assembly import (
     check_conditions,
     check_folder,
     condition_of,
-    configuration,
+    open_writer,
     write_pairs,
 )
 from relocbench.datasets.sensors.recording import Trajectory
@@ -129,8 +129,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         check_folder(source, "a TUM RGB-D sequence")
     names = traversal_names(sources)
     check_conditions(options, names)
-    settings = configuration("tum-rgbd", sources, options)
-    writer = DatasetWriter(out, options.name or fitting_name("_to_".join(names)), settings, options.licence)
+    writer = open_writer("tum-rgbd", sources, options, out, fitting_name("_to_".join(names)))
     for index, (source, name) in enumerate(zip(sources, names, strict=True)):
         _write_traversal(writer, source, name, index, options, reporter, run)
     write_pairs(
