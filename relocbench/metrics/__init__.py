@@ -1,4 +1,4 @@
-"""Pose errors, retrieval, curves, summaries and significance. Knows geometry alone and does no I/O."""
+"""Metrics of poses and of retrieval, with curves, summaries and significance. They use geometry alone and do no I/O."""
 
 from relocbench.metrics.pose.confidence import PrecisionRecall, precision_recall
 from relocbench.metrics.pose.curves import CumulativeCurve, area_shares, cumulative_curve
