@@ -97,8 +97,11 @@ def test_lists_made_elsewhere_are_scored(street: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("{q} {g}\n{q} nowhere.png\n", r":2: image 'nowhere.png' is not in the gallery; its are named as 'traversals/"),
-        ("nobody.png {g}\n", r":1: unknown query 'nobody.png'; they are named as 'traversals/"),
+        (
+            "{q} {g}\n{q} nowhere.png\n",
+            r":2: image 'nowhere.png' is not in the gallery, whose images have names such as 'traversals/",
+        ),
+        ("nobody.png {g}\n", r":1: unknown query 'nobody.png'; queries have names such as 'traversals/"),
         ("{q} {g}\n\n{q} {g}\n", r":3: image '{g}' occurs again for the query '{q}'"),
         ("{q} {g} 0.5\n", r":1: expected 'query db', found 3 words"),
     ],
@@ -139,7 +142,7 @@ def test_a_fault_in_a_list_is_named_with_its_line(street: Path, tmp_path: Path, 
         (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "--radius", "3"], "--radius is for the drives of a dataset"),
         (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "--split", "test"], "--split is for the drives of a dataset"),
         (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "--matching"], "--matching means nothing with --task retrieval"),
-        (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "-j", "2"], "--workers means nothing with --task retrieval"),
+        (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "-j", "2"], "--workers does not apply to --task retrieval"),
         (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "--keep", "0"], "--keep: "),
         (["-d", "{v}", "--predictions", "{v}/absent"], "absent: no such file or folder"),
         (["-d", "{v}", "--predictions", "{v}/test"], "holds no list of retrieved images"),

@@ -1,4 +1,4 @@
-"""The errors of a method on a pair set by column, ``PAIRSET.errors.csv``: a hundred thousand pairs take some ten MB."""
+"""The errors of a method on a pair set, stored by column: ``PAIRSET.errors.csv``. 100,000 pairs take some 10 MB."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from relocbench.metrics import PairSetSummary, PoseErrors, summarize
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 STATUSES = ("ok", "failed", "error")
-"""answered; the method said it failed; the method broke (exception, crash, breach of the contract)"""
+"""the method answered; it reported a failure; it raised, crashed or broke the contract"""
 ERROR_COLUMNS = (
     "ref_timestamp_ns",
     "query_timestamp_ns",
@@ -63,18 +63,18 @@ class PairErrors:
 
 @dataclass(frozen=True, eq=False)
 class ErrorTable(Sequence[PairErrors]):
-    """Rows of ``PAIRSET.errors.csv``; a sequence of :class:`PairErrors`, held by column."""
+    """The rows of ``PAIRSET.errors.csv``, held by column."""
 
     keys: Indices
     """(N, 2) reference and query timestamp, nanoseconds"""
     group_index: Indices
-    """(N,) into ``group_names``"""
+    """(N,) index into ``group_names``"""
     group_names: tuple[str, ...]
     """in order of appearance"""
     status_index: NDArray[np.int8]
-    """(N,) into :data:`STATUSES`"""
+    """(N,) index into :data:`STATUSES`"""
     numbers: Array
-    """(9, N) the columns of :data:`ERROR_COLUMNS` from the rotation error on; NaN where one has no value"""
+    """(9, N) the columns of :data:`ERROR_COLUMNS` from the rotation error on; NaN where there is no value"""
 
     @classmethod
     def of(cls, rows: Sequence[PairErrors]) -> ErrorTable:
@@ -124,19 +124,19 @@ class ErrorTable(Sequence[PairErrors]):
 
     @cached_property
     def errors(self) -> PoseErrors:
-        """The error arrays."""
+        """The three errors of each row."""
         return PoseErrors(*self.numbers[: len(_ERRORS)])
 
     def column(self, name: str) -> Array:
-        """(N,) a column of numbers, NaN where a row has none."""
+        """(N,) a column of numbers by name, NaN where a row has none."""
         return self.numbers[ERROR_COLUMNS.index(name) - 4]
 
     def with_status(self, status: str) -> int:
-        """How many rows have that status."""
+        """The number of rows with that status."""
         return int(np.count_nonzero(self.status_index == STATUSES.index(status)))
 
     def of_group(self, group: str) -> ErrorTable:
-        """The rows of one group, or all."""
+        """The rows of one group; all rows for the group ``all``."""
         if group == ALL:
             return self
         if group not in self._of_groups:
@@ -146,16 +146,16 @@ class ErrorTable(Sequence[PairErrors]):
 
     @cached_property
     def _of_groups(self) -> dict[str, ErrorTable]:
-        """Those that were asked for."""
+        """The groups that were selected before."""
         return {}
 
     @cached_property
     def summary(self) -> PairSetSummary:
-        """Every metric. Raises DatasetError where there is no row."""
+        """Every metric over the rows. Raises DatasetError where there is none."""
         return summarize(self.errors, seconds=self.column("seconds"), confidence=self.column("confidence"))
 
     def take(self, rows: Indices) -> ErrorTable:
-        """The rows of these indices, in this order."""
+        """The rows at these indices, in this order."""
         return ErrorTable(
             self.keys[rows],
             self.group_index[rows],
@@ -165,25 +165,25 @@ class ErrorTable(Sequence[PairErrors]):
         )
 
     def by_time(self) -> ErrorTable:
-        """Ordered by reference time, then query time."""
+        """The rows ordered by reference time, then query time."""
         order = np.lexsort((self.keys[:, 1], self.keys[:, 0]))
         return self if np.array_equal(order, np.arange(len(self))) else self.take(order)
 
     def texts(self) -> list[list[Any]]:
-        """The columns as a table holds them, in the order of :data:`ERROR_COLUMNS`; floats in full."""
+        """The columns as texts, in the order of :data:`ERROR_COLUMNS`; floats with all their digits."""
         values = [[repr(v) for v in column.tolist()] for column in self.numbers[: len(_ERRORS)]]
         optional = [["" if v != v else repr(v) for v in column.tolist()] for column in self.numbers[len(_ERRORS) :]]
         return [*self.keys.T.tolist(), self.groups, self.statuses, *values, *optional]
 
 
 def groups_in(group_names: Sequence[str]) -> list[str]:
-    """``all`` and the named groups; a single group is the whole set and not repeated."""
+    """The groups that are scored: ``all``, then the named groups unless there is only one, which would be all pairs."""
     named = [name for name in group_names if name]
     return [ALL, *named] if len(named) > 1 else [ALL]
 
 
 def write_errors(path: Path, rows: Sequence[PairErrors]) -> None:
-    """``PAIRSET.errors.csv``: one row a pair of the set; a failed pair's errors are ``inf``."""
+    """Write ``PAIRSET.errors.csv``: one row for each pair of the set; the errors of a failed pair are ``inf``."""
     with atomic_write(path) as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(ERROR_COLUMNS)
@@ -191,10 +191,10 @@ def write_errors(path: Path, rows: Sequence[PairErrors]) -> None:
 
 
 def read_errors(path: Path) -> ErrorTable:
-    """``PAIRSET.errors.csv``.
+    """Read ``PAIRSET.errors.csv``.
 
     Raises:
-        PredictionError: with file and line: a column or number that cannot be, an unknown status.
+        PredictionError: with file and line: a wrong column, a number or status that is not valid.
     """
     names: dict[str, int] = {}
     keys, groups, statuses, numbers = [], [], [], []
@@ -218,7 +218,7 @@ def read_errors(path: Path) -> ErrorTable:
 
 
 def _fast(columns: Sequence[Sequence[str]]) -> tuple[Indices, Array] | None:
-    """Keys (n, 2) and numbers (9, n) of whole columns; None where anything is unusual, which is then looked at."""
+    """Convert whole columns to keys (n, 2) and numbers (9, n); None where a field needs a closer look."""
     times = "".join(columns[0]) + "".join(columns[1])
     if not (times.isascii() and times.isdecimal()):
         return None
@@ -241,7 +241,7 @@ def _fast(columns: Sequence[Sequence[str]]) -> tuple[Indices, Array] | None:
 
 
 def _one_by_one(rows: Sequence[Sequence[str]], path: Path, lines: Sequence[int]) -> tuple[Indices, Array]:
-    """As :func:`_fast`, field by field. Raises PredictionError naming the line."""
+    """Convert as :func:`_fast`, but field by field. Raises PredictionError with the line."""
     keys, numbers = [], []
     for line, row in zip(lines, rows, strict=True):
         keys.append([parse_timestamp(text, path, line, PredictionError) for text in row[:2]])

@@ -1,4 +1,4 @@
-"""What it costs when a method ends its worker, or is ended for what it takes: the pair in hand, and no other."""
+"""The cost of a lost worker: when a method ends its worker or exceeds a limit, only the pair in progress is lost."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from relocbench.execution import Loss, Run, run_limited
 U = TypeVar("U", bound=Unit)
 
 _TRIES = 2
-"""a death may be an accident (another program took the memory), and a method that leaks gets a fresh process"""
+"""a death may be accidental (another program took the memory), and a method that leaks gets a fresh process"""
 _HOPELESS = 3
-"""so many keyframes on which ``prepare`` was lost, and none that it has done: the others are not tried"""
+"""if ``prepare`` was lost on this many keyframes and has succeeded on none, the other keyframes are not tried"""
 
 
 def ask_all(
@@ -29,9 +29,10 @@ def ask_all(
     """Call ``function`` on units in workers until every pair has an entry in its journal.
 
     Args:
-        function: answers the pairs of a unit, returns how many.
-        open_units: units of the pairs that have no entry yet.
-        advance: hears how many pairs are done.
+        function: answers the pairs of a unit and returns their number.
+        open_units: returns units of the pairs that have no entry yet.
+        lost: decides what is tried again.
+        advance: called with the number of pairs just done.
     """
     while units := open_units():
         asked = run_limited(function, lost.still_asked(units, advance), run, on_loss=lost.take)
@@ -41,30 +42,30 @@ def ask_all(
 
 
 class LostPairs(Generic[U]):
-    """Remembers what has ended workers, and decides what is tried again, one at a time, or not at all.
+    """Remembers what has ended workers, and decides what is tried again, alone or not at all.
 
     Args:
-        write: enters into a unit's journal that the method broke on a pair, and how.
+        write: writes an entry to a unit's journal that the method broke on a pair, and how.
     """
 
     def __init__(self, write: Callable[[U, PairKey, str], None]) -> None:
         self._write = write
         self._deaths: Counter[Hashable] = Counter()
         self._alone: set[Hashable] = set()
-        """pairs that were lost together with others"""
+        """pairs to be tried alone, since they were lost together with others"""
         self._keyframes: dict[Hashable, str] = {}
-        """on which ``prepare`` was lost, and how"""
+        """keyframes that are given up because ``prepare`` was lost on them, with the message"""
         self._doubtful: set[Hashable] = set()
-        """on which ``prepare`` was lost at least once"""
+        """keyframes on which ``prepare`` was lost at least once"""
         self._prepared = False
         self._was_lost = False
-        """the unit whose end is heard next"""
+        """whether the unit that ends next was lost"""
         self._given_up = ""
 
     def still_asked(self, units: Iterable[U], advance: Callable[[int], None]) -> Iterator[U]:
-        """The units to ask, one that holds a suspect parted; pairs that are given up get their entry here.
+        """Yield the units to run, with suspect pairs in units of their own; pairs that are given up get their entry.
 
-        Where ``prepare`` was lost on the first keyframes, the others wait until those are decided.
+        Where ``prepare`` was lost on each of the first keyframes, the other keyframes wait until those are decided.
         """
         for unit in units:
             message = self._given_up or self._keyframes.get(_keyframe(unit))
@@ -84,12 +85,12 @@ class LostPairs(Generic[U]):
         return len(self._doubtful) >= _HOPELESS and not self._prepared
 
     def hear(self, done: int) -> None:
-        """A unit has ended, with so many pairs done by the method, or by :meth:`take` just before."""
+        """Record the end of a unit, of which the method, or :meth:`take` just before, has done ``done`` pairs."""
         self._prepared |= done > 0 and not self._was_lost
         self._was_lost = False
 
     def take(self, unit: U, loss: Loss) -> int:
-        """Enter what is lost of a unit for good; returns how many of its pairs have an entry now."""
+        """Record the final losses of a unit in its journal; returns how many of its pairs have an entry now."""
         self._was_lost = True
         done = {entry["key"] for entry in journal_entries(unit.journal)}
         left = [key for key in unit.keys if key not in done]
@@ -115,7 +116,7 @@ class LostPairs(Generic[U]):
 
     def _take_pairs(self, unit: U, loss: Loss, left: Sequence[PairKey]) -> int:
         told = () if loss.step is None else loss.step.keys
-        # Between calls, a thread that was left behind may end the process: the next pair is as near as one can say.
+        # Between calls, a thread that was left running may end the process: then the next pair is the best guess.
         suspects = [key for key in told if key in left] or list(left[:1])
         if len(suspects) > 1:
             self._alone.update(_pair(unit, key) for key in suspects)
@@ -134,7 +135,7 @@ class LostPairs(Generic[U]):
 
 
 def how_lost(loss: Loss, where: str) -> str:
-    """For a table, after the last try."""
+    """The message for a table, once a pair or call is given up."""
     return f"the worker process died twice{where} ({loss.words})" if loss.kind == "death" else loss.words
 
 

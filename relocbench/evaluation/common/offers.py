@@ -1,4 +1,4 @@
-"""What a method offers, and whether it can be made: found out where it is asked, in a worker and within limits."""
+"""The optional capabilities of a method, and whether it can be constructed, tested in a worker and within limits."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from relocbench.methods import SUBPROCESS, MethodSpec, method_class
 
 @dataclass(frozen=True)
 class Offers:
-    """What a tracker can be asked beside the pose of a query."""
+    """The optional questions that a tracker can answer."""
 
     match: bool = False
-    """where single pixels are"""
+    """where single pixels of the reference are in the query"""
     prior: bool = False
-    """to start from a given pose"""
+    """the pose of a query, started from a prior"""
     fault: str = ""
-    """why nothing is known: constructing it passed a limit or ended its process"""
+    """why nothing is known: constructing the tracker exceeded a limit or ended its process"""
 
 
 def offers_of(spec: MethodSpec, run: Run) -> Offers:
-    """What a method offers. A class tells it as it stands; anything else that makes trackers has to make one.
+    """The capabilities of a method. Those of a class are read from it; a factory has to be called for them.
 
     Raises:
         MethodError: no such method, or its constructor raised.
@@ -35,7 +35,7 @@ def offers_of(spec: MethodSpec, run: Run) -> Offers:
 
 
 def can_be_made(spec: MethodSpec, run: Run) -> str:
-    """Why a method cannot be constructed within limits; empty if it can. Raises MethodError where it raises."""
+    """Why a method cannot be constructed within limits; empty if it can. Raises MethodError where that raises."""
     return "" if spec.target.startswith(SUBPROCESS) else _made(spec, run).fault
 
 

@@ -1,4 +1,4 @@
-"""The dataset that a run asks about, once it is sure that the run will not harm it and that it is whole."""
+"""Opening the dataset of an evaluation after checking that it is whole and that results will not harm it."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from relocbench.errors import ConfigError
 
 
 def opened(folder: Path, out: Path) -> Dataset:
-    """The dataset in a folder, for results that go to another one.
+    """The dataset in a folder, to be evaluated with results in another folder.
 
     Raises:
         ConfigError: ``out`` lies inside the dataset.
-        DatasetError: there is no dataset, or one of its tables is not what its manifest says.
+        DatasetError: there is no dataset, or one of its tables is not what its manifest records.
     """
     dataset = Dataset(folder)
     if out.resolve().is_relative_to(dataset.root.resolve()):

@@ -1,9 +1,9 @@
 """The results folder: predictions, run records and scores of one or more datasets.
 
-``RESULTS/DATASET@FINGERPRINT/METHOD/`` holds, for each pair set, the predictions (``PAIRSET.txt``), one row a pair on
-how each came about (``PAIRSET.csv``), where it was asked for the matching quality (``PAIRSET.matching.csv``) and, once
-scored, one row a pair of errors (``PAIRSET.errors.csv``); and ``run.yaml`` and ``scores.yaml`` for the method.
-``dataset.yaml`` beside the methods says what the dataset asks.
+For each pair set, ``RESULTS/DATASET@FINGERPRINT/METHOD/`` holds the predictions (``PAIRSET.txt``), a table of how each
+answer came about (``PAIRSET.csv``), the matching quality where that was requested (``PAIRSET.matching.csv``) and, once
+scored, a table of each pair's errors (``PAIRSET.errors.csv``). ``run.yaml`` and ``scores.yaml`` describe the method;
+``dataset.yaml`` beside the methods describes the dataset's pair sets.
 """
 
 from __future__ import annotations
@@ -77,20 +77,20 @@ ANSWER_COLUMNS = ("ref_timestamp_ns", "query_timestamp_ns", "status", "seconds",
 
 @dataclass(frozen=True)
 class Answer:
-    """How the answer to one pair came about; the pose itself stands in the prediction file."""
+    """How the answer to one pair came about; the pose itself is in the prediction file."""
 
     key: PairKey
     status: str
     seconds: float | None = None
-    """wall time of the tracker alone; images read and the reference prepared before"""
+    """wall-clock time of the tracker alone, after reading the images and preparing the reference"""
     confidence: float | None = None
     message: str = ""
     info: str = ""
-    """JSON: what else the method had to say"""
+    """JSON object with whatever else the method reported"""
 
 
 Count = Annotated[int, Field(ge=0, le=10**15)]
-"""how many of something there are"""
+"""a number of things"""
 
 
 class PairSetRecord(Strict):
@@ -117,32 +117,32 @@ class DatasetRecord(Strict):
     name: FolderName
     fingerprint: Fingerprint
     question: str = ""
-    """what is asked, whatever the processor's last digits; empty in results of versions that did not tell"""
+    """digest of what the dataset asks, equal on all processors; empty in results of versions that did not record it"""
     licence: str
     splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
     pair_sets: dict[JoinedName, PairSetRecord]
 
     @property
     def compared_by(self) -> str:
-        """The question, or the fingerprint where results do not tell it: results with the same one stand together."""
+        """The question, or the fingerprint where none is recorded: results with the same value are compared."""
         return self.question or self.fingerprint
 
 
 class RunRecord(Strict):
-    """``run.yaml``: what made the predictions of one method."""
+    """``run.yaml``: how the predictions of one method were made."""
 
     method: Name
     target: str
     parameters: dict[str, Any] = Field(default_factory=dict)
     files: dict[str, str] = Field(default_factory=dict)
-    """SHA-256 of the files that decide the answers, as weights, by parameter"""
+    """SHA-256 of the files that affect the answers, such as weights, by parameter"""
     seed: int | None = None
     dataset: FolderName
     fingerprint: Fingerprint
     question: str = ""
-    """of the dataset, the same on every processor"""
+    """of the dataset: a digest of what it asks, equal on all processors"""
     answered_on: str = ""
-    """fingerprint of the copy of the dataset that predictions made elsewhere were given on, where it is another copy"""
+    """of predictions made elsewhere on another copy of the dataset: the fingerprint of that copy"""
     versions: dict[str, str] = Field(default_factory=dict)
     machine: dict[str, Any] = Field(default_factory=dict)
     workers: int | None = None
@@ -151,7 +151,7 @@ class RunRecord(Strict):
 
 
 class ScoreRecord(Strict):
-    """``scores.yaml``: the summary of each pair set (and group), and which predictions it was computed from."""
+    """``scores.yaml``: the summary of each pair set (and group), and the hashes of the scored predictions."""
 
     relocbench: str
     predictions: dict[JoinedName, str]
@@ -164,7 +164,7 @@ class ScoreRecord(Strict):
 
 @dataclass(frozen=True)
 class AnswerFolder:
-    """What was answered to each pair set or task: a file in a format of the field and a table beside it."""
+    """A folder with a file of predictions and a table of answers for each pair set or task."""
 
     root: Path
 
@@ -195,27 +195,27 @@ class MethodResults(AnswerFolder):
         return self.root / f"{_named(pair_set)}.errors.csv"
 
     def matching(self, pair_set: str) -> Path:
-        """How often the method's per-pixel Gauss-Newton finds the true pixel; only where that was asked for."""
+        """The table of matching quality, which exists only where that was requested."""
         return self.root / f"{_named(pair_set)}.matching.csv"
 
     def matching_journal(self, pair_set: str) -> Path:
-        """As :meth:`journal`, for matching quality."""
+        """The journal of matching quality, as :meth:`journal`."""
         return self.root / ".journal-matching" / _named(pair_set)
 
     def journal(self, pair_set: str) -> Path:
-        """Folder that workers append to while they run; gone when the pair set is complete."""
+        """The folder that workers append to while they run; it is removed when the pair set is complete."""
         return self.root / ".journal" / _named(pair_set)
 
     def complete(self, pair_set: str) -> bool:
-        """Whether the pair set was run to its end."""
+        """Whether the run of a pair set is complete."""
         return self.predictions(pair_set).exists() and self.answers(pair_set).exists()
 
     def run_record(self) -> RunRecord:
-        """Raises PredictionError with file and line."""
+        """Read ``run.yaml``. Raises PredictionError with file and line."""
         return load_yaml(self.run_yaml, RunRecord, "the record of a run", PredictionError)
 
     def score_record(self) -> ScoreRecord:
-        """Raises PredictionError with file and line."""
+        """Read ``scores.yaml``. Raises PredictionError with file and line."""
         return load_yaml(self.scores_yaml, ScoreRecord, "the scores of a method", PredictionError)
 
 
@@ -227,7 +227,7 @@ class DatasetResults:
 
     @cached_property
     def record(self) -> DatasetRecord:
-        """Raises PredictionError with file and line."""
+        """The content of ``dataset.yaml``. Raises PredictionError with file and line."""
         path = self.root / "dataset.yaml"
         return load_yaml(path, DatasetRecord, "the record of a dataset", PredictionError)
 
@@ -235,35 +235,35 @@ class DatasetResults:
         return MethodResults(self.root / label)
 
     def methods(self) -> list[MethodResults]:
-        """Every method with a run record, by name."""
+        """Every method that has a run record, sorted by name."""
         return [MethodResults(p.parent) for p in method_folders(self.root)]
 
 
 def method_folders(root: Path) -> list[Path]:
-    """``run.yaml`` of every method below a folder, by name. Raises PredictionError where a label can be none."""
+    """The ``run.yaml`` of every method below a folder, sorted by name. Raises PredictionError for an invalid label."""
     found = sorted(root.glob("*/run.yaml"))
     for path in found:
         try:
             check_name(path.parent.name, "method label")
         except ValueError as bad:
-            raise PredictionError(f"the folder's name is no label: {bad}", path.parent) from None
+            raise PredictionError(f"the folder's name is no valid label: {bad}", path.parent) from None
     return found
 
 
 def dataset_results(results: Path, dataset: Dataset) -> DatasetResults:
-    """The folder for a dataset's results; nothing is written."""
+    """The folder for a dataset's results; nothing is created."""
     return DatasetResults(results / f"{dataset.name}@{dataset.fingerprint[:SHORT]}")
 
 
 def write_dataset_record(folder: DatasetResults, dataset: Dataset) -> None:
-    """Keep beside the results what the dataset asks."""
+    """Write ``dataset.yaml``, which describes the dataset to leaderboards."""
     write_record(folder.root / "dataset.yaml", _dataset_record(dataset))
 
 
 def write_record(path: Path, record: Strict) -> None:
-    """Whole or not at all; a file that says the same already is left alone.
+    """Write a record whole or not at all, unless the file has the same content already.
 
-    What runs that were killed left unfinished in its folder is removed.
+    Unfinished files that killed runs left in its folder are removed.
     """
     remove_parts(path.parent, deep=False)
     text = dump_yaml(record.model_dump(mode="json"))
@@ -284,7 +284,7 @@ def all_results(results: Path) -> list[DatasetResults]:
 
 
 def write_answers(path: Path, answers: Sequence[Answer]) -> None:
-    """``PAIRSET.csv``, in the order given."""
+    """Write ``PAIRSET.csv``, in the order given."""
     with atomic_write(path) as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(ANSWER_COLUMNS)
@@ -293,7 +293,7 @@ def write_answers(path: Path, answers: Sequence[Answer]) -> None:
 
 
 def read_answers(path: Path) -> dict[PairKey, Answer]:
-    """``PAIRSET.csv``. Raises PredictionError with file and line."""
+    """Read ``PAIRSET.csv``. Raises PredictionError with file and line."""
     out: dict[PairKey, Answer] = {}
     for number, row in read_table(path, ANSWER_COLUMNS, error=PredictionError):
         field = dict(zip(ANSWER_COLUMNS, row, strict=True))
@@ -314,7 +314,7 @@ def read_answers(path: Path) -> dict[PairKey, Answer]:
 
 
 def _named(asked: str) -> str:
-    """The name of a pair set or task. Raises PredictionError where it would lead out of the folder."""
+    """The checked name of a pair set or task. Raises PredictionError for one that would leave the folder."""
     try:
         return check_joined_name(asked, "name of a pair set or task")
     except ValueError as bad:

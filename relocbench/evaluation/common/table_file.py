@@ -1,4 +1,4 @@
-"""Long tables of a results folder, some thousand rows at a time."""
+"""Reading long tables of a results folder in chunks of rows."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from relocbench.errors import PredictionError
 from relocbench.files import read_table
 
 CHUNK_ROWS = 8192
-"""rows that are converted at a time: their texts take some 10 MB, however long the table is"""
+"""rows that are converted at a time: their text takes some 10 MB, however long the table is"""
 
 
 def table_chunks(path: Path, columns: Sequence[str]) -> Iterator[tuple[list[int], list[list[str]]]]:
-    """The rows of a table, some thousand at a time: the lines they begin on, and their fields.
+    """Yield the rows of a table in chunks: the line numbers that rows begin on, and their fields.
 
     Raises:
-        PredictionError: with file and line: another header, a row of another length, a field that cannot be read.
+        PredictionError: with file and line: a wrong header, a row of another length, a field that cannot be read.
     """
     rows = read_table(path, columns, error=PredictionError)
     while chunk := list(islice(rows, CHUNK_ROWS)):

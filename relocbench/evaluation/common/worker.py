@@ -1,4 +1,4 @@
-"""What asking a method shares, whatever it is asked: units of work, and what a worker process keeps and writes."""
+"""What workers of all evaluations share: units of work, cached trackers, views of images, and journals."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass(frozen=True)
 class Unit:
-    """Some pairs of one reference, for one worker."""
+    """Some pairs of one reference, to be answered by one worker."""
 
     spec: MethodSpec
     dataset: Path
@@ -53,7 +53,7 @@ class Unit:
 def units_of(
     dataset: Dataset, pair_set: PairSet, spec: MethodSpec, journal: Path, keys: Sequence[PairKey]
 ) -> list[Unit]:
-    """Units that ask about the pairs of ``keys``, each of one reference."""
+    """Units of work for the pairs of ``keys``, each with pairs of a single reference."""
     ordered = sorted(keys)
     common = (spec, dataset.root.resolve(), pair_set.reference, pair_set.query, pair_set.camera)
     return [
@@ -64,7 +64,7 @@ def units_of(
 
 
 def prepared(unit: Unit, tracker: Any) -> tuple[Any, str | None]:
-    """The unit's keyframe as the tracker wants it, or how the tracker broke on it."""
+    """The unit's keyframe as the tracker's ``prepare`` returns it, or None and how the tracker broke on it."""
     neighbours, broke = neighbours_of(tracker)
     if broke is not None:
         return None, broke
@@ -77,13 +77,13 @@ def prepared(unit: Unit, tracker: Any) -> tuple[Any, str | None]:
 
 
 def query_of(unit: Unit, key: PairKey) -> Query:
-    """A pair's query as the method is shown it. Raises DatasetError."""
+    """The query of a pair, read-only. Raises DatasetError."""
     query = traversal_of(unit.dataset, unit.query).query(unit.camera, key[1])
     return replace(query, image=read_only(query.image))
 
 
 def shown_reference(reference: Reference) -> Reference:
-    """A keyframe as the method is shown it: nothing in it can be written to."""
+    """A keyframe whose arrays are read-only."""
     points, depth = reference.sparse_points, reference.depth
     return replace(
         reference,
@@ -100,14 +100,14 @@ def shown_reference(reference: Reference) -> Reference:
 
 
 def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
-    """The same numbers; who writes to them gets a ValueError, rather than another question for the next method."""
+    """A read-only view: a method that writes to it gets a ValueError instead of changing the next method's input."""
     shown = array.view()
     shown.flags.writeable = False
     return shown
 
 
 def journal_entries(journal: Path) -> Iterator[dict[str, Any]]:
-    """What workers have written so far, the pair of each as a tuple under ``key``."""
+    """What workers have written so far, with each entry's pair as a tuple under ``key``."""
     if not journal.is_dir():
         return
     for path in sorted(journal.glob("*.jsonl")):
@@ -118,20 +118,20 @@ def journal_entries(journal: Path) -> Iterator[dict[str, Any]]:
 
 @contextmanager
 def open_journal(journal: Path) -> Iterator[IO[str]]:
-    """A file of this process alone: two writers never meet, and a torn line is always a file's last."""
-    # The clock only puts files in order: it may stand still or be set back, and machines have processes of one number.
+    """Open a journal file that only this process writes: writers never interleave, and only a last line can be torn."""
+    # The clock only orders the files: it may stand still or be set back, and two machines may use one process number.
     name = f"{time.time_ns()}-{os.getpid()}-{secrets.token_hex(4)}.jsonl"
     try:
         with (journal / name).open("x", encoding="utf-8") as stream:
             yield stream
     except OSError as bad:
-        bad.filename = bad.filename or str(journal / name)  # a full disk does not say which file did not fit
+        bad.filename = bad.filename or str(journal / name)  # the error of a full disk does not name the file
         raise
 
 
 @cache
 def traversal_of(dataset: Path, name: str) -> Traversal:
-    """One a process."""
+    """A traversal of a dataset, kept for the life of the process."""
     return Traversal(DatasetLayout(dataset).traversal(name))
 
 
@@ -139,7 +139,7 @@ _trackers: dict[str, Any] = {}
 
 
 def tracker_of(spec: MethodSpec) -> Any:
-    """One tracker a process and specification; building it may load weights."""
+    """The tracker of a specification, constructed once for each process; constructing it may load weights."""
     if repr(spec) not in _trackers:
         with step(CONSTRUCTOR, times=MANY_TIMES):
             _trackers[repr(spec)] = spec.create()

@@ -1,4 +1,4 @@
-"""Probe several methods on a dataset and write what came of it."""
+"""Running a probe of several methods on a dataset, and writing its results."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ class ProbeOptions(AskingOptions):
     split: str | None = None
     pair_sets: tuple[str, ...] = ()
     pixels: bool = True
-    """where single pixels end"""
+    """whether single pixels are probed"""
     poses: bool = True
-    """where whole poses end, from priors off the truth"""
+    """whether whole poses are probed, from priors off the truth"""
     pairs: int = Field(50, ge=1)
-    """of each pair set at most, spread along the drive"""
+    """the largest number of pairs of each pair set, spread along the drive"""
     per_pair: int = Field(100, ge=1)
     """correspondences of a pair, each started from every offset"""
     structured: float = Field(1.0, gt=0, le=1)
-    """only so large a share of a pair's correspondences, those whose pixel has most structure; 1: of all of them"""
+    """share of a pair's correspondences that is probed, those whose pixel has the most structure; 1 for all"""
     directions: int = Field(2, ge=1)
     """priors of a pair at each offset"""
     feature_maps: int = Field(0, ge=0)
-    """places whose features are drawn"""
+    """number of places whose features are drawn"""
     seed: int = Field(0, ge=0)
 
     @model_validator(mode="after")
@@ -65,7 +65,7 @@ class ProbeOptions(AskingOptions):
 
 @dataclass(frozen=True)
 class ProbeReport:
-    """What a probe found."""
+    """The results of a probe."""
 
     lines: list[Line]
     files: list[Path]
@@ -73,7 +73,7 @@ class ProbeReport:
     """label and message of each method that broke on pairs"""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for scripts: the radii."""
+        """The radii, files and broken methods as plain values for scripts."""
         return {
             "radii": [
                 {
@@ -98,10 +98,10 @@ class ProbeReport:
 
 
 def probe_methods(options: ProbeOptions, reporter: Reporter) -> ProbeReport:
-    """Ask, count, write ``probe.csv``, ``radii.csv``, ``probe.md``, ``probe.yaml`` and pictures of the curves.
+    """Probe methods and write ``probe.csv``, ``radii.csv``, ``probe.md``, ``probe.yaml`` and the plots.
 
     Raises:
-        RelocbenchError: a bad dataset, method or option; nothing that could be asked.
+        RelocbenchError: a bad dataset, method or option, or nothing that can be probed.
     """
     dataset = opened(options.dataset, options.out)
     specs = parse_methods(options.methods, options.set, options.seed)
@@ -148,7 +148,7 @@ def chosen_pairs(dataset: Dataset, options: ProbeOptions) -> list[tuple[PairSet,
     """Up to ``options.pairs`` pairs with ground truth of each pair set, evenly spread.
 
     Raises:
-        ConfigError: none is left.
+        ConfigError: there is no such pair.
     """
     chosen = dataset.pair_sets(options.split)
     if options.pair_sets:
@@ -172,7 +172,7 @@ def _tasks(
     options: ProbeOptions,
     reporter: Reporter,
 ) -> list[tuple[MethodSpec, Task]]:
-    """Methods with what they can be asked; what is left out is told."""
+    """Each method with what it can be asked; whatever is left out is reported."""
     without = [s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()]
     if options.pixels:
         for name in without:
@@ -189,7 +189,7 @@ def _tasks(
         if pixels and not task.pixels:
             reporter.note(f"{spec.label} does not match single pixels (it has no match())")
         if options.poses and not task.poses:
-            reporter.note(f"{spec.label} does not start from a prior (no uses_prior): it has no basin")
+            reporter.note(f"{spec.label} does not start from a prior (no uses_prior), so it has no basin of poses")
         if task.pixels or task.poses:
             out.append((spec, task))
     if not out and not options.feature_maps:
@@ -204,7 +204,7 @@ def _draw(
     options: ProbeOptions,
     reporter: Reporter,
 ) -> list[Path]:
-    """Pictures of the features of the methods that show them; who does not is told."""
+    """Draw the features of the methods that offer them; the other methods are reported."""
     if not options.feature_maps:
         return []
     places = places_of(dataset, pair_sets, options.feature_maps)

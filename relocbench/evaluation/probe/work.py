@@ -1,4 +1,4 @@
-"""Asking methods, pair by pair, in workers; what is known goes to a journal at once, so that a killed run goes on."""
+"""Probing methods pair by pair in workers; each result is written to a journal at once, so that killed runs resume."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Asked = Sequence[tuple[PairSet, Sequence[PairKey]]]
 
 @dataclass(frozen=True)
 class Task:
-    """What every pair is asked."""
+    """The questions that are asked about every pair."""
 
     pixels: bool
     poses: bool
@@ -54,14 +54,14 @@ class Task:
 
 @dataclass(frozen=True)
 class ProbeUnit(Unit):
-    """Some pairs of one reference, for one worker."""
+    """Some pairs of one reference, to be probed by one worker."""
 
     task: Task
 
 
 @dataclass(frozen=True)
 class Answered:
-    """What came of one pair."""
+    """The result of one pair."""
 
     tallies: tuple[Tally, ...]
     message: str
@@ -69,7 +69,7 @@ class Answered:
 
 
 def task_for(offers: Offers, wanted: Task) -> Task:
-    """What of the wanted a method can be asked: pixels where it has ``match``, poses where it starts from a prior."""
+    """The wanted questions that a method can answer: pixels if it has ``match``, poses if it uses priors."""
     return replace(wanted, pixels=wanted.pixels and offers.match, poses=wanted.poses and offers.prior)
 
 
@@ -83,7 +83,7 @@ def ask_pairs(
     run: Run,
     reporter: Reporter,
 ) -> dict[tuple[str, PairKey], Answered]:
-    """By pair set and pair. What ``folder`` knows of the same method, dataset and task is not asked again.
+    """Results by pair set and pair. What ``folder`` holds for the same method, dataset and task is not asked again.
 
     Raises:
         PredictionError: another process is writing to the folder.
@@ -115,7 +115,7 @@ def ask_pairs(
 
 
 def _digest(dataset: Dataset, spec: MethodSpec, task: Task) -> str:
-    """A digest of all that an answer depends on; a file that a parameter names counts by its content."""
+    """A digest of all that an answer depends on; a file that a parameter names enters by its content."""
     about = {
         "dataset": dataset.fingerprint,
         "target": spec.target,
@@ -140,7 +140,7 @@ def _left(asked: Asked, journals: dict[str, Path]) -> int:
 
 
 def _probe_unit(unit: ProbeUnit) -> int:
-    """Ask about the pairs of a unit; returns how many. Runs in a worker."""
+    """Probe the pairs of a unit in a worker; returns their number."""
     tracker = tracker_of(unit.spec)
     reference, broke = prepared(unit, tracker)
     with open_journal(unit.journal) as stream:
@@ -161,7 +161,7 @@ def _ask(unit: ProbeUnit, key: PairKey, tracker: Any, reference: Any) -> tuple[l
     if task.pixels and correspondences.exists():
         image = traversal_of(unit.dataset, unit.reference).image(unit.camera, key[0])
         known = with_structure(read_correspondences(correspondences, key), image, task.structured)
-        with step("", (key,), MANY_TIMES):  # one question for the pixels of all offsets, one for each level
+        with step("", (key,), MANY_TIMES):  # one call for the pixels of all offsets, and one for each level
             found, message = probe_pixels(tracker, reference, query, known, key, task.per_pair, task.seed)
         tallies, messages = tallies + found, [*messages, message]
     if task.poses:
@@ -183,6 +183,6 @@ def _entry(key: PairKey, tallies: list[Tally], message: str) -> dict[str, Any]:
 
 
 def _write_broken(unit: ProbeUnit, key: PairKey, message: str) -> None:
-    """A pair that is lost, and how."""
+    """Write the entry of a lost pair."""
     with open_journal(unit.journal) as stream:
         stream.write(json.dumps(_entry(key, _ask(unit, key, None, None)[0], message)) + "\n")

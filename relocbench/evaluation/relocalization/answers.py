@@ -1,4 +1,4 @@
-"""``TASK.csv`` of a chain: one row a query, what was retrieved, what the tracker made of it, what it is worth."""
+"""``TASK.csv`` of a chain: one row for each query, with what was retrieved, the tracker's answer and its errors."""
 
 from __future__ import annotations
 
@@ -18,8 +18,14 @@ from relocbench.metrics import PoseErrors
 
 Outcome = Literal["right", "choice", "unreachable", "retrieval", "tracking"]
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
-"""right; a right answer among the K was passed over; the answer cannot be judged; no keyframe of the K in the basin;
-the tracker failed although there was one"""
+"""The outcome of a query, where the chain kept the answer against one of K retrieved keyframes:
+
+- ``right``: the kept answer is right.
+- ``choice``: another of the K answers was right.
+- ``unreachable``: no true pose is known against the keyframe of the kept answer.
+- ``retrieval``: none of the K keyframes is in the tracker's basin.
+- ``tracking``: one of them is, but the tracker failed.
+"""
 COLUMNS = (
     "query_timestamp_ns",
     "status",
@@ -41,33 +47,33 @@ _INTEGERS = ("rank", "hit_rank", "right_rank", "asked")
 
 @dataclass(frozen=True)
 class ChainAnswer:
-    """One row."""
+    """A row of ``TASK.csv``."""
 
     query_timestamp_ns: int
     status: str
-    """``ok``; ``failed``: no answer, or nothing retrieved; ``error``: that, and one of the methods broke"""
+    """``ok``; ``failed``: no answer, or nothing retrieved; ``error``: no answer because one of the methods broke"""
     outcome: Outcome
     ref_timestamp_ns: int | None = None
     """keyframe of the answer that was kept"""
     rank: int | None = None
-    """its 1-based rank"""
+    """1-based rank of that keyframe"""
     hit_rank: int | None = None
-    """of the first keyframe in the basin, among those asked"""
+    """1-based rank of the first keyframe in the basin, among those that the tracker was run against"""
     right_rank: int | None = None
-    """of the first keyframe against which the answer was right"""
+    """1-based rank of the first keyframe against which the answer was right"""
     asked: int = 0
-    """keyframes that the tracker was asked against"""
+    """number of keyframes that the tracker was run against"""
     rotation_error_deg: float = math.inf
     translation_error_m: float = math.inf
     mlad_translation_error_m: float = math.inf
     confidence: float | None = None
     seconds: float | None = None
-    """retrieval and all K trackings together"""
+    """of retrieval and all K runs of the tracker together"""
     message: str = ""
 
 
 def errors_of(answers: Sequence[ChainAnswer]) -> PoseErrors:
-    """The error arrays of the rows."""
+    """The errors of the rows, as arrays."""
     return PoseErrors(
         rotation_error_deg=np.array([a.rotation_error_deg for a in answers], dtype=np.float64),
         translation_error_m=np.array([a.translation_error_m for a in answers], dtype=np.float64),
@@ -76,7 +82,7 @@ def errors_of(answers: Sequence[ChainAnswer]) -> PoseErrors:
 
 
 def write_chain(path: Path, answers: Sequence[ChainAnswer]) -> None:
-    """``TASK.csv``, in the order given."""
+    """Write ``TASK.csv``, in the order given."""
     with atomic_write(path) as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(COLUMNS)
@@ -86,10 +92,10 @@ def write_chain(path: Path, answers: Sequence[ChainAnswer]) -> None:
 
 
 def read_chain(path: Path) -> list[ChainAnswer]:
-    """``TASK.csv``.
+    """Read ``TASK.csv``.
 
     Raises:
-        PredictionError: with file and line: wrong columns, an impossible status, outcome or number, a query twice.
+        PredictionError: with file and line: wrong columns, an invalid status, outcome or number, or a query twice.
     """
     out: dict[int, ChainAnswer] = {}
     for number, row in read_table(path, COLUMNS, error=PredictionError):

@@ -1,4 +1,4 @@
-"""Every retriever with every tracker on a dataset: retrieve, track against the best K, choose, score."""
+"""Evaluating every retriever with every tracker on a dataset: retrieve, track against the best K, choose, score."""
 
 from __future__ import annotations
 
@@ -53,21 +53,21 @@ class RelocalizationOptions(AskingOptions):
     dataset: Path
     retriever: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
-    """trackers"""
+    """the trackers"""
     set: tuple[str, ...] = ()
-    """LABEL.key=value"""
+    """parameters, as LABEL.key=value"""
     out: Path = Path("results")
     split: str | None = None
     pair_sets: tuple[str, ...] = ()
     overwrite: Overwrite = "never"
     top: int = Field(TOP, ge=1, le=KEEP)
-    """K: keyframes that a tracker is asked against"""
+    """K, the number of keyframes that a tracker is run against"""
     radius: float | None = Field(None, gt=0, allow_inf_nan=False)
     """metres of the basin"""
     heading: float | None = Field(None, gt=0, le=180)
     """degrees of the basin"""
     probe: Path | None = None
-    """results of ``relocbench probe``, for each tracker's own basin"""
+    """results of ``relocbench probe``, from which each tracker gets its own basin"""
     seed: int = Field(0, ge=0)
 
     @model_validator(mode="after")
@@ -75,35 +75,35 @@ class RelocalizationOptions(AskingOptions):
         if not self.retriever:
             raise ValueError(f"nothing to evaluate: give --retriever NAME (or {ORACLE}, which knows the truth)")
         if self.probe is not None and (self.radius is not None or self.heading is not None):
-            raise ValueError("--probe measures each tracker's basin, --radius and --heading say it: give one of them")
+            raise ValueError("--probe takes measured basins, --radius and --heading set one: give one of them")
         return self
 
 
 @dataclass(frozen=True)
 class RelocalizationReport:
-    """What an evaluation did."""
+    """The results of an evaluation of chains."""
 
     tasks: ChainTasks
     folders: list[ChainResults]
     results: Path
     broken: list[tuple[str, str]] = field(default_factory=list)
-    """chain and message of each that broke on queries"""
+    """chain and message of each chain that broke on queries"""
 
     @cached_property
     def _scores(self) -> dict[str, ChainScores]:
         return {folder.label: folder.scores() for folder in self.folders}
 
     def scores(self, folder: ChainResults) -> dict[str, Values]:
-        """Scores of the tasks that were asked."""
+        """A chain's scores on the evaluated tasks."""
         tasks = self._scores[folder.label].tasks
         return {name: values for name, values in tasks.items() if name in self.tasks.names}
 
     def basins(self, folder: ChainResults) -> dict[str, ChainBasin]:
-        """Basins of the tasks that were asked."""
+        """A chain's basins on the evaluated tasks."""
         return {name: basin for name, basin in self._scores[folder.label].basins.items() if name in self.tasks.names}
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for scripts."""
+        """Tasks, chains with their scores, and broken methods, as plain values for scripts."""
         return {
             "task": "relocalization",
             "dataset": self.tasks.record.dataset,
@@ -127,12 +127,12 @@ class RelocalizationReport:
 
 
 def evaluate_chains(options: RelocalizationOptions, reporter: Reporter) -> RelocalizationReport:
-    """Run and score every retriever with every tracker; and with none, the pose of the first keyframe.
+    """Run and score every retriever with every tracker, and with the floor that takes the first keyframe's pose.
 
     Raises:
         RelocbenchError: a bad dataset, method, option or list.
     """
-    # Methods are found and configured before anything is written: a typing error must not leave a folder.
+    # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     retrievers, trackers = parse_chain(options.retriever, options.methods, options.set, options.seed)
     basins = _basins(options, trackers, reporter)
     dataset = opened(options.dataset, options.out)
@@ -196,17 +196,17 @@ def _basins(options: RelocalizationOptions, trackers: Sequence[MethodSpec], repo
     basins = Basins(given_basin(options.radius, options.heading), measured)
     for spec in trackers if measured is not None else ():
         if not basins.knows(spec.label):
-            reporter.note(f"{spec.label} has no basin in {options.probe}: the reach of the pairs is taken for it")
+            reporter.note(f"{spec.label} has no basin in {options.probe}: the reach of the pairs is used instead")
     return basins
 
 
 def _found(ranking: Ranked, tasks: ChainTasks, top: int) -> dict[str, list[Retrieved]]:
-    """By task."""
+    """The keyframes that a retriever found, by task."""
     return {task.name: ranking.of(task, tasks.truth[task.name], top) for task in tasks.asked.chosen}
 
 
 def _pairs(truth: MapTruth, found: Sequence[Sequence[Retrieved]]) -> set[PairKey]:
-    """What a tracker is to be asked: every retrieved keyframe with its query."""
+    """The pairs that trackers are asked about: every retrieved keyframe with its query."""
     return {
         (truth.keyframe_times[keyframe], time)
         for of_retriever in found

@@ -1,4 +1,4 @@
-"""Retrievers and trackers of one call, each with its settings."""
+"""Parsing the retrievers and trackers of a command, each with its settings."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from relocbench.methods.discovery import parse_method
 def parse_chain(
     retrievers: Sequence[str], trackers: Sequence[str], settings: Sequence[str], seed: int
 ) -> tuple[list[MethodSpec | str], list[MethodSpec]]:
-    """Retrievers and trackers, in the order given.
+    """Parse retrievers and trackers, in the order given.
 
-    A retriever stays a string where it is the oracle, or lists that were made elsewhere.
+    The oracle, and rankings made elsewhere, stay strings.
 
     Raises:
-        MethodError: unknown method, one of another kind, a wrong parameter.
-        ConfigError: a label twice, the name of a floor, a setting that does not say for which method.
+        MethodError: an unknown method, one of another kind, or a wrong parameter.
+        ConfigError: a repeated label, the name of a floor, or a setting without the label of its method.
     """
     prefixes = {}
     for setting in settings:
@@ -55,7 +55,7 @@ def _retriever(text: str, settings: Sequence[str], seed: int) -> MethodSpec | st
         return parse_method(text, settings, seed, RETRIEVERS)
     try:
         if not separator or text.startswith(PREDICTIONS):
-            raise ValueError("lists made elsewhere need a label")
+            raise ValueError("rankings made elsewhere need a label")
         check_name(label, "retriever label")
     except ValueError as bad:
         raise ConfigError(f"--retriever {cut(text)}: {bad}; give one: LABEL={PREDICTIONS}PATH") from None

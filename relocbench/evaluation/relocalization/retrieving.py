@@ -1,4 +1,4 @@
-"""Which keyframes a tracker is asked against: those that a retriever ranks first, or that the truth does."""
+"""The rankings that chains start from: those of retrievers, and the oracle's."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from relocbench.retrieval import RetrievalTask
 
 
 class Ranked(Protocol):
-    """Rankings of all tasks by one retriever."""
+    """The rankings of all tasks by one retriever."""
 
     @property
     def label(self) -> str: ...
 
     @property
     def run(self) -> RetrievalRun | None:
-        """How they were made; None for the oracle."""
+        """How the rankings were made; None for the oracle."""
         ...
 
     def of(self, task: RetrievalTask, truth: MapTruth, top: int) -> list[Retrieved]:
-        """The first of each query, in the queries' order."""
+        """The first ``top`` keyframes of each query, in the order of the queries."""
         ...
 
 
 class Oracle:
-    """The keyframes nearest to the true pose."""
+    """Rankings of the keyframes by the true poses: within the pairs' reach first, nearest first."""
 
     label = ORACLE
     run = None
@@ -52,7 +52,7 @@ class Oracle:
 
 @dataclass(frozen=True)
 class Kept:
-    """Rankings in a results folder."""
+    """Rankings read from a results folder."""
 
     folder: RetrieverResults
 
@@ -86,15 +86,15 @@ def retrieve(
     seed: int,
     reporter: Reporter,
 ) -> list[Ranked]:
-    """Ask retrievers as ``relocbench evaluate --task retrieval --positives pairs`` does, if they have not answered yet.
+    """Run retrievers as ``relocbench evaluate --task retrieval --positives pairs`` does, unless they have answered.
 
-    Their results are the same files, scored as they are there.
+    The results are the same files, with the same scores.
 
     Args:
-        retrievers: a string is ``oracle``, or ``LABEL=predictions:PATH`` with lists made elsewhere.
+        retrievers: a string is ``oracle``, or ``LABEL=predictions:PATH`` for rankings made elsewhere.
 
     Raises:
-        RelocbenchError: a retriever that cannot be made or asked, a bad list, answers made otherwise.
+        RelocbenchError: a retriever that cannot be made or run, a bad list, or answers that were made differently.
     """
     out: list[Ranked] = []
     for retriever in retrievers:
@@ -123,5 +123,5 @@ def retrieve(
 
 
 def label_of(retriever: MethodSpec | str) -> str:
-    """As results are kept under."""
+    """The label that a retriever's results are kept under."""
     return retriever.partition("=")[0] if isinstance(retriever, str) else retriever.label

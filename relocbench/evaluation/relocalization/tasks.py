@@ -1,4 +1,4 @@
-"""What chains are asked on a dataset: place recognition by pairs, with the truth that answers are judged by."""
+"""The tasks of chains on a dataset: place recognition by pairs, with the true poses that answers are judged by."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from relocbench.progress import Reporter
 from relocbench.retrieval import ImageView, RetrievalTask
 
 _VERSION = 1
-"""counted up when the same dataset is asked otherwise"""
+"""to be incremented when the task of the same dataset changes"""
 
 
 @dataclass(frozen=True, eq=False)
 class ChainTasks:
-    """The tasks that chains are asked on one dataset, as far as they were chosen."""
+    """The chosen tasks of chains on one dataset."""
 
     asked: OpenedSet
-    """for retrievers"""
+    """the tasks as retrievers see them"""
     truth: Mapping[str, MapTruth]
     record: ChainSet
 
@@ -37,13 +37,13 @@ class ChainTasks:
 
 
 def chain_tasks(dataset: Dataset, asked: OpenedSet, reporter: Reporter) -> ChainTasks:
-    """The tasks whose pairs have their true pose; the others are told.
+    """The tasks whose pairs have true poses; the others are reported.
 
     Args:
-        asked: places of the dataset by pairs.
+        asked: place recognition by pairs on the dataset.
 
     Raises:
-        ConfigError: none is left.
+        ConfigError: no task is left.
     """
     known = tuple(task for task in asked.chosen if dataset.pair_set(task.name).has_truth)
     for task in asked.chosen:
@@ -69,7 +69,7 @@ def _truth(dataset: Dataset, task: RetrievalTask) -> MapTruth:
 
 
 def _times(images: tuple[ImageView, ...]) -> list[int]:
-    """Timestamps by keys, ``traversals/NAME/images/CAMERA/TIME.png``."""
+    """Timestamps from keys such as ``traversals/NAME/images/CAMERA/TIME.png``."""
     return [int(Path(image.key).stem) for image in images]
 
 

@@ -1,4 +1,4 @@
-"""The files of one chain: poses, rows, how it was made, what it scored."""
+"""Writing the files of one chain: poses, rows, run record and scores."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ def write_chain_results(
     tracked: Mapping[str, Tracked],
     basins: Basins,
 ) -> ChainResults:
-    """Choose, judge, score and write; tasks that were asked before stay as they are.
+    """Choose, judge and score answers and write the results; tasks of earlier runs are kept.
 
-    Nothing is asked here: the same rankings and answers give the same bytes.
+    No method runs here: the same rankings and answers give the same bytes.
 
     Args:
         found, tracked: by task.
 
     Raises:
-        PredictionError: the folder holds a chain of methods that were made otherwise.
+        PredictionError: the folder holds a chain on another set.
     """
     _drop_other(folder, run, tasks)
     before = folder.scores() if folder.scores_yaml.exists() else None
@@ -65,7 +65,7 @@ def write_chain_results(
 
 
 def broken(folder: ChainResults, names: Sequence[str]) -> list[tuple[str, str]]:
-    """Label and message where a method broke rather than failed."""
+    """The label and a message if a method broke, rather than failed, on any query; else nothing."""
     rows = [row for name in names for row in read_chain(folder.answers(name))]
     bad = [row for row in rows if row.status == "error"]
     if not bad:
@@ -75,10 +75,10 @@ def broken(folder: ChainResults, names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def _drop_other(folder: ChainResults, run: ChainRun, tasks: ChainTasks) -> None:
-    """A chain of the same labels made otherwise: its tasks must all be made again, or none stays.
+    """Remove the results of a chain of the same labels that was made differently: results are never mixed.
 
-    Answers of both halves are refused where they would be mixed; what is left to see here is a half that was made anew
-    (``--overwrite always``) under its label since.
+    Mixed answers of either half are refused elsewhere; what remains is a half that was made anew
+    (``--overwrite always``) under the same label since.
     """
     if not folder.run_yaml.exists():
         return

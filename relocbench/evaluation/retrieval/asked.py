@@ -1,4 +1,4 @@
-"""A retriever as it is asked: what it returned, how long it took and how it broke, here or in a worker process."""
+"""Calling a retriever, in this process or in a worker process: its result, the seconds it took, and how it broke."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from relocbench.retrieval import (
 )
 
 Told = tuple[Any, float, str]
-"""what a call returned, its seconds, and how it broke: empty if it did not"""
+"""what a call returned, its seconds, and how it broke (empty if it did not)"""
 _HOPELESS = 3
-"""so many calls that ended the process, and none that did not: it is not asked again"""
+"""if this many calls ended the process and none has succeeded, the retriever is not called again"""
 
 
 class Asked(Protocol):
-    """A retriever that can be asked."""
+    """A retriever that can be called."""
 
     fits: bool
     rerank_top: int
-    """0 where it does not order anew"""
+    """K, the number of candidates that it reranks; 0 if it does not rerank"""
     rerank_fault: str
-    """what is wrong with what it says of ordering anew; empty if nothing is"""
+    """what is wrong with its ``rerank_top``; empty if nothing is"""
 
     @property
     def info(self) -> dict[str, Any]:
-        """What it tells of itself, as plain values."""
+        """The retriever's own ``info``, as plain values."""
         ...
 
     def fit(self, gallery: Sequence[ImageView], seed: int) -> Told: ...
@@ -50,7 +50,7 @@ class Asked(Protocol):
 
 
 class InThisProcess:
-    """A retriever that was made here; a bad image, or a method that says that it cannot go on, ends the run."""
+    """A retriever in this process. A bad image, or a MethodError that the method raises, ends the run."""
 
     def __init__(self, retriever: Retriever) -> None:
         self._retriever: Any = retriever
@@ -69,8 +69,8 @@ class InThisProcess:
 
     def describe(self, images: Sequence[ImageView]) -> Told:
         for view in images:
-            view.image  # noqa: B018  read before the clock starts
-        if not self._warm:  # compilation and first allocations are not the method's speed
+            view.image  # noqa: B018  read it before the clock starts
+        if not self._warm:  # compilation and first allocations should not count as the method's speed
             self._warm = True
             _timed(lambda: self._retriever.describe(images[:1]), MANY_TIMES)
         values, seconds, broke = _timed(lambda: self._retriever.describe(images), min(float(len(images)), MANY_TIMES))
@@ -97,11 +97,11 @@ class _Request:
     what: str
     given: tuple[Any, ...] = ()
     fitted: bool = False
-    """it means something only to a retriever that was fitted"""
+    """whether the request makes sense only to a retriever that was fitted"""
 
 
 class InWorker:
-    """The same in a worker process. One that dies costs the call in hand; a fresh one takes its place, fitted anew.
+    """A retriever in a worker process. A worker that dies costs the call in progress; a fresh one is fitted again.
 
     Raises:
         MethodError: the retriever's constructor raises.
@@ -109,7 +109,7 @@ class InWorker:
 
     def __init__(self, spec: MethodSpec, limits: Limits) -> None:
         self._spec = spec
-        self._run = Run(1, limits=limits)  # one process: what a call was fitted to lives in it
+        self._run = Run(1, limits=limits)  # a single process, since the fitted state lives in it
         self._token = uuid.uuid4().hex
         self._fitted_by: tuple[Any, ...] = ()
         self._answered = False
@@ -169,12 +169,12 @@ class InWorker:
 
 
 def asked_of(spec: MethodSpec, run: Run) -> Asked:
-    """In a worker process, or with 0 workers in this one. Raises MethodError."""
+    """The retriever in a worker process, or in this process if ``run`` has no workers. Raises MethodError."""
     return InThisProcess(created(spec)) if run.workers == 0 else InWorker(spec, run.limits)
 
 
 def created(spec: MethodSpec) -> Retriever:
-    """The retriever, constructed. Raises MethodError."""
+    """Construct the retriever. Raises MethodError."""
     made: Retriever = spec.create()
     if not offers(made, Retriever):
         made_of = f"made a thing of type {type(made).__name__}"
@@ -183,11 +183,11 @@ def created(spec: MethodSpec) -> Retriever:
 
 
 _retrievers: dict[str, InThisProcess] = {}
-"""of a worker process; the last that was asked"""
+"""in a worker process: the retriever that was called last"""
 
 
 def _serve(request: _Request) -> Any:
-    """Answer one call; None if the retriever is a new one that should have been fitted before."""
+    """Answer one request; None if the retriever is new and should have been fitted before."""
     if request.token not in _retrievers:
         if request.fitted:
             return None
@@ -204,7 +204,7 @@ def _serve(request: _Request) -> Any:
 
 
 def _timed(call: Callable[[], Any], times: float) -> Told:
-    """As :func:`~relocbench.evaluation.common.guard.guarded`, but a bad image or a hopeless method ends the run."""
+    """Call as :func:`~relocbench.evaluation.common.guard.guarded` does, but let any RelocbenchError through."""
     raised: list[RelocbenchError] = []
 
     def kept() -> Any:

@@ -1,4 +1,4 @@
-"""Both phases for several retrievers: run what is missing, then score what is there."""
+"""Both phases of an evaluation of retrievers: run what is missing, then score all answers."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class RetrievalOptions(LimitOptions):
     dataset: Path
     methods: tuple[str, ...] = ()
     set: tuple[str, ...] = ()
-    """key=value or LABEL.key=value"""
+    """parameters, as key=value or LABEL.key=value"""
     predictions: Path | None = None
     out: Path = Path("results")
     split: str | None = None
@@ -42,14 +42,14 @@ class RetrievalOptions(LimitOptions):
     overwrite: Overwrite = "never"
     keep: int = Field(KEEP, ge=1)
     radius: float | None = Field(None, gt=0, allow_inf_nan=False)
-    """metres"""
+    """metres within which a keyframe is right"""
     heading: float | None = Field(None, gt=0, le=180)
-    """degrees"""
+    """degrees within which a keyframe is right"""
     positives: Positives | None = None
     by_condition: bool = False
     seed: int = Field(0, ge=0)
     workers: int | None = Field(None, ge=0)
-    """None: a process for the method; 0: this process, without limits"""
+    """None: a worker process for the method; 0: this process, without limits"""
 
     @property
     def run(self) -> Run:
@@ -58,7 +58,7 @@ class RetrievalOptions(LimitOptions):
     @model_validator(mode="after")
     def _one_process(self) -> Self:
         if self.workers:
-            raise ValueError("--workers means nothing with --task retrieval")
+            raise ValueError("--workers does not apply to --task retrieval, except for --workers 0")
         return self
 
     @model_validator(mode="after")
@@ -72,7 +72,7 @@ class RetrievalOptions(LimitOptions):
 
 @dataclass(frozen=True)
 class RetrievalReport:
-    """What an evaluation did."""
+    """The results of an evaluation of retrievers."""
 
     asked: OpenedSet
     record: SetRecord
@@ -81,15 +81,15 @@ class RetrievalReport:
     broken: list[tuple[str, str]]
     """label and message of each retriever that broke on queries"""
     suspicions: list[tuple[str, str]]
-    """label and what to look at, where R@1 is no better than chance"""
+    """label and advice for each retriever whose R@1 is no better than chance"""
 
     def scores(self, folder: RetrieverResults) -> dict[str, Values]:
-        """Scores of the tasks that were asked."""
+        """A retriever's scores on the evaluated tasks."""
         names = [task.name for task in self.asked.chosen]
         return {name: values for name, values in folder.retrieval_scores().tasks.items() if name in names}
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for scripts."""
+        """Scores, chance levels and broken methods, as plain values for scripts."""
         return {
             "task": "retrieval",
             "dataset": self.asked.name,
@@ -103,12 +103,12 @@ class RetrievalReport:
 
 
 def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> RetrievalReport:
-    """Run and score.
+    """Run the retrievers and score their answers.
 
     Raises:
         RelocbenchError: a bad dataset, method, option or prediction.
     """
-    # Methods are found and configured before anything is written: a typing error must not leave a folder.
+    # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed, RETRIEVERS)
     asked = open_set(options.dataset, options.out, _set_options(options), reporter)
     results = set_results(options.out, asked)

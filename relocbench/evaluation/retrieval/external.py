@@ -1,4 +1,4 @@
-"""Rankings made elsewhere: hloc's pairs, ``query db`` a line, taken into a results folder."""
+"""Importing rankings made elsewhere, as files of hloc's pairs (a line ``query db`` each), into a results folder."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ PREDICTIONS = "predictions:"
 def take_lists(
     asked: RetrievalSet, tasks: Sequence[RetrievalTask], source: Path, label: str, results: SetResults
 ) -> RetrieverResults:
-    """Check a file for the one task that is asked, or a folder of ``TASK.txt``, and keep it under ``label``.
+    """Check a file for a single task, or a folder of ``TASK.txt``, and copy it to the results under ``label``.
 
-    What a list leaves out is not retrieved; a query without a line has failed. A ``run.yaml`` in the folder must name
-    this set's fingerprint.
+    Images that a list leaves out are not retrieved; a query without a line has failed. A ``run.yaml`` in the folder
+    must name this set's fingerprint.
 
     Raises:
-        PredictionError: with file and line: no such file, one for a task that is not there, an unknown query or image,
-            an image twice for one query, another set's fingerprint, or the label is taken by other predictions.
+        PredictionError: with file and line: no such file, a file for an unknown task, an unknown query or image, an
+            image twice for one query, another set's fingerprint, or a label that other predictions have.
     """
     files = _files(asked, tasks, source)
     record = _record(asked, source, label)
@@ -95,7 +95,7 @@ def _record(asked: RetrievalSet, source: Path, label: str) -> RetrievalRun:
     record = load_yaml(theirs, RetrievalRun, "the record of a retrieval run", PredictionError)
     told: dict[str, str] = {"method": label}
     if record.fingerprint != asked.fingerprint and question and record.question == question:
-        # Another machine's copy: images differ in last digits, the question is the same.
+        # Another machine's copy: the question is the same, and images differ in last digits only.
         told |= {"fingerprint": asked.fingerprint, "answered_on": record.fingerprint}
     elif record.fingerprint != asked.fingerprint:
         raise PredictionError(

@@ -1,4 +1,4 @@
-"""Does a method keep the contract? A few questions, easy and hopeless, and what must hold of the answers."""
+"""Checking that a tracker keeps the contract, on a few easy and hopeless pairs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _WIDTH, _HEIGHT, _FOCAL, _WALL_M = 320, 240, 250.0, 4.0
 
 @dataclass(frozen=True)
 class Finding:
-    """One promise of the contract and whether it was kept."""
+    """A requirement of the contract, and whether the method met it."""
 
     check: str
     passed: bool
@@ -48,7 +48,7 @@ class _Question:
 
 
 def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
-    """Try a method. Made-up views show a textured wall; with a dataset, its first pairs are asked too.
+    """Try a tracker on synthetic views of a textured wall and, with a dataset, on its first pairs.
 
     Raises:
         MethodError: the method cannot be constructed.
@@ -81,7 +81,7 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
 
 
 def _close(tracker: Any) -> None:
-    """Programs are asked to end."""
+    """Ask a tracker that is a program to end."""
     close, problem = guarded(lambda: getattr(tracker, "close", None))
     if problem is None and callable(close):
         _attempt(close)
@@ -95,7 +95,7 @@ def _ask(tracker: Any, question: _Question) -> CheckedAnswer:
 def _attempt(call: Callable[[], Any]) -> tuple[Any, str | None]:
     with messages_to_stderr():
         value, problem = guarded(call)
-    return value, problem and f"raised {problem} (a failure is returned: TrackResult.failure)"
+    return value, problem and f"raised {problem} (to report a failure, return TrackResult.failure)"
 
 
 def _prepared(tracker: Any, question: _Question) -> Any:
@@ -105,7 +105,7 @@ def _prepared(tracker: Any, question: _Question) -> Any:
 def _repeatable(
     spec: MethodSpec, tracker: Any, questions: list[_Question], answers: list[CheckedAnswer], usable: list[int]
 ) -> Finding:
-    """The same answer again, from the same and from a fresh tracker, with the questions in another order."""
+    """Ask the same tracker and a fresh one again, in another order: the answers must be equal."""
     name = "gives the same answer whatever was asked before"
     fresh, unmade = guarded(spec.create)
     if unmade is not None:
@@ -152,7 +152,7 @@ def _batch_agrees(tracker: Any, question: _Question, single: CheckedAnswer) -> F
 
 
 def _pixels(question: _Question) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Pixels of the reference and starts in the query: a grid that reaches into the corners, and starts beside it."""
+    """A grid of reference pixels that reaches into the corners, and start pixels in the query near them."""
     camera = question.reference.camera
     u, v = np.meshgrid(np.linspace(0, camera.width - 1, 9), np.linspace(0, camera.height - 1, 7))
     uv_ref = np.stack([u, v], axis=-1).reshape(-1, 2)
@@ -172,7 +172,7 @@ def _matches(tracker: Any, question: _Question) -> Finding:
 
 
 def _matches_by_pixel(spec: MethodSpec, tracker: Any, question: _Question) -> Finding:
-    """The same pixels to the last bit, from a fresh tracker, with half of the questions, with none at all."""
+    """Match from a fresh tracker, with half of the pixels, and with none: results must be equal to the last bit."""
     name = "match answers each pixel by itself, and the same again"
     fresh, problem = guarded(spec.create)
     if problem:
@@ -202,7 +202,7 @@ def _words(answer: CheckedAnswer) -> str:
 
 
 def _made_up() -> list[_Question]:
-    """A textured wall seen from 4 m, moved sideways; once with sparse points, once against noise, once in colour."""
+    """Synthetic pairs: a textured wall 4 m away, moved sideways, with dense and sparse depth, and hopeless variants."""
     camera = Camera("pinhole", _WIDTH, _HEIGHT, _FOCAL, _FOCAL, _WIDTH / 2 - 0.5, _HEIGHT / 2 - 0.5)
     rng = np.random.default_rng(0)
     texture = _smooth(rng.random((_HEIGHT + 80, _WIDTH + 80)))
@@ -227,7 +227,7 @@ def _made_up() -> list[_Question]:
 
 
 def _smooth(values: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Noise at several scales, so that corners and slopes are there for any method."""
+    """Smooth noise at several scales into a texture with corners and slopes."""
     total = np.zeros_like(values)
     for size in (3, 9, 27):
         kernel = np.ones(size) / size

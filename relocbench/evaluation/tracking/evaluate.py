@@ -1,4 +1,4 @@
-"""Both phases for several methods: run what is missing, then score what is there."""
+"""Both phases of an evaluation of trackers: run what is missing, then score all answers."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ class EvaluateOptions(AskingOptions):
     dataset: Path
     methods: tuple[str, ...] = ()
     set: tuple[str, ...] = ()
-    """key=value or LABEL.key=value"""
+    """parameters, as key=value or LABEL.key=value"""
     predictions: Path | None = None
     out: Path = Path("results")
     split: str | None = None
     pair_sets: tuple[str, ...] = ()
     overwrite: Overwrite = "never"
     matching: bool = False
-    """measure matching quality too, of methods that have ``match`` on pair sets with correspondences"""
+    """whether to measure matching quality, of methods that have ``match`` and on pair sets with correspondences"""
     seed: int = Field(0, ge=0)
 
     @model_validator(mode="after")
@@ -55,23 +55,23 @@ class EvaluateOptions(AskingOptions):
         if self.predictions is not None and len(self.methods) > 1:
             raise ValueError("--predictions takes one --method, the label to keep them under")
         if self.predictions is not None and self.matching:
-            raise ValueError("--matching asks a method, and predictions are only a file of answers")
+            raise ValueError("--matching runs a method, and --predictions come without one")
         return self
 
 
 @dataclass(frozen=True)
 class Report:
-    """What an evaluation did."""
+    """The results of an evaluation of trackers."""
 
     dataset: Dataset
     pair_sets: list[PairSet]
     folders: list[MethodResults]
     results: Path
     broken: list[tuple[str, str]]
-    """label and message for each method that broke on pairs (rather than saying that it failed)"""
+    """label and message of each method that broke on pairs, rather than reporting failures"""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for scripts."""
+        """Scores and broken methods, as plain values for scripts."""
         scored = {folder.label: folder.score_record() for folder in self.folders}
         return {
             "dataset": self.dataset.name,
@@ -85,14 +85,14 @@ class Report:
 
 
 def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
-    """Run and score.
+    """Run the trackers and score their answers.
 
     Raises:
         RelocbenchError: a bad dataset, method, option or prediction.
     """
     dataset = opened(options.dataset, options.out)
     pair_sets = _chosen(dataset, options)
-    # Methods are found and configured before anything is written: a typing error must not leave a folder.
+    # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed)
     results = dataset_results(options.out, dataset)
     if options.predictions is not None:
@@ -138,14 +138,14 @@ def _match(
     options: EvaluateOptions,
     reporter: Reporter,
 ) -> None:
-    """Matching quality of the methods that offer it; what is left out is told."""
+    """Measure matching quality of the methods that offer it; whatever is left out is reported."""
     for name in (s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()):
         reporter.note(f"{name} has no correspondences: no matching quality (build-dataset --correspondences N)")
     pairs = zip(specs, folders, strict=True)
     able = [(spec, folder) for spec, folder in pairs if offers_of(spec, options.run).match]
     unable = [spec.label for spec in specs if spec.label not in {spec.label for spec, _ in able}]
     if unable:
-        reporter.note(f"no matching quality, for want of match(): {', '.join(unable)}")
+        reporter.note(f"matching quality is not measured without match(): {', '.join(unable)}")
     for spec, folder in able:
         match_method(
             dataset,

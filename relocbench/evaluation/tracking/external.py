@@ -1,4 +1,4 @@
-"""The third door: predictions made elsewhere, in the nine columns, taken into a results folder."""
+"""Importing predictions made elsewhere, in files of nine columns, into a results folder."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from relocbench.files import load_yaml
 def take_predictions(
     dataset: Dataset, pair_sets: list[PairSet], source: Path, label: str, results: DatasetResults
 ) -> MethodResults:
-    """Check a folder of ``PAIRSET.txt`` (and optional ``PAIRSET.csv``) and keep it under ``label``.
+    """Check a folder of ``PAIRSET.txt`` (and optional ``PAIRSET.csv``) and copy it to the results under ``label``.
 
-    A ``run.yaml`` beside them must name this dataset's fingerprint. Pairs of a set that the file does not answer
+    A ``run.yaml`` in the folder must name this dataset's fingerprint. Pairs of a set that its file does not answer
     have failed.
 
     Raises:
-        PredictionError: with file and line: no prediction file, one for a pair set that is not there, an unknown or
-            duplicate pair, another dataset's fingerprint, or the label is taken by other predictions.
+        PredictionError: with file and line: no prediction file, a file for an unknown pair set, an unknown or
+            duplicate pair, another dataset's fingerprint, or a label that other predictions have.
     """
     if not source.is_dir():
         raise PredictionError("no such folder; expected prediction files PAIRSET.txt", source)
@@ -90,7 +90,7 @@ def _their_record(theirs: MethodResults, dataset: Dataset, label: str) -> RunRec
     record = load_yaml(theirs.run_yaml, RunRecord, "the record of a run", PredictionError)
     told: dict[str, str] = {"method": label}
     if record.fingerprint != dataset.fingerprint and record.question == dataset.question:
-        # Another machine's copy: images differ in last digits, the question is the same.
+        # Another machine's copy: the question is the same, and images differ in last digits only.
         told |= {"fingerprint": dataset.fingerprint, "answered_on": record.fingerprint}
     elif record.fingerprint != dataset.fingerprint:
         raise PredictionError(

@@ -1,7 +1,7 @@
-"""Ask a method where single pixels are: from starts a known distance off the truth, how often does it get there?
+"""Measuring matching quality: how often a method finds a pixel from starts at known distances from it.
 
-The starts are the same for every method and every run: they depend on the pair alone. Like answers to pairs, results go
-to a journal at once, and a complete pair set is written whole.
+The starts depend on the pair alone, so that they are the same for every method and every run. As with answers to pairs,
+results go to a journal at once, and the table of a complete pair set is written whole.
 """
 
 from __future__ import annotations
@@ -57,22 +57,22 @@ from relocbench.progress import Reporter
 Array = NDArray[np.float64]
 
 PER_PAIR = 200
-"""visible correspondences of a pair that are asked about, each from every offset"""
+"""the largest number of visible correspondences of a pair that are used, each from every offset"""
 _SEED = 1
 
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """What a method is asked about one pair, and the truth, which it is not shown."""
+    """The starts of one pair, and the true pixels, which the method does not see."""
 
     uv_ref: Array
     """(N, 2) pixels of the reference"""
     uv_query: Array
     """(N, 2) the true pixels of the query"""
     offset_px: NDArray[np.int64]
-    """(N,) how far the start is from the truth"""
+    """(N,) distance of the start from the true pixel"""
     uv_start: Array
-    """(N, 2)"""
+    """(N, 2) start pixels of the query"""
 
     def __len__(self) -> int:
         return len(self.offset_px)
@@ -86,10 +86,10 @@ def draw_starts(
     offsets_px: Sequence[int] = OFFSETS_PX,
     seed: int = _SEED,
 ) -> Starts:
-    """Up to ``per_pair`` of a pair's visible correspondences, each with a start at every offset, direction at random.
+    """Draw up to ``per_pair`` of a pair's visible correspondences, each with a start at every offset, in any direction.
 
-    A start that would lie outside the query's image is turned about the truth by quarters until it lies inside, so that
-    a pixel near the border is not lost by the question.
+    A start outside the query's image is rotated about the true pixel in quarter turns until it lies inside, so that
+    pixels near the border are not lost.
     """
     rng = np.random.default_rng([seed, *(time % 2**64 for time in key)])
     visible = np.nonzero(known.visible)[0]
@@ -116,11 +116,11 @@ def match_method(
     seed: int = 0,
     reporter: Reporter,
 ) -> None:
-    """Measure what is missing of a method's matching quality; pair sets without correspondences are passed over.
+    """Measure what is missing of a method's matching quality; pair sets without correspondences are skipped.
 
     Args:
-        folder: of the method, whose pairs were run before.
-        seed: of the run, to tell whether the folder was made with the same parameters. The starts do not depend on it.
+        folder: the results of the method, which has answered the pairs before.
+        seed: of the run, to check that the folder was made with the same parameters. The starts do not depend on it.
 
     Raises:
         PredictionError: the folder was made with other parameters or versions, or holds a bad ``PAIRSET.matching.csv``.
@@ -134,7 +134,7 @@ def match_method(
     refuse_mixture(folder, new_record(dataset, spec, run.workers, seed), work_left=True)
 
     def open_units() -> list[Unit]:
-        # All pair sets at once: starting worker processes for each would take longer than the work.
+        # Units of all pair sets together: starting worker processes for each set would take longer than the work.
         return [
             unit
             for pair_set in left
@@ -157,7 +157,7 @@ def _journal(folder: MethodResults, pair_set: PairSet) -> Path:
 
 
 def _collect(pair_set: PairSet, folder: MethodResults) -> None:
-    """Journal -> ``PAIRSET.matching.csv``, in the pair set's order."""
+    """Turn the journal into ``PAIRSET.matching.csv``, in the pair set's order."""
     journal = folder.matching_journal(pair_set.name)
     entries = {entry["key"]: entry for entry in journal_entries(journal)}
     rows = [
@@ -182,7 +182,7 @@ def _open_pairs(folder: MethodResults, pair_set: PairSet) -> list[PairKey]:
 
 
 def _match_unit(unit: Unit) -> int:
-    """Measure the pairs of a unit; returns how many. Runs in a worker."""
+    """Measure the pairs of a unit in a worker; returns their number."""
     tracker = tracker_of(unit.spec)
     reference, broke = prepared(unit, tracker)
     with open_journal(unit.journal) as stream:
@@ -205,7 +205,7 @@ def _correspondence_file(dataset: Path, pair_set: str) -> Path:
 
 
 def _ask(tracker: Any, reference: Any, unit: Unit, key: PairKey, starts: Starts) -> tuple[Array | None, str | None]:
-    """Where the method ends (N, 2), or None and how it broke."""
+    """Return where the method's matches end (N, 2), or None and how it broke."""
     if not len(starts):
         return None, None
     query = query_of(unit, key)
@@ -216,7 +216,7 @@ def _ask(tracker: Any, reference: Any, unit: Unit, key: PairKey, starts: Starts)
 
 
 def _entry(key: PairKey, starts: Starts, ends: Array | None, message: str | None) -> dict[str, Any]:
-    """One line of the journal; a method that broke has found nothing."""
+    """A line of the journal; a method that broke has found nothing."""
     where = np.full((len(starts), 2), np.nan) if ends is None else ends
     found = [_count(offset, starts, where) for offset in OFFSETS_PX]
     return {
@@ -242,13 +242,13 @@ _warm: set[str] = set()
 
 
 def _times(spec: MethodSpec) -> float:
-    """How many times the time limit a call may take: the first of a process may compile."""
+    """The factor on the time limit of a call: the first one in a process may compile."""
     first = repr(spec) not in _warm
     _warm.add(repr(spec))
     return MANY_TIMES if first else 1.0
 
 
 def _write_broken(unit: Unit, key: PairKey, message: str) -> None:
-    """A pair that is lost, and how."""
+    """Write the entry of a lost pair."""
     with open_journal(unit.journal) as stream:
         stream.write(json.dumps(_entry(key, _starts(unit, key), None, message)) + "\n")

@@ -1,4 +1,4 @@
-"""Phase two: what the metrics make of predictions. Needs the ground truth and nothing of the method."""
+"""Phase two: scoring predictions against the ground truth, without the method."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ Array = NDArray[np.float64]
 
 
 def read_predictions(path: Path, pair_set: PairSet) -> dict[PairKey, Array]:
-    """Poses of a prediction file by pair; a pose that is not finite is no pose.
+    """Read the poses of a prediction file, by pair; a pose that is not finite counts as no pose.
 
     Raises:
-        PredictionError: with file and line: a line that cannot be read, an unknown pair, a pair that occurs twice.
+        PredictionError: with file and line: a line that cannot be read, an unknown pair, or a pair that occurs twice.
     """
     lines = read_pose_lines(path, PredictionError, allow_non_finite=True)
     align_predictions(
@@ -54,11 +54,10 @@ def read_predictions(path: Path, pair_set: PairSet) -> dict[PairKey, Array]:
 
 
 def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodResults) -> ScoreRecord:
-    """Score every complete pair set of a method; writes ``PAIRSET.errors.csv`` and ``scores.yaml``.
+    """Score every complete pair set of a method, and write ``PAIRSET.errors.csv`` and ``scores.yaml``.
 
-    ``scores.yaml`` also summarises matching quality where there is a ``PAIRSET.matching.csv``.
-
-    Pair sets without ground truth are passed over: their predictions can be exported, not scored.
+    ``scores.yaml`` also summarizes matching quality where there is a ``PAIRSET.matching.csv``. Pair sets without
+    ground truth are skipped: their predictions can be exported but not scored.
 
     Raises:
         PredictionError: the predictions are for another dataset, or a file is bad.
@@ -96,7 +95,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
 
 
 def score_pair_set(pair_set: PairSet, folder: MethodResults) -> list[PairErrors]:
-    """Errors of every accepted pair, in the pair set's order. Raises PredictionError."""
+    """The errors of every accepted pair, in the pair set's order. Raises PredictionError."""
     poses = read_predictions(folder.predictions(pair_set.name), pair_set)
     path = folder.answers(pair_set.name)
     answers = read_answers(path) if path.exists() else {}
@@ -119,7 +118,7 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> list[PairErrors]
 
 
 def matching_scores(pair_set: PairSet, folder: MethodResults) -> dict[str, Summary]:
-    """Matching quality of each group of a pair set. Raises PredictionError."""
+    """The matching quality of each group of a pair set. Raises PredictionError."""
     path = folder.matching(pair_set.name)
     rows = read_matching(path)
     check_complete(rows, [p.key for p in pair_set.pairs], path)
@@ -132,12 +131,12 @@ def summarize_rows(rows: Sequence[PairErrors], group: str = ALL) -> PairSetSumma
 
 
 def groups_of(rows: Sequence[PairErrors] | Sequence[MatchingRow]) -> list[str]:
-    """``all`` and the named groups, in order of appearance; a single group is the whole set and not repeated."""
+    """The groups of rows that are scored: ``all``, and the named groups in order of appearance if there are several."""
     return groups_in(rows.group_names if isinstance(rows, ErrorTable) else list(dict.fromkeys(r.group for r in rows)))
 
 
 def predictions_hash(folder: MethodResults, pair_set: str) -> str:
-    """SHA-256 over what was scored: a score whose predictions changed since is stale."""
+    """The SHA-256 of predictions and table, by which stale scores are recognized."""
     digest = hashlib.sha256()
     _add_file(digest, folder.predictions(pair_set))
     digest.update(b"\n")
@@ -148,7 +147,7 @@ def predictions_hash(folder: MethodResults, pair_set: str) -> str:
 
 
 def _add_file(digest: hashlib._Hash, path: Path) -> None:
-    """A block at a time: a file may be large."""
+    """Add a file in blocks, since it may be large."""
     with plain_file(path, "a table of answers", PredictionError).open("rb") as stream:
         while block := stream.read(2**20):
             digest.update(block)
@@ -182,7 +181,7 @@ def _row(
 
 
 def _unreported(pair: Pair, poses: dict[PairKey, Array]) -> Answer:
-    """A pair of predictions made elsewhere, which come without a table."""
+    """The answer for a pair of predictions made elsewhere, which may come without a table."""
     return Answer(pair.key, "ok" if pair.key in poses else "failed")
 
 

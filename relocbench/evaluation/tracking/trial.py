@@ -1,6 +1,6 @@
-"""Trying a tracker object in memory on a fixed choice of a split's pairs: what training is steered by.
+"""Validation of trackers during training: scoring them in memory on a fixed choice of a split's pairs.
 
-A pair is asked and scored as ``relocbench evaluate`` does it; nothing is written.
+A pair is answered and scored as in ``relocbench evaluate``, but nothing is written.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ class _Asked:
 
 
 class Trial:
-    """Pairs of the validation splits of some datasets, the same for every tracker that is tried.
+    """A fixed choice of pairs from the validation splits of some datasets, on which trackers are scored.
 
     Args:
-        datasets: folders; those without the split are passed over.
-        pairs: at most so many, evenly over all combinations of reference and query condition.
+        datasets: folders; datasets without a validation split are ignored.
+        pairs: the largest number of pairs, spread evenly over all combinations of reference and query condition.
         seed: of the choice.
-        reporter: a bar for each trial.
+        reporter: shows progress.
 
     Raises:
-        ConfigError: no dataset has the split, or it has no pair with ground truth.
+        ConfigError: no dataset has the split, or the splits have no pair with ground truth.
         DatasetError: a bad dataset.
     """
 
@@ -71,7 +71,7 @@ class Trial:
         return len(self._asked)
 
     def __call__(self, tracker: Tracker) -> ValidationScores:
-        """Track every pair and score the answers. A tracker's own exception is a failure of its pair, and told."""
+        """Track every pair and score the answers; an exception of the tracker's costs its pair and is reported."""
         conditions, answers, truth = [], [], []
         messages: dict[str, None] = {}
         with self._reporter.stage("validation", len(self._asked)) as advance:
@@ -96,7 +96,7 @@ class Trial:
 
 
 def _track(tracker: Tracker, asked: Sequence[_Asked]) -> list[CheckedAnswer]:
-    """Answers to the pairs of one keyframe."""
+    """The answers to the pairs of one keyframe."""
     first = asked[0]
     neighbours, broke = neighbours_of(tracker)
     if broke is not None:
@@ -121,7 +121,7 @@ def _pairs_of(dataset: Dataset) -> list[_Asked]:
 
 
 def _evenly(asked: Sequence[_Asked], count: int, seed: int) -> list[_Asked]:
-    """Up to ``count``, each combination of conditions giving one before any gives its second; by keyframe."""
+    """Choose up to ``count`` pairs, one from each combination of conditions in turn, and sort them by keyframe."""
     rng = np.random.default_rng(seed)
     turn: dict[str, int] = {}
     ranked: list[tuple[int, int, _Asked]] = []

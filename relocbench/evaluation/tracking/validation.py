@@ -1,4 +1,4 @@
-"""Every fault of predictions and results, with file and line."""
+"""Checking predictions and results for every fault, with file and line."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from relocbench.progress import Reporter
 
 @dataclass(frozen=True)
 class _Asked:
-    """What predictions are held against."""
+    """The pairs that predictions should answer."""
 
     record: DatasetRecord | None
-    """what the results folder says of its dataset"""
+    """the results folder's record of its dataset"""
     dataset: Dataset | None
     """the dataset itself, where it is at hand"""
 
     @property
     def pair_sets(self) -> dict[str, int] | None:
-        """Pair set -> number of pairs; None where nobody says."""
+        """Pair set -> number of pairs; None where neither the dataset nor a record of it is known."""
         if self.dataset is not None:
             return {s.name: len(s.pairs) for s in self.dataset.pair_sets()}
         return None if self.record is None else {n: p.pairs for n, p in self.record.pair_sets.items()}
@@ -50,16 +50,16 @@ class _Asked:
 
 
 def is_results_folder(path: Path) -> bool:
-    """Whether a folder holds what ``relocbench evaluate`` writes, of several datasets, of one, or of one method."""
+    """Whether a folder has the layout of ``relocbench evaluate``, for several datasets, for one, or for one method."""
     if any((path / name).exists() for name in ("run.yaml", "dataset.yaml", "scores.yaml")):
         return True
     return any(path.glob("*@*/dataset.yaml")) or any(path.glob("*@*/*/run.yaml"))
 
 
 def validate_results(root: Path, dataset: Dataset | None, reporter: Reporter) -> Findings:
-    """Check a results folder, one ``DATASET@FINGERPRINT`` of it, or one method's folder.
+    """Check a results folder, one ``DATASET@FINGERPRINT`` folder of it, or one method's folder.
 
-    Predictions are held against ``dataset`` where it is given: another dataset's results in the folder are noted and
+    Predictions are compared with ``dataset`` if it is given; another dataset's results in the folder are noted and
     checked on their own.
     """
     found = Findings()
@@ -86,7 +86,7 @@ def validate_results(root: Path, dataset: Dataset | None, reporter: Reporter) ->
 
 
 def validate_prediction_files(path: Path, dataset: Dataset | None) -> Findings:
-    """Check one pair or prediction file, or a folder of them; without a dataset, what a file says by itself."""
+    """Check one pair or prediction file, or a folder of them; without a dataset, each file by itself."""
     found = Findings()
     files = sorted(path.glob("*.txt")) if path.is_dir() else [path]
     asked = _Asked(None, dataset)
@@ -101,7 +101,7 @@ def validate_prediction_files(path: Path, dataset: Dataset | None) -> Findings:
 def _dataset_record(top: Path, found: Findings) -> DatasetRecord | None:
     record = read_yaml(top / "dataset.yaml", DatasetRecord, "the record of a dataset", found)
     if record is not None and top.name != f"{record.name}@{record.fingerprint[:SHORT]}":
-        found.note(f"is named otherwise than its dataset, {record.name}@{record.fingerprint[:SHORT]}", top)
+        found.note(f"has another name than its dataset, {record.name}@{record.fingerprint[:SHORT]}", top)
     return record
 
 
@@ -127,7 +127,7 @@ def _check_method(folder: MethodResults, asked: _Asked, found: Findings) -> None
 
 
 def _check_pair_set(folder: MethodResults, name: str, asked: _Asked, found: Findings) -> None:
-    """The prediction file and the table of answers, by themselves and against each other."""
+    """Check the prediction file and the table of answers, each by itself and against each other."""
     predictions, table = folder.predictions(name), folder.answers(name)
     lines = read_pair_lines(predictions, found, PredictionError)
     _check_keys(predictions, name, lines, asked, found)
@@ -146,7 +146,7 @@ def _check_pair_set(folder: MethodResults, name: str, asked: _Asked, found: Find
 
 
 def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], asked: _Asked, found: Findings) -> None:
-    """Whether the pair set is there, and every line answers one of its pairs."""
+    """Check that the pair set exists, and that every line answers one of its pairs."""
     pair_sets = asked.pair_sets
     if pair_sets is None:
         return
@@ -165,7 +165,7 @@ def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], asked: _A
 
 
 def _read_answers(path: Path, found: Findings) -> dict[PairKey, tuple[str, int]]:
-    """Status and line of each pair in ``PAIRSET.csv``."""
+    """Read the status and line number of each pair in ``PAIRSET.csv``."""
     out: dict[PairKey, tuple[str, int]] = {}
     for number, field in _table(path, ANSWER_COLUMNS, found):
         with found.catching():
@@ -201,7 +201,7 @@ def _table(path: Path, columns: tuple[str, ...], found: Findings) -> list[tuple[
 def _note_unfinished(
     folder: MethodResults, run: RunRecord | None, running: set[str], present: set[str], asked: _Asked, found: Findings
 ) -> None:
-    """A run that was killed is not broken: say what is there and how it goes on."""
+    """Note what an unfinished run has done and how to resume it; that is no fault."""
     pair_sets = asked.pair_sets or {}
     for name in sorted(running):
         journal = folder.journal(name)
@@ -232,7 +232,7 @@ def _resume(folder: MethodResults, run: RunRecord | None, asked: _Asked) -> str:
 
 
 def _check_scores(folder: MethodResults, complete: set[str], asked: _Asked, found: Findings) -> None:
-    """Scores must be of the predictions that lie beside them."""
+    """Check that scores belong to the predictions beside them."""
     if not folder.scores_yaml.exists():
         if complete:
             found.note("not scored yet: `relocbench evaluate` scores it", folder.root)

@@ -236,7 +236,7 @@ def test_overwrite_always_asks_for_everything_again(dataset: Dataset, tmp_path: 
 def test_two_configurations_never_share_a_folder(dataset: Dataset, tmp_path: Path) -> None:
     evaluate(dataset, tmp_path, f"m={HERE}:Shift", settings=("metres=0.1",))
     before = predictions(DatasetResults(next(tmp_path.iterdir())).root, "m")
-    with pytest.raises(PredictionError, match=r"run\.yaml: holds predictions made otherwise \(metres: 0.1 there"):
+    with pytest.raises(PredictionError, match=r"run\.yaml: holds predictions made differently \(metres: 0.1 there"):
         evaluate(dataset, tmp_path, f"m={HERE}:Shift", settings=("metres=0.2",))
     with pytest.raises(PredictionError, match="holds predictions of"):
         evaluate(dataset, tmp_path, "m=identity")
