@@ -1,7 +1,7 @@
-"""A Dask cluster: units are handed to its workers one by one, so that it is known which died on what.
+"""Running units on a Dask cluster: each is sent to a chosen worker, so that it is known which unit a worker died on.
 
-Dask would send a unit that kills its worker to four of them, and keep one that is waiting beside it from ever being
-run. Every unit is therefore bound to a worker here; one that vanishes costs the units it had in hand a try each.
+Left to itself, Dask would send a unit that kills its worker to four workers, and would give up other units that wait on
+those workers. Here every unit is bound to a worker; a worker that vanishes costs each of its units one try.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 
 WORKER_TIMEOUT_S = 30.0
-"""how long a run waits with no worker at all"""
+"""how long a run waits while there is no worker"""
 ANSWER_TIMEOUT_S = 30.0
-"""how long a scheduler that has answered once may be silent"""
+"""how long a scheduler that has answered before may be silent"""
 IN_FLIGHT_PER_WORKER = 2
 _TRIES = 2
 _POLL_S = 0.5
@@ -42,12 +42,12 @@ def run_on_cluster(
     """Run ``function`` on every unit and yield (index, result) as they finish.
 
     Args:
-        on_lost: makes, in this process, the result of a unit on which two workers died.
+        on_lost: returns, in this process, the result of a unit on which two workers died.
 
     Raises:
-        ConfigError: nothing answers, or a worker has other versions, several threads, or does not see the folders.
-        RelocbenchError: the scheduler went away, or no worker was left for :data:`WORKER_TIMEOUT_S`.
-        Exception: what ``function`` raises.
+        ConfigError: no scheduler answers, or a worker has other versions, several threads, or does not see the folders.
+        RelocbenchError: the scheduler is gone, or there was no worker for :data:`WORKER_TIMEOUT_S`.
+        Exception: whatever ``function`` raises.
     """
     if not units:
         return
@@ -56,7 +56,7 @@ def run_on_cluster(
 
 
 class _Dispatch(Generic[Unit, Result]):
-    """Which unit is with which worker."""
+    """Assigns units to workers and keeps track of both."""
 
     def __init__(
         self,
@@ -71,7 +71,7 @@ class _Dispatch(Generic[Unit, Result]):
         self.function, self.units, self.on_lost = function, units, on_lost
         self.waiting = deque(range(len(units)))
         self.suspects: deque[int] = deque()
-        """units whose worker died: they are tried again with a worker of their own, so that no other is blamed"""
+        """units whose worker died: each is tried again alone on a worker, so that no other unit can be blamed"""
         self.lost: list[int] = []
         self.deaths: Counter[int] = Counter()
         self.done = 0
@@ -80,7 +80,7 @@ class _Dispatch(Generic[Unit, Result]):
         self.alone: set[str] = set()
         """workers that try a suspect"""
         self.greeting: dict[str, tuple[str, int]] = {}
-        """key -> worker that has not answered yet, and its threads"""
+        """key -> worker that has not reported yet, and its threads"""
         self.futures: dict[str, Any] = {}
         self.ended: SimpleQueue[str] = SimpleQueue()
         self.looked = -_POLL_S
@@ -101,7 +101,7 @@ class _Dispatch(Generic[Unit, Result]):
 
     @property
     def progress(self) -> str:
-        return f"{self.done} of {len(self.units)} units are done, the same command goes on where it stopped"
+        return f"{self.done} of {len(self.units)} units are done; the same command resumes the work"
 
     def _compare_scheduler(self) -> None:
         there = self._ask(lambda: self.client.scheduler.versions)
@@ -111,7 +111,7 @@ class _Dispatch(Generic[Unit, Result]):
             raise ConfigError(f"the scheduler at {self.scheduler} runs other versions: {different}")
 
     def _look(self) -> None:
-        """See which workers have come and which have gone."""
+        """Find out which workers have joined and which have left."""
         now = time.monotonic()
         if now - self.looked < _POLL_S:
             return
@@ -133,17 +133,17 @@ class _Dispatch(Generic[Unit, Result]):
             )
 
     def _workers(self) -> dict[str, int]:
-        """Threads by worker, as the scheduler knows them now."""
+        """The number of threads of each worker that the scheduler knows."""
         threads: dict[str, int] = self._ask(lambda: self.client.scheduler.ncores)
         return threads
 
     def _ask(self, question: Callable[[], Callable[[], Any]]) -> dict[str, Any]:
-        """The scheduler's answer. Raises RelocbenchError where it is gone."""
+        """Ask the scheduler. Raises RelocbenchError if it is gone."""
         try:
             if self.client.status == "running":
                 answer: dict[str, Any] = self.client.sync(question(), callback_timeout=ANSWER_TIMEOUT_S)
                 return answer
-        except (OSError, RuntimeError, AttributeError):  # the last two where the client closed itself meanwhile
+        except (OSError, RuntimeError, AttributeError):  # the latter two if the client closed itself meanwhile
             pass
         raise scheduler_is_gone(self.scheduler, self.progress)
 
@@ -165,7 +165,7 @@ class _Dispatch(Generic[Unit, Result]):
         self._follow(future)
 
     def _wait(self) -> list[str]:
-        """Keys that ended, after at most one interval."""
+        """Wait for at most one polling interval; returns the keys that ended."""
         keys = []
         with suppress(Empty):
             keys.append(self.ended.get(timeout=_POLL_S))
@@ -193,7 +193,7 @@ class _Dispatch(Generic[Unit, Result]):
         self.hands[worker] = {}
 
     def _is_finished(self, key: str) -> bool:
-        """Whether a unit ended with a result. Raises what it raised."""
+        """Whether a unit ended with a result. Raises whatever it raised."""
         from distributed.scheduler import KilledWorker
 
         if key not in self.futures or key in self.greeting:
@@ -205,17 +205,17 @@ class _Dispatch(Generic[Unit, Result]):
             return True
         if not isinstance(future.exception(), KilledWorker):
             future.result()  # raises what the unit raised
-        self._blame(self._release(key))  # a worker came back under its address before it was missed
+        self._blame(self._release(key))  # a worker came back under the same address before it was missed
         return False
 
     def _take(self, keys: list[str]) -> Iterator[tuple[int, Result]]:
-        """The results of units that finished, in one message: each by itself would cost the way there and back."""
+        """Fetch the results of finished units in one message: one message for each would cost a round trip each."""
         if not keys:
             return
         futures = [self.futures[key] for key in keys]
         try:
             results: list[Result] = self.client.sync(self._gather, futures, callback_timeout=ANSWER_TIMEOUT_S)
-        except OSError:  # a worker died with a result in hand, or the scheduler is gone
+        except OSError:  # a worker died before its result was fetched, or the scheduler is gone
             self._ask_again(*keys)
             return
         except CancelledError:
@@ -227,7 +227,7 @@ class _Dispatch(Generic[Unit, Result]):
             yield index, result
 
     async def _gather(self, futures: list[Any]) -> list[Result]:
-        """Their results. Raises TimeoutError where one went with its worker: Dask would wait until it is made anew."""
+        """Gather results. Raises TimeoutError if one is lost with its worker, which Dask would wait for."""
         fetching = asyncio.ensure_future(self.client.gather(futures, asynchronous=True))
         try:
             while not (await asyncio.wait([fetching], timeout=_POLL_S))[0]:
@@ -238,7 +238,7 @@ class _Dispatch(Generic[Unit, Result]):
             fetching.cancel()
 
     def _ask_again(self, *keys: str) -> None:
-        """Later: the next look tells whether workers and scheduler are there."""
+        """Look at keys again later: the next refresh tells whether workers and scheduler still exist."""
         time.sleep(_POLL_S / 10)
         for key in keys:
             self.ended.put(key)
@@ -252,7 +252,7 @@ class _Dispatch(Generic[Unit, Result]):
         return index
 
     def _bury(self, worker: str) -> None:
-        """Take back what a worker that is gone had in hand."""
+        """Take back the units of a worker that is gone."""
         for key in [key for key, (name, _) in self.greeting.items() if name == worker]:
             del self.greeting[key]
             self.futures.pop(key).release()
@@ -265,7 +265,7 @@ class _Dispatch(Generic[Unit, Result]):
         (self.suspects if self.deaths[index] < _TRIES else self.lost).append(index)
 
     def _give_up(self, index: int) -> tuple[int, Result]:
-        """Judged only where a worker lives: a cluster that is shut down blames no unit."""
+        """Give a unit up. Only called while a worker lives: when a cluster is shut down, no unit is to blame."""
         unit = self.units[index]
         if self.on_lost is None:
             raise RelocbenchError(
@@ -276,5 +276,5 @@ class _Dispatch(Generic[Unit, Result]):
         return index, self.on_lost(unit)
 
     def _cancelled(self) -> RelocbenchError:
-        self._workers()  # says so where the scheduler is gone
+        self._workers()  # raises where the scheduler is gone
         return RelocbenchError(f"the work was cancelled at {self.scheduler}, by a restart perhaps; {self.progress}")

@@ -1,4 +1,4 @@
-"""Code that is not ours: found by entry point or dotted path, imported and called, its faults told in one line."""
+"""Finding foreign code by entry point or dotted path, and importing and calling it with faults reported in one line."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from relocbench.execution import messages_to_stderr
 
 
 def offered(group: str, kind: str) -> dict[str, metadata.EntryPoint]:
-    """Name -> entry point of everything installed in a group, sorted by name; nothing is imported.
+    """The entry points of a group, sorted by name; nothing is imported.
 
     Args:
-        kind: what the group offers, for the message.
+        kind: what the group provides, for messages.
 
     Raises:
-        MethodError: two packages offer different things by one name.
+        MethodError: two packages provide different things by the same name.
     """
     found: dict[str, metadata.EntryPoint] = {}
     for point in metadata.entry_points(group=group):
         if point.name in found and found[point.name].value != point.value:
             raise MethodError(
-                f"{kind} '{point.name}' is offered twice ({found[point.name].value} and {point.value}); "
+                f"{kind} '{point.name}' is provided twice ({found[point.name].value} and {point.value}); "
                 "uninstall one, or name the class by its dotted path"
             )
         found[point.name] = point
@@ -35,13 +35,13 @@ def offered(group: str, kind: str) -> dict[str, metadata.EntryPoint]:
 
 
 def load_dotted(target: str, kind: str) -> Any:
-    """What ``package.module:Name`` names, also from a module in the current folder.
+    """Import what ``package.module:Name`` names, also from a module in the current folder.
 
     Raises:
         MethodError: it cannot be imported, or there is no such name.
     """
     module_name, _, attribute = target.partition(":")
-    # A class beside the user's data, without installing anything, as `python -m` would find it.
+    # As with `python -m`, a class in the user's current folder is found without installing it.
     if "" not in sys.path and str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
     found = of_theirs(f"{kind} '{target}' cannot be imported", lambda: _import(module_name, target, kind))
@@ -60,7 +60,7 @@ def _import(module_name: str, target: str, kind: str) -> Any:
 
 
 def of_theirs(failed: str, call: Callable[[], Any]) -> Any:
-    """What code that is not ours returns. Raises MethodError with what it raised, and where."""
+    """Call foreign code. Raises MethodError with what it raised, and where."""
     try:
         with messages_to_stderr():
             return call()
@@ -75,6 +75,6 @@ def of_theirs(failed: str, call: Callable[[], Any]) -> Any:
 
 
 def hint(name: str, known: Iterable[str], prefix: str = "") -> str:
-    """What a mistyped name was probably meant to be, in parentheses; empty if nothing is near."""
+    """A suggestion for a mistyped name, in parentheses; empty if no known name is similar."""
     close = difflib.get_close_matches(name, known, n=1)
     return f" (did you mean '{prefix}{close[0]}'?)" if close else ""

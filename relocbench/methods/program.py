@@ -1,7 +1,7 @@
-"""A program that is asked in JSON lines: started, asked with a time limit, ended with all that it started.
+"""A program that is asked in JSON lines: it is started, asked within a time limit, and ended with its descendants.
 
-Nothing that it writes makes memory grow: a line has a limit, of its messages the end is kept, and what it writes when
-it is not asked stays in the pipe.
+Nothing that it writes makes memory grow: a line has a limit, only the end of its messages is kept, and what it writes
+without being asked stays in the pipe.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from relocbench.errors import one_line
 from relocbench.methods import keeper
 
 LINE_BYTES = 2**20
-"""the longest answer"""
+"""length of the longest answer that is read"""
 _STDERR_BYTES = 4096
 _STDERR_TAIL = 300
 _QUOTED = 80
@@ -31,7 +31,7 @@ _ENDING_S = 10.0
 
 
 class Broken(Exception):
-    """The program ended, was too slow, or spoke nonsense; what it says next means nothing, and the message says why."""
+    """The program ended, was too slow or broke the protocol, as the message says; its further output is meaningless."""
 
 
 class Program:
@@ -72,10 +72,10 @@ class Program:
         self._finalizer = weakref.finalize(self, _end, self._process, control)
 
     def ask(self, message: dict[str, Any], expected: str, limit_s: float) -> dict[str, Any]:
-        """Send one line, with an ``id`` of its own, and wait for the answer that carries the same.
+        """Send one line with a new ``id``, and wait for the answer with the same id.
 
         Raises:
-            Broken: no such answer within ``limit_s`` seconds.
+            Broken: no valid answer arrived within ``limit_s`` seconds.
         """
         self._asked += 1
         question = str(message["type"])
@@ -90,16 +90,16 @@ class Program:
         return answer
 
     def stop(self) -> None:
-        """Ask the program to end, and see that it does."""
+        """Ask the program to end, and make sure that it does."""
         try:
             self._send(json.dumps({"type": "stop"}).encode() + b"\n", time.monotonic() + _STOP_GRACE_S)
             self._wait_for_end(time.monotonic() + _STOP_GRACE_S)
         except (OSError, Broken):
-            pass  # it has ended, or does not listen
+            pass  # it has ended, or does not read its input
         self.kill()
 
     def kill(self) -> None:
-        """End it, and every process that it started."""
+        """End the program, and every process that it started."""
         self._finalizer()
 
     def _answer_line(self, message: dict[str, Any], question: str, limit_s: float) -> bytes:
@@ -124,7 +124,7 @@ class Program:
         return line
 
     def _send(self, data: bytes, until: float) -> None:
-        """Raises BlockingIOError where the program does not read it in time, BrokenPipeError where it is gone."""
+        """Write all data. Raises BlockingIOError if it is not read in time, BrokenPipeError if the program is gone."""
         while data:
             try:
                 data = data[os.write(self._in, data) :]
@@ -139,7 +139,7 @@ class Program:
             self._answers.clear()
 
     def _turn(self, until: float, writing: bool = False) -> bool:
-        """Read what there is, or wait for it; False when the time is over."""
+        """Read available output, or wait for it; False when the time is over."""
         left = until - time.monotonic()
         if left <= 0:
             return False
@@ -162,7 +162,7 @@ class Program:
         return bool(ready)
 
     def _obituary(self, question: str) -> str:
-        """How the program ended, with the end of what it said on standard error."""
+        """The message for a program that ended, with the end of its standard error."""
         until = time.monotonic() + _STOP_GRACE_S
         while self._open and self._turn(until):
             self._answers.clear()
@@ -175,7 +175,7 @@ class Program:
 
 
 def _parsed(line: bytes, question: str) -> dict[str, Any]:
-    """The JSON object of a line. Raises Broken with what is wrong with it."""
+    """The JSON object in a line. Raises Broken with what is wrong with it."""
     try:
         answer = json.loads(
             line.decode("utf-8"),
@@ -220,7 +220,7 @@ def _quoted(line: bytes) -> str:
 
 
 def _end(process: subprocess.Popen[bytes], control: int) -> None:
-    """The keeper ends all that there is once its pipe is closed; without the keeper, the group is killed."""
+    """Close the keeper's pipe, upon which it ends all processes; if it does not end, kill its group."""
     os.close(control)
     try:
         process.wait(_ENDING_S)

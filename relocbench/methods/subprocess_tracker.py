@@ -1,4 +1,4 @@
-"""The second door: a tracker that is a program of its own, in any language, under any licence.
+"""A tracker that is a program, in any language and under any licence.
 
 The program reads one JSON object a line on standard input and answers each with one on standard output:
 
@@ -11,7 +11,7 @@ relocbench writes                                                          the p
 ``{"type": "stop"}``                                                       (ends)
 ========================================================================= =======================================
 
-An answer carries the ``id`` of its question, so that one that comes too late is never taken for another's.
+An answer carries the ``id`` of its question, so that a late one is never taken for the answer to another question.
 ``docs/add-a-method.md`` describes the fields. Images and depth are files in a scratch folder that holds nothing
 else: the program sees no ground truth.
 """
@@ -42,22 +42,22 @@ PROTOCOL = 2
 
 @dataclass(frozen=True)
 class _Sent:
-    """A reference as the program is told of it."""
+    """A reference as it was sent to the program."""
 
     message: dict[str, Any]
     scratch: tempfile.TemporaryDirectory[str]
 
 
 class SubprocessTracker:
-    """Speaks the line protocol with one program, started again after it broke.
+    """Speaks the line protocol with a program, which is started again after it broke.
 
     Args:
         command: the program and its arguments.
-        time_limit_s: the longest that one answer may take; then the program is killed and the pair has failed.
-        start_limit_s: the longest that the program may take until it is ready.
+        time_limit_s: time for one answer, after which the program is killed and the pair has failed.
+        start_limit_s: time for the program to become ready.
 
     Raises:
-        MethodError: the program cannot be started at all.
+        MethodError: the program does not exist.
     """
 
     def __init__(self, command: str, time_limit_s: float = 60.0, start_limit_s: float = 120.0) -> None:
@@ -70,7 +70,7 @@ class SubprocessTracker:
         self._told: _Sent | None = None
 
     def prepare(self, reference: Reference) -> _Sent:
-        """Write the keyframe where the program can read it."""
+        """Write the keyframe to files that the program can read."""
         scratch = tempfile.TemporaryDirectory(prefix="relocbench-")
         folder = Path(scratch.name)
         write_image(folder / "reference.png", reference.image)
@@ -92,7 +92,7 @@ class SubprocessTracker:
         return _Sent(message, scratch)
 
     def track(self, reference: _Sent, query: Query, prior: NDArray[np.float64] | None = None) -> TrackResult:
-        """One question, one answer; a program that breaks costs this pair alone."""
+        """Ask the program about one query; if it breaks, only this pair is lost."""
         image = Path(reference.scratch.name) / "query.png"
         write_image(image, query.image)
         message = {
@@ -134,7 +134,7 @@ class SubprocessTracker:
 
 
 def subprocess_tracker(command: str) -> Callable[..., SubprocessTracker]:
-    """What makes trackers of a command line; its keyword arguments are the method's parameters."""
+    """A factory of trackers that run a command line; its keyword arguments are the method's parameters."""
 
     def create(
         time_limit_s: Annotated[float, Field(gt=0)] = 60.0, start_limit_s: Annotated[float, Field(gt=0)] = 120.0
@@ -145,7 +145,7 @@ def subprocess_tracker(command: str) -> Callable[..., SubprocessTracker]:
 
 
 def _result(answer: dict[str, Any]) -> TrackResult:
-    """The pose of a ``result`` line. Raises Broken where it is none."""
+    """The content of a ``result`` line. Raises Broken if it is not valid."""
     pose, confidence = answer.get("pose"), answer.get("confidence")
     info = answer.get("info") or {}
     if not isinstance(info, dict) or not (confidence is None or _is_number(confidence)):
@@ -167,5 +167,5 @@ def _is_numbers(values: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    """JSON's true and false are none, though Python counts with them."""
+    """Whether a JSON value is a number; true and false are not, though Python's ``bool`` is an ``int``."""
     return isinstance(value, int | float) and not isinstance(value, bool)

@@ -261,7 +261,7 @@ def test_a_cluster_with_tls_takes_who_holds_a_certificate_and_no_other(
         ),
         (
             ["--scheduler", "tls://h:9", "--scheduler-tls-ca", "words", "--scheduler-tls-cert", "words"],
-            "TLS takes no such certificates",
+            "these certificates cannot be used for TLS",
         ),
         (["--scheduler", "words"], "words: holds no address; expected the JSON file"),
         (["--scheduler", "none.json"], "none.json: missing; expected the JSON file"),
