@@ -1,4 +1,4 @@
-"""What a page says where methods answered on several copies of one question."""
+"""Words for a page on methods that answered on several copies of one question."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from relocbench.leaderboard.common.text import code
 
 
 class Answered(Protocol):
-    """A method on one dataset."""
+    """A method with its results on one dataset."""
 
     @property
     def label(self) -> str: ...
@@ -21,15 +21,15 @@ class Answered(Protocol):
 
 
 def question_words(question: str) -> str:
-    """To stand behind a fingerprint; empty where results do not tell the question."""
+    """The question, to follow a fingerprint; empty where results do not record it."""
     return f", question {code(question[:SHORT])}" if question else ""
 
 
 def copies_words(methods: Sequence[Answered], copies: Sequence[str]) -> str:
-    """Which methods answered on which other copy; empty where there is none.
+    """A sentence on which methods answered on which other copy; empty where there is none.
 
     Args:
-        copies: fingerprints of copies other than the first.
+        copies: fingerprints of the copies other than the first.
     """
     parts = []
     for copy in copies:

@@ -1,7 +1,7 @@
-"""What a results folder may come from a stranger with, and what is refused before anything of it is read.
+"""Checks of a results folder that may come from a stranger, made before anything in it is read.
 
 Everything that a leaderboard reads must lie in the folder: a link that leads out of it would publish other files of
-the reader's. What is neither a file nor a folder, as a pipe, would be waited for without end.
+the reader's. Anything but files and folders is refused, since reading a pipe, for instance, would never end.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from pathlib import Path
 from relocbench.errors import PredictionError
 
 _LONGEST_NAME = 200
-"""bytes; file names of most systems hold 255, and pictures are named after a dataset and a pair set"""
+"""in bytes; file names of most systems hold 255, and pictures are named after a dataset and a pair set"""
 
 
 def check_folder(results: Path) -> None:
-    """Look at every entry below a results folder; the folder itself may be a link.
+    """Check every entry below a results folder; the folder itself may be a link.
 
     Raises:
-        PredictionError: a link leads out of the folder or in a circle, or an entry is neither a file nor a folder.
+        PredictionError: a link leads out of the folder, nowhere or to a folder that holds it, or an entry is neither a
+            file nor a folder.
     """
     root = Path(os.path.realpath(results))
     for path, mode in _entries(root):
@@ -41,7 +42,7 @@ def check_folder(results: Path) -> None:
 
 
 def check_file_names(names: Iterable[str], what: str, path: Path) -> None:
-    """Names out of a record that become parts of file names. Raises PredictionError naming the record."""
+    """Check names from a record that become parts of file names. Raises PredictionError with the record's path."""
     for name in names:
         plain = name.isprintable() and not name.startswith(".") and "/" not in name and "\\" not in name
         if not name or not plain or len(name.encode(errors="replace")) > _LONGEST_NAME:
@@ -54,7 +55,7 @@ def check_file_names(names: Iterable[str], what: str, path: Path) -> None:
 
 
 def _entries(folder: Path) -> Iterator[tuple[Path, int]]:
-    """Every entry below a folder with its mode, links not followed."""
+    """Yield every entry below a folder with its mode; links are not followed."""
     folders = [folder]
     while folders:
         try:

@@ -1,4 +1,4 @@
-"""Chains of a retriever and a tracker compared: on each task, on conditions, and who shares a place."""
+"""Comparing chains of a retriever and a tracker: on each task, by conditions, and with shared ranks."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ WITH_INTERVAL = (RANKING, "recall@(1m,5deg)", HIT)
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """One chain on one set."""
+    """The results of one chain on one set."""
 
     label: str
     run: ChainRun
     basins: Mapping[str, ChainBasin]
     answers: Mapping[str, Sequence[ChainAnswer]]
-    """by task; a task without results is absent"""
+    """by task; tasks without results are absent"""
 
     @property
     def knows_truth(self) -> bool:
@@ -58,14 +58,14 @@ class Chain:
 
 @dataclass(frozen=True, eq=False)
 class ChainRow:
-    """One chain in a table; blank where a task is missing."""
+    """A row for one chain; it has no values if the chain misses a task."""
 
     chain: Chain
     values: Mapping[str, float | None]
-    """means over the tasks of means over queries; medians over all queries together"""
+    """means over the tasks of means over queries; medians are over all queries together"""
     intervals: Mapping[str, Interval | None]
     rank: int | None
-    """None where a task is missing, and for a chain that knows the truth"""
+    """None if a task is missing, and for a chain that uses the truth"""
     failed: int | None = None
     broke: int | None = None
     missing: tuple[str, ...] = ()
@@ -73,13 +73,13 @@ class ChainRow:
 
 @dataclass(frozen=True, eq=False)
 class ChainTable:
-    """A row for each chain, on one task or in the mean over several."""
+    """A row for each chain, on one task or for the mean over several tasks."""
 
     name: str
     tasks: tuple[str, ...]
     records: tuple[ChainTask, ...]
     rows: tuple[ChainRow, ...]
-    """best first, chains without a value last"""
+    """best first; chains without a value come last"""
 
     @property
     def queries(self) -> int:
@@ -110,16 +110,16 @@ class ChainBoard:
 
 
 def load_chains(results: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0) -> ChainBoard | None:
-    """Everything that chains left in a results folder; None where there is nothing of theirs to show.
+    """Load the results of all chains in a results folder; None where there is nothing of theirs to show.
 
     Args:
-        metric: ranks chains; a mean over queries.
-        split: only the tasks of this split; sets that have no such split are left out.
+        metric: the metric that ranks chains, a mean over queries.
+        split: only the tasks of this split; sets without such a split are left out.
         seed: of the bootstrap.
 
     Raises:
-        PredictionError: with file and line: a bad file, scores that are missing or stale.
-        ConfigError: a metric that chains do not have.
+        PredictionError: with file and line: a bad file, or scores that are missing or stale.
+        ConfigError: a metric that chains do not have, or a split that no set has.
     """
     if metric not in (*POSE_METRICS, *SHARES):
         raise ConfigError(f"chains cannot be ranked by '{metric}'; expected one of {', '.join(POSE_METRICS)}")
@@ -150,7 +150,7 @@ def _set(folder: ChainSetResults, metric: str, split: str | None, seed: int) -> 
 
 
 def _means(tasks: Mapping[str, ChainTask]) -> dict[str, tuple[str, ...]]:
-    """Tables over several tasks: all, those across conditions, those within one, each pair of conditions."""
+    """The tables of means: over all tasks, across conditions, within conditions, and for each pair of conditions."""
     out = {"mean over all tasks": list(tasks), "mean across conditions": [], "mean within a condition": []}
     for name, record in tasks.items():
         same = record.condition_gallery == record.condition_query

@@ -1,4 +1,4 @@
-"""``relocalization.md``: what a sceptical reader wants to know about chains, in one page."""
+"""``relocalization.md``: what a sceptical reader wants to know about chains, on one page."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def relocalization_page(board: ChainBoard) -> str:
 
 
 def evaluate_commands(chains: Sequence[Chain]) -> list[str]:
-    """Commands that run chains as they were run, and go on where they stopped: one for all that can share one."""
+    """The commands that run or resume chains, one for all chains that can share it."""
     groups: dict[tuple[object, ...], list[Chain]] = {}
     for chain in chains:
-        floor = chain.run.tracker == KEYFRAME  # comes with every command
+        floor = chain.run.tracker == KEYFRAME  # every command evaluates it
         tops = {c.run.top for c in chains if c.run.retriever == chain.run.retriever and c.run.tracker != KEYFRAME}
         if not floor or not tops:
             groups.setdefault((chain.run.top, *_basin_words(chain)), []).append(chain)
@@ -49,7 +49,7 @@ def evaluate_commands(chains: Sequence[Chain]) -> list[str]:
 
 
 def _commands(chains: Sequence[Chain]) -> list[str]:
-    """One if methods of one name are the same in all chains, one a chain otherwise."""
+    """One command if methods of the same name are the same in all chains, otherwise one for each chain."""
     halves: dict[str, RunRecord | None] = {}
     for chain in chains:
         for name, half in _halves(chain.run):
@@ -84,7 +84,7 @@ def _same(a: RunRecord | None, b: RunRecord | None) -> bool:
 
 
 def _basin_words(chain: Chain) -> list[str]:
-    """Options that say the basin."""
+    """The options that define the basin."""
     sources = {b.source for b in chain.basins.values()}
     if sources == {"given"}:
         basin = next(iter(chain.basins.values()))
@@ -207,7 +207,7 @@ def _cell(row: ChainRow, metric: str) -> str:
 
 
 def _basin(row: ChainRow, table: ChainTable) -> str:
-    """The same on all tasks, or in words."""
+    """The size of the basin if it is the same on all tasks, else its source in words."""
     basins = [row.chain.basins[task] for task in table.tasks if task in row.chain.basins]
     if not basins:
         return ""

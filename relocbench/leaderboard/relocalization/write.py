@@ -1,4 +1,4 @@
-"""``relocalization.csv`` and ``relocalization.md``: the same results give the same bytes."""
+"""Writing ``relocalization.csv`` and ``relocalization.md``: the same results give the same bytes."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from relocbench.progress import Reporter
 def write_relocalization_leaderboard(
     results: Path, out: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0, reporter: Reporter
 ) -> ChainBoard | None:
-    """Compare chains and write both files; None where a results folder has nothing of theirs.
+    """Compare chains and write both files; None where a results folder has no chains to show.
 
     Raises:
-        PredictionError: a bad file, scores that are missing or stale.
-        ConfigError: unknown metric.
+        PredictionError: a bad file, or scores that are missing or stale.
+        ConfigError: an unknown metric or split.
     """
     board = load_chains(results, metric=metric, split=split, seed=seed)
     if board is None:
@@ -44,7 +44,7 @@ def write_relocalization_leaderboard(
 
 
 def chain_rows(board: ChainBoard) -> list[dict[str, Value]]:
-    """Rows of ``relocalization.csv``: shares 0..1, metres, degrees, seconds; None where there is no value."""
+    """The rows of ``relocalization.csv``: shares 0..1, metres, degrees, seconds; None where there is no value."""
     return [_row(board, asked, t, row) for asked in board.sets for t in asked.tables for row in t.rows]
 
 

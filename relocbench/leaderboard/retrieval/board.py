@@ -1,4 +1,4 @@
-"""Retrievers compared: what each scored on each task, on views and on conditions, and who shares a place."""
+"""Comparing retrievers: their scores on each task, by views and by conditions, and with shared ranks."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ _AGAIN = "run `relocbench evaluate --task retrieval` again to score"
 
 @dataclass(frozen=True, eq=False)
 class Retriever:
-    """One method on one set."""
+    """The results of one method on one set."""
 
     label: str
     run: RetrievalRun
     answers: Mapping[str, Sequence[QueryAnswer]]
-    """by task; a task without results is absent"""
+    """by task; tasks without results are absent"""
 
     def per_query(self, task: str, record: TaskRecord, metric: str) -> Array:
-        """(Q,) values of a metric."""
+        """(Q,) the values of a metric on a task."""
         return scores_of(self.answers[task], record).per_query(metric)
 
 
 @dataclass(frozen=True, eq=False)
 class RetrievalRow:
-    """One method in a table; blank where a task is missing."""
+    """A row for one method; it has no values if the method misses a task."""
 
     method: Retriever
     values: Mapping[str, float | None]
@@ -57,19 +57,19 @@ class RetrievalRow:
     failed: int | None = None
     broke: int | None = None
     seconds: float | None = None
-    """a query, median"""
+    """median over the queries"""
     missing: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class RetrievalTable:
-    """A row for each method, on one task or in the mean over several."""
+    """A row for each method, on one task or for the mean over several tasks."""
 
     name: str
     tasks: tuple[str, ...]
     records: tuple[TaskRecord, ...]
     rows: tuple[RetrievalRow, ...]
-    """best first, methods without a value last"""
+    """best first; methods without a value come last"""
     chance: Mapping[str, float]
 
     @property
@@ -82,7 +82,7 @@ class RetrievalTable:
 
     @property
     def single_positive(self) -> bool:
-        """Whether each query has exactly one right answer, so that R@1 bounds AP."""
+        """Whether each query has exactly one positive, so that R@1 bounds AP."""
         return all(r.single_positive for r in self.records)
 
 
@@ -117,16 +117,16 @@ class RetrievalBoard:
 def load_retrieval(
     results: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0
 ) -> RetrievalBoard | None:
-    """Everything that retrievers left in a results folder; None where there is nothing of theirs to show.
+    """Load the results of all retrievers in a results folder; None where there is nothing of theirs to show.
 
     Args:
-        metric: ranks methods.
-        split: only the tasks of this split; sets that have no such split are left out.
-        seed: of the bootstrap. Each number has a generator of its own, so it does not depend on what else is there.
+        metric: the metric that ranks methods.
+        split: only the tasks of this split; sets without such a split are left out.
+        seed: of the bootstrap. Each number has a generator of its own and does not depend on what else is there.
 
     Raises:
-        PredictionError: with file and line: a bad file, scores that are missing or stale.
-        ConfigError: unknown metric, or no set has that split.
+        PredictionError: with file and line: a bad file, or scores that are missing or stale.
+        ConfigError: an unknown metric, or a split that no set has.
     """
     if metric not in METRICS:
         raise ConfigError(f"retrievers cannot be ranked by '{metric}'; expected one of {', '.join(METRICS)}")
@@ -138,7 +138,7 @@ def load_retrieval(
         check_file_names(folder.record.tasks, "the task", folder.root / SET_FILE)
     chosen = found if split is None else [s for s in found if split in s.record.splits]
     if not chosen and holds_tracking(results):
-        return None  # the split is of those datasets
+        return None  # the split is one of the trackers' datasets
     if not chosen:
         known = sorted({name for s in found for name in s.record.splits})
         raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
@@ -146,14 +146,14 @@ def load_retrieval(
 
 
 def holds_tracking(results: Path) -> bool:
-    """Whether trackers left something too."""
+    """Whether the folder holds results of trackers."""
     return (results / "dataset.yaml").exists() or any(results.glob("*@*/dataset.yaml"))
 
 
 def mean_tables(tasks: Mapping[str, TaskRecord]) -> dict[str, tuple[str, ...]]:
-    """Tables over several tasks: all of them, each direction of views, each pair of conditions.
+    """The tables of means: over all tasks, each direction of views, and each pair of conditions.
 
-    A task that holds part of the queries of another (``drone-satellite__Rain``) counts among its conditions alone.
+    A task with part of another one's queries (``drone-satellite__Rain``) counts only among its conditions.
     """
     whole = [name for name in tasks if not _is_part(name, tasks)]
     out = {"mean over all tasks": tuple(whole)}
@@ -170,7 +170,7 @@ def mean_tables(tasks: Mapping[str, TaskRecord]) -> dict[str, tuple[str, ...]]:
 
 
 def plausible(table: RetrievalTable) -> None:
-    """Raises PredictionError where a row's AP is impossible for its R@1 with one positive a query."""
+    """Raise PredictionError where a row's AP is impossible for its R@1 with one positive for each query."""
     if not table.single_positive:
         return
     for row in table.rows:
@@ -187,7 +187,7 @@ def _is_part(name: str, tasks: Mapping[str, TaskRecord]) -> bool:
 
 
 def _copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
-    """Folders of one question together: the same recipe, images that differ in last digits."""
+    """Group the folders of one question: the same recipe, with images that differ in last digits."""
     found: dict[tuple[str, str], list[SetResults]] = {}
     for folder in folders:
         found.setdefault((folder.record.name, folder.record.compared_by), []).append(folder)
@@ -195,7 +195,7 @@ def _copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
 
 
 def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int) -> SetBoard:
-    """The board of all copies of a question; the first stands for all, and a label that occurs again is told apart."""
+    """The board of all copies of a question, of which the first is shown; repeated labels are made distinct."""
     record, *others = (folder.record for folder in copies)
     for folder, other in zip(copies[1:], others, strict=True):
         different = [n for n in other.tasks if other.tasks[n] != record.tasks.get(n, other.tasks[n])]
@@ -222,7 +222,7 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
 def _methods_of(
     copies: Sequence[SetResults], tasks: Mapping[str, TaskRecord]
 ) -> tuple[tuple[Retriever, ...], dict[str, RetrieverResults]]:
-    """Methods by label, and the folder of each."""
+    """The methods by label, and the folder of each."""
     found: dict[str, Retriever] = {}
     folders: dict[str, RetrieverResults] = {}
     for copy in copies:

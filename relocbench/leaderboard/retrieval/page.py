@@ -1,4 +1,4 @@
-"""``retrieval.md``: what a sceptical reader wants to know about retrievers, in one page."""
+"""``retrieval.md``: what a sceptical reader wants to know about retrievers, on one page."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def retrieval_page(board: RetrievalBoard) -> str:
 
 
 def evaluate_command(asked: SetRecord, run: RetrievalRun) -> str:
-    """The command that runs a retriever as it was run, and goes on where it stopped."""
+    """The command that runs a retriever as it was run, or resumes a run that was stopped."""
     words = ["relocbench", "evaluate", "--task", "retrieval", "--dataset", "DATASET", "--out", "RESULTS"]
     for key, value in asked.options.items():
         words += [f"--{key}", f"{value:g}" if isinstance(value, float) else value]

@@ -1,4 +1,4 @@
-"""The part of the page on what was run: parameters, versions, machines, and the commands that do it again."""
+"""The page's section on the methods: parameters, versions, machines, and the commands that run them again."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 
 
 def methods_section(dataset: DatasetBoard) -> list[str]:
-    """Every method with its version, seed and machine, and what sets runs of one method apart."""
+    """A table of all methods with version, seed and machine, and the parameters in which runs of one method differ."""
     methods = dataset.entry.methods
     rows = [
         [
@@ -34,7 +34,7 @@ def methods_section(dataset: DatasetBoard) -> list[str]:
 
 
 def reproduce_section(board: Board) -> list[str]:
-    """The commands that give this page again."""
+    """The commands that reproduce the page."""
     parts = [
         "## Again",
         "`DATASET` is a folder whose `dataset.yaml` has the fingerprint above (`relocbench validate DATASET` checks "
@@ -58,7 +58,7 @@ def _machine_notes(methods: Sequence[Method]) -> list[str]:
 
 
 def _differences(methods: Sequence[Method]) -> list[str]:
-    """For each target that was run several times: a table of the parameters that differ."""
+    """For each target that was run several times, a table of the parameters that differ."""
     parts = []
     for target in dict.fromkeys(m.run.target for m in methods):
         runs = [m for m in methods if m.run.target == target]

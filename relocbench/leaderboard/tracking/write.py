@@ -1,4 +1,4 @@
-"""Write a leaderboard: the same results give the same bytes."""
+"""Writing the leaderboard of trackers: the same results give the same bytes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from relocbench.leaderboard.tracking.tables import RANKING, make_board, ranking_
 from relocbench.progress import Reporter, Silent
 
 _MANY_PICTURES = 24
-"""from so many on, they are drawn in processes, whose start takes as long as some pictures"""
+"""number of pictures from which on they are drawn in processes, whose start takes as long as several pictures"""
 
 
 def write_leaderboard(
@@ -30,22 +30,22 @@ def write_leaderboard(
     plots: bool = True,
     reporter: Reporter | None = None,
 ) -> Board:
-    """Compare what a results folder holds, and write it.
+    """Compare the methods in a results folder, and write the leaderboard.
 
     Args:
-        results: ``RESULTS``, or one ``DATASET@FINGERPRINT`` folder of it; read only.
+        results: ``RESULTS``, or one of its ``DATASET@FINGERPRINT`` folders; it is only read.
         out: folder for the files of :func:`write_board`.
-        metric: ranks methods; a mean over pairs.
+        metric: the metric that ranks methods, a mean over pairs.
         split: only the pair sets of this split.
         seed: of the bootstrap.
-        plots: draw the curves.
-        reporter: hears of missing results and of progress.
+        plots: whether to draw the curves.
+        reporter: receives progress and notes on missing results.
 
     Raises:
-        PredictionError: no results, a bad file, scores that are missing or stale.
-        ConfigError: unknown metric or split.
+        PredictionError: no results, a bad file, or scores that are missing or stale.
+        ConfigError: an unknown metric or split.
     """
-    ranking_metric(metric)  # a typing error should not have to wait for the bootstrap
+    ranking_metric(metric)  # a mistyped metric is reported before the bootstrap runs
     report = Silent() if reporter is None else reporter
     entries = load_results(results, split)
     for entry in entries:
@@ -58,11 +58,10 @@ def write_leaderboard(
 
 
 def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Reporter) -> list[Path]:
-    """``leaderboard.csv``, ``leaderboard.md``, ``errors.csv`` and ``curves/*.png``.
+    """Write ``leaderboard.csv``, ``leaderboard.md``, ``errors.csv`` and ``curves/*.png``; returns the files.
 
-    Also ``seeds.csv`` and ``matching.csv``, if there is something to put into them.
-
-    Each file appears whole or not at all; there are no dates in them. Returns the files.
+    ``seeds.csv`` and ``matching.csv`` are written as well if they have rows. Each file appears whole or not at all,
+    and none contains a date.
     """
     for folder in (out, out / "curves"):
         remove_parts(folder, deep=False)
