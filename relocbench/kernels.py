@@ -1,11 +1,11 @@
-"""Compiled kernels: ``njit``, and where Numba keeps what it has compiled: a folder for each state of the sources.
+"""Compiled kernels: ``njit``, and the folder where Numba caches compiled code, one for each state of the sources.
 
-Numba's cache looks at the file of a compiled function alone. A function of another file that is compiled into it may
-change, in an update or while one works on it, and the old code goes on running: pictures and poses would depend on what
-was compiled when. So the folder is named by a digest of all files with kernels and of the modules they take from. Who
-sets ``NUMBA_CACHE_DIR`` takes this upon himself.
+Numba's cache checks only the file of a compiled function. If a function of another file that is compiled into it
+changes, in an update or during development, the old code keeps running: pictures and poses would depend on what was
+compiled when. The folder is therefore named by a digest of all files with kernels and of the modules that they import.
+A user who sets ``NUMBA_CACHE_DIR`` has to take care of this instead.
 
-A module with kernels takes ``njit`` from here, so that the folder is known before the first of them is defined.
+Modules with kernels import ``njit`` from here, so that the folder is set before the first kernel is defined.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ def use_kernel_cache() -> None:
 
 
 def kernel_digest(root: Path, packages: Sequence[str]) -> str:
-    """Hex digits that change when a file of the packages under ``root`` that holds a kernel does, or a module that such
-    a file imports by name."""
+    """A hexadecimal digest that changes with every file of the packages under ``root`` that holds a kernel, and with
+    every module that such a file imports by name."""
     files = sorted(path for package in packages for path in (root / package).rglob("*.py"))
     texts = {path: path.read_bytes() for path in files}
     with_kernels = {path for path, text in texts.items() if b"njit" in text}
@@ -68,7 +68,7 @@ def _files(root: Path, name: str) -> tuple[Path, Path]:
 
 
 def _forget(home: Path) -> None:
-    """Remove folders of sources that nobody has used for a month."""
+    """Remove the folders of sources that have not been used for a month."""
     try:
         old = [f for f in home.iterdir() if f.is_dir() and time.time() - f.stat().st_mtime > _UNUSED_S]
     except OSError:
