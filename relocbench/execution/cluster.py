@@ -18,7 +18,7 @@ from typing import Any, Generic, TypeVar
 
 from relocbench.errors import ConfigError, RelocbenchError
 from relocbench.execution.calling import call
-from relocbench.execution.greeting import differences, greet, refuse, shown, versions_here
+from relocbench.execution.handshake import check_worker, differences, report, shared_paths, versions_here
 from relocbench.execution.scheduler import Scheduler, connected, scheduler_is_gone
 
 Unit = TypeVar("Unit")
@@ -51,7 +51,7 @@ def run_on_cluster(
     """
     if not units:
         return
-    with connected(scheduler) as client, shown(scheduler) as paths:
+    with connected(scheduler) as client, shared_paths(scheduler) as paths:
         yield from _Dispatch(client, scheduler, function, units, on_lost, paths).results()
 
 
@@ -75,29 +75,29 @@ class _Dispatch(Generic[Unit, Result]):
         self.lost: list[int] = []
         self.deaths: Counter[int] = Counter()
         self.done = 0
-        self.hands: dict[str, dict[str, int]] = {}
+        self.assigned: dict[str, dict[str, int]] = {}
         """worker -> key -> unit"""
-        self.alone: set[str] = set()
+        self.testing_suspect: set[str] = set()
         """workers that try a suspect"""
-        self.greeting: dict[str, tuple[str, int]] = {}
+        self.joining: dict[str, tuple[str, int]] = {}
         """key -> worker that has not reported yet, and its threads"""
         self.futures: dict[str, Any] = {}
         self.ended: SimpleQueue[str] = SimpleQueue()
-        self.looked = -_POLL_S
+        self.refreshed = -_POLL_S
         self.worker_seen = time.monotonic()
 
     def results(self) -> Iterator[tuple[int, Result]]:
         self._compare_scheduler()
         while self.done < len(self.units):
-            self._look()
-            self._hand_out()
+            self._refresh_workers()
+            self._assign_units()
             ended = list(dict.fromkeys(self._wait()))
             for key in ended:
-                if key in self.greeting:
-                    self._welcome(key)
-            yield from self._take([key for key in ended if self._is_finished(key)])
-            while self.lost and self.hands:
-                yield self._give_up(self.lost.pop())
+                if key in self.joining:
+                    self._admit(key)
+            yield from self._collect_results([key for key in ended if self._is_finished(key)])
+            while self.lost and self.assigned:
+                yield self._give_up_unit(self.lost.pop())
 
     @property
     def progress(self) -> str:
@@ -110,20 +110,20 @@ class _Dispatch(Generic[Unit, Result]):
         if different:
             raise ConfigError(f"the scheduler at {self.scheduler} runs other versions: {different}")
 
-    def _look(self) -> None:
+    def _refresh_workers(self) -> None:
         """Find out which workers have joined and which have left."""
         now = time.monotonic()
-        if now - self.looked < _POLL_S:
+        if now - self.refreshed < _POLL_S:
             return
-        self.looked = now
+        self.refreshed = now
         threads = self._workers()
-        known = {*self.hands, *(worker for worker, _ in self.greeting.values())}
+        known = {*self.assigned, *(worker for worker, _ in self.joining.values())}
         for worker in known - threads.keys():
-            self._bury(worker)
+            self._drop_worker(worker)
         for worker in threads.keys() - known:
-            future = self.client.submit(greet, self.paths, workers=[worker], pure=False, retries=0)
-            self.greeting[future.key] = worker, threads[worker]
-            self._follow(future)
+            future = self.client.submit(report, self.paths, workers=[worker], pure=False, retries=0)
+            self.joining[future.key] = worker, threads[worker]
+            self._watch_future(future)
         if threads:
             self.worker_seen = now
         elif now - self.worker_seen > WORKER_TIMEOUT_S:
@@ -147,22 +147,22 @@ class _Dispatch(Generic[Unit, Result]):
             pass
         raise scheduler_is_gone(self.scheduler, self.progress)
 
-    def _follow(self, future: Any) -> None:
+    def _watch_future(self, future: Any) -> None:
         self.futures[future.key] = future
         future.add_done_callback(lambda ended: self.ended.put(ended.key))
 
-    def _hand_out(self) -> None:
-        for worker, hand in self.hands.items():
-            while self.waiting and len(hand) < IN_FLIGHT_PER_WORKER and worker not in self.alone:
+    def _assign_units(self) -> None:
+        for worker, held in self.assigned.items():
+            while self.waiting and len(held) < IN_FLIGHT_PER_WORKER and worker not in self.testing_suspect:
                 self._send(self.waiting.popleft(), worker)
-            if self.suspects and not hand:
-                self.alone.add(worker)
+            if self.suspects and not held:
+                self.testing_suspect.add(worker)
                 self._send(self.suspects.popleft(), worker)
 
     def _send(self, index: int, worker: str) -> None:
         future = self.client.submit(call, self.function, self.units[index], workers=[worker], pure=False, retries=0)
-        self.hands[worker][future.key] = index
-        self._follow(future)
+        self.assigned[worker][future.key] = index
+        self._watch_future(future)
 
     def _wait(self) -> list[str]:
         """Wait for at most one polling interval; returns the keys that ended."""
@@ -173,8 +173,8 @@ class _Dispatch(Generic[Unit, Result]):
                 keys.append(self.ended.get_nowait())
         return keys
 
-    def _welcome(self, key: str) -> None:
-        worker, threads = self.greeting[key]
+    def _admit(self, key: str) -> None:
+        worker, threads = self.joining[key]
         future = self.futures[key]
         if future.status == "cancelled":
             raise self._cancelled()
@@ -182,21 +182,21 @@ class _Dispatch(Generic[Unit, Result]):
             reason = " ".join(str(future.exception()).split())[:200]
             raise ConfigError(f"worker {worker} of {self.scheduler} cannot run relocbench ({reason})")
         try:
-            greeting = future.result(timeout=ANSWER_TIMEOUT_S)
+            worker_report = future.result(timeout=ANSWER_TIMEOUT_S)
         except OSError:
             self._ask_again(key)
             return
         except CancelledError:
             raise self._cancelled() from None
-        del self.greeting[key], self.futures[key]
-        refuse(worker, threads, greeting, self.scheduler)
-        self.hands[worker] = {}
+        del self.joining[key], self.futures[key]
+        check_worker(worker, threads, worker_report, self.scheduler)
+        self.assigned[worker] = {}
 
     def _is_finished(self, key: str) -> bool:
         """Whether a unit ended with a result. Raises whatever it raised."""
         from distributed.scheduler import KilledWorker
 
-        if key not in self.futures or key in self.greeting:
+        if key not in self.futures or key in self.joining:
             return False
         future = self.futures[key]
         if future.status == "cancelled":
@@ -205,10 +205,10 @@ class _Dispatch(Generic[Unit, Result]):
             return True
         if not isinstance(future.exception(), KilledWorker):
             future.result()  # raises what the unit raised
-        self._blame(self._release(key))  # a worker came back under the same address before it was missed
+        self._count_death(self._release(key))  # a worker came back under the same address before it was missed
         return False
 
-    def _take(self, keys: list[str]) -> Iterator[tuple[int, Result]]:
+    def _collect_results(self, keys: list[str]) -> Iterator[tuple[int, Result]]:
         """Fetch the results of finished units in one message: one message for each would cost a round trip each."""
         if not keys:
             return
@@ -221,7 +221,7 @@ class _Dispatch(Generic[Unit, Result]):
         except CancelledError:
             raise self._cancelled() from None
         indices = [self._release(key) for key in keys]
-        self._hand_out()
+        self._assign_units()
         for index, result in zip(indices, results, strict=True):
             self.done += 1
             yield index, result
@@ -244,27 +244,27 @@ class _Dispatch(Generic[Unit, Result]):
             self.ended.put(key)
 
     def _release(self, key: str) -> int:
-        worker = next(name for name, hand in self.hands.items() if key in hand)
+        worker = next(name for name, held in self.assigned.items() if key in held)
         self.futures.pop(key).release()
-        index = self.hands[worker].pop(key)
-        if not self.hands[worker]:
-            self.alone.discard(worker)
+        index = self.assigned[worker].pop(key)
+        if not self.assigned[worker]:
+            self.testing_suspect.discard(worker)
         return index
 
-    def _bury(self, worker: str) -> None:
+    def _drop_worker(self, worker: str) -> None:
         """Take back the units of a worker that is gone."""
-        for key in [key for key, (name, _) in self.greeting.items() if name == worker]:
-            del self.greeting[key]
+        for key in [key for key, (name, _) in self.joining.items() if name == worker]:
+            del self.joining[key]
             self.futures.pop(key).release()
-        for key in list(self.hands.get(worker, {})):
-            self._blame(self._release(key))
-        self.hands.pop(worker, None)
+        for key in list(self.assigned.get(worker, {})):
+            self._count_death(self._release(key))
+        self.assigned.pop(worker, None)
 
-    def _blame(self, index: int) -> None:
+    def _count_death(self, index: int) -> None:
         self.deaths[index] += 1
         (self.suspects if self.deaths[index] < _TRIES else self.lost).append(index)
 
-    def _give_up(self, index: int) -> tuple[int, Result]:
+    def _give_up_unit(self, index: int) -> tuple[int, Result]:
         """Give a unit up. Only called while a worker lives: when a cluster is shut down, no unit is to blame."""
         unit = self.units[index]
         if self.on_lost is None:

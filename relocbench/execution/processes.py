@@ -104,13 +104,13 @@ class Pool:
 
         Units are consumed as workers become free; a unit for which ``on_loss`` yields no result is tried again.
         """
-        self._let_go_of_what_was_dropped()
+        self._drain_abandoned_units()
         source = enumerate(units)
         again: deque[tuple[int, Any]] = deque()
-        stillborn = 0
+        failed_starts = 0
         with memory_watched(lambda: list(self.workers), None if limits is None else limits.memory_bytes):
-            while busy := self._hand_out(function, source, again, workers):
-                for worker, index, unit, told in self._listen(busy, limits):
+            while busy := self._assign_units(function, source, again, workers):
+                for worker, index, unit, told in self._poll_workers(busy, limits):
                     if isinstance(told, Raised):
                         raise told.exception from RemoteTraceback(told.traceback)
                     if not isinstance(told, Loss):
@@ -118,8 +118,8 @@ class Pool:
                         continue
                     self.workers.remove(worker)
                     if not worker.ready:
-                        stillborn += 1
-                        if stillborn >= _TRIES:
+                        failed_starts += 1
+                        if failed_starts >= _TRIES:
                             raise RelocbenchError(f"worker processes end while they start ({told.words})")
                         again.append((index, unit))
                         continue
@@ -133,13 +133,13 @@ class Pool:
         """End all workers: idle ones by themselves, and the others at once, with the loss of their work."""
         for worker in self.workers:
             if worker.work is None:
-                worker.dismiss()
+                worker.release()
         until = time.monotonic() + _GRACE_S
         while self.workers:
             worker = self.workers.pop()
-            worker.bury(until - time.monotonic() if worker.work is None else 0.0)
+            worker.end(until - time.monotonic() if worker.work is None else 0.0)
 
-    def _hand_out(
+    def _assign_units(
         self, function: Any, source: Iterator[tuple[int, Any]], again: deque[tuple[int, Any]], workers: int
     ) -> list[WorkerProcess]:
         """Give every free worker a unit, while there are any; returns the workers that have one."""
@@ -154,7 +154,7 @@ class Pool:
             self.workers[slot].give(function, *work)
         return [worker for worker in self.workers if worker.work is not None]
 
-    def _listen(
+    def _poll_workers(
         self, busy: list[WorkerProcess], limits: Limits | None
     ) -> Iterator[tuple[WorkerProcess, int, Any, Any]]:
         """Yield what the busy workers have reported about their units."""
@@ -166,14 +166,14 @@ class Pool:
             if (told := worker.listen(limits)) is not None:
                 yield worker, index, unit, told
 
-    def _let_go_of_what_was_dropped(self) -> None:
+    def _drain_abandoned_units(self) -> None:
         """Free workers of units that an earlier run, which ended early, has left: nobody waits for their results."""
         until = time.monotonic() + _GRACE_S
         for worker in list(self.workers):
             while worker.work is not None:
                 wait_for([worker.connection], max(0.0, until - time.monotonic()))
                 if isinstance(worker.listen(None), Loss) or (worker.work is not None and time.monotonic() > until):
-                    worker.bury()
+                    worker.end()
                     self.workers.remove(worker)
                     break
 

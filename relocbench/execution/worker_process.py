@@ -41,8 +41,8 @@ class WorkerProcess:
         """index and unit in progress"""
         self.step: Step | None = None
         self._deadline: float | None = None
-        self._verdict: Loss | None = None
-        self._gone = False
+        self._loss: Loss | None = None
+        self._reaped = False
         self._lock = threading.Lock()
         resource_tracker.ensure_running()  # it would unblock signals while it starts
         # This comes last: once an interruption can arrive, all that is needed to end the worker is known.
@@ -70,54 +70,54 @@ class WorkerProcess:
         """The outcome of the unit in progress, if there is one; a worker whose step takes too long is ended here."""
         try:
             while self.connection.poll():
-                told = self.connection.recv()
-                if isinstance(told, Done | Raised):
+                message = self.connection.recv()
+                if isinstance(message, Done | Raised):
                     self.work, self.step, self._deadline = None, None, None
-                    return told
-                if isinstance(told, Ready):
+                    return message
+                if isinstance(message, Ready):
                     self.ready = True
                 else:
-                    self._take_step(told, limits)
+                    self._take_step(message, limits)
         except (EOFError, OSError):
-            return self._obituary()
+            return self._loss_at_end()
         if limits is not None and self.seconds_left() <= 0:
-            self._end_for("time", _too_long(self.step, limits))
-        if self._verdict is not None or self._has_exited():
-            return self._obituary()
+            self._end_for("time", _time_message(self.step, limits))
+        if self._loss is not None or self._has_exited():
+            return self._loss_at_end()
         return None
 
     def check_memory(self, limit_bytes: int) -> None:
         """End the worker if a method is running and more memory is held; may be called from another thread."""
         with self._lock:
-            doing = self.step
-            if doing is None or self._gone or self._verdict is not None or resident_bytes(self.pid) <= limit_bytes:
+            current = self.step
+            if current is None or self._reaped or self._loss is not None or resident_bytes(self.pid) <= limit_bytes:
                 return
-            self._verdict = Loss(doing, "memory", f"took more memory than the limit of {size_text(limit_bytes)}")
+            self._loss = Loss(current, "memory", f"took more memory than the limit of {size_text(limit_bytes)}")
             self._kill()
 
-    def dismiss(self) -> None:
+    def release(self) -> None:
         """Let an idle worker end by itself, which it does when the connection is closed."""
         self.connection.close()
 
-    def bury(self, patience_s: float = 0.0) -> None:
+    def end(self, patience_s: float = 0.0) -> None:
         """End the process and everything that it started."""
         until = time.monotonic() + patience_s
         while time.monotonic() < until and not self._has_exited():
             time.sleep(0.005)
         with self._lock:
-            if not self._gone:
+            if not self._reaped:
                 self._kill()
-                self._gone = True
+                self._reaped = True
                 self.process.join()
         self.connection.close()
         _live.discard(self)
 
-    def _take_step(self, told: Step | None, limits: Limits | None) -> None:
-        before, self.step = self.step, told
+    def _take_step(self, message: Step | None, limits: Limits | None) -> None:
+        before, self.step = self.step, message
         self._deadline = None
-        if limits is not None and told is not None:
-            self._deadline = time.monotonic() + told.times * limits.time_s
-        if limits is not None and limits.memory_bytes is not None and told is None and before is not None:
+        if limits is not None and message is not None:
+            self._deadline = time.monotonic() + message.times * limits.time_s
+        if limits is not None and limits.memory_bytes is not None and message is None and before is not None:
             # A short call may fall between two measurements; memory that it keeps is noticed here.
             self.step = before
             self.check_memory(limits.memory_bytes)
@@ -125,22 +125,22 @@ class WorkerProcess:
 
     def _end_for(self, kind: Any, words: str) -> None:
         with self._lock:
-            if self._verdict is None and not self._gone:
-                self._verdict = Loss(self.step, kind, words)
+            if self._loss is None and not self._reaped:
+                self._loss = Loss(self.step, kind, words)
                 self._kill()
 
-    def _obituary(self) -> Loss:
+    def _loss_at_end(self) -> Loss:
         """The loss of a worker that has died, or that has closed its pipe, which is treated alike."""
-        verdict, doing = self._verdict, self.step
-        self.bury(0.0 if verdict else _EXIT_GRACE_S)
-        return self._verdict or Loss(doing, "death", _how_it_ended(self.process.exitcode))
+        verdict, current = self._loss, self.step
+        self.end(0.0 if verdict else _EXIT_GRACE_S)
+        return self._loss or Loss(current, "death", _exit_description(self.process.exitcode))
 
     def _has_exited(self) -> bool:
         """Whether the process has ended, without collecting its exit status: until then its id is not reused.
 
         End of file on the pipe is not enough, since children may hold it open after their parent has died.
         """
-        if self._gone:
+        if self._reaped:
             return True
         if not hasattr(os, "waitid"):
             return not self.process.is_alive()
@@ -165,7 +165,7 @@ def end_workers() -> None:
     """End every worker process that this process has started, at once."""
     for worker in list(_live):
         with suppress(OSError):
-            worker.bury()
+            worker.end()
 
 
 atexit.register(end_workers)  # runs before multiprocessing's own handler, which waits for processes without a limit
@@ -194,14 +194,14 @@ def _signals_held() -> Iterator[None]:
             signal.raise_signal(arrived)
 
 
-def _too_long(doing: Step | None, limits: Limits) -> str:
-    times = 1.0 if doing is None else doing.times
+def _time_message(current: Step | None, limits: Limits) -> str:
+    times = 1.0 if current is None else current.times
     if times == 1:
         return f"took longer than the time limit of {limits.time_s:g} s"
     return f"took longer than {times * limits.time_s:g} s, {times:g} times the time limit"
 
 
-def _how_it_ended(code: int | None) -> str:
+def _exit_description(code: int | None) -> str:
     if code is None or code >= 0:
         return f"exit status {code}"
     try:

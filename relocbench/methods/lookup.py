@@ -14,7 +14,7 @@ from relocbench.errors import MethodError, RelocbenchError, raised
 from relocbench.execution import messages_to_stderr
 
 
-def offered(group: str, kind: str) -> dict[str, metadata.EntryPoint]:
+def entry_points_of(group: str, kind: str) -> dict[str, metadata.EntryPoint]:
     """The entry points of a group, sorted by name; nothing is imported.
 
     Args:
@@ -44,7 +44,7 @@ def load_dotted(target: str, kind: str) -> Any:
     # As with `python -m`, a class in the user's current folder is found without installing it.
     if "" not in sys.path and str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
-    found = of_theirs(f"{kind} '{target}' cannot be imported", lambda: _import(module_name, target, kind))
+    found = call_foreign(f"{kind} '{target}' cannot be imported", lambda: _import(module_name, target, kind))
     for part in attribute.split("."):
         found = getattr(found, part, None)
     if found is None:
@@ -59,7 +59,7 @@ def _import(module_name: str, target: str, kind: str) -> Any:
         raise MethodError(f"{kind} '{target}': no module '{bad.name}' (looked on the Python path and here)") from bad
 
 
-def of_theirs(failed: str, call: Callable[[], Any]) -> Any:
+def call_foreign(failed: str, call: Callable[[], Any]) -> Any:
     """Call foreign code. Raises MethodError with what it raised, and where."""
     try:
         with messages_to_stderr():

@@ -34,7 +34,7 @@ from relocbench.datasets.core.images import write_depth, write_image, write_poin
 from relocbench.datasets.core.pairfile import QUATERNION_TOLERANCE
 from relocbench.errors import MethodError, one_line
 from relocbench.geometry import transform_from_tq, transform_to_tq
-from relocbench.methods.program import Broken, Program
+from relocbench.methods.program import Program, ProgramFault
 from relocbench.tracking import Query, Reference, TrackResult
 
 PROTOCOL = 2
@@ -67,7 +67,7 @@ class SubprocessTracker:
         self.time_limit_s = time_limit_s
         self.start_limit_s = start_limit_s
         self._program: Program | None = None
-        self._told: _Sent | None = None
+        self._sent: _Sent | None = None
 
     def prepare(self, reference: Reference) -> _Sent:
         """Write the keyframe to files that the program can read."""
@@ -105,32 +105,32 @@ class SubprocessTracker:
         try:
             program = self._ready_program(reference)
             return _result(program.ask(message, "result", self.time_limit_s))
-        except Broken as bad:
-            self._forget()
+        except ProgramFault as bad:
+            self._drop_program()
             return TrackResult.failure(str(bad), status="error")
 
     def close(self) -> None:
         """End the program."""
         if self._program is not None:
             self._program.stop()
-        self._forget()
+        self._drop_program()
 
     def _ready_program(self, reference: _Sent) -> Program:
         if self._program is None:
             try:
                 self._program = Program(self.words)
             except OSError as bad:
-                raise Broken(f"cannot start '{self.words[0]}' ({bad.strerror})") from None
+                raise ProgramFault(f"cannot start '{self.words[0]}' ({bad.strerror})") from None
             self._program.ask({"type": "start", "protocol": PROTOCOL}, "ready", self.start_limit_s)
-        if self._told is not reference:
+        if self._sent is not reference:
             self._program.ask(reference.message, "ready", self.time_limit_s)
-            self._told = reference
+            self._sent = reference
         return self._program
 
-    def _forget(self) -> None:
+    def _drop_program(self) -> None:
         if self._program is not None:
             self._program.kill()
-        self._program, self._told = None, None
+        self._program, self._sent = None, None
 
 
 def subprocess_tracker(command: str) -> Callable[..., SubprocessTracker]:
@@ -145,20 +145,22 @@ def subprocess_tracker(command: str) -> Callable[..., SubprocessTracker]:
 
 
 def _result(answer: dict[str, Any]) -> TrackResult:
-    """The content of a ``result`` line. Raises Broken if it is not valid."""
+    """The content of a ``result`` line. Raises ProgramFault if it is not valid."""
     pose, confidence = answer.get("pose"), answer.get("confidence")
     info = answer.get("info") or {}
     if not isinstance(info, dict) or not (confidence is None or _is_number(confidence)):
-        raise Broken("'info' must be an object and 'confidence' a number or null")
+        raise ProgramFault("'info' must be an object and 'confidence' a number or null")
     said = answer.get("message")
     message = "" if said is None else one_line(said)
     if pose is None:
         return TrackResult(None, confidence, message or "the program reports a failure", info)
     values = np.array(pose, dtype=np.float64) if _is_numbers(pose) else np.zeros(0)
     if values.shape != (7,) or not np.all(np.isfinite(values)):
-        raise Broken(f"'pose' is {one_line(pose, 80)}, expected seven finite numbers tx ty tz qx qy qz qw, or null")
+        raise ProgramFault(
+            f"'pose' is {one_line(pose, 80)}, expected seven finite numbers tx ty tz qx qy qz qw, or null"
+        )
     if abs(np.linalg.norm(values[3:]) - 1.0) > QUATERNION_TOLERANCE:
-        raise Broken(f"quaternion qx qy qz qw has norm {np.linalg.norm(values[3:]):.6g}, expected 1")
+        raise ProgramFault(f"quaternion qx qy qz qw has norm {np.linalg.norm(values[3:]):.6g}, expected 1")
     return TrackResult(transform_from_tq(values[:3], values[3:]), confidence, message, info)
 
 

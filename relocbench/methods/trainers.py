@@ -9,7 +9,7 @@ from typing import Any
 
 from relocbench.errors import ConfigError, MethodError, cut, quoted
 from relocbench.files import YamlFault, load_yaml_values, parse_yaml_setting
-from relocbench.methods.lookup import hint, load_dotted, of_theirs, offered
+from relocbench.methods.lookup import call_foreign, entry_points_of, hint, load_dotted
 from relocbench.training import ConfiguredTrainer, PlaceTrainer, Trainer
 
 TRAINER_GROUP = "relocbench.trainers"
@@ -19,7 +19,7 @@ _OPTIONS = "a trainer's options with their values"
 
 def installed_trainers() -> dict[str, metadata.EntryPoint]:
     """The entry points of all installed trainers, sorted by name; nothing is imported."""
-    return offered(TRAINER_GROUP, "trainer")
+    return entry_points_of(TRAINER_GROUP, "trainer")
 
 
 def trainer_named(name: str) -> Trainer | PlaceTrainer:
@@ -35,7 +35,7 @@ def trainer_named(name: str) -> Trainer | PlaceTrainer:
             f"no trainer '{name}'{hint(name, installed)}; installed: {', '.join(installed) or 'none'} "
             "(or package.module:Class)"
         )
-    made = of_theirs(f"trainer '{name}' cannot be made from {target}", load_dotted(target, "trainer"))
+    made = call_foreign(f"trainer '{name}' cannot be made from {target}", load_dotted(target, "trainer"))
     if not isinstance(made, Trainer | PlaceTrainer):
         raise MethodError(f"trainer '{name}': {target} has no train() or train_places(), or no default_options()")
     return made

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import one_line
-from relocbench.evaluation.common.guard import guarded, offers
+from relocbench.evaluation.common.guard import guarded, implements
 from relocbench.evaluation.common.info_text import info_text
 from relocbench.geometry import transform_to_tq
 from relocbench.tracking import ContractFault, Query, SupportsBatch, plain_pixels, plain_result
@@ -49,32 +49,32 @@ class CheckedAnswer:
         return [*translation.tolist(), *quaternion.tolist()]
 
 
-def broken(message: object) -> CheckedAnswer:
+def error_answer(message: object) -> CheckedAnswer:
     """The answer recorded for a method that raised or broke the contract."""
     return CheckedAnswer("error", message=one_line(message), info=json.dumps({"status": "error"}))
 
 
-def checked(result: object) -> CheckedAnswer:
+def checked_answer(result: object) -> CheckedAnswer:
     """Check, copy and truncate whatever a tracker returned for one query. No exception of the method's gets out.
 
     An answer that breaks the contract becomes an ``error`` whose message says what was expected. A message or info
     that cannot be read is replaced, and the rest of the answer stands.
     """
     answer, broke = guarded(lambda: _checked(result))
-    return broken(f"the answer cannot be read: {broke}") if answer is None else answer
+    return error_answer(f"the answer cannot be read: {broke}") if answer is None else answer
 
 
 def _checked(result: object) -> CheckedAnswer:
     try:
         plain = plain_result(result)
     except ContractFault as fault:
-        return broken(fault)
-    status = "ok" if plain.answered else _stated(plain.info)
+        return error_answer(fault)
+    status = "ok" if plain.answered else _status_without_pose(plain.info)
     message = "" if plain.message is None else one_line(plain.message)
     return CheckedAnswer(status, plain.T_query_ref, plain.confidence, message, info_text(plain.info))
 
 
-def _stated(info: Any) -> str:
+def _status_without_pose(info: Any) -> str:
     """The status of an answer without a pose: ``error`` if ``info["status"]`` is that, else ``failed``."""
     told, _ = guarded(lambda: info.get("status") if isinstance(info, Mapping) else None)
     return "error" if type(told) is str and told == "error" else "failed"
@@ -97,25 +97,25 @@ def ask(
     """
     each = [None] * len(views) if priors is None else priors
     start = time.perf_counter()
-    if offers(tracker, SupportsBatch):
-        taken, raised = _together(tracker, reference, views, each)
+    if implements(tracker, SupportsBatch):
+        taken, raised = _ask_batch(tracker, reference, views, each)
         if raised and len(views) > 1:
-            taken = [_together(tracker, reference, [v], [p])[0][0] for v, p in zip(views, each, strict=True)]
+            taken = [_ask_batch(tracker, reference, [v], [p])[0][0] for v, p in zip(views, each, strict=True)]
     else:
-        taken = [_one(tracker, reference, view, prior) for view, prior in zip(views, each, strict=True)]
+        taken = [_ask_single(tracker, reference, view, prior) for view, prior in zip(views, each, strict=True)]
     seconds = time.perf_counter() - start
-    return [checked(result) if broke is None else broken(broke) for result, broke in taken], seconds
+    return [checked_answer(result) if broke is None else error_answer(broke) for result, broke in taken], seconds
 
 
 _Taken = tuple[Any, str | None]
 """what a method returned for one query, and an error message or None"""
 
 
-def _one(tracker: Any, reference: Any, view: Query, prior: Array | None) -> _Taken:
+def _ask_single(tracker: Any, reference: Any, view: Query, prior: Array | None) -> _Taken:
     return guarded(lambda: tracker.track(reference, view, _copy(prior)))
 
 
-def _together(
+def _ask_batch(
     tracker: Any, reference: Any, views: Sequence[Query], priors: Sequence[Array | None]
 ) -> tuple[list[_Taken], bool]:
     """The result of one ``track_batch`` call for each query, and whether the call raised.

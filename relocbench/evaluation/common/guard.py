@@ -55,7 +55,7 @@ def _interrupts() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-def offers(method: Any, protocol: Any) -> bool:
+def implements(method: Any, protocol: Any) -> bool:
     """Whether a method implements a protocol; an attribute that cannot be read counts as missing."""
     return bool(guarded(lambda: isinstance(method, protocol))[0])
 

@@ -9,7 +9,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError
 
 
-def opened(folder: Path, out: Path) -> Dataset:
+def open_for_evaluation(folder: Path, out: Path) -> Dataset:
     """The dataset in a folder, to be evaluated with results in another folder.
 
     Raises:

@@ -21,7 +21,7 @@ from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.core.traversal import Traversal
-from relocbench.evaluation.common.guard import guarded, neighbours_of, offers
+from relocbench.evaluation.common.guard import guarded, implements, neighbours_of
 from relocbench.execution import MANY_TIMES, chunks, step
 from relocbench.files import read_journal
 from relocbench.methods import MethodSpec
@@ -70,7 +70,7 @@ def prepared(unit: Unit, tracker: Any) -> tuple[Any, str | None]:
         return None, broke
     traversal = traversal_of(unit.dataset, unit.reference)
     keyframe = shown_reference(traversal.reference(unit.camera, unit.keys[0][0], neighbours))
-    if not offers(tracker, SupportsPrepare):
+    if not implements(tracker, SupportsPrepare):
         return keyframe, None
     with step(PREPARE, unit.keys, MANY_TIMES):
         return guarded(lambda: tracker.prepare(keyframe))

@@ -97,7 +97,7 @@ def feature_sheet(place: Place, method: SupportsFeatures, label: str) -> Image:
     return np.vstack(rows)
 
 
-def shows_features(method: Any) -> bool:
+def has_features(method: Any) -> bool:
     """Whether a method's ``features`` can be called; a parameter may have the same name."""
     return isinstance(method, SupportsFeatures) and callable(method.features)
 
@@ -127,7 +127,7 @@ def write_feature_maps(place: Place, method: Any, label: str, folder: Path) -> P
     Raises:
         MethodError: the method shows no features.
     """
-    if not shows_features(method):
+    if not has_features(method):
         raise MethodError(f"method '{label}' offers no feature maps (it has no features())")
     path = folder / f"features_{label}_{place.name}.png"
     write_image(path, feature_sheet(place, method, label))
@@ -147,7 +147,7 @@ def draw(picture: Picture) -> tuple[Path | None, str]:
     """Draw a picture in a worker; returns the file, or None and the reason. Raises MethodError."""
     label = picture.spec.label
     tracker = tracker_of(picture.spec)
-    if not shows_features(tracker):
+    if not has_features(tracker):
         return None, f"{label} offers no feature maps (it has no features())"
     with step("", times=MANY_TIMES):
         return write_feature_maps(picture.place, tracker, label, picture.folder), ""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.common.answers import ask, broken
+from relocbench.evaluation.common.answers import ask, error_answer
 from relocbench.evaluation.probe.tally import Tally, What
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.metrics import PoseErrors, pose_errors, within
@@ -68,7 +68,7 @@ def probe_poses(
     for what, offsets in OFFSETS.items():
         priors = draw_priors(T_query_ref, what, key, directions, seed)
         flat = priors.reshape(-1, 4, 4)
-        nothing = [broken("")] * len(flat)
+        nothing = [error_answer("")] * len(flat)
         results = nothing if reference is None else ask(tracker, reference, [query] * len(flat), list(flat))[0]
         broke = broke or next((r.message for r in results if r.status == "error"), "")
         answers = [np.full((4, 4), np.nan) if r.T_query_ref is None else r.T_query_ref for r in results]

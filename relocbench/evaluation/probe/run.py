@@ -15,12 +15,12 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.asking_options import AskingOptions
-from relocbench.evaluation.common.offers import offers_of
-from relocbench.evaluation.common.opening import opened
+from relocbench.evaluation.common.capabilities import capabilities_of
+from relocbench.evaluation.common.execution_options import ExecutionOptions
+from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.probe.feature_maps import Picture, draw, lost_picture, places_of
-from relocbench.evaluation.probe.table import Line, lines_of
-from relocbench.evaluation.probe.work import Answered, Task, ask_pairs, task_for
+from relocbench.evaluation.probe.table import Line, result_lines
+from relocbench.evaluation.probe.work import PairResult, Task, ask_pairs, task_for
 from relocbench.evaluation.probe.write import write_probe
 from relocbench.evaluation.tracking.run import new_record
 from relocbench.execution import kept_workers, run_limited
@@ -28,7 +28,7 @@ from relocbench.methods import MethodSpec, parse_methods
 from relocbench.progress import Reporter
 
 
-class ProbeOptions(AskingOptions):
+class ProbeOptions(ExecutionOptions):
     """Fields are options of ``relocbench probe`` and keys of its YAML file."""
 
     dataset: Path
@@ -103,7 +103,7 @@ def probe_methods(options: ProbeOptions, reporter: Reporter) -> ProbeReport:
     Raises:
         RelocbenchError: a bad dataset, method or option, or nothing that can be probed.
     """
-    dataset = opened(options.dataset, options.out)
+    dataset = open_for_evaluation(options.dataset, options.out)
     specs = parse_methods(options.methods, options.set, options.seed)
     asked = chosen_pairs(dataset, options)
     with kept_workers():
@@ -136,7 +136,7 @@ def _probe(
         s.name: (str(dataset.traversal(s.reference).condition), str(dataset.traversal(s.query).condition))
         for s, _ in asked
     }
-    lines = lines_of(answers, conditions)
+    lines = result_lines(answers, conditions)
     if not lines:
         raise ConfigError("no pair has a visible correspondence: there is no pixel to probe", dataset.root)
     files = write_probe(options.out, dataset, lines, _about(dataset, options, tasks))
@@ -181,11 +181,11 @@ def _tasks(
     wanted = Task(pixels, options.poses, options.per_pair, options.structured, options.directions, options.seed)
     out = []
     for spec in specs:
-        offers = offers_of(spec, options.run)
-        if offers.fault:
-            reporter.note(f"{spec.label} is left out: {offers.fault}")
+        capabilities = capabilities_of(spec, options.run)
+        if capabilities.fault:
+            reporter.note(f"{spec.label} is left out: {capabilities.fault}")
             continue
-        task = task_for(offers, wanted)
+        task = task_for(capabilities, wanted)
         if pixels and not task.pixels:
             reporter.note(f"{spec.label} does not match single pixels (it has no match())")
         if options.poses and not task.poses:
@@ -230,7 +230,7 @@ def _about(dataset: Dataset, options: ProbeOptions, tasks: Sequence[tuple[Method
     return {
         "dataset": dataset.name,
         "fingerprint": dataset.fingerprint,
-        "options": json.loads(options.model_dump_json(exclude={"dataset", "out", *AskingOptions.model_fields})),
+        "options": json.loads(options.model_dump_json(exclude={"dataset", "out", *ExecutionOptions.model_fields})),
         "methods": [
             new_record(dataset, spec, workers, options.seed).model_dump(
                 include={"method", "target", "parameters", "versions"}
@@ -240,7 +240,7 @@ def _about(dataset: Dataset, options: ProbeOptions, tasks: Sequence[tuple[Method
     }
 
 
-def _broken(label: str, found: dict[tuple[str, PairKey], Answered]) -> list[tuple[str, str]]:
+def _broken(label: str, found: dict[tuple[str, PairKey], PairResult]) -> list[tuple[str, str]]:
     broken = [(key, answered.message) for key, answered in sorted(found.items()) if answered.message]
     if not broken:
         return []

@@ -12,11 +12,11 @@ from relocbench.datasets.core.pairfile import PairKey
 from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, level_names
 from relocbench.evaluation.probe.poses import CONVERGED
 from relocbench.evaluation.probe.tally import Tally, What
-from relocbench.evaluation.probe.work import Answered
+from relocbench.evaluation.probe.work import PairResult
 from relocbench.metrics import Radius, Ratio, radius_of, radius_ratio
 
 Array = NDArray[np.float64]
-Answers = Mapping[tuple[str, PairKey], Answered]
+Answers = Mapping[tuple[str, PairKey], PairResult]
 
 ACROSS, SAME = "across conditions", "same condition"
 _SEED = 3
@@ -56,7 +56,7 @@ def main_criterion(what: What, level: int | None) -> str:
     return NEAR if level is None else NEAR_ON_LEVEL
 
 
-def lines_of(answers: Mapping[str, Answers], conditions: Mapping[str, tuple[str, str]]) -> list[Line]:
+def result_lines(answers: Mapping[str, Answers], conditions: Mapping[str, tuple[str, str]]) -> list[Line]:
     """All lines, in groups: all conditions together first, then each combination of conditions.
 
     Args:

@@ -17,8 +17,7 @@ from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.core.writer import versions
 from relocbench.datasets.pairs.correspondences import read_correspondences
 from relocbench.errors import PredictionError, one_line
-from relocbench.evaluation.common.lost_pairs import LostPairs, ask_all
-from relocbench.evaluation.common.offers import Offers
+from relocbench.evaluation.common.capabilities import Capabilities
 from relocbench.evaluation.common.worker import (
     Unit,
     journal_entries,
@@ -29,6 +28,7 @@ from relocbench.evaluation.common.worker import (
     traversal_of,
     units_of,
 )
+from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
 from relocbench.evaluation.probe.pixels import probe_pixels, with_structure
 from relocbench.evaluation.probe.poses import OFFSETS, probe_poses
 from relocbench.evaluation.probe.tally import Tally
@@ -37,12 +37,12 @@ from relocbench.files import alone_in, sha256_file
 from relocbench.methods import MethodSpec, distribution_version
 from relocbench.progress import Reporter
 
-Asked = Sequence[tuple[PairSet, Sequence[PairKey]]]
+ChosenPairs = Sequence[tuple[PairSet, Sequence[PairKey]]]
 
 
 @dataclass(frozen=True)
 class Task:
-    """The questions that are asked about every pair."""
+    """The questions that are asked about every pair. Its ``repr`` is part of the digest by which a probe resumes."""
 
     pixels: bool
     poses: bool
@@ -60,7 +60,7 @@ class ProbeUnit(Unit):
 
 
 @dataclass(frozen=True)
-class Answered:
+class PairResult:
     """The result of one pair."""
 
     tallies: tuple[Tally, ...]
@@ -68,21 +68,21 @@ class Answered:
     """how the method broke; empty if it did not"""
 
 
-def task_for(offers: Offers, wanted: Task) -> Task:
+def task_for(capabilities: Capabilities, wanted: Task) -> Task:
     """The wanted questions that a method can answer: pixels if it has ``match``, poses if it uses priors."""
-    return replace(wanted, pixels=wanted.pixels and offers.match, poses=wanted.poses and offers.prior)
+    return replace(wanted, pixels=wanted.pixels and capabilities.match, poses=wanted.poses and capabilities.prior)
 
 
 def ask_pairs(
     dataset: Dataset,
-    asked: Asked,
+    asked: ChosenPairs,
     spec: MethodSpec,
     task: Task,
     folder: Path,
     *,
     run: Run,
     reporter: Reporter,
-) -> dict[tuple[str, PairKey], Answered]:
+) -> dict[tuple[str, PairKey], PairResult]:
     """Results by pair set and pair. What ``folder`` holds for the same method, dataset and task is not asked again.
 
     Raises:
@@ -105,9 +105,9 @@ def ask_pairs(
         alone_in(root, PredictionError),
         reporter.stage(f"{spec.label} on {dataset.name}", _left(asked, journals)) as advance,
     ):
-        ask_all(_probe_unit, open_units, LostPairs(_write_broken), run, advance)
+        run_until_answered(_probe_unit, open_units, LossHandler(_write_broken), run, advance)
     return {
-        (pair_set.name, entry["key"]): Answered(tuple(map(Tally.from_dict, entry["tallies"])), entry["message"])
+        (pair_set.name, entry["key"]): PairResult(tuple(map(Tally.from_dict, entry["tallies"])), entry["message"])
         for pair_set, keys in asked
         for entry in journal_entries(journals[pair_set.name])
         if entry["key"] in set(keys)
@@ -135,7 +135,7 @@ def _open(keys: Sequence[PairKey], journal: Path) -> list[PairKey]:
     return [key for key in keys if key not in done]
 
 
-def _left(asked: Asked, journals: dict[str, Path]) -> int:
+def _left(asked: ChosenPairs, journals: dict[str, Path]) -> int:
     return sum(len(_open(keys, journals[pair_set.name])) for pair_set, keys in asked)
 
 

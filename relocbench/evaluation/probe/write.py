@@ -84,7 +84,7 @@ def _section(what: What, lines: Sequence[Line]) -> list[str]:
         return []
     main = [line for line in whole if line.radius is not None]
     methods = list(dict.fromkeys(line.method for line in main))
-    parts = [f"## {_TITLES[what]}", _says(what, main[0].criterion), _radius_table(what, main, methods)]
+    parts = [f"## {_TITLES[what]}", _criterion_text(what, main[0].criterion), _radius_table(what, main, methods)]
     parts += ["### The basin's width, whatever its height", _half_table(what, main, methods)]
     for title in (ACROSS, SAME):
         chosen = [line for line in main if line.conditions == title]
@@ -102,7 +102,7 @@ def _section(what: What, lines: Sequence[Line]) -> list[str]:
     return parts
 
 
-def _says(what: What, criterion: str) -> str:
+def _criterion_text(what: What, criterion: str) -> str:
     if what == "pixels":
         return (
             f"Found is an end within 1 px of the true pixel (`{criterion}`), by the method's own per-pixel "

@@ -50,7 +50,7 @@ def keyframe_poses(truth: MapTruth, retrieved: Sequence[Retrieved]) -> Tracked:
     return Tracked({key: Answer(key, "ok") for key in keys}, {key: np.eye(4) for key in keys})
 
 
-def chained(
+def chain_answers(
     truth: MapTruth, retrieved: Sequence[Retrieved], tracked: Tracked, top: int, basin: Basin
 ) -> tuple[list[ChainAnswer], list[PoseLine]]:
     """Compute a row for each query, and the poses that were kept.

@@ -12,13 +12,14 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.common.asking_options import AskingOptions
-from relocbench.evaluation.common.opening import opened
+from relocbench.evaluation.common.execution_options import ExecutionOptions
+from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.relocalization.asking import track, tracked
 from relocbench.evaluation.relocalization.basin import Basins, given_basin, read_basins
+from relocbench.evaluation.relocalization.candidates import read_tracked, track_candidates
 from relocbench.evaluation.relocalization.chain import Retrieved, keyframe_poses
 from relocbench.evaluation.relocalization.parsing import parse_chain
+from relocbench.evaluation.relocalization.rankings import RankingSource, run_retrievers
 from relocbench.evaluation.relocalization.records import (
     KEYFRAME,
     ORACLE,
@@ -30,11 +31,10 @@ from relocbench.evaluation.relocalization.records import (
     chain_results,
     write_set,
 )
-from relocbench.evaluation.relocalization.retrieving import Ranked, retrieve
 from relocbench.evaluation.relocalization.score import Values
 from relocbench.evaluation.relocalization.tasks import ChainTasks, chain_tasks
 from relocbench.evaluation.relocalization.truth import MapTruth
-from relocbench.evaluation.relocalization.writing import broken, write_chain_results
+from relocbench.evaluation.relocalization.writing import broken_queries, write_chain_results
 from relocbench.evaluation.retrieval.evaluate import KEEP
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.records import set_results
@@ -46,7 +46,7 @@ from relocbench.progress import Reporter
 TOP = 3
 
 
-class RelocalizationOptions(AskingOptions):
+class RelocalizationOptions(ExecutionOptions):
     """Fields are options of ``relocbench evaluate --task relocalization`` and keys of its YAML file."""
 
     task: Literal["relocalization"] = "relocalization"
@@ -135,7 +135,7 @@ def evaluate_chains(options: RelocalizationOptions, reporter: Reporter) -> Reloc
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     retrievers, trackers = parse_chain(options.retriever, options.methods, options.set, options.seed)
     basins = _basins(options, trackers, reporter)
-    dataset = opened(options.dataset, options.out)
+    dataset = open_for_evaluation(options.dataset, options.out)
     places = SetOptions(options.split, options.pair_sets, positives="pairs")
     tasks = chain_tasks(dataset, open_set(options.dataset, options.out, places, reporter), reporter)
     with kept_workers():
@@ -151,7 +151,7 @@ def _evaluate(
     basins: Basins,
     reporter: Reporter,
 ) -> RelocalizationReport:
-    ranked = retrieve(
+    ranked = run_retrievers(
         tasks.asked,
         retrievers,
         set_results(options.out, tasks.asked),
@@ -165,7 +165,7 @@ def _evaluate(
     found = {each.label: _found(each, tasks, options.top) for each in ranked}
     wanted = {name: _pairs(tasks.truth[name], [of[name] for of in found.values()]) for name in tasks.names}
     answered = [
-        track(
+        track_candidates(
             dataset,
             wanted,
             spec,
@@ -177,7 +177,7 @@ def _evaluate(
         )
         for spec in trackers
     ]
-    answers = {folder.label: {name: tracked(dataset, folder, name) for name in tasks.names} for folder in answered}
+    answers = {folder.label: {name: read_tracked(dataset, folder, name) for name in tasks.names} for folder in answered}
     folders = []
     for each in ranked:
         of = found[each.label]
@@ -187,7 +187,7 @@ def _evaluate(
         for folder in answered:
             run = _run(tasks, each, folder.label, options.top, folder)
             folders.append(write_chain_results(_folder(results, run), run, tasks, of, answers[folder.label], basins))
-    told = [each for folder in folders for each in broken(folder, tasks.names)]
+    told = [each for folder in folders for each in broken_queries(folder, tasks.names)]
     return RelocalizationReport(tasks, folders, results.root, told)
 
 
@@ -200,7 +200,7 @@ def _basins(options: RelocalizationOptions, trackers: Sequence[MethodSpec], repo
     return basins
 
 
-def _found(ranking: Ranked, tasks: ChainTasks, top: int) -> dict[str, list[Retrieved]]:
+def _found(ranking: RankingSource, tasks: ChainTasks, top: int) -> dict[str, list[Retrieved]]:
     """The keyframes that a retriever found, by task."""
     return {task.name: ranking.of(task, tasks.truth[task.name], top) for task in tasks.asked.chosen}
 
@@ -215,7 +215,7 @@ def _pairs(truth: MapTruth, found: Sequence[Sequence[Retrieved]]) -> set[PairKey
     }
 
 
-def _run(tasks: ChainTasks, ranking: Ranked, tracker: str, top: int, folder: MethodResults | None) -> ChainRun:
+def _run(tasks: ChainTasks, ranking: RankingSource, tracker: str, top: int, folder: MethodResults | None) -> ChainRun:
     return ChainRun(
         retriever=ranking.label,
         tracker=tracker,

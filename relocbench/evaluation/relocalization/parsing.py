@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from relocbench.errors import ConfigError, cut
+from relocbench.evaluation.relocalization.rankings import label_of
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
-from relocbench.evaluation.relocalization.retrieving import label_of
 from relocbench.evaluation.retrieval.external import PREDICTIONS
 from relocbench.files import check_name
 from relocbench.methods import RETRIEVERS, TRACKERS, MethodSpec

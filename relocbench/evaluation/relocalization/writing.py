@@ -10,7 +10,7 @@ from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import write_record
 from relocbench.evaluation.relocalization.answers import read_chain, write_chain
 from relocbench.evaluation.relocalization.basin import Basins
-from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chained
+from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chain_answers
 from relocbench.evaluation.relocalization.records import (
     ChainBasin,
     ChainResults,
@@ -47,7 +47,7 @@ def write_chain_results(
         truth, record = tasks.truth[name], tasks.record.tasks[name]
         conditions = record.condition_gallery, record.condition_query
         basin = basins.of(run.tracker, *conditions, truth.reach)
-        rows, lines = chained(truth, found[name], tracked[name], run.top, basin)
+        rows, lines = chain_answers(truth, found[name], tracked[name], run.top, basin)
         write_pose_lines(folder.predictions(name), lines)
         write_chain(folder.answers(name), rows)
         hashes[name] = table_hash(folder.answers(name))
@@ -64,7 +64,7 @@ def write_chain_results(
     return folder
 
 
-def broken(folder: ChainResults, names: Sequence[str]) -> list[tuple[str, str]]:
+def broken_queries(folder: ChainResults, names: Sequence[str]) -> list[tuple[str, str]]:
     """The label and a message if a method broke, rather than failed, on any query; else nothing."""
     rows = [row for name in names for row in read_chain(folder.answers(name))]
     bad = [row for row in rows if row.status == "error"]

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.evaluation.common.guard import guarded, offers
-from relocbench.evaluation.retrieval.checked import checked_descriptors, checked_scores, rerank_top_of
+from relocbench.evaluation.common.guard import guarded, implements
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
+from relocbench.evaluation.retrieval.output_checks import checked_descriptors, checked_scores, rerank_top_of
 from relocbench.evaluation.tracking.check import Finding
 from relocbench.execution import messages_to_stderr
 from relocbench.methods import MethodSpec
@@ -34,10 +34,10 @@ def check_retriever(spec: MethodSpec, dataset: Path | None = None) -> list[Findi
     if problem:
         return [Finding("is constructed", False, problem)]
     findings = [Finding("is constructed", True, ", ".join(f"{k}={v}" for k, v in spec.parameters.items()))]
-    if not offers(made, Retriever):
+    if not implements(made, Retriever):
         return [*findings, Finding("has describe()", False, f"{type(made).__name__} has none")]
     images = [*_made_up(), *(_from_dataset(dataset) if dataset else [])]
-    if offers(made, FittingRetriever):
+    if implements(made, FittingRetriever):
         findings.append(_fits(made, images))
         if not findings[-1].passed:
             return findings
@@ -83,7 +83,7 @@ def _alone_as_together(made: Any, images: Sequence[ImageView], values: NDArray[A
 def _repeatable(spec: MethodSpec, images: Sequence[ImageView], values: NDArray[Any]) -> Finding:
     name = "describes the same again, constructed anew"
     fresh, problem = guarded(spec.create)
-    if problem is None and offers(fresh, FittingRetriever):
+    if problem is None and implements(fresh, FittingRetriever):
         _, problem = guarded(lambda: fresh.fit(images, 0))
     if problem is not None:
         return Finding(name, False, f"constructed again, it raised {problem}")

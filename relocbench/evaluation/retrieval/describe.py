@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from relocbench.errors import one_line
 from relocbench.evaluation.common.worker import read_only
-from relocbench.evaluation.retrieval.asked import Asked, InThisProcess, InWorker
-from relocbench.evaluation.retrieval.checked import fault_of
+from relocbench.evaluation.retrieval.handles import LocalRetriever, RetrieverHandle, WorkerRetriever
+from relocbench.evaluation.retrieval.output_checks import fault_of
 from relocbench.execution import chunks
 from relocbench.retrieval import Descriptors, Image, ImageView, RetrievalTask, Retriever
 
@@ -59,8 +59,10 @@ class Describer:
         shared: identities of the images whose descriptors are cached.
     """
 
-    def __init__(self, retriever: Retriever | Asked, shared: frozenset[str] = frozenset()) -> None:
-        self.asked: Asked = retriever if isinstance(retriever, InThisProcess | InWorker) else _asked_here(retriever)
+    def __init__(self, retriever: Retriever | RetrieverHandle, shared: frozenset[str] = frozenset()) -> None:
+        self.handle: RetrieverHandle = (
+            retriever if isinstance(retriever, LocalRetriever | WorkerRetriever) else _local_handle(retriever)
+        )
         self._shared = shared
         self._known: dict[str, _One] = {}
         self._dimensions: int | None = None
@@ -107,12 +109,12 @@ class Describer:
 
     def _ask(self, views: list[ImageView]) -> tuple[Any, float, str]:
         """Return descriptors, the seconds they took, and how the method broke."""
-        values, seconds, broke = self.asked.describe(views)
+        values, seconds, broke = self.handle.describe(views)
         return values, seconds, broke or fault_of(values, len(views), self._dimensions) or ""
 
 
-def _asked_here(retriever: Any) -> Asked:
-    return InThisProcess(retriever)
+def _local_handle(retriever: Any) -> RetrieverHandle:
+    return LocalRetriever(retriever)
 
 
 def anonymous(images: Iterable[ImageView]) -> Iterator[ImageView]:

@@ -10,9 +10,9 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.pairs.street_places import Positives
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.asking_options import LimitOptions
+from relocbench.evaluation.common.execution_options import LimitOptions
 from relocbench.evaluation.retrieval.answers import read_answers
-from relocbench.evaluation.retrieval.external import take_lists
+from relocbench.evaluation.retrieval.external import import_rankings
 from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
 from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord, set_results, write_set_record
 from relocbench.evaluation.retrieval.run import BROKEN, run_retriever
@@ -114,7 +114,7 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
     results = set_results(options.out, asked)
     if options.predictions is not None:
         label = _label(options)
-        folders = [take_lists(asked, asked.chosen, options.predictions, label, results)]
+        folders = [import_rankings(asked, asked.chosen, options.predictions, label, results)]
         write_set_record(results, asked, asked.chosen)
     else:
         with kept_workers():

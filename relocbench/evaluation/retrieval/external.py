@@ -16,7 +16,7 @@ from relocbench.retrieval import RetrievalSet, RetrievalTask
 PREDICTIONS = "predictions:"
 
 
-def take_lists(
+def import_rankings(
     asked: RetrievalSet, tasks: Sequence[RetrievalTask], source: Path, label: str, results: SetResults
 ) -> RetrieverResults:
     """Check a file for a single task, or a folder of ``TASK.txt``, and copy it to the results under ``label``.

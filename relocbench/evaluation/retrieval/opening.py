@@ -9,7 +9,7 @@ from pathlib import Path
 from relocbench.datasets.cross_view import CrossViewSet, is_cross_view, open_cross_view
 from relocbench.datasets.pairs.street_places import Positives, StreetPlaces
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.evaluation.common.opening import opened
+from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.retrieval.run import check_task
 from relocbench.metrics.retrieval.relevance import PLACE_RADIUS_M
 from relocbench.progress import Reporter
@@ -70,7 +70,7 @@ def open_set(folder: Path, out: Path, options: SetOptions, reporter: Reporter) -
 def _street(folder: Path, out: Path, options: SetOptions, reporter: Reporter) -> OpenedSet:
     if options.by_condition:
         raise ConfigError("--by-condition splits the queries of a cross-view set; a drive has a single condition")
-    dataset = opened(folder, out)
+    dataset = open_for_evaluation(folder, out)
     if options.positives == "pairs" and options.radius_m is not None:
         raise ConfigError("--radius does not apply to --positives pairs")
     places = StreetPlaces(

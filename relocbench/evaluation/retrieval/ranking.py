@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.evaluation.retrieval.answers import QueryAnswer
-from relocbench.evaluation.retrieval.asked import Asked
 from relocbench.evaluation.retrieval.describe import Described
+from relocbench.evaluation.retrieval.handles import RetrieverHandle
 from relocbench.metrics import NEVER, count_at_least, exact_scores, ranks_of_positives, sorted_finite
 from relocbench.retrieval import Descriptors, RetrievalTask
 
@@ -36,7 +36,7 @@ def rank_task(
     task: RetrievalTask,
     queries: Described,
     gallery: Described,
-    retriever: Asked | None,
+    retriever: RetrieverHandle | None,
     keep: int | None,
     advance: Callable[[int], None] = lambda count: None,
 ) -> Iterator[tuple[QueryAnswer, list[str]]]:
@@ -76,7 +76,7 @@ def _ranked(
     scores: Array,
     positives: Indices,
     count: int,
-    again: Asked | None,
+    again: RetrieverHandle | None,
     query: Descriptors,
     gallery: Descriptors,
 ) -> Ranked:

@@ -12,7 +12,6 @@ from typing import Any
 from relocbench.errors import DatasetError, PredictionError
 from relocbench.evaluation.common.results import STATUSES, write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers, write_lists
-from relocbench.evaluation.retrieval.asked import Asked, asked_of
 from relocbench.evaluation.retrieval.describe import (
     AnonymousViews,
     Describer,
@@ -20,6 +19,7 @@ from relocbench.evaluation.retrieval.describe import (
     nothing,
     shared_images,
 )
+from relocbench.evaluation.retrieval.handles import RetrieverHandle, retriever_handle
 from relocbench.evaluation.retrieval.ranking import rank_task
 from relocbench.evaluation.retrieval.records import (
     RetrievalRun,
@@ -78,13 +78,15 @@ def run_retriever(
     todo = [task for task in tasks if overwrite == "always" or _open(folder, task, overwrite)]
     asking = None
     if overwrite == "always":
-        asking = Asking(lambda: asked_of(spec, run), todo, seed)  # a method that cannot be made must not cost answers
+        asking = RetrieverSession(
+            lambda: retriever_handle(spec, run), todo, seed
+        )  # a method that cannot be made must not cost answers
         _clear(folder, tasks)
     refuse_mixture(folder, record, work_left=bool(todo))
     _refuse_other_lists(folder, record)
     if not todo:
         return folder
-    asking = asking or Asking(lambda: asked_of(spec, run), todo, seed)  # nor leave an empty folder
+    asking = asking or RetrieverSession(lambda: retriever_handle(spec, run), todo, seed)  # nor leave an empty folder
     folder.root.mkdir(parents=True, exist_ok=True)
     write_set_record(results, asked, tasks)
     with alone_in(folder.root, PredictionError):
@@ -104,7 +106,7 @@ def run_retriever(
     return folder
 
 
-class Asking:
+class RetrieverSession:
     """Runs one retriever on several tasks; images that they share are described once, unless the retriever is fitted.
 
     Args:
@@ -113,7 +115,9 @@ class Asking:
         seed: for ``fit``.
     """
 
-    def __init__(self, make: Callable[[], Retriever | Asked], tasks: Sequence[RetrievalTask], seed: int) -> None:
+    def __init__(
+        self, make: Callable[[], Retriever | RetrieverHandle], tasks: Sequence[RetrievalTask], seed: int
+    ) -> None:
         self._make = make
         self._seed = seed
         self._shared = shared_images(tasks)
@@ -124,7 +128,7 @@ class Asking:
     @property
     def info(self) -> dict[str, Any]:
         """The retriever's own ``info`` as plain values; empty if it has none."""
-        return self._describer.asked.info
+        return self._describer.handle.info
 
     def _new(self) -> Describer:
         return Describer(self._make(), self._shared)
@@ -135,10 +139,10 @@ class Asking:
         """Fit the retriever if it can be fitted, describe both sides, and rank. Raises MethodError and DatasetError."""
         fit_seconds, broke = None, ""
         keys = [image.key for image in task.gallery]
-        if self._describer.asked.fits and self._fitted_on != keys:
+        if self._describer.handle.fits and self._fitted_on != keys:
             if self._fitted_on is not None:
                 self._describer = self._new()
-            _, seconds, broke = self._describer.asked.fit(AnonymousViews(task.gallery), self._seed)
+            _, seconds, broke = self._describer.handle.fit(AnonymousViews(task.gallery), self._seed)
             fit_seconds, broke = round(seconds, 3), f"fit: {broke}" if broke else ""
             self._fitted_on = keys
         describer = self._describer
@@ -150,18 +154,18 @@ class Asking:
         else:
             gallery = describer(task.gallery, advance)
             queries = describer(task.queries, advance)
-        rows = list(rank_task(task, queries, gallery, describer.asked, keep, advance))
+        rows = list(rank_task(task, queries, gallery, describer.handle, keep, advance))
         variance = descriptor_variance(queries, gallery)
         run = TaskRun(
             dimensions=None if variance is None else gallery.values.shape[1],
             queries_described=int(queries.finite.sum()),
             gallery_described=int(gallery.finite.sum()),
             descriptor_variance=None if variance is None else round(variance, 6),
-            rerank_top=describer.asked.rerank_top,
+            rerank_top=describer.handle.rerank_top,
             gallery_seconds=None if again else round(float(gallery.seconds.sum()), 3),
             fit_seconds=fit_seconds,
         )
-        answers = [_blamed(answer, gallery.messages) for answer, _ in rows]
+        answers = [_with_gallery_failure(answer, gallery.messages) for answer, _ in rows]
         return TaskAnswers(answers, {answer.query: kept for answer, kept in rows}, run)
 
 
@@ -184,7 +188,7 @@ def check_task(task: RetrievalTask) -> None:
         raise DatasetError(f"task '{task.name}': relevance or groups do not fit its {len(task.queries)} queries")
 
 
-def _blamed(answer: QueryAnswer, of_gallery: Sequence[str]) -> QueryAnswer:
+def _with_gallery_failure(answer: QueryAnswer, of_gallery: Sequence[str]) -> QueryAnswer:
     """The answer of a query that found nothing because the method broke on the whole gallery becomes an error."""
     if answer.status == "failed" and of_gallery and all(of_gallery):
         return QueryAnswer(

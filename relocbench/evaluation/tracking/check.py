@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import DatasetError
-from relocbench.evaluation.common.answers import CheckedAnswer, ask, broken, checked, checked_pixels
-from relocbench.evaluation.common.guard import guarded, neighbours_of, offers
+from relocbench.evaluation.common.answers import CheckedAnswer, ask, checked_answer, checked_pixels, error_answer
+from relocbench.evaluation.common.guard import guarded, implements, neighbours_of
 from relocbench.evaluation.common.info_text import INFO_CHARACTERS
 from relocbench.execution import messages_to_stderr
 from relocbench.geometry import Camera
@@ -71,9 +71,9 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
     usable = [i for i, answer in enumerate(answers) if answer.status != "error"]
     findings.append(_repeatable(spec, tracker, questions, answers, usable))
     findings.append(_leaves_input_alone(tracker, questions[0]))
-    if offers(tracker, SupportsBatch) and usable:
+    if implements(tracker, SupportsBatch) and usable:
         findings.append(_batch_agrees(tracker, questions[usable[0]], answers[usable[0]]))
-    if offers(tracker, SupportsMatching):
+    if implements(tracker, SupportsMatching):
         findings += [_matches(tracker, question) for question in questions]
         findings.append(_matches_by_pixel(spec, tracker, questions[0]))
     _close(tracker)
@@ -89,7 +89,7 @@ def _close(tracker: Any) -> None:
 
 def _ask(tracker: Any, question: _Question) -> CheckedAnswer:
     result, problem = _attempt(lambda: tracker.track(_prepared(tracker, question), question.query, None))
-    return broken(problem) if problem else checked(result)
+    return error_answer(problem) if problem else checked_answer(result)
 
 
 def _attempt(call: Callable[[], Any]) -> tuple[Any, str | None]:
@@ -99,7 +99,7 @@ def _attempt(call: Callable[[], Any]) -> tuple[Any, str | None]:
 
 
 def _prepared(tracker: Any, question: _Question) -> Any:
-    return tracker.prepare(question.reference) if offers(tracker, SupportsPrepare) else question.reference
+    return tracker.prepare(question.reference) if implements(tracker, SupportsPrepare) else question.reference
 
 
 def _repeatable(

@@ -11,10 +11,10 @@ from pydantic import Field, model_validator
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.asking_options import AskingOptions
+from relocbench.evaluation.common.capabilities import capabilities_of
+from relocbench.evaluation.common.execution_options import ExecutionOptions
 from relocbench.evaluation.common.matching_table import read_matching
-from relocbench.evaluation.common.offers import offers_of
-from relocbench.evaluation.common.opening import opened
+from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.results import (
     DatasetResults,
     MethodResults,
@@ -22,7 +22,7 @@ from relocbench.evaluation.common.results import (
     read_answers,
     write_dataset_record,
 )
-from relocbench.evaluation.tracking.external import take_predictions
+from relocbench.evaluation.tracking.external import import_predictions
 from relocbench.evaluation.tracking.matching import match_method
 from relocbench.evaluation.tracking.run import Overwrite, run_method
 from relocbench.evaluation.tracking.score import score_method
@@ -31,7 +31,7 @@ from relocbench.methods import MethodSpec, parse_methods
 from relocbench.progress import Reporter
 
 
-class EvaluateOptions(AskingOptions):
+class EvaluateOptions(ExecutionOptions):
     """Fields are options of ``relocbench evaluate`` and keys of its YAML file."""
 
     task: Literal["tracking"] = "tracking"
@@ -90,14 +90,14 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     Raises:
         RelocbenchError: a bad dataset, method, option or prediction.
     """
-    dataset = opened(options.dataset, options.out)
+    dataset = open_for_evaluation(options.dataset, options.out)
     pair_sets = _chosen(dataset, options)
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed)
     results = dataset_results(options.out, dataset)
     if options.predictions is not None:
         label = options.methods[0] if options.methods else options.predictions.resolve().name
-        folders = [take_predictions(dataset, pair_sets, options.predictions, label, results)]
+        folders = [import_predictions(dataset, pair_sets, options.predictions, label, results)]
         write_dataset_record(results, dataset)
     else:
         write_dataset_record(results, dataset)
@@ -142,7 +142,7 @@ def _match(
     for name in (s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()):
         reporter.note(f"{name} has no correspondences: no matching quality (build-dataset --correspondences N)")
     pairs = zip(specs, folders, strict=True)
-    able = [(spec, folder) for spec, folder in pairs if offers_of(spec, options.run).match]
+    able = [(spec, folder) for spec, folder in pairs if capabilities_of(spec, options.run).match]
     unable = [spec.label for spec in specs if spec.label not in {spec.label for spec, _ in able}]
     if unable:
         reporter.note(f"matching quality is not measured without match(): {', '.join(unable)}")

@@ -21,7 +21,7 @@ from relocbench.evaluation.tracking.score import read_predictions
 from relocbench.files import load_yaml
 
 
-def take_predictions(
+def import_predictions(
     dataset: Dataset, pair_sets: list[PairSet], source: Path, label: str, results: DatasetResults
 ) -> MethodResults:
     """Check a folder of ``PAIRSET.txt`` (and optional ``PAIRSET.csv``) and copy it to the results under ``label``.

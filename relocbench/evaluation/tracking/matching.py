@@ -25,7 +25,6 @@ from relocbench.datasets.pairs.correspondences import Correspondences, read_corr
 from relocbench.errors import PredictionError, one_line
 from relocbench.evaluation.common.answers import checked_pixels
 from relocbench.evaluation.common.guard import guarded
-from relocbench.evaluation.common.lost_pairs import LostPairs, ask_all
 from relocbench.evaluation.common.matching_table import (
     OFFSETS_PX,
     Found,
@@ -46,6 +45,7 @@ from relocbench.evaluation.common.worker import (
     traversal_of,
     units_of,
 )
+from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
 from relocbench.evaluation.tracking.run import new_record, refuse_mixture
 from relocbench.execution import MANY_TIMES, Run, step
 from relocbench.files import alone_in
@@ -145,7 +145,7 @@ def match_method(
         for pair_set in left:
             alone.enter_context(alone_in(_journal(folder, pair_set), PredictionError))
         with reporter.stage(f"{spec.label}, matching on {dataset.name}", sum(map(len, todo.values()))) as advance:
-            ask_all(_match_unit, open_units, LostPairs(_write_broken), run, advance)
+            run_until_answered(_match_unit, open_units, LossHandler(_write_broken), run, advance)
         for pair_set in left:
             _collect(pair_set, folder)
 

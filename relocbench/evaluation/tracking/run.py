@@ -19,10 +19,9 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, number_fields, parse_pose_numbers
 from relocbench.datasets.core.writer import versions
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.answers import CheckedAnswer, ask, broken
-from relocbench.evaluation.common.guard import offers
-from relocbench.evaluation.common.lost_pairs import LostPairs, ask_all
-from relocbench.evaluation.common.offers import can_be_made
+from relocbench.evaluation.common.answers import CheckedAnswer, ask, error_answer
+from relocbench.evaluation.common.capabilities import construction_fault
+from relocbench.evaluation.common.guard import implements
 from relocbench.evaluation.common.results import (
     Answer,
     DatasetResults,
@@ -41,6 +40,7 @@ from relocbench.evaluation.common.worker import (
     tracker_of,
     units_of,
 )
+from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
 from relocbench.execution import MANY_TIMES, Run, chunks, default_workers, kept_workers, step
 from relocbench.files import alone_in, read_rows, remove_parts, write_text
 from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
@@ -81,7 +81,7 @@ def run_method(
     record = new_record(dataset, spec, run.workers, seed)
     if overwrite == "always":
         # A method that cannot be made, say because of a mistyped path of weights, must not cost earlier answers.
-        if _has_answers(folder) and (fault := can_be_made(spec, run)):
+        if _has_answers(folder) and (fault := construction_fault(spec, run)):
             reporter.note(f"{spec.label} keeps its earlier answers: {fault}")
             return folder
         _clear(folder, pair_sets)
@@ -93,7 +93,7 @@ def run_method(
     if not folder.run_yaml.exists():
         write_record(folder.run_yaml, record)
     stage = reporter.stage(f"{spec.label} on {dataset.name}", sum(map(len, todo.values())))
-    lost = LostPairs(_write_broken)
+    lost = LossHandler(_write_broken)
     with stage as advance, kept_workers():
         for pair_set in pair_sets:
             _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, run, advance)
@@ -108,7 +108,7 @@ def _run_pair_set(
     spec: MethodSpec,
     folder: MethodResults,
     todo: list[PairKey],
-    lost: LostPairs[Unit],
+    lost: LossHandler[Unit],
     run: Run,
     advance: Callable[[int], None],
 ) -> None:
@@ -122,7 +122,7 @@ def _run_pair_set(
         return units_of(dataset, pair_set, spec, journal, [key for key in todo if key not in answered])
 
     with alone_in(journal, PredictionError):
-        ask_all(_run_unit, open_units, lost, run, advance)
+        run_until_answered(_run_unit, open_units, lost, run, advance)
         _collect(pair_set, folder, journal)
 
 
@@ -131,11 +131,11 @@ def _run_unit(unit: Unit) -> int:
     tracker = tracker_of(unit.spec)
     reference, broke = prepared(unit, tracker)
     with open_journal(unit.journal) as stream:
-        for batch in chunks(unit.keys, _BATCH if offers(tracker, SupportsBatch) else 1):
+        for batch in chunks(unit.keys, _BATCH if implements(tracker, SupportsBatch) else 1):
             views = [query_of(unit, key) for key in batch]
             seconds: float | None
             if broke is not None:
-                answered, seconds = [broken(broke)] * len(batch), None
+                answered, seconds = [error_answer(broke)] * len(batch), None
             else:
                 _warm_up(tracker, reference, views[0], unit.spec, batch)
                 with step("", tuple(batch), _times(unit.spec, len(batch))):
@@ -181,7 +181,7 @@ def _entry(key: PairKey, answer: CheckedAnswer, seconds: float | None) -> dict[s
 def _write_broken(unit: Unit, key: PairKey, message: str) -> None:
     """Write the entry of a lost pair."""
     with open_journal(unit.journal) as stream:
-        stream.write(json.dumps(_entry(key, broken(message), None)) + "\n")
+        stream.write(json.dumps(_entry(key, error_answer(message), None)) + "\n")
 
 
 def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:

@@ -27,7 +27,7 @@ from relocbench.progress import Reporter
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _Expected:
     """The pairs that predictions should answer."""
 
     record: DatasetRecord | None
@@ -80,7 +80,7 @@ def validate_results(root: Path, dataset: Dataset | None, reporter: Reporter) ->
             if dataset is not None and len(folders) > 1 and record and record.fingerprint != dataset.fingerprint:
                 found.note(f"is of another dataset than {dataset.root}", folder.root)
                 theirs = None
-            _check_method(folder, _Asked(record, theirs), found)
+            _check_method(folder, _Expected(record, theirs), found)
             advance(1)
     return found
 
@@ -89,7 +89,7 @@ def validate_prediction_files(path: Path, dataset: Dataset | None) -> Findings:
     """Check one pair or prediction file, or a folder of them; without a dataset, each file by itself."""
     found = Findings()
     files = sorted(path.glob("*.txt")) if path.is_dir() else [path]
-    asked = _Asked(None, dataset)
+    asked = _Expected(None, dataset)
     for file in files:
         lines = read_pair_lines(file, found, PredictionError)
         _check_keys(file, file.stem, lines, asked, found)
@@ -105,7 +105,7 @@ def _dataset_record(top: Path, found: Findings) -> DatasetRecord | None:
     return record
 
 
-def _check_method(folder: MethodResults, asked: _Asked, found: Findings) -> None:
+def _check_method(folder: MethodResults, asked: _Expected, found: Findings) -> None:
     run = read_yaml(folder.run_yaml, RunRecord, "the record of a run", found)
     if run is not None and asked.fingerprint is not None and run.fingerprint != asked.fingerprint:
         found.fault(
@@ -126,7 +126,7 @@ def _check_method(folder: MethodResults, asked: _Asked, found: Findings) -> None
     _check_scores(folder, present - running, asked, found)
 
 
-def _check_pair_set(folder: MethodResults, name: str, asked: _Asked, found: Findings) -> None:
+def _check_pair_set(folder: MethodResults, name: str, asked: _Expected, found: Findings) -> None:
     """Check the prediction file and the table of answers, each by itself and against each other."""
     predictions, table = folder.predictions(name), folder.answers(name)
     lines = read_pair_lines(predictions, found, PredictionError)
@@ -145,7 +145,7 @@ def _check_pair_set(folder: MethodResults, name: str, asked: _Asked, found: Find
             found.fault(f"pair {key[0]} {key[1]} is missing from {table.name}", predictions, line.line)
 
 
-def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], asked: _Asked, found: Findings) -> None:
+def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], asked: _Expected, found: Findings) -> None:
     """Check that the pair set exists, and that every line answers one of its pairs."""
     pair_sets = asked.pair_sets
     if pair_sets is None:
@@ -199,7 +199,12 @@ def _table(path: Path, columns: tuple[str, ...], found: Findings) -> list[tuple[
 
 
 def _note_unfinished(
-    folder: MethodResults, run: RunRecord | None, running: set[str], present: set[str], asked: _Asked, found: Findings
+    folder: MethodResults,
+    run: RunRecord | None,
+    running: set[str],
+    present: set[str],
+    asked: _Expected,
+    found: Findings,
 ) -> None:
     """Note what an unfinished run has done and how to resume it; that is no fault."""
     pair_sets = asked.pair_sets or {}
@@ -218,7 +223,7 @@ def _note_unfinished(
         found.note(f"{state} {', '.join(missing)}{_resume(folder, run, asked)}", folder.root)
 
 
-def _resume(folder: MethodResults, run: RunRecord | None, asked: _Asked) -> str:
+def _resume(folder: MethodResults, run: RunRecord | None, asked: _Expected) -> str:
     if run is None or run.target.startswith("predictions:"):
         return ""
     dataset = str(asked.dataset.root) if asked.dataset is not None else run.dataset.upper()
@@ -231,7 +236,7 @@ def _resume(folder: MethodResults, run: RunRecord | None, asked: _Asked) -> str:
     return f"; to go on: {shlex.join(words)}"
 
 
-def _check_scores(folder: MethodResults, complete: set[str], asked: _Asked, found: Findings) -> None:
+def _check_scores(folder: MethodResults, complete: set[str], asked: _Expected, found: Findings) -> None:
     """Check that scores belong to the predictions beside them."""
     if not folder.scores_yaml.exists():
         if complete:

@@ -32,7 +32,7 @@ from relocbench.evaluation.relocalization.score import (
     table_hash,
 )
 from relocbench.evaluation.retrieval.score import generator
-from relocbench.leaderboard.common.intake import check_file_names, check_folder
+from relocbench.leaderboard.common.foreign_results import check_file_names, check_folder
 from relocbench.leaderboard.retrieval.board import holds_tracking
 from relocbench.metrics import Interval, bootstrap_interval, rank_with_ties
 

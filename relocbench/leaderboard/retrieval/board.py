@@ -23,7 +23,7 @@ from relocbench.evaluation.retrieval.records import (
     all_sets,
 )
 from relocbench.evaluation.retrieval.score import checked_answers, generator, resampled, scores_of
-from relocbench.leaderboard.common.intake import check_file_names, check_folder
+from relocbench.leaderboard.common.foreign_results import check_file_names, check_folder
 from relocbench.metrics import Interval, bootstrap_interval, rank_with_ties, single_positive_fault
 
 Array = NDArray[np.float64]
@@ -142,7 +142,7 @@ def load_retrieval(
     if not chosen:
         known = sorted({name for s in found for name in s.record.splits})
         raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    return RetrievalBoard(tuple(_set(s, metric, split, seed) for s in _copies(chosen)), metric, seed, split)
+    return RetrievalBoard(tuple(_set(s, metric, split, seed) for s in _group_copies(chosen)), metric, seed, split)
 
 
 def holds_tracking(results: Path) -> bool:
@@ -169,7 +169,7 @@ def mean_tables(tasks: Mapping[str, TaskRecord]) -> dict[str, tuple[str, ...]]:
     return {name: of for name, of in out.items() if len(of) > 1}
 
 
-def plausible(table: RetrievalTable) -> None:
+def check_plausible(table: RetrievalTable) -> None:
     """Raise PredictionError where a row's AP is impossible for its R@1 with one positive for each query."""
     if not table.single_positive:
         return
@@ -186,7 +186,7 @@ def _is_part(name: str, tasks: Mapping[str, TaskRecord]) -> bool:
     return whole in tasks
 
 
-def _copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
+def _group_copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
     """Group the folders of one question: the same recipe, with images that differ in last digits."""
     found: dict[tuple[str, str], list[SetResults]] = {}
     for folder in folders:
@@ -214,7 +214,7 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
     tables = []
     for name, of in plans.items():
         tables.append(_table(record, name, of, methods, metric, seed))
-        plausible(tables[-1])
+        check_plausible(tables[-1])
     unused = tuple(n for n in tasks if n not in used)
     return SetBoard(record, methods, tuple(tables), unused, tuple(other.fingerprint for other in others))
 

@@ -30,7 +30,7 @@ from relocbench.evaluation.common.results import (
 )
 from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows
 from relocbench.files import read_journal
-from relocbench.leaderboard.common.intake import check_file_names, check_folder
+from relocbench.leaderboard.common.foreign_results import check_file_names, check_folder
 from relocbench.leaderboard.common.text import json_text
 
 PREDICTIONS = "predictions:"
@@ -134,13 +134,13 @@ def load_results(results: Path, split: str | None = None) -> list[DatasetEntry]:
         folders = [folder for folder in folders if split in folder.record.splits]
         if not folders:
             raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    entries = together([_dataset(folder, split) for folder in folders])
+    entries = merge_copies([_dataset(folder, split) for folder in folders])
     if not any(entry.methods for entry in entries):
         raise PredictionError("holds no method's predictions; expected results of `relocbench evaluate`", results)
     return entries
 
 
-def together(entries: Sequence[DatasetEntry]) -> list[DatasetEntry]:
+def merge_copies(entries: Sequence[DatasetEntry]) -> list[DatasetEntry]:
     """Merge the entries of copies of one question: the same poses and pairs, with images that differ in last digits.
 
     The first copy represents all. A label that occurs on several copies is made distinct by the copy's fingerprint.
@@ -151,11 +151,11 @@ def together(entries: Sequence[DatasetEntry]) -> list[DatasetEntry]:
     out: dict[tuple[str, str], DatasetEntry] = {}
     for entry in entries:
         key = entry.record.name, entry.record.compared_by
-        out[key] = _joined(out[key], entry) if key in out else entry
+        out[key] = _merged(out[key], entry) if key in out else entry
     return list(out.values())
 
 
-def _joined(first: DatasetEntry, other: DatasetEntry) -> DatasetEntry:
+def _merged(first: DatasetEntry, other: DatasetEntry) -> DatasetEntry:
     known = {method.label: method for method in first.methods}
     for method in other.methods:
         for name, rows in method.errors.items():

@@ -48,7 +48,7 @@ def curve_file(dataset: DatasetBoard, table: Table) -> str:
     return f"curves/{dataset.entry.title}__{table.pair_set}.png"
 
 
-def drawn(table: Table) -> bool:
+def has_curves(table: Table) -> bool:
     """Whether any method has a curve on the pair set."""
     return any(not row.missing for row in table.rows)
 
@@ -101,7 +101,7 @@ def _dataset(board: Board, dataset: DatasetBoard, plots: bool) -> list[str]:
             parts += [title, over, *_tables(board, table, dataset.groups_of(table))]
     for table in dataset.pair_sets:
         parts += [f"### {escaped(table.pair_set)}", *_tables(board, table, dataset.groups_of(table))]
-        if plots and drawn(table):
+        if plots and has_curves(table):
             address = quote(curve_file(dataset, table))
             parts.append(f"![Cumulative error curves of {escaped(table.pair_set)}]({address})")
         parts += matching_section(dataset, table.pair_set, plots=plots)

@@ -12,7 +12,7 @@ from relocbench.leaderboard.tracking.load import load_results
 from relocbench.leaderboard.tracking.long_form import error_rows, leaderboard_rows, seed_rows
 from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_rows
 from relocbench.leaderboard.tracking.model import Board
-from relocbench.leaderboard.tracking.page import curve_file, drawn, markdown
+from relocbench.leaderboard.tracking.page import curve_file, has_curves, markdown
 from relocbench.leaderboard.tracking.tables import RANKING, make_board, ranking_metric
 from relocbench.progress import Reporter, Silent
 
@@ -94,7 +94,7 @@ def _write_plots(board: Board, out: Path, reporter: Reporter) -> list[Path]:
         matching_picture,
     )
 
-    tables = [(dataset, table) for dataset in board.datasets for table in dataset.pair_sets if drawn(table)]
+    tables = [(dataset, table) for dataset in board.datasets for table in dataset.pair_sets if has_curves(table)]
     paths: list[Path] = []
     pictures: list[CurvePicture | MatchingPicture] = []
     for dataset, table in tables:

@@ -26,7 +26,7 @@ from relocbench.evaluation.relocalization.basin import read_basins
 from relocbench.evaluation.retrieval.answers import read_answers as read_retrieved
 from relocbench.evaluation.retrieval.describe import Describer
 from relocbench.evaluation.retrieval.ranking import rank_task
-from relocbench.evaluation.retrieval.run import Asking
+from relocbench.evaluation.retrieval.run import RetrieverSession
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.leaderboard.tracking.load import load_results
@@ -239,7 +239,7 @@ def task() -> RetrievalTask:
     ],
 )
 def test_what_a_retriever_says_of_its_reordering_costs_its_queries_alone(retriever: Any, words: str) -> None:
-    asking = Asking(lambda: retriever, [task()], 0)
+    asking = RetrieverSession(lambda: retriever, [task()], 0)
     done = asking.ask(task(), None)
     assert [answer.status for answer in done.answers] == ["error"] * 2
     assert all(words in answer.message for answer in done.answers), done.answers[0].message

@@ -27,7 +27,7 @@ class LimitOptions(Strict):
         return Limits(self.time_limit, self.memory_limit)
 
 
-class AskingOptions(LimitOptions):
+class ExecutionOptions(LimitOptions):
     """Limits of a method, and where it runs."""
 
     workers: int | None = Field(None, ge=0)

@@ -11,7 +11,7 @@ from relocbench.methods import SUBPROCESS, MethodSpec, method_class
 
 
 @dataclass(frozen=True)
-class Offers:
+class Capabilities:
     """The optional questions that a tracker can answer."""
 
     match: bool = False
@@ -22,39 +22,39 @@ class Offers:
     """why nothing is known: constructing the tracker exceeded a limit or ended its process"""
 
 
-def offers_of(spec: MethodSpec, run: Run) -> Offers:
+def capabilities_of(spec: MethodSpec, run: Run) -> Capabilities:
     """The capabilities of a method. Those of a class are read from it; a factory has to be called for them.
 
     Raises:
         MethodError: no such method, or its constructor raised.
     """
     if spec.target.startswith(SUBPROCESS):
-        return Offers()
+        return Capabilities()
     target = method_class(spec.target)
-    return _told_by(target) if isinstance(target, type) else _made(spec, run)
+    return _capabilities_of_object(target) if isinstance(target, type) else _made(spec, run)
 
 
-def can_be_made(spec: MethodSpec, run: Run) -> str:
+def construction_fault(spec: MethodSpec, run: Run) -> str:
     """Why a method cannot be constructed within limits; empty if it can. Raises MethodError where that raises."""
     return "" if spec.target.startswith(SUBPROCESS) else _made(spec, run).fault
 
 
-def _made(spec: MethodSpec, run: Run) -> Offers:
+def _made(spec: MethodSpec, run: Run) -> Capabilities:
     here = Run(min(run.workers, 1), limits=run.limits)
     found = run_limited(_make, [spec], here, on_loss=_lost)
-    return next(offers for _, offers in found)
+    return next(capabilities for _, capabilities in found)
 
 
-def _make(spec: MethodSpec) -> Offers:
+def _make(spec: MethodSpec) -> Capabilities:
     with step(CONSTRUCTOR, times=MANY_TIMES):
-        return _told_by(spec.create())
+        return _capabilities_of_object(spec.create())
 
 
-def _told_by(target: object) -> Offers:
+def _capabilities_of_object(target: object) -> Capabilities:
     match = guarded(lambda: callable(getattr(target, "match", None)))[0] is True
-    return Offers(match, guarded(lambda: bool(getattr(target, "uses_prior", False)))[0] is True)
+    return Capabilities(match, guarded(lambda: bool(getattr(target, "uses_prior", False)))[0] is True)
 
 
-def _lost(spec: MethodSpec, loss: Loss) -> Offers:
+def _lost(spec: MethodSpec, loss: Loss) -> Capabilities:
     died = "the worker process died " if loss.kind == "death" else ""
-    return Offers(fault=f"{CONSTRUCTOR}: {died}{f'({loss.words})' if died else loss.words}")
+    return Capabilities(fault=f"{CONSTRUCTOR}: {died}{f'({loss.words})' if died else loss.words}")

@@ -45,7 +45,7 @@ def hold_out(data: PlaceData, share: float, seed: int) -> tuple[PlaceData, Place
     return _of_places(data, np.sort(order[held:])), _of_places(data, np.sort(order[:held]))
 
 
-class PlaceTrial:
+class PlaceValidation:
     """A fixed choice of held-out places that retrievers are scored on.
 
     Args:

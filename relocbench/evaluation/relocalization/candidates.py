@@ -31,7 +31,7 @@ class Candidates(PairSet):
         return [Pair(*key, None) for key in self._keys]
 
 
-def track(
+def track_candidates(
     dataset: Dataset,
     wanted: Mapping[str, Iterable[PairKey]],
     spec: MethodSpec,
@@ -68,7 +68,7 @@ def track(
     )
 
 
-def tracked(dataset: Dataset, folder: MethodResults, task: str) -> Tracked:
+def read_tracked(dataset: Dataset, folder: MethodResults, task: str) -> Tracked:
     """Read a tracker's answers on a task. Raises PredictionError."""
     path = folder.answers(task)
     answers = read_answers(path)

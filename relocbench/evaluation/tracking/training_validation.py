@@ -19,8 +19,8 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.learning.training_pairs import VALIDATION_SPLIT
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.answers import CheckedAnswer, ask, broken
-from relocbench.evaluation.common.guard import guarded, neighbours_of, offers
+from relocbench.evaluation.common.answers import CheckedAnswer, ask, error_answer
+from relocbench.evaluation.common.guard import guarded, implements, neighbours_of
 from relocbench.metrics import PoseErrors, pose_errors, summarize
 from relocbench.progress import Reporter
 from relocbench.tracking import SupportsPrepare, Tracker
@@ -30,14 +30,14 @@ METRICS = ("t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)")
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
+class _ValidationPair:
     dataset: Dataset
     pair_set: PairSet
     pair: Pair
     conditions: str
 
 
-class Trial:
+class TrackerValidation:
     """A fixed choice of pairs from the validation splits of some datasets, on which trackers are scored.
 
     Args:
@@ -95,36 +95,36 @@ class Trial:
         )
 
 
-def _track(tracker: Tracker, asked: Sequence[_Asked]) -> list[CheckedAnswer]:
+def _track(tracker: Tracker, asked: Sequence[_ValidationPair]) -> list[CheckedAnswer]:
     """The answers to the pairs of one keyframe."""
     first = asked[0]
     neighbours, broke = neighbours_of(tracker)
     if broke is not None:
-        return [broken(broke)] * len(asked)
+        return [error_answer(broke)] * len(asked)
     keyframe: Any = first.dataset.reference(first.pair_set, first.pair, neighbours)
-    if offers(tracker, SupportsPrepare):
+    if implements(tracker, SupportsPrepare):
         preparing: Any = tracker
         view = keyframe
         keyframe, broke = guarded(lambda: preparing.prepare(view))
         if broke is not None:
-            return [broken(broke)] * len(asked)
+            return [error_answer(broke)] * len(asked)
     return [ask(tracker, keyframe, [each.dataset.query(each.pair_set, each.pair)])[0][0] for each in asked]
 
 
-def _pairs_of(dataset: Dataset) -> list[_Asked]:
+def _pairs_of(dataset: Dataset) -> list[_ValidationPair]:
     out = []
     for pair_set in dataset.pair_sets(VALIDATION_SPLIT):
         ref, query = (dataset.traversal(name).condition for name in (pair_set.reference, pair_set.query))
         known = (pair for pair in pair_set.pairs if pair.T_query_ref is not None)
-        out += [_Asked(dataset, pair_set, pair, f"{ref} -> {query}") for pair in known]
+        out += [_ValidationPair(dataset, pair_set, pair, f"{ref} -> {query}") for pair in known]
     return out
 
 
-def _evenly(asked: Sequence[_Asked], count: int, seed: int) -> list[_Asked]:
+def _evenly(asked: Sequence[_ValidationPair], count: int, seed: int) -> list[_ValidationPair]:
     """Choose up to ``count`` pairs, one from each combination of conditions in turn, and sort them by keyframe."""
     rng = np.random.default_rng(seed)
     turn: dict[str, int] = {}
-    ranked: list[tuple[int, int, _Asked]] = []
+    ranked: list[tuple[int, int, _ValidationPair]] = []
     for number in rng.permutation(len(asked)):
         at = turn[asked[number].conditions] = turn.get(asked[number].conditions, 0) + 1
         ranked.append((at, len(ranked), asked[number]))
@@ -132,7 +132,7 @@ def _evenly(asked: Sequence[_Asked], count: int, seed: int) -> list[_Asked]:
     return sorted((each for _, _, each in ranked[:count]), key=lambda a: (*_keyframe(a), a.pair_set.name, a.pair.key))
 
 
-def _keyframe(asked: _Asked) -> tuple[str, str, str, int]:
+def _keyframe(asked: _ValidationPair) -> tuple[str, str, str, int]:
     return str(asked.dataset.root), asked.pair_set.reference, asked.pair_set.camera, asked.pair.ref_timestamp_ns
 
 

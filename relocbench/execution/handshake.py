@@ -21,21 +21,21 @@ _LOOKS = 3
 
 
 @dataclass(frozen=True)
-class Greeting:
+class WorkerReport:
     """What a worker reports when it joins."""
 
     versions: dict[str, str]
     unseen: list[str]
 
 
-def greet(paths: Sequence[Path]) -> Greeting:
+def report(paths: Sequence[Path]) -> WorkerReport:
     """Report, from a worker, its versions and those of the paths that it does not see."""
     for look in range(_LOOKS):
         time.sleep(look)
         unseen = [str(path) for path in paths if not path.exists()]
         if not unseen:
             break
-    return Greeting(versions_here(), unseen)
+    return WorkerReport(versions_here(), unseen)
 
 
 def versions_here() -> dict[str, str]:
@@ -55,7 +55,7 @@ def _version(name: str) -> str:
 
 
 @contextmanager
-def shown(scheduler: Scheduler) -> Iterator[list[Path]]:
+def shared_paths(scheduler: Scheduler) -> Iterator[list[Path]]:
     """The paths that a worker must see; for the folder that is written to, a new file in it.
 
     Otherwise a folder of the same name on a worker's own disk would pass for the shared one.
@@ -72,16 +72,16 @@ def shown(scheduler: Scheduler) -> Iterator[list[Path]]:
         token.unlink(missing_ok=True)
 
 
-def refuse(worker: str, threads: int, greeting: Greeting, scheduler: Scheduler) -> None:
+def check_worker(worker: str, threads: int, found: WorkerReport, scheduler: Scheduler) -> None:
     """Raise ConfigError if work must not be sent to a worker."""
     if threads > 1:
         # Workers keep trackers, which need not be safe to call from two threads.
         raise ConfigError(f"workers of {scheduler} run several threads each; start them with --nthreads 1")
-    different = differences(versions_here(), greeting.versions)
+    different = differences(versions_here(), found.versions)
     if different:
         raise ConfigError(f"worker {worker} of {scheduler} runs other versions: {different}")
-    if greeting.unseen:
-        unseen = Path(greeting.unseen[0])
+    if found.unseen:
+        unseen = Path(found.unseen[0])
         folder = unseen.parent if unseen.name.startswith(".cluster.") else unseen
         raise ConfigError(
             f"not seen by worker {worker}; all workers must see the folders of dataset and results under the same path",

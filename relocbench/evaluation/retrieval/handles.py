@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from relocbench.errors import MethodError, RelocbenchError
-from relocbench.evaluation.common.guard import guarded, offers
+from relocbench.evaluation.common.guard import guarded, implements
 from relocbench.evaluation.common.info_text import info_text
-from relocbench.evaluation.common.lost_pairs import how_lost
 from relocbench.evaluation.common.worker import CONSTRUCTOR
-from relocbench.evaluation.retrieval.checked import checked_descriptors, checked_scores, rerank_top_of
+from relocbench.evaluation.common.worker_losses import loss_message
+from relocbench.evaluation.retrieval.output_checks import checked_descriptors, checked_scores, rerank_top_of
 from relocbench.execution import MANY_TIMES, Limits, Loss, Run, messages_to_stderr, run_limited, step
 from relocbench.methods import MethodSpec
 from relocbench.retrieval import (
@@ -24,13 +24,13 @@ from relocbench.retrieval import (
     Retriever,
 )
 
-Told = tuple[Any, float, str]
+CallResult = tuple[Any, float, str]
 """what a call returned, its seconds, and how it broke (empty if it did not)"""
 _HOPELESS = 3
 """if this many calls ended the process and none has succeeded, the retriever is not called again"""
 
 
-class Asked(Protocol):
+class RetrieverHandle(Protocol):
     """A retriever that can be called."""
 
     fits: bool
@@ -44,18 +44,18 @@ class Asked(Protocol):
         """The retriever's own ``info``, as plain values."""
         ...
 
-    def fit(self, gallery: Sequence[ImageView], seed: int) -> Told: ...
-    def describe(self, images: Sequence[ImageView]) -> Told: ...
-    def rerank(self, query: Descriptors, candidates: Descriptors) -> Told: ...
+    def fit(self, gallery: Sequence[ImageView], seed: int) -> CallResult: ...
+    def describe(self, images: Sequence[ImageView]) -> CallResult: ...
+    def rerank(self, query: Descriptors, candidates: Descriptors) -> CallResult: ...
 
 
-class InThisProcess:
+class LocalRetriever:
     """A retriever in this process. A bad image, or a MethodError that the method raises, ends the run."""
 
     def __init__(self, retriever: Retriever) -> None:
         self._retriever: Any = retriever
         self._warm = False
-        self.fits = offers(retriever, FittingRetriever)
+        self.fits = implements(retriever, FittingRetriever)
         self.rerank_top, fault = rerank_top_of(retriever)
         self.rerank_fault = fault or ""
 
@@ -64,10 +64,10 @@ class InThisProcess:
         told, _ = guarded(lambda: getattr(self._retriever, "info", None))
         return dict(json.loads(info_text(told))) if guarded(lambda: isinstance(told, Mapping))[0] is True else {}
 
-    def fit(self, gallery: Sequence[ImageView], seed: int) -> Told:
+    def fit(self, gallery: Sequence[ImageView], seed: int) -> CallResult:
         return _timed(lambda: self._retriever.fit(gallery, seed), MANY_TIMES)
 
-    def describe(self, images: Sequence[ImageView]) -> Told:
+    def describe(self, images: Sequence[ImageView]) -> CallResult:
         for view in images:
             view.image  # noqa: B018  read it before the clock starts
         if not self._warm:  # compilation and first allocations should not count as the method's speed
@@ -77,7 +77,7 @@ class InThisProcess:
         values, fault = checked_descriptors(values, broke or None, len(images))
         return values, seconds, fault or ""
 
-    def rerank(self, query: Descriptors, candidates: Descriptors) -> Told:
+    def rerank(self, query: Descriptors, candidates: Descriptors) -> CallResult:
         values, seconds, broke = _timed(lambda: self._retriever.rerank(query, candidates), 1.0)
         scores, fault = checked_scores(values, broke or None, len(candidates))
         return scores, seconds, fault or ""
@@ -100,7 +100,7 @@ class _Request:
     """whether the request makes sense only to a retriever that was fitted"""
 
 
-class InWorker:
+class WorkerRetriever:
     """A retriever in a worker process. A worker that dies costs the call in progress; a fresh one is fitted again.
 
     Raises:
@@ -127,22 +127,22 @@ class InWorker:
         told, _, broke = self._call("info", (), tries=1)
         return {} if broke else dict(told)
 
-    def fit(self, gallery: Sequence[ImageView], seed: int) -> Told:
+    def fit(self, gallery: Sequence[ImageView], seed: int) -> CallResult:
         self._fitted_by = ()
         told = self._call("fit", (gallery, seed), tries=2)
         self._fitted_by = (gallery, seed)
         return told
 
-    def describe(self, images: Sequence[ImageView]) -> Told:
+    def describe(self, images: Sequence[ImageView]) -> CallResult:
         return self._call("describe", (images,), tries=2 if len(images) == 1 else 1)
 
-    def rerank(self, query: Descriptors, candidates: Descriptors) -> Told:
+    def rerank(self, query: Descriptors, candidates: Descriptors) -> CallResult:
         return self._call("rerank", (query, candidates), tries=2)
 
-    def _call(self, what: str, given: tuple[Any, ...], tries: int) -> Told:
+    def _call(self, what: str, given: tuple[Any, ...], tries: int) -> CallResult:
         if self._gone:
             return None, 0.0, self._gone
-        told: Told | Loss | None = None
+        told: CallResult | Loss | None = None
         for _ in range(tries):
             told = self._send(_Request(self._token, self._spec, what, given, bool(self._fitted_by)))
             if told is None:  # a fresh process
@@ -154,7 +154,7 @@ class InWorker:
             if told.kind == "time":
                 break
         if isinstance(told, Loss):
-            message = how_lost(told, "")
+            message = loss_message(told, "")
             self._losses += 1
             if self._losses >= _HOPELESS and not self._answered:
                 self._gone = f"{message}; so on the first {_HOPELESS} calls, it was not asked again"
@@ -163,26 +163,26 @@ class InWorker:
         self._answered |= what == "describe" and not told[2]
         return told
 
-    def _send(self, request: _Request) -> Told | Loss | None:
+    def _send(self, request: _Request) -> CallResult | Loss | None:
         done = run_limited(_serve, [request], self._run, on_loss=lambda request, loss: loss)
         return next(told for _, told in done)
 
 
-def asked_of(spec: MethodSpec, run: Run) -> Asked:
+def retriever_handle(spec: MethodSpec, run: Run) -> RetrieverHandle:
     """The retriever in a worker process, or in this process if ``run`` has no workers. Raises MethodError."""
-    return InThisProcess(created(spec)) if run.workers == 0 else InWorker(spec, run.limits)
+    return LocalRetriever(create_retriever(spec)) if run.workers == 0 else WorkerRetriever(spec, run.limits)
 
 
-def created(spec: MethodSpec) -> Retriever:
+def create_retriever(spec: MethodSpec) -> Retriever:
     """Construct the retriever. Raises MethodError."""
     made: Retriever = spec.create()
-    if not offers(made, Retriever):
+    if not implements(made, Retriever):
         made_of = f"made a thing of type {type(made).__name__}"
         raise MethodError(f"retriever '{spec.label}': {spec.target} {made_of}, which has no describe()")
     return made
 
 
-_retrievers: dict[str, InThisProcess] = {}
+_retrievers: dict[str, LocalRetriever] = {}
 """in a worker process: the retriever that was called last"""
 
 
@@ -193,7 +193,7 @@ def _serve(request: _Request) -> Any:
             return None
         _retrievers.clear()
         with step(CONSTRUCTOR, times=MANY_TIMES):
-            _retrievers[request.token] = InThisProcess(created(request.spec))
+            _retrievers[request.token] = LocalRetriever(create_retriever(request.spec))
     asked = _retrievers[request.token]
     if request.what == "about":
         return _About(asked.fits, asked.rerank_top, asked.rerank_fault), 0.0, ""
@@ -203,7 +203,7 @@ def _serve(request: _Request) -> Any:
     return getattr(asked, request.what)(*request.given)
 
 
-def _timed(call: Callable[[], Any], times: float) -> Told:
+def _timed(call: Callable[[], Any], times: float) -> CallResult:
     """Call as :func:`~relocbench.evaluation.common.guard.guarded` does, but let any RelocbenchError through."""
     raised: list[RelocbenchError] = []
 

@@ -19,10 +19,10 @@ _HOPELESS = 3
 """if ``prepare`` was lost on this many keyframes and has succeeded on none, the other keyframes are not tried"""
 
 
-def ask_all(
+def run_until_answered(
     function: Callable[[U], int],
     open_units: Callable[[], Sequence[U]],
-    lost: LostPairs[U],
+    lost: LossHandler[U],
     run: Run,
     advance: Callable[[int], None],
 ) -> None:
@@ -35,13 +35,13 @@ def ask_all(
         advance: called with the number of pairs just done.
     """
     while units := open_units():
-        asked = run_limited(function, lost.still_asked(units, advance), run, on_loss=lost.take)
+        asked = run_limited(function, lost.runnable_units(units, advance), run, on_loss=lost.handle_loss)
         for _, done in asked:
-            lost.hear(done)
+            lost.unit_ended(done)
             advance(done)
 
 
-class LostPairs(Generic[U]):
+class LossHandler(Generic[U]):
     """Remembers what has ended workers, and decides what is tried again, alone or not at all.
 
     Args:
@@ -51,45 +51,45 @@ class LostPairs(Generic[U]):
     def __init__(self, write: Callable[[U, PairKey, str], None]) -> None:
         self._write = write
         self._deaths: Counter[Hashable] = Counter()
-        self._alone: set[Hashable] = set()
+        self._suspect_pairs: set[Hashable] = set()
         """pairs to be tried alone, since they were lost together with others"""
-        self._keyframes: dict[Hashable, str] = {}
+        self._lost_keyframes: dict[Hashable, str] = {}
         """keyframes that are given up because ``prepare`` was lost on them, with the message"""
-        self._doubtful: set[Hashable] = set()
+        self._suspect_keyframes: set[Hashable] = set()
         """keyframes on which ``prepare`` was lost at least once"""
         self._prepared = False
         self._was_lost = False
         """whether the unit that ends next was lost"""
         self._given_up = ""
 
-    def still_asked(self, units: Iterable[U], advance: Callable[[int], None]) -> Iterator[U]:
+    def runnable_units(self, units: Iterable[U], advance: Callable[[int], None]) -> Iterator[U]:
         """Yield the units to run, with suspect pairs in units of their own; pairs that are given up get their entry.
 
         Where ``prepare`` was lost on each of the first keyframes, the other keyframes wait until those are decided.
         """
         for unit in units:
-            message = self._given_up or self._keyframes.get(_keyframe(unit))
+            message = self._given_up or self._lost_keyframes.get(_keyframe(unit))
             if message:
                 self._write_all(unit, unit.keys, message)
                 advance(len(unit.keys))
                 continue
-            if self._hopeless and _keyframe(unit) not in self._doubtful:
+            if self._hopeless and _keyframe(unit) not in self._suspect_keyframes:
                 continue
-            together = tuple(key for key in unit.keys if _pair(unit, key) not in self._alone)
+            together = tuple(key for key in unit.keys if _pair(unit, key) not in self._suspect_pairs)
             yield from (replace(unit, keys=(key,)) for key in unit.keys if key not in together)
             if together:
                 yield replace(unit, keys=together)
 
     @property
     def _hopeless(self) -> bool:
-        return len(self._doubtful) >= _HOPELESS and not self._prepared
+        return len(self._suspect_keyframes) >= _HOPELESS and not self._prepared
 
-    def hear(self, done: int) -> None:
-        """Record the end of a unit, of which the method, or :meth:`take` just before, has done ``done`` pairs."""
+    def unit_ended(self, done: int) -> None:
+        """Record the end of a unit; the method, or :meth:`handle_loss` just before, has done ``done`` pairs."""
         self._prepared |= done > 0 and not self._was_lost
         self._was_lost = False
 
-    def take(self, unit: U, loss: Loss) -> int:
+    def handle_loss(self, unit: U, loss: Loss) -> int:
         """Record the final losses of a unit in its journal; returns how many of its pairs have an entry now."""
         self._was_lost = True
         done = {entry["key"] for entry in journal_entries(unit.journal)}
@@ -101,15 +101,15 @@ class LostPairs(Generic[U]):
         self._prepared |= len(left) < len(unit.keys)
         what: Hashable = name if name == CONSTRUCTOR else _keyframe(unit)
         if name == PREPARE:
-            self._doubtful.add(what)
+            self._suspect_keyframes.add(what)
         if not self._is_final(what, loss):
             return len(unit.keys) - len(left)
-        message = f"{name}: {how_lost(loss, '')}"
+        message = f"{name}: {loss_message(loss, '')}"
         if name == CONSTRUCTOR:
             self._given_up = message
         else:
-            self._keyframes[what] = message
-            if len(self._keyframes) >= _HOPELESS and not self._prepared:
+            self._lost_keyframes[what] = message
+            if len(self._lost_keyframes) >= _HOPELESS and not self._prepared:
                 self._given_up = f"{message}; so on the first {_HOPELESS} keyframes, the others were not tried"
         self._write_all(unit, left, message)
         return len(unit.keys)
@@ -119,10 +119,10 @@ class LostPairs(Generic[U]):
         # Between calls, a thread that was left running may end the process: then the next pair is the best guess.
         suspects = [key for key in told if key in left] or list(left[:1])
         if len(suspects) > 1:
-            self._alone.update(_pair(unit, key) for key in suspects)
+            self._suspect_pairs.update(_pair(unit, key) for key in suspects)
             return 0
         final = [key for key in suspects if self._is_final(_pair(unit, key), loss)]
-        self._write_all(unit, final, how_lost(loss, " on this pair"))
+        self._write_all(unit, final, loss_message(loss, " on this pair"))
         return len(final)
 
     def _is_final(self, what: Hashable, loss: Loss) -> bool:
@@ -134,7 +134,7 @@ class LostPairs(Generic[U]):
             self._write(unit, key, message)
 
 
-def how_lost(loss: Loss, where: str) -> str:
+def loss_message(loss: Loss, where: str) -> str:
     """The message for a table, once a pair or call is given up."""
     return f"the worker process died twice{where} ({loss.words})" if loss.kind == "death" else loss.words
 

@@ -12,7 +12,7 @@ from relocbench.evaluation.relocalization.records import ORACLE
 from relocbench.evaluation.relocalization.truth import MapTruth
 from relocbench.evaluation.retrieval.answers import read_answers, read_lists
 from relocbench.evaluation.retrieval.evaluate import KEEP
-from relocbench.evaluation.retrieval.external import PREDICTIONS, take_lists
+from relocbench.evaluation.retrieval.external import PREDICTIONS, import_rankings
 from relocbench.evaluation.retrieval.opening import OpenedSet
 from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults, write_set_record
 from relocbench.evaluation.retrieval.run import run_retriever
@@ -24,7 +24,7 @@ from relocbench.progress import Reporter
 from relocbench.retrieval import RetrievalTask
 
 
-class Ranked(Protocol):
+class RankingSource(Protocol):
     """The rankings of all tasks by one retriever."""
 
     @property
@@ -51,7 +51,7 @@ class Oracle:
 
 
 @dataclass(frozen=True)
-class Kept:
+class StoredRankings:
     """Rankings read from a results folder."""
 
     folder: RetrieverResults
@@ -76,7 +76,7 @@ class Kept:
         return out
 
 
-def retrieve(
+def run_retrievers(
     asked: OpenedSet,
     retrievers: Sequence[MethodSpec | str],
     results: SetResults,
@@ -85,7 +85,7 @@ def retrieve(
     run: Run,
     seed: int,
     reporter: Reporter,
-) -> list[Ranked]:
+) -> list[RankingSource]:
     """Run retrievers as ``relocbench evaluate --task retrieval --positives pairs`` does, unless they have answered.
 
     The results are the same files, with the same scores.
@@ -96,14 +96,14 @@ def retrieve(
     Raises:
         RelocbenchError: a retriever that cannot be made or run, a bad list, or answers that were made differently.
     """
-    out: list[Ranked] = []
+    out: list[RankingSource] = []
     for retriever in retrievers:
         if retriever == ORACLE:
             out.append(Oracle())
             continue
         if isinstance(retriever, str):
             path = Path(retriever.partition("=")[2].removeprefix(PREDICTIONS))
-            folder = take_lists(asked, asked.chosen, path, label_of(retriever), results)
+            folder = import_rankings(asked, asked.chosen, path, label_of(retriever), results)
         else:
             folder = run_retriever(
                 asked,
@@ -118,7 +118,7 @@ def retrieve(
             )
         write_set_record(results, asked, asked.chosen)
         score_retriever(results.record, folder)
-        out.append(Kept(folder))
+        out.append(StoredRankings(folder))
     return out
 
 
