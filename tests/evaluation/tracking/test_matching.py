@@ -224,7 +224,7 @@ def test_methods_and_pair_sets_without_matching_are_told_and_left_out(dataset: D
 
 
 def test_files_of_predictions_cannot_be_asked(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="--matching asks a method"):
+    with pytest.raises(ValueError, match="--matching runs a method"):
         EvaluateOptions(dataset=tmp_path, predictions=tmp_path, matching=True)
 
 
