@@ -99,7 +99,7 @@ def test_a_worker_that_dies_with_a_result_that_nobody_fetched_costs_a_retry(
             dask.add_workers(1)
         yield from take(self, keys)
 
-    monkeypatch.setattr(cluster._Dispatch, "_take", die_before)
+    monkeypatch.setattr(cluster._Dispatch, "_collect_results", die_before)
     dask.add_workers(1)
     assert dict(run_units(square, [1, 2, 3], Run(scheduler=where(dask)))) == {0: 1, 1: 4, 2: 9}
     assert deaths

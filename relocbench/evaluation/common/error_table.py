@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,17 +16,13 @@ from numpy.typing import NDArray
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.matching_table import ALL
-from relocbench.evaluation.common.table_file import table_chunks
-from relocbench.files import atomic_write, parse_floats, parse_timestamp
+from relocbench.evaluation.common.tables import KEY_COLUMNS, STATUSES, TableRow, read_chunks, write_rows
 from relocbench.metrics import PairSetSummary, PoseErrors, summarize
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-STATUSES = ("ok", "failed", "error")
-"""the method answered; it reported a failure; it raised, crashed or broke the contract"""
 ERROR_COLUMNS = (
-    "ref_timestamp_ns",
-    "query_timestamp_ns",
+    *KEY_COLUMNS,
     "group",
     "status",
     "rotation_error_deg",
@@ -184,10 +180,7 @@ def groups_in(group_names: Sequence[str]) -> list[str]:
 
 def write_errors(path: Path, rows: Sequence[PairErrors]) -> None:
     """Write ``PAIRSET.errors.csv``: one row for each pair of the set; the errors of a failed pair are ``inf``."""
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(ERROR_COLUMNS)
-        table.writerows(zip(*ErrorTable.of(rows).texts(), strict=True))
+    write_rows(path, itertools.chain([ERROR_COLUMNS], zip(*ErrorTable.of(rows).texts(), strict=True)))
 
 
 def read_errors(path: Path) -> ErrorTable:
@@ -198,7 +191,7 @@ def read_errors(path: Path) -> ErrorTable:
     """
     names: dict[str, int] = {}
     keys, groups, statuses, numbers = [], [], [], []
-    for lines, rows in table_chunks(path, ERROR_COLUMNS):
+    for lines, rows in read_chunks(path, ERROR_COLUMNS):
         columns = list(zip(*rows, strict=True))
         converted = _fast(columns)
         keys_of, numbers_of = converted if converted is not None else _one_by_one(rows, path, lines)
@@ -243,19 +236,10 @@ def _fast(columns: Sequence[Sequence[str]]) -> tuple[Indices, Array] | None:
 def _one_by_one(rows: Sequence[Sequence[str]], path: Path, lines: Sequence[int]) -> tuple[Indices, Array]:
     """Convert as :func:`_fast`, but field by field. Raises PredictionError with the line."""
     keys, numbers = [], []
-    for line, row in zip(lines, rows, strict=True):
-        keys.append([parse_timestamp(text, path, line, PredictionError) for text in row[:2]])
-        values = []
-        for name, text in zip(ERROR_COLUMNS[4:], row[4:], strict=True):
-            if name in _ERRORS and text == "inf":
-                values.append(math.inf)
-            elif name in _OPTIONAL and not text:
-                values.append(math.nan)
-            else:
-                values.append(parse_floats([text], path, line, name, PredictionError)[0])
-            if name in _ERRORS and values[-1] < 0:
-                raise PredictionError(f"{name} is {text}, expected an error of at least 0, or inf", path, line)
-        numbers.append(values)
+    for line, fields in zip(lines, rows, strict=True):
+        row = TableRow(path, line, dict(zip(ERROR_COLUMNS, fields, strict=True)))
+        keys.append(row.key())
+        numbers.append([*map(row.error, _ERRORS), *(row.number(n) if row[n] else math.nan for n in _OPTIONAL)])
     return np.array(keys, dtype=np.int64), np.array(numbers, dtype=np.float64).T
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
-from relocbench.files import atomic_write, parse_count, parse_timestamp, read_table
+from relocbench.evaluation.common.tables import KEY_COLUMNS, read_rows, write_rows
 from relocbench.metrics.pose.matching import OFFSET_EDGES_PX
 
 ALL = "all"
@@ -47,29 +46,22 @@ class MatchingRow:
 
 
 _COUNTS = tuple(field.name for field in fields(Found))
-MATCHING_COLUMNS = ("ref_timestamp_ns", "query_timestamp_ns", "group", *_COUNTS, "message")
+MATCHING_COLUMNS = (*KEY_COLUMNS, "group", *_COUNTS, "message")
 
 
 def write_matching(path: Path, rows: Sequence[MatchingRow]) -> None:
     """Write ``PAIRSET.matching.csv``, in the order given."""
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(MATCHING_COLUMNS)
-        for row in rows:
-            table.writerow([*row.key, row.group, *astuple(row.found), row.message])
+    write_rows(path, [MATCHING_COLUMNS, *([*r.key, r.group, *astuple(r.found), r.message] for r in rows)])
 
 
 def read_matching(path: Path) -> list[MatchingRow]:
     """Read ``PAIRSET.matching.csv``. Raises PredictionError with file and line."""
     out = []
-    for number, line in read_table(path, MATCHING_COLUMNS, error=PredictionError):
-        ref, query = (parse_timestamp(text, path, number, PredictionError) for text in line[:2])
-        counts = line[3:-1]
-        named = zip(counts, _COUNTS, strict=True)
-        found = Found(*(parse_count(text, name, path, number, PredictionError) for text, name in named))
+    for row in read_rows(path, MATCHING_COLUMNS):
+        key, found = row.key(), Found(*map(row.count, _COUNTS))
         if not found.within_1px <= found.within_3px <= found.answered <= found.count:
-            raise PredictionError("expected within_1px <= within_3px <= answered <= count", path, number)
-        out.append(MatchingRow((ref, query), line[2], found, line[-1]))
+            raise row.fault("expected within_1px <= within_3px <= answered <= count")
+        out.append(MatchingRow(key, row["group"], found, row["message"]))
     return out
 
 

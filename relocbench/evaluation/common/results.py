@@ -8,7 +8,6 @@ scored, a table of each pair's errors (``PAIRSET.errors.csv``). ``run.yaml`` and
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,23 +25,19 @@ from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName,
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.error_table import (
     ERROR_COLUMNS,
-    STATUSES,
     ErrorTable,
     PairErrors,
     groups_in,
     read_errors,
     write_errors,
 )
+from relocbench.evaluation.common.tables import KEY_COLUMNS, STATUSES, float_text, read_rows, seconds_text, write_rows
 from relocbench.files import (
-    atomic_write,
     check_joined_name,
     check_name,
     dump_yaml,
     load_yaml,
-    parse_floats,
-    parse_timestamp,
     read_bytes,
-    read_table,
     remove_parts,
     write_text,
 )
@@ -72,7 +67,7 @@ __all__ = [
     "write_record",
 ]
 
-ANSWER_COLUMNS = ("ref_timestamp_ns", "query_timestamp_ns", "status", "seconds", "confidence", "message", "info")
+ANSWER_COLUMNS = (*KEY_COLUMNS, "status", "seconds", "confidence", "message", "info")
 
 
 @dataclass(frozen=True)
@@ -285,31 +280,19 @@ def all_results(results: Path) -> list[DatasetResults]:
 
 def write_answers(path: Path, answers: Sequence[Answer]) -> None:
     """Write ``PAIRSET.csv``, in the order given."""
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(ANSWER_COLUMNS)
-        for a in answers:
-            table.writerow([*a.key, a.status, _text(a.seconds, 6), _text(a.confidence), a.message, a.info])
+    rows = ([*a.key, a.status, seconds_text(a.seconds), float_text(a.confidence), a.message, a.info] for a in answers)
+    write_rows(path, [ANSWER_COLUMNS, *rows])
 
 
 def read_answers(path: Path) -> dict[PairKey, Answer]:
     """Read ``PAIRSET.csv``. Raises PredictionError with file and line."""
     out: dict[PairKey, Answer] = {}
-    for number, row in read_table(path, ANSWER_COLUMNS, error=PredictionError):
-        field = dict(zip(ANSWER_COLUMNS, row, strict=True))
-        key = _key(field, path, number)
+    for row in read_rows(path, ANSWER_COLUMNS):
+        key = row.key()
         if key in out:
-            raise PredictionError(f"pair {key[0]} {key[1]} occurs again", path, number)
-        if field["status"] not in STATUSES:
-            raise PredictionError(f"status is '{field['status']}', expected {', '.join(STATUSES)}", path, number)
-        out[key] = Answer(
-            key,
-            field["status"],
-            _value(field, "seconds", path, number),
-            _value(field, "confidence", path, number),
-            field["message"],
-            field["info"],
-        )
+            raise row.fault(f"pair {key[0]} {key[1]} occurs again")
+        seconds, confidence = map(row.number_or_none, ("seconds", "confidence"))
+        out[key] = Answer(key, row.status(), seconds, confidence, row["message"], row["info"])
     return out
 
 
@@ -355,18 +338,3 @@ def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
 def _median(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return round(float(np.median(known)), 6) if known else None
-
-
-def _key(field: dict[str, str], path: Path, line: int) -> PairKey:
-    ref, query = (parse_timestamp(field[c], path, line, PredictionError) for c in ANSWER_COLUMNS[:2])
-    return ref, query
-
-
-def _value(field: dict[str, str], name: str, path: Path, line: int) -> float | None:
-    return parse_floats([field[name]], path, line, name, PredictionError)[0] if field[name] else None
-
-
-def _text(value: float | None, digits: int | None = None) -> str:
-    if value is None:
-        return ""
-    return repr(round(float(value), digits) if digits is not None else float(value))

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.evaluation.common.tables import write_rows
 from relocbench.evaluation.probe.table import ACROSS, SAME, Line
 from relocbench.evaluation.probe.tally import UNITS, What
-from relocbench.files import atomic_write, dump_yaml, write_bytes, write_text
+from relocbench.files import dump_yaml, write_bytes, write_text
 from relocbench.metrics import Interval, Radius, Ratio
 
 SHARE_COLUMNS = (
@@ -40,8 +40,7 @@ def write_probe(out: Path, dataset: Dataset, lines: Sequence[Line], about: dict[
     out.mkdir(parents=True, exist_ok=True)
     files = {"probe.csv": _shares, "radii.csv": _radii}
     for name, rows in files.items():
-        with atomic_write(out / name) as stream:
-            csv.writer(stream, lineterminator="\n").writerows(rows(lines))
+        write_rows(out / name, rows(lines))
     pictures = {"curves.png": curves_picture(lines, dataset.name)}
     if any(line.level is not None for line in lines):
         pictures["levels.png"] = levels_picture(lines, dataset.name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,9 +10,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import STATUSES
-from relocbench.files import atomic_write, parse_count, parse_floats, parse_timestamp, read_table
+from relocbench.evaluation.common.tables import TableRow, read_rows, write_rows
 from relocbench.metrics import PoseErrors
 
 Outcome = Literal["right", "choice", "unreachable", "retrieval", "tracking"]
@@ -83,12 +80,9 @@ def errors_of(answers: Sequence[ChainAnswer]) -> PoseErrors:
 
 def write_chain(path: Path, answers: Sequence[ChainAnswer]) -> None:
     """Write ``TASK.csv``, in the order given."""
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(COLUMNS)
-        for a in answers:
-            values = [getattr(a, name) for name in COLUMNS]
-            table.writerow(["" if v is None else repr(v) if isinstance(v, float) else v for v in values])
+    values = ([getattr(a, name) for name in COLUMNS] for a in answers)
+    texts = (["" if v is None else repr(v) if isinstance(v, float) else v for v in row] for row in values)
+    write_rows(path, [COLUMNS, *texts])
 
 
 def read_chain(path: Path) -> list[ChainAnswer]:
@@ -98,44 +92,33 @@ def read_chain(path: Path) -> list[ChainAnswer]:
         PredictionError: with file and line: wrong columns, an invalid status, outcome or number, or a query twice.
     """
     out: dict[int, ChainAnswer] = {}
-    for number, row in read_table(path, COLUMNS, error=PredictionError):
-        answer = _answer(dict(zip(COLUMNS, row, strict=True)), path, number)
+    for row in read_rows(path, COLUMNS):
+        answer = _answer(row)
         if answer.query_timestamp_ns in out:
-            raise PredictionError(f"query {answer.query_timestamp_ns} occurs again", path, number)
+            raise row.fault(f"query {answer.query_timestamp_ns} occurs again")
         out[answer.query_timestamp_ns] = answer
     return list(out.values())
 
 
-def _answer(field: dict[str, str], path: Path, line: int) -> ChainAnswer:
-    if field["status"] not in STATUSES:
-        raise PredictionError(f"status is '{field['status']}', expected {', '.join(STATUSES)}", path, line)
-    outcome = next((known for known in OUTCOMES if known == field["outcome"]), None)
+def _answer(row: TableRow) -> ChainAnswer:
+    status = row.status()
+    outcome = next((known for known in OUTCOMES if known == row["outcome"]), None)
     if outcome is None:
-        raise PredictionError(f"outcome is '{field['outcome']}', expected {', '.join(OUTCOMES)}", path, line)
-    counts: dict[str, int | None] = {}
-    for name in _INTEGERS:
-        counts[name] = parse_count(field[name], name, path, line, PredictionError) if field[name] else None
-
-    def value(name: str) -> float | None:
-        return parse_floats([field[name]], path, line, name, PredictionError)[0] if field[name] else None
-
-    errors = {n: math.inf if field[n] == "inf" else value(n) for n in COLUMNS if "_error_" in n}
-    if None in errors.values():
-        raise PredictionError("an error is blank, expected a number or inf", path, line)
-    if any(error is not None and error < 0 for error in errors.values()):
-        raise PredictionError("an error is negative, expected at least 0, or inf", path, line)
-    ref = field["ref_timestamp_ns"]
+        raise row.fault(f"outcome is '{row['outcome']}', expected {', '.join(OUTCOMES)}")
+    rank, hit_rank, right_rank, asked = (row.count(name) if row[name] else None for name in _INTEGERS)
     return ChainAnswer(
-        query_timestamp_ns=parse_timestamp(field["query_timestamp_ns"], path, line, PredictionError),
-        status=field["status"],
+        query_timestamp_ns=row.timestamp("query_timestamp_ns"),
+        status=status,
         outcome=outcome,
-        ref_timestamp_ns=parse_timestamp(ref, path, line, PredictionError) if ref else None,
-        rank=counts["rank"],
-        hit_rank=counts["hit_rank"],
-        right_rank=counts["right_rank"],
-        asked=counts["asked"] or 0,
-        **{name: float(error) for name, error in errors.items() if error is not None},
-        confidence=value("confidence"),
-        seconds=value("seconds"),
-        message=field["message"],
+        ref_timestamp_ns=row.timestamp("ref_timestamp_ns") if row["ref_timestamp_ns"] else None,
+        rank=rank,
+        hit_rank=hit_rank,
+        right_rank=right_rank,
+        asked=asked or 0,
+        rotation_error_deg=row.error("rotation_error_deg"),
+        translation_error_m=row.error("translation_error_m"),
+        mlad_translation_error_m=row.error("mlad_translation_error_m"),
+        confidence=row.number_or_none("confidence"),
+        seconds=row.number_or_none("seconds"),
+        message=row["message"],
     )

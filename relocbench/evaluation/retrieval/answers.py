@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,17 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.errors import PredictionError, quoted
-from relocbench.evaluation.common.results import STATUSES
-from relocbench.files import (
-    atomic_write,
-    lines_of,
-    parse_count,
-    parse_floats,
-    plain_file,
-    read_table,
-    read_text,
-    whole_number,
-)
+from relocbench.evaluation.common.tables import TableRow, read_rows, seconds_text, write_rows
+from relocbench.files import atomic_write, lines_of, plain_file, read_text, whole_number
 from relocbench.metrics import NEVER, Ranking
 
 COLUMNS = ("query", "group", "status", "positives", "ranks", "seconds", "message")
@@ -48,13 +38,11 @@ class QueryAnswer:
 
 def write_answers(path: Path, answers: Sequence[QueryAnswer]) -> None:
     """Write ``TASK.csv``, in the order given."""
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(COLUMNS)
-        for a in answers:
-            seconds = "" if a.seconds is None else repr(round(a.seconds, 6))
-            ranks = " ".join(map(str, a.ranks))
-            table.writerow([a.query, a.group, a.status, a.positives, ranks, seconds, a.message])
+    rows = (
+        [a.query, a.group, a.status, a.positives, " ".join(map(str, a.ranks)), seconds_text(a.seconds), a.message]
+        for a in answers
+    )
+    write_rows(path, [COLUMNS, *rows])
 
 
 def read_answers(path: Path) -> list[QueryAnswer]:
@@ -64,18 +52,15 @@ def read_answers(path: Path) -> list[QueryAnswer]:
         PredictionError: with file and line: wrong columns, an invalid status or rank, or a query that occurs twice.
     """
     out: dict[str, QueryAnswer] = {}
-    for number, row in read_table(path, COLUMNS, error=PredictionError):
-        query, group, status, positives, ranks, seconds, message = row
+    for row in read_rows(path, COLUMNS):
+        query = row["query"]
         if query in out:
-            raise PredictionError(f"query '{query}' occurs again", path, number)
-        if status not in STATUSES:
-            raise PredictionError(f"status is '{status}', expected {', '.join(STATUSES)}", path, number)
-        places = _ranks(ranks, path, number)
-        count = parse_count(positives, "positives", path, number, PredictionError)
-        if count < len(places):
-            raise PredictionError(f"{len(places)} ranks of '{count}' positives", path, number)
-        took = parse_floats([seconds], path, number, "seconds", PredictionError)[0] if seconds else None
-        out[query] = QueryAnswer(query, group, status, count, places, took, message)
+            raise row.fault(f"query '{query}' occurs again")
+        status, ranks, count = row.status(), _ranks(row), row.count("positives")
+        if count < len(ranks):
+            raise row.fault(f"{len(ranks)} ranks of {count} positives")
+        seconds = row.number_or_none("seconds")
+        out[query] = QueryAnswer(query, row["group"], status, count, ranks, seconds, row["message"])
     return list(out.values())
 
 
@@ -138,11 +123,11 @@ def answers_hash(path: Path) -> str:
     return hashlib.sha256(plain_file(path, "answers").read_bytes()).hexdigest()
 
 
-def _ranks(text: str, path: Path, line: int) -> tuple[int, ...]:
-    words = text.split()
+def _ranks(row: TableRow) -> tuple[int, ...]:
+    words = row["ranks"].split()
     ranks = tuple(rank for word in words if (rank := whole_number(word)))
     if len(ranks) < len(words):
-        raise PredictionError(f"ranks are {quoted(text, 60)}, expected positive integers", path, line)
+        raise row.fault(f"ranks are {quoted(row['ranks'], 60)}, expected positive integers")
     if any(b <= a for a, b in pairwise(ranks)):
-        raise PredictionError("ranks do not increase", path, line)
+        raise row.fault("ranks do not increase")
     return ranks

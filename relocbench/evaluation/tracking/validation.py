@@ -15,14 +15,14 @@ from relocbench.evaluation.common.matching_table import read_matching
 from relocbench.evaluation.common.results import (
     ANSWER_COLUMNS,
     ERROR_COLUMNS,
-    STATUSES,
     DatasetRecord,
     MethodResults,
     RunRecord,
     ScoreRecord,
 )
+from relocbench.evaluation.common.tables import KEY_COLUMNS, TableRow
 from relocbench.evaluation.tracking.score import predictions_hash
-from relocbench.files import parse_floats, parse_timestamp, read_csv, read_journal
+from relocbench.files import read_csv, read_journal
 from relocbench.progress import Reporter
 
 
@@ -167,24 +167,22 @@ def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], asked: _E
 def _read_answers(path: Path, found: Findings) -> dict[PairKey, tuple[str, int]]:
     """Read the status and line number of each pair in ``PAIRSET.csv``."""
     out: dict[PairKey, tuple[str, int]] = {}
-    for number, field in _table(path, ANSWER_COLUMNS, found):
+    for row in _rows(path, ANSWER_COLUMNS, found):
         with found.catching():
-            ref, query = (parse_timestamp(field[c], path, number, PredictionError) for c in ANSWER_COLUMNS[:2])
-            if (ref, query) in out:
-                raise PredictionError(
-                    f"pair {ref} {query} occurs again (first on line {out[ref, query][1]})", path, number
-                )
-            out[ref, query] = field["status"], number
-            if field["status"] not in STATUSES:
-                found.fault(f"status is '{field['status']}', expected {', '.join(STATUSES)}", path, number)
+            key = row.key()
+            if key in out:
+                raise row.fault(f"pair {key[0]} {key[1]} occurs again (first on line {out[key][1]})")
+            out[key] = row["status"], row.line
+            with found.catching():
+                row.status()
             for name in ("seconds", "confidence"):
-                if field[name]:
-                    with found.catching():
-                        parse_floats([field[name]], path, number, name, PredictionError)
+                with found.catching():
+                    row.number_or_none(name)
     return out
 
 
-def _table(path: Path, columns: tuple[str, ...], found: Findings) -> list[tuple[int, dict[str, str]]]:
+def _rows(path: Path, columns: tuple[str, ...], found: Findings) -> list[TableRow]:
+    """The rows of a table that have as many fields as columns; the other rows are faults."""
     out = []
     with found.catching():
         rows = read_csv(path, f"a table ({','.join(columns)})", PredictionError)
@@ -194,7 +192,7 @@ def _table(path: Path, columns: tuple[str, ...], found: Findings) -> list[tuple[
             if len(row) != len(columns):
                 found.fault(f"expected {len(columns)} columns, found {len(row)}", path, number)
             else:
-                out.append((number, dict(zip(columns, row, strict=True))))
+                out.append(TableRow(path, number, dict(zip(columns, row, strict=True))))
     return out
 
 
@@ -265,13 +263,9 @@ def _check_scores(folder: MethodResults, complete: set[str], asked: _Expected, f
 
 
 def _check_errors(path: Path, found: Findings) -> None:
-    for number, field in _table(path, ERROR_COLUMNS, found):
-        for name in ERROR_COLUMNS[:2]:
+    for row in _rows(path, ERROR_COLUMNS, found):
+        checks = [(row.timestamp, name) for name in KEY_COLUMNS]
+        checks += [(row.error if "_error_" in name else row.number_or_none, name) for name in ERROR_COLUMNS[4:]]
+        for check, name in checks:
             with found.catching():
-                parse_timestamp(field[name], path, number, PredictionError)
-        for name in ERROR_COLUMNS[4:]:
-            if field[name] == "inf" and name in ERROR_COLUMNS[4:7]:
-                continue
-            if field[name] or name in ERROR_COLUMNS[4:7]:
-                with found.catching():
-                    parse_floats([field[name]], path, number, name, PredictionError)
+                check(name)

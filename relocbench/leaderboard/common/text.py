@@ -7,15 +7,14 @@ cannot act as markup or formulas.
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from relocbench.files import atomic_write
+from relocbench.evaluation.common.tables import write_rows
 
 Value = str | int | float | None
 _DIGITS = {"m": 3, "deg": 3, "s": 3}
@@ -91,10 +90,10 @@ def cell(value: Value) -> Value:
     return value
 
 
-def write_table(path: Path, rows: Iterable[Sequence[Value]]) -> None:
-    """Write a CSV file of :func:`cell` values, whole or not at all."""
-    with atomic_write(path) as stream:
-        csv.writer(stream, lineterminator="\n").writerows(list(map(cell, row)) for row in rows)
+def write_records(path: Path, records: Sequence[Mapping[str, Value]]) -> None:
+    """Write records of equal keys as a CSV table of :func:`cell` values; a file without records is empty."""
+    header = [list(records[0])] if records else []
+    write_rows(path, (map(cell, row) for row in [*header, *(record.values() for record in records)]))
 
 
 def json_text(value: object, *, sort_keys: bool = False, ascii_only: bool = False) -> str:

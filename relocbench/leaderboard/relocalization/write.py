@@ -6,7 +6,7 @@ from pathlib import Path
 
 from relocbench.evaluation.relocalization.score import POSE_METRICS, RANKING
 from relocbench.files import remove_parts, write_text
-from relocbench.leaderboard.common.text import Value, write_table
+from relocbench.leaderboard.common.text import Value, write_records
 from relocbench.leaderboard.relocalization.board import (
     SHARES,
     WITH_INTERVAL,
@@ -36,9 +36,8 @@ def write_relocalization_leaderboard(
         for chain in asked.chains:
             for name in (t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in chain.answers):
                 reporter.note(f"{asked.title}: {chain.label} has no result on {name}")
-    rows = chain_rows(board)
     remove_parts(out, deep=False)
-    write_table(out / "relocalization.csv", [list(rows[0]), *(list(row.values()) for row in rows)] if rows else [])
+    write_records(out / "relocalization.csv", chain_rows(board))
     write_text(out / "relocalization.md", relocalization_page(board))
     return board
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from relocbench.files import remove_parts, write_text
-from relocbench.leaderboard.common.text import Value, write_table
+from relocbench.leaderboard.common.text import Value, write_records
 from relocbench.leaderboard.retrieval.board import (
     RANKING,
     RetrievalBoard,
@@ -35,9 +35,8 @@ def write_retrieval_leaderboard(
             missing = [t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in method.answers]
             for name in missing:
                 reporter.note(f"{asked.title}: {method.label} has no result on {name}")
-    rows = retrieval_rows(board)
     remove_parts(out, deep=False)
-    write_table(out / "retrieval.csv", [list(rows[0]), *(list(row.values()) for row in rows)] if rows else [])
+    write_records(out / "retrieval.csv", retrieval_rows(board))
     write_text(out / "retrieval.md", retrieval_page(board))
     return board
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
+from relocbench.evaluation.common.tables import write_rows
 from relocbench.execution import Run, default_workers, run_units
-from relocbench.files import atomic_write, remove_parts, write_bytes, write_text
-from relocbench.leaderboard.common.text import write_table
+from relocbench.files import remove_parts, write_bytes, write_text
+from relocbench.leaderboard.common.text import write_records
 from relocbench.leaderboard.tracking.load import load_results
 from relocbench.leaderboard.tracking.long_form import error_rows, leaderboard_rows, seed_rows
 from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_rows
@@ -65,19 +65,13 @@ def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Report
     """
     for folder in (out, out / "curves"):
         remove_parts(folder, deep=False)
-    rows = leaderboard_rows(board)
     paths = [out / "leaderboard.csv", out / "errors.csv"]
-    write_table(paths[0], [list(rows[0]), *([row[c] for c in rows[0]] for row in rows)] if rows else [])
-    with atomic_write(paths[1]) as stream:
-        csv.writer(stream, lineterminator="\n").writerows(error_rows(board))
-    seeds = seed_rows(board)
-    if seeds:
-        paths.append(out / "seeds.csv")
-        write_table(paths[-1], [list(seeds[0]), *(list(row.values()) for row in seeds)])
-    matching = matching_rows(board)
-    if matching:
-        paths.append(out / "matching.csv")
-        write_table(paths[-1], [list(matching[0]), *(list(row.values()) for row in matching)])
+    write_records(paths[0], leaderboard_rows(board))
+    write_rows(paths[1], error_rows(board))
+    for name, records in (("seeds.csv", seed_rows(board)), ("matching.csv", matching_rows(board))):
+        if records:
+            paths.append(out / name)
+            write_records(paths[-1], records)
     if plots:
         paths += _write_plots(board, out, reporter)
     paths.append(out / "leaderboard.md")

@@ -279,7 +279,7 @@ def test_tables_are_read_as_they_were_written_and_bad_ones_are_named(tmp_path: P
         ("ok,right", "fine,right", "status is 'fine'"),
         ("ok,right", "ok,lucky", "outcome is 'lucky'"),
         ("0.25", "nan", "expected a finite number"),
-        ("0.25", "", "an error is blank"),
+        ("0.25", "", "translation_error_m is .., expected a number"),
         (",2,1,2,3,", ",2,x,2,3,", "hit_rank is 'x'"),
         ("status", "state", "expected the header"),
     ):

@@ -17,7 +17,7 @@ from small_dataset import ACROSS, STEP_NS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import PredictionError, one_line
-from relocbench.evaluation.common.answers import ask, checked, checked_pixels
+from relocbench.evaluation.common.answers import ask, checked_answer, checked_pixels
 from relocbench.evaluation.common.guard import guarded, neighbours_of
 from relocbench.evaluation.common.info_text import INFO_CHARACTERS
 from relocbench.evaluation.common.matching_table import MATCHING_COLUMNS, read_matching
@@ -96,7 +96,7 @@ def test_check_and_validation_see_what_a_run_sees(case: Case, answers: dict[str,
 
 def test_a_checked_answer_holds_copies() -> None:
     pose = np.eye(4)
-    answer = checked(TrackResult(pose))
+    answer = checked_answer(TrackResult(pose))
     pose[0, 3] = 9
     assert answer.pose == [0, 0, 0, 0, 0, 0, 1]
 
