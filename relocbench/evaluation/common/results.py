@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -56,8 +56,11 @@ __all__ = [
     "PairSetRecord",
     "RunRecord",
     "ScoreRecord",
+    "adopted_run",
     "all_results",
+    "check_made_for",
     "dataset_results",
+    "first_breakage",
     "groups_in",
     "read_answers",
     "read_errors",
@@ -143,6 +146,9 @@ class RunRecord(Strict):
     workers: int | None = None
     start: str = ""
     end: str = ""
+
+
+Run = TypeVar("Run", bound=RunRecord)
 
 
 class ScoreRecord(Strict):
@@ -264,6 +270,52 @@ def write_record(path: Path, record: Strict) -> None:
     text = dump_yaml(record.model_dump(mode="json"))
     if not path.exists() or read_bytes(path, "a record", PredictionError) != text.encode():
         write_text(path, text)
+
+
+def first_breakage(label: str, what: str, broken: Sequence[tuple[object, str]]) -> list[tuple[str, str]]:
+    """The label and a message on what broke a method, with the first case; nothing where nothing broke it.
+
+    Args:
+        what: how it broke, and on how many cases.
+        broken: each case with the method's message.
+    """
+    if not broken:
+        return []
+    place, message = broken[0]
+    return [(label, f"{what}; first on {place}: {message}")]
+
+
+def adopted_run(theirs: Path, run: Run, what: str) -> Run:
+    """The record of a run made elsewhere, for results that are imported on this dataset.
+
+    Args:
+        theirs: the ``run.yaml`` that came with the results, if there is one.
+        run: what is known of the run without it: method, target, dataset, fingerprint and question.
+        what: the kind of record, for messages.
+
+    Raises:
+        PredictionError: the record is bad, or of another dataset than this one or a copy of it.
+    """
+    if not theirs.is_file():
+        return run
+    record = load_yaml(theirs, type(run), what, PredictionError)
+    told = {"method": run.method}
+    if record.fingerprint != run.fingerprint and run.question and record.question == run.question:
+        # Another machine's copy: the question is the same, and images differ in last digits only.
+        told |= {"fingerprint": run.fingerprint, "answered_on": record.fingerprint}
+    else:
+        check_made_for(record, run.dataset, run.fingerprint, theirs)
+    return record.model_copy(update=told)
+
+
+def check_made_for(run: RunRecord, dataset: str, fingerprint: str, path: Path) -> None:
+    """Raise PredictionError unless a run was made for the dataset with that fingerprint."""
+    if run.fingerprint != fingerprint:
+        raise PredictionError(
+            f"predictions are for {run.dataset}@{run.fingerprint[:SHORT]}, "
+            f"the dataset is {dataset}@{fingerprint[:SHORT]}",
+            path,
+        )
 
 
 def all_results(results: Path) -> list[DatasetResults]:

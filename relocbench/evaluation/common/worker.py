@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import secrets
+import shutil
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
@@ -116,6 +118,30 @@ def journal_entries(journal: Path) -> Iterator[dict[str, Any]]:
                 yield {**entry, "key": tuple(entry["key"])}
 
 
+def answered_keys(journal: Path) -> set[PairKey]:
+    """The pairs that have an entry in a journal."""
+    return {entry["key"] for entry in journal_entries(journal)}
+
+
+def remove_journal(journal: Path) -> None:
+    """Remove the journal of a complete pair set, and the folder of journals if it was the last."""
+    shutil.rmtree(journal, ignore_errors=True)
+    if journal.parent.is_dir() and not any(journal.parent.iterdir()):
+        journal.parent.rmdir()
+
+
+def append_entry(journal: Path, entry: Mapping[str, Any]) -> None:
+    """Write a single entry to a journal."""
+    with open_journal(journal) as stream:
+        write_entry(stream, entry)
+
+
+def write_entry(stream: IO[str], entry: Mapping[str, Any]) -> None:
+    """Write an entry at once, so that it outlives the process."""
+    stream.write(json.dumps(entry) + "\n")
+    stream.flush()
+
+
 @contextmanager
 def open_journal(journal: Path) -> Iterator[IO[str]]:
     """Open a journal file that only this process writes: writers never interleave, and only a last line can be torn."""
@@ -133,6 +159,23 @@ def open_journal(journal: Path) -> Iterator[IO[str]]:
 def traversal_of(dataset: Path, name: str) -> Traversal:
     """A traversal of a dataset, kept for the life of the process."""
     return Traversal(DatasetLayout(dataset).traversal(name))
+
+
+_called: set[tuple[str, str]] = set()
+
+
+def is_first_call(function: str, spec: MethodSpec) -> bool:
+    """Whether this is the first call of a method's function in the process."""
+    call = function, repr(spec)
+    if call in _called:
+        return False
+    _called.add(call)
+    return True
+
+
+def time_factor(function: str, spec: MethodSpec, pairs: int = 1) -> float:
+    """The factor on the time limit of a call: the first one in a process may compile, or start a program."""
+    return MANY_TIMES if is_first_call(function, spec) else min(float(pairs), MANY_TIMES)
 
 
 _trackers: dict[str, Any] = {}

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Generic, TypeVar
 
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.common.worker import CONSTRUCTOR, PREPARE, Unit, journal_entries
+from relocbench.evaluation.common.worker import CONSTRUCTOR, PREPARE, Unit, answered_keys
 from relocbench.execution import Loss, Run, run_limited
 
 U = TypeVar("U", bound=Unit)
@@ -92,7 +92,7 @@ class LossHandler(Generic[U]):
     def handle_loss(self, unit: U, loss: Loss) -> int:
         """Record the final losses of a unit in its journal; returns how many of its pairs have an entry now."""
         self._was_lost = True
-        done = {entry["key"] for entry in journal_entries(unit.journal)}
+        done = answered_keys(unit.journal)
         left = [key for key in unit.keys if key not in done]
         name = loss.step.name if loss.step is not None else ""
         if name not in (CONSTRUCTOR, PREPARE):

@@ -18,6 +18,7 @@ from relocbench.errors import ConfigError
 from relocbench.evaluation.common.capabilities import capabilities_of
 from relocbench.evaluation.common.execution_options import ExecutionOptions
 from relocbench.evaluation.common.opening import open_for_evaluation
+from relocbench.evaluation.common.results import first_breakage
 from relocbench.evaluation.probe.feature_maps import Picture, draw, lost_picture, places_of
 from relocbench.evaluation.probe.table import Line, result_lines
 from relocbench.evaluation.probe.work import PairResult, Task, ask_pairs, task_for
@@ -241,12 +242,8 @@ def _about(dataset: Dataset, options: ProbeOptions, tasks: Sequence[tuple[Method
 
 
 def _broken(label: str, found: dict[tuple[str, PairKey], PairResult]) -> list[tuple[str, str]]:
-    broken = [(key, answered.message) for key, answered in sorted(found.items()) if answered.message]
-    if not broken:
-        return []
-    (name, key), message = broken[0]
-    told = f"broke on {len(broken)} of {len(found)} pairs, counted as not found; first on {name} {key[0]} {key[1]}"
-    return [(label, f"{told}: {message}")]
+    broken = [(f"{name} {key[0]} {key[1]}", r.message) for (name, key), r in sorted(found.items()) if r.message]
+    return first_breakage(label, f"broke on {len(broken)} of {len(found)} pairs, counted as not found", broken)
 
 
 def _bounds(interval: Any) -> list[float] | None:

@@ -20,6 +20,8 @@ from relocbench.errors import PredictionError, one_line
 from relocbench.evaluation.common.capabilities import Capabilities
 from relocbench.evaluation.common.worker import (
     Unit,
+    answered_keys,
+    append_entry,
     journal_entries,
     open_journal,
     prepared,
@@ -27,6 +29,7 @@ from relocbench.evaluation.common.worker import (
     tracker_of,
     traversal_of,
     units_of,
+    write_entry,
 )
 from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
 from relocbench.evaluation.probe.pixels import probe_pixels, with_structure
@@ -131,7 +134,7 @@ def _content(value: Any) -> str:
 
 
 def _open(keys: Sequence[PairKey], journal: Path) -> list[PairKey]:
-    done = {entry["key"] for entry in journal_entries(journal)}
+    done = answered_keys(journal)
     return [key for key in keys if key not in done]
 
 
@@ -146,8 +149,7 @@ def _probe_unit(unit: ProbeUnit) -> int:
     with open_journal(unit.journal) as stream:
         for key in unit.keys:
             answered = _ask(unit, key, tracker, None if broke else reference)
-            stream.write(json.dumps(_entry(key, answered[0], broke or answered[1])) + "\n")
-            stream.flush()
+            write_entry(stream, _entry(key, answered[0], broke or answered[1]))
     return len(unit.keys)
 
 
@@ -184,5 +186,4 @@ def _entry(key: PairKey, tallies: list[Tally], message: str) -> dict[str, Any]:
 
 def _write_broken(unit: ProbeUnit, key: PairKey, message: str) -> None:
     """Write the entry of a lost pair."""
-    with open_journal(unit.journal) as stream:
-        stream.write(json.dumps(_entry(key, _ask(unit, key, None, None)[0], message)) + "\n")
+    append_entry(unit.journal, _entry(key, _ask(unit, key, None, None)[0], message))

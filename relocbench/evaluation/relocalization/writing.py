@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from relocbench import version
 from relocbench.datasets.core.pairfile import write_pose_lines
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import write_record
+from relocbench.evaluation.common.results import first_breakage, write_record
 from relocbench.evaluation.relocalization.answers import read_chain, write_chain
 from relocbench.evaluation.relocalization.basin import Basins
 from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chain_answers
@@ -67,11 +67,8 @@ def write_chain_results(
 def broken_queries(folder: ChainResults, names: Sequence[str]) -> list[tuple[str, str]]:
     """The label and a message if a method broke, rather than failed, on any query; else nothing."""
     rows = [row for name in names for row in read_chain(folder.answers(name))]
-    bad = [row for row in rows if row.status == "error"]
-    if not bad:
-        return []
-    told = f"no answer to {len(bad)} of {len(rows)} queries for an error; first on {bad[0].query_timestamp_ns}"
-    return [(folder.label, f"{told}: {bad[0].message}")]
+    broken = [(row.query_timestamp_ns, row.message) for row in rows if row.status == "error"]
+    return first_breakage(folder.label, f"no answer to {len(broken)} of {len(rows)} queries for an error", broken)
 
 
 def _drop_other(folder: ChainResults, run: ChainRun, tasks: ChainTasks) -> None:

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from relocbench.datasets.pairs.street_places import Positives
 from relocbench.errors import ConfigError
 from relocbench.evaluation.common.execution_options import LimitOptions
+from relocbench.evaluation.common.results import first_breakage
 from relocbench.evaluation.retrieval.answers import read_answers
 from relocbench.evaluation.retrieval.external import import_rankings
 from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
@@ -159,11 +160,10 @@ def _label(options: RetrievalOptions) -> str:
 
 def _broken(folder: RetrieverResults, names: list[str]) -> list[tuple[str, str]]:
     answers = [a for name in names if folder.complete(name) for a in read_answers(folder.answers(name))]
-    broken = [a for a in answers if a.status == BROKEN]
-    if not broken:
-        return []
-    told = f"broke on {len(broken)} of {len(answers)} queries, counted as not found; first on {broken[0].query}"
-    return [(folder.label, f"{told}: {broken[0].message}")]
+    broken = [(a.query, a.message) for a in answers if a.status == BROKEN]
+    return first_breakage(
+        folder.label, f"broke on {len(broken)} of {len(answers)} queries, counted as not found", broken
+    )
 
 
 def _suspicions(record: SetRecord, folders: list[RetrieverResults], names: list[str]) -> list[tuple[str, str]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from relocbench import version
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import write_record
+from relocbench.evaluation.common.results import check_made_for, write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, answers_hash, ranking_of, read_answers
 from relocbench.evaluation.retrieval.records import (
     METRICS,
@@ -36,12 +36,7 @@ def score_retriever(asked: SetRecord, folder: RetrieverResults, *, seed: int = 0
     Raises:
         PredictionError: the answers are for another set, or a file is bad.
     """
-    run = folder.run_record()
-    if run.fingerprint != asked.fingerprint:
-        raise PredictionError(
-            f"answers are for {run.dataset}@{run.fingerprint[:12]}, the set is {asked.name}@{asked.fingerprint[:12]}",
-            folder.run_yaml,
-        )
+    check_made_for(folder.run_record(), asked.name, asked.fingerprint, folder.run_yaml)
     hashes, tasks = {}, {}
     for name, record in asked.tasks.items():
         if folder.complete(name):

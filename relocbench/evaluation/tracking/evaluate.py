@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError
 from relocbench.evaluation.common.capabilities import capabilities_of
 from relocbench.evaluation.common.execution_options import ExecutionOptions
@@ -19,6 +20,7 @@ from relocbench.evaluation.common.results import (
     DatasetResults,
     MethodResults,
     dataset_results,
+    first_breakage,
     read_answers,
     write_dataset_record,
 )
@@ -169,34 +171,22 @@ def _chosen(dataset: Dataset, options: EvaluateOptions) -> list[PairSet]:
 
 
 def _broken(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
-    return [*_broken_pairs(folder, pair_sets), *_broken_matching(folder, pair_sets)]
-
-
-def _broken_matching(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
-    paths = [path for s in pair_sets if (path := folder.matching(s.name)).exists()]
-    broken = {row.key: row.message for path in paths for row in read_matching(path) if row.message}
-    if not broken:
-        return []
-    key, message = next(iter(broken.items()))
-    told = f"match broke on {len(broken)} pairs, counted as not found; first on {key[0]} {key[1]}: {message}"
-    return [(folder.label, told)]
-
-
-def _broken_pairs(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
     answers = [
         answer
         for pair_set in pair_sets
         if folder.answers(pair_set.name).exists()
         for answer in read_answers(folder.answers(pair_set.name)).values()
     ]
-    broken = [a for a in answers if a.status == "error"]
-    if not broken:
-        return []
-    first = broken[0]
+    broken = [(_pair_text(a.key), a.message) for a in answers if a.status == "error"]
+    tables = [path for s in pair_sets if (path := folder.matching(s.name)).exists()]
+    unmatched = {_pair_text(row.key): row.message for path in tables for row in read_matching(path) if row.message}
     return [
-        (
-            folder.label,
-            f"broke on {len(broken)} of {len(answers)} pairs, counted as failures; "
-            f"first on {first.key[0]} {first.key[1]}: {first.message}",
-        )
+        *first_breakage(folder.label, f"broke on {len(broken)} of {len(answers)} pairs, counted as failures", broken),
+        *first_breakage(
+            folder.label, f"match broke on {len(unmatched)} pairs, counted as not found", list(unmatched.items())
+        ),
     ]
+
+
+def _pair_text(key: PairKey) -> str:
+    return f"{key[0]} {key[1]}"

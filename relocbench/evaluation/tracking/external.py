@@ -13,12 +13,12 @@ from relocbench.evaluation.common.results import (
     DatasetResults,
     MethodResults,
     RunRecord,
+    adopted_run,
     read_answers,
     write_answers,
     write_record,
 )
 from relocbench.evaluation.tracking.score import read_predictions
-from relocbench.files import load_yaml
 
 
 def import_predictions(
@@ -36,7 +36,14 @@ def import_predictions(
     if not source.is_dir():
         raise PredictionError("no such folder; expected prediction files PAIRSET.txt", source)
     theirs = MethodResults(source)
-    record = _their_record(theirs, dataset, label)
+    known = RunRecord(
+        method=label,
+        target=f"predictions:{source.name}",
+        dataset=dataset.name,
+        fingerprint=dataset.fingerprint,
+        question=dataset.question,
+    )
+    record = adopted_run(theirs.run_yaml, known, "the record of a run")
     wanted = {s.name: s for s in pair_sets}
     files = sorted(source.glob("*.txt"))
     if not files:
@@ -75,27 +82,3 @@ def _checked(theirs: MethodResults, path: Path, pair_set: PairSet) -> tuple[list
 
 def _missing(answered: bool) -> str:
     return "" if answered else "not in the prediction file"
-
-
-def _their_record(theirs: MethodResults, dataset: Dataset, label: str) -> RunRecord:
-    target = f"predictions:{theirs.root.name}"
-    if not theirs.run_yaml.exists():
-        return RunRecord(
-            method=label,
-            target=target,
-            dataset=dataset.name,
-            fingerprint=dataset.fingerprint,
-            question=dataset.question,
-        )
-    record = load_yaml(theirs.run_yaml, RunRecord, "the record of a run", PredictionError)
-    told: dict[str, str] = {"method": label}
-    if record.fingerprint != dataset.fingerprint and record.question == dataset.question:
-        # Another machine's copy: the question is the same, and images differ in last digits only.
-        told |= {"fingerprint": dataset.fingerprint, "answered_on": record.fingerprint}
-    elif record.fingerprint != dataset.fingerprint:
-        raise PredictionError(
-            f"predictions are for {record.dataset}@{record.fingerprint[:12]}, "
-            f"the dataset is {dataset.name}@{dataset.fingerprint[:12]}",
-            theirs.run_yaml,
-        )
-    return record.model_copy(update=told)

@@ -6,8 +6,6 @@ results go to a journal at once, and the table of a complete pair set is written
 
 from __future__ import annotations
 
-import json
-import shutil
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import astuple, dataclass
@@ -36,18 +34,23 @@ from relocbench.evaluation.common.matching_table import (
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.common.worker import (
     Unit,
+    answered_keys,
+    append_entry,
     journal_entries,
     open_journal,
     prepared,
     query_of,
     read_only,
+    remove_journal,
+    time_factor,
     tracker_of,
     traversal_of,
     units_of,
+    write_entry,
 )
 from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
 from relocbench.evaluation.tracking.run import new_record, refuse_mixture
-from relocbench.execution import MANY_TIMES, Run, step
+from relocbench.execution import Run, step
 from relocbench.files import alone_in
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
@@ -166,9 +169,7 @@ def _collect(pair_set: PairSet, folder: MethodResults) -> None:
         for counts in entries[pair.key]["found"]
     ]
     write_matching(folder.matching(pair_set.name), rows)
-    shutil.rmtree(journal, ignore_errors=True)
-    if journal.parent.is_dir() and not any(journal.parent.iterdir()):
-        journal.parent.rmdir()
+    remove_journal(journal)
 
 
 def _open_pairs(folder: MethodResults, pair_set: PairSet) -> list[PairKey]:
@@ -177,7 +178,7 @@ def _open_pairs(folder: MethodResults, pair_set: PairSet) -> list[PairKey]:
     if path.exists():
         check_complete(read_matching(path), [p.key for p in pair_set.pairs], path)
         return []
-    done = {entry["key"] for entry in journal_entries(folder.matching_journal(pair_set.name))}
+    done = answered_keys(folder.matching_journal(pair_set.name))
     return [p.key for p in pair_set.pairs if p.key not in done]
 
 
@@ -189,8 +190,7 @@ def _match_unit(unit: Unit) -> int:
         for key in unit.keys:
             starts = _starts(unit, key)
             ends, message = (None, broke) if broke else _ask(tracker, reference, unit, key, starts)
-            stream.write(json.dumps(_entry(key, starts, ends, message)) + "\n")
-            stream.flush()
+            write_entry(stream, _entry(key, starts, ends, message))
     return len(unit.keys)
 
 
@@ -210,7 +210,7 @@ def _ask(tracker: Any, reference: Any, unit: Unit, key: PairKey, starts: Starts)
         return None, None
     query = query_of(unit, key)
     uv_ref, uv_start = read_only(starts.uv_ref), read_only(starts.uv_start)
-    with step("", (key,), _times(unit.spec)):
+    with step("", (key,), time_factor("match", unit.spec)):
         ends, broke = guarded(lambda: tracker.match(reference, query, uv_ref, uv_start))
         return checked_pixels(ends, broke, len(starts))
 
@@ -238,17 +238,6 @@ def _count(offset: int, starts: Starts, ends: Array) -> Found:
     return Found(offset, count, answered, near, nearer_than_3, start_near, start_3)
 
 
-_warm: set[str] = set()
-
-
-def _times(spec: MethodSpec) -> float:
-    """The factor on the time limit of a call: the first one in a process may compile."""
-    first = repr(spec) not in _warm
-    _warm.add(repr(spec))
-    return MANY_TIMES if first else 1.0
-
-
 def _write_broken(unit: Unit, key: PairKey, message: str) -> None:
     """Write the entry of a lost pair."""
-    with open_journal(unit.journal) as stream:
-        stream.write(json.dumps(_entry(key, _starts(unit, key), None, message)) + "\n")
+    append_entry(unit.journal, _entry(key, _starts(unit, key), None, message))

@@ -33,12 +33,18 @@ from relocbench.evaluation.common.results import (
 )
 from relocbench.evaluation.common.worker import (
     Unit,
+    answered_keys,
+    append_entry,
+    is_first_call,
     journal_entries,
     open_journal,
     prepared,
     query_of,
+    remove_journal,
+    time_factor,
     tracker_of,
     units_of,
+    write_entry,
 )
 from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
 from relocbench.execution import MANY_TIMES, Run, chunks, default_workers, kept_workers, step
@@ -49,6 +55,7 @@ from relocbench.tracking import Query, SupportsBatch
 
 Overwrite = Literal["never", "failed", "always"]
 _BATCH = 8
+_TRACK = "track"
 
 
 def run_method(
@@ -118,7 +125,7 @@ def _run_pair_set(
     journal.mkdir(parents=True, exist_ok=True)
 
     def open_units() -> list[Unit]:
-        answered = {entry["key"] for entry in journal_entries(journal)}
+        answered = answered_keys(journal)
         return units_of(dataset, pair_set, spec, journal, [key for key in todo if key not in answered])
 
     with alone_in(journal, PredictionError):
@@ -138,30 +145,18 @@ def _run_unit(unit: Unit) -> int:
                 answered, seconds = [error_answer(broke)] * len(batch), None
             else:
                 _warm_up(tracker, reference, views[0], unit.spec, batch)
-                with step("", tuple(batch), _times(unit.spec, len(batch))):
+                with step("", tuple(batch), time_factor(_TRACK, unit.spec, len(batch))):
                     answered, seconds = ask(tracker, reference, views)
             each = None if seconds is None else seconds / len(batch)
             for key, answer in zip(batch, answered, strict=True):
-                stream.write(json.dumps(_entry(key, answer, each)) + "\n")
-            stream.flush()
+                write_entry(stream, _entry(key, answer, each))
     return len(unit.keys)
-
-
-_warm: set[str] = set()
-
-
-def _times(spec: MethodSpec, count: int) -> float:
-    """The factor on the time limit of a call: the first one in a process may start a program."""
-    first = repr(spec) not in _warm
-    _warm.add(repr(spec))
-    return MANY_TIMES if first else min(float(count), MANY_TIMES)
 
 
 def _warm_up(tracker: Any, reference: Any, view: Query, spec: MethodSpec, keys: Sequence[PairKey]) -> None:
     """Make one untimed call in each process: compilation and first allocations are not the method's speed."""
-    if repr(spec) in _warm or spec.target.startswith(SUBPROCESS):
+    if spec.target.startswith(SUBPROCESS) or not is_first_call(_TRACK, spec):
         return
-    _warm.add(repr(spec))
     with step("", tuple(keys), MANY_TIMES):
         ask(tracker, reference, [view])
 
@@ -180,8 +175,7 @@ def _entry(key: PairKey, answer: CheckedAnswer, seconds: float | None) -> dict[s
 
 def _write_broken(unit: Unit, key: PairKey, message: str) -> None:
     """Write the entry of a lost pair."""
-    with open_journal(unit.journal) as stream:
-        stream.write(json.dumps(_entry(key, error_answer(message), None)) + "\n")
+    append_entry(unit.journal, _entry(key, error_answer(message), None))
 
 
 def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
@@ -198,9 +192,7 @@ def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
         )
     write_text(folder.predictions(pair_set.name), "".join(lines))
     write_answers(folder.answers(pair_set.name), answers)
-    shutil.rmtree(journal)
-    if not any(journal.parent.iterdir()):
-        journal.parent.rmdir()
+    remove_journal(journal)
 
 
 def _open_pairs(folder: MethodResults, pair_set: PairSet, overwrite: Overwrite) -> list[PairKey]:
@@ -209,7 +201,7 @@ def _open_pairs(folder: MethodResults, pair_set: PairSet, overwrite: Overwrite) 
     if overwrite == "failed" and done:
         answers = read_answers(folder.answers(pair_set.name))
         done = {key for key in done if answers[key].status == "ok"}
-    done |= {entry["key"] for entry in journal_entries(folder.journal(pair_set.name))}
+    done |= answered_keys(folder.journal(pair_set.name))
     return [p.key for p in pair_set.pairs if p.key not in done]
 
 

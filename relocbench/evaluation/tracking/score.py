@@ -29,6 +29,7 @@ from relocbench.evaluation.common.results import (
     MethodResults,
     PairErrors,
     ScoreRecord,
+    check_made_for,
     groups_in,
     read_answers,
     write_errors,
@@ -62,13 +63,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
     Raises:
         PredictionError: the predictions are for another dataset, or a file is bad.
     """
-    record = folder.run_record()
-    if record.fingerprint != dataset.fingerprint:
-        raise PredictionError(
-            f"predictions are for {record.dataset}@{record.fingerprint[:12]}, "
-            f"the dataset is {dataset.name}@{dataset.fingerprint[:12]}",
-            folder.run_yaml,
-        )
+    check_made_for(folder.run_record(), dataset.name, dataset.fingerprint, folder.run_yaml)
     remove_parts(folder.root)
     before = folder.score_record() if folder.scores_yaml.exists() else None
     hashes = dict(before.predictions) if before else {}
