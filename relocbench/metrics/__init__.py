@@ -53,6 +53,7 @@ from relocbench.metrics.statistics.significance import (
     Interval,
     bootstrap_interval,
     common_block_length,
+    generator,
     paired_difference,
     rank_with_ties,
 )
@@ -93,6 +94,7 @@ __all__ = [
     "count_at_least",
     "cumulative_curve",
     "exact_scores",
+    "generator",
     "infinite_where_failed",
     "matching_quality",
     "mean_over_pair_sets",

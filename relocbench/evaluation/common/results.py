@@ -45,6 +45,7 @@ from relocbench.files import (
 __all__ = [
     "ANSWER_COLUMNS",
     "ERROR_COLUMNS",
+    "PREDICTIONS",
     "STATUSES",
     "Answer",
     "AnswerFolder",
@@ -70,6 +71,8 @@ __all__ = [
     "write_record",
 ]
 
+PREDICTIONS = "predictions:"
+"""prefix of the target of predictions that were made elsewhere"""
 ANSWER_COLUMNS = (*KEY_COLUMNS, "status", "seconds", "confidence", "message", "info")
 
 

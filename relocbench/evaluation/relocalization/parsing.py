@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from relocbench.errors import ConfigError, cut
+from relocbench.evaluation.common.results import PREDICTIONS
 from relocbench.evaluation.relocalization.rankings import label_of
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
-from relocbench.evaluation.retrieval.external import PREDICTIONS
 from relocbench.files import check_name
 from relocbench.methods import RETRIEVERS, TRACKERS, MethodSpec
 from relocbench.methods.discovery import parse_method

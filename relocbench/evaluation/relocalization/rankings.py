@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from relocbench.evaluation.common.results import PREDICTIONS
 from relocbench.evaluation.relocalization.chain import Retrieved
 from relocbench.evaluation.relocalization.records import ORACLE
 from relocbench.evaluation.relocalization.truth import MapTruth
 from relocbench.evaluation.retrieval.answers import read_answers, read_lists
 from relocbench.evaluation.retrieval.evaluate import KEEP
-from relocbench.evaluation.retrieval.external import PREDICTIONS, import_rankings
+from relocbench.evaluation.retrieval.external import import_rankings
 from relocbench.evaluation.retrieval.opening import OpenedSet
 from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults, write_set_record
 from relocbench.evaluation.retrieval.run import run_retriever

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError
 from relocbench.evaluation.relocalization.answers import OUTCOMES, ChainAnswer, errors_of
-from relocbench.evaluation.retrieval.score import generator
-from relocbench.files import plain_file
-from relocbench.metrics import METRICS, bootstrap_interval, metric_named, summarize
+from relocbench.metrics import METRICS, bootstrap_interval, generator, metric_named, summarize
 
 Array = NDArray[np.float64]
 Values = dict[str, float | int | None]
@@ -85,8 +81,3 @@ def summary(place: str, answers: Sequence[ChainAnswer], top: int, seed: int = 0)
     assert both is not None
     values["right_given_hit"] = both / hit if hit else None
     return values
-
-
-def table_hash(path: Path) -> str:
-    """The SHA-256 of a table, by which stale scores are recognized."""
-    return hashlib.sha256(plain_file(path, "answers").read_bytes()).hexdigest()

@@ -17,8 +17,9 @@ from relocbench.evaluation.relocalization.records import (
     ChainRun,
     ChainScores,
 )
-from relocbench.evaluation.relocalization.score import summary, table_hash
+from relocbench.evaluation.relocalization.score import summary
 from relocbench.evaluation.relocalization.tasks import ChainTasks
+from relocbench.files import sha256_file
 
 
 def write_chain_results(
@@ -50,7 +51,7 @@ def write_chain_results(
         rows, lines = chain_answers(truth, found[name], tracked[name], run.top, basin)
         write_pose_lines(folder.predictions(name), lines)
         write_chain(folder.answers(name), rows)
-        hashes[name] = table_hash(folder.answers(name))
+        hashes[name] = sha256_file(folder.answers(name))
         used[name] = ChainBasin(metres=basin.metres, degrees=basin.degrees, source=basin.source)
         scores[name] = summary(name, rows, run.top)
     write_record(folder.run_yaml, run)

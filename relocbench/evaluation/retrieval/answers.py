@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,7 +11,7 @@ import numpy as np
 
 from relocbench.errors import PredictionError, quoted
 from relocbench.evaluation.common.tables import TableRow, read_rows, seconds_text, write_rows
-from relocbench.files import atomic_write, lines_of, plain_file, read_text, whole_number
+from relocbench.files import atomic_write, lines_of, read_text, whole_number
 from relocbench.metrics import NEVER, Ranking
 
 COLUMNS = ("query", "group", "status", "positives", "ranks", "seconds", "message")
@@ -116,11 +115,6 @@ def read_lists(path: Path, queries: Mapping[str, int], gallery: Mapping[str, int
         seen.add((query, gallery[image]))
         lists[query].append(gallery[image])
     return lists
-
-
-def answers_hash(path: Path) -> str:
-    """The SHA-256 of a table, by which stale scores are recognized."""
-    return hashlib.sha256(plain_file(path, "answers").read_bytes()).hexdigest()
 
 
 def _ranks(row: TableRow) -> tuple[int, ...]:

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import adopted_run, write_record
+from relocbench.evaluation.common.results import PREDICTIONS, adopted_run, write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_lists, write_answers, write_lists
 from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults
 from relocbench.metrics import NEVER, rank_lists
 from relocbench.retrieval import RetrievalSet, RetrievalTask
-
-PREDICTIONS = "predictions:"
 
 
 def import_rankings(

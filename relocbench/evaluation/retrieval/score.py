@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from relocbench import version
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import check_made_for, write_record
-from relocbench.evaluation.retrieval.answers import QueryAnswer, answers_hash, ranking_of, read_answers
+from relocbench.evaluation.retrieval.answers import QueryAnswer, ranking_of, read_answers
 from relocbench.evaluation.retrieval.records import (
     METRICS,
     RetrievalScores,
@@ -19,7 +18,8 @@ from relocbench.evaluation.retrieval.records import (
     TaskRecord,
     TaskRun,
 )
-from relocbench.metrics import Denominator, Interval, bootstrap_interval, per_group, score_retrieval
+from relocbench.files import sha256_file
+from relocbench.metrics import Denominator, Interval, bootstrap_interval, generator, per_group, score_retrieval
 from relocbench.metrics.retrieval.measures import RetrievalScores as QueryScores
 
 Values = dict[str, float | int | None]
@@ -40,7 +40,7 @@ def score_retriever(asked: SetRecord, folder: RetrieverResults, *, seed: int = 0
     hashes, tasks = {}, {}
     for name, record in asked.tasks.items():
         if folder.complete(name):
-            hashes[name] = answers_hash(folder.answers(name))
+            hashes[name] = sha256_file(folder.answers(name))
             tasks[name] = summary(name, record, checked_answers(name, record, folder), seed)
     scores = RetrievalScores(
         relocbench=version.__version__, answers=hashes, denominator=str(Denominator.ALL), tasks=tasks
@@ -102,11 +102,6 @@ def resampled(per_query: np.ndarray, answers: Sequence[QueryAnswer]) -> np.ndarr
 def interval_of(values: np.ndarray, grouped: bool, rng: np.random.Generator) -> Interval | None:
     """The 95 % interval of a mean; None where there are too few values."""
     return bootstrap_interval([values], rng, block_length=1 if grouped else None)
-
-
-def generator(seed: int, place: str, metric: str) -> np.random.Generator:
-    """A random generator for one number, so that the number does not depend on which others are computed."""
-    return np.random.default_rng([seed, zlib.crc32(f"{place} {metric}".encode())])
 
 
 def suspicion(name: str, record: TaskRecord, values: Values, run: TaskRun | None) -> str | None:

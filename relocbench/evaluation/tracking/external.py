@@ -9,6 +9,7 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import (
+    PREDICTIONS,
     Answer,
     DatasetResults,
     MethodResults,
@@ -38,7 +39,7 @@ def import_predictions(
     theirs = MethodResults(source)
     known = RunRecord(
         method=label,
-        target=f"predictions:{source.name}",
+        target=f"{PREDICTIONS}{source.name}",
         dataset=dataset.name,
         fingerprint=dataset.fingerprint,
         question=dataset.question,

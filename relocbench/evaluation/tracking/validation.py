@@ -15,6 +15,7 @@ from relocbench.evaluation.common.matching_table import read_matching
 from relocbench.evaluation.common.results import (
     ANSWER_COLUMNS,
     ERROR_COLUMNS,
+    PREDICTIONS,
     DatasetRecord,
     MethodResults,
     RunRecord,
@@ -215,14 +216,12 @@ def _note_unfinished(
         )
     missing = sorted(pair_sets.keys() - present - running)
     if missing and run is not None:
-        state = (
-            "has no answers for" if run.end or run.target.startswith("predictions:") else "unfinished: not begun with"
-        )
+        state = "has no answers for" if run.end or run.target.startswith(PREDICTIONS) else "unfinished: not begun with"
         found.note(f"{state} {', '.join(missing)}{_resume(folder, run, asked)}", folder.root)
 
 
 def _resume(folder: MethodResults, run: RunRecord | None, asked: _Expected) -> str:
-    if run is None or run.target.startswith("predictions:"):
+    if run is None or run.target.startswith(PREDICTIONS):
         return ""
     dataset = str(asked.dataset.root) if asked.dataset is not None else run.dataset.upper()
     words = ["relocbench", "evaluate", "-d", dataset, "-m"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import Protocol
 
 from relocbench.datasets.core.fingerprint import SHORT
@@ -18,6 +18,11 @@ class Answered(Protocol):
 
     @property
     def run(self) -> RunRecord: ...
+
+
+def distinct_label(label: str, known: Container[str], fingerprint: str) -> str:
+    """The label, or where another copy has the same one, the label with the fingerprint of its copy."""
+    return f"{label}@{fingerprint[:SHORT]}" if label in known else label
 
 
 def question_words(question: str) -> str:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.evaluation.common.tables import write_rows
+from relocbench.metrics import Interval
 
 Value = str | int | float | None
 _DIGITS = {"m": 3, "deg": 3, "s": 3}
@@ -32,6 +33,14 @@ def number(value: float | None, unit: str) -> str:
     if math.isinf(value):
         return "inf"
     return f"{100 * value:.1f}" if unit == "share" else f"{value:.{_DIGITS[unit]}f}"
+
+
+def with_bounds(value: float | None, interval: Interval | None, unit: str) -> str:
+    """A value with its interval, as ``71.4 [65.0, 77.9]``; empty without a value."""
+    if value is None:
+        return ""
+    bounds = "" if interval is None else f" [{number(interval.low, unit)}, {number(interval.high, unit)}]"
+    return number(value, unit) + bounds
 
 
 def escaped(text: str) -> str:

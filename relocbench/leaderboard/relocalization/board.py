@@ -29,12 +29,11 @@ from relocbench.evaluation.relocalization.score import (
     RANKING,
     basin_recall,
     per_query,
-    table_hash,
 )
-from relocbench.evaluation.retrieval.score import generator
+from relocbench.files import sha256_file
 from relocbench.leaderboard.common.foreign_results import check_file_names, check_folder
 from relocbench.leaderboard.retrieval.board import holds_tracking
-from relocbench.metrics import Interval, bootstrap_interval, rank_with_ties
+from relocbench.metrics import Interval, bootstrap_interval, generator, rank_with_ties
 
 Array = NDArray[np.float64]
 SHARES = (basin_recall(1), HIT, "right_and_hit", "right_without_hit", "right_among_K", *FAILURES)
@@ -178,7 +177,7 @@ def _chain(folder: ChainResults, asked: ChainSet, tasks: Mapping[str, ChainTask]
         again = "run `relocbench evaluate --task relocalization` again to score"
         if scores is None or name not in scores.answers:
             raise PredictionError(f"is not scored; {again}", path)
-        if scores.answers[name] != table_hash(path):
+        if scores.answers[name] != sha256_file(path):
             raise PredictionError(f"changed since it was scored; {again}", path)
         answers[name] = read_chain(path)
         if len(answers[name]) != record.queries:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.retrieval.answers import QueryAnswer, answers_hash
+from relocbench.evaluation.retrieval.answers import QueryAnswer
 from relocbench.evaluation.retrieval.records import (
     METRICS,
     SET_FILE,
@@ -22,9 +21,11 @@ from relocbench.evaluation.retrieval.records import (
     TaskRecord,
     all_sets,
 )
-from relocbench.evaluation.retrieval.score import checked_answers, generator, resampled, scores_of
+from relocbench.evaluation.retrieval.score import checked_answers, resampled, scores_of
+from relocbench.files import sha256_file
+from relocbench.leaderboard.common.copies import distinct_label
 from relocbench.leaderboard.common.foreign_results import check_file_names, check_folder
-from relocbench.metrics import Interval, bootstrap_interval, rank_with_ties, single_positive_fault
+from relocbench.metrics import Interval, bootstrap_interval, generator, rank_with_ties, single_positive_fault
 
 Array = NDArray[np.float64]
 RANKING = "R@1"
@@ -228,9 +229,8 @@ def _methods_of(
     for copy in copies:
         for folder in copy.methods():
             method = _method(folder, copy.record, tasks)
-            if method.label in found:
-                label = f"{method.label}@{copy.record.fingerprint[:SHORT]}"
-                method = Retriever(label, method.run.model_copy(update={"method": label}), method.answers)
+            label = distinct_label(method.label, found, copy.record.fingerprint)
+            method = replace(method, label=label, run=method.run.model_copy(update={"method": label}))
             found[method.label], folders[method.label] = method, folder
     return tuple(found[label] for label in sorted(found)), folders
 
@@ -254,7 +254,7 @@ def _method(folder: RetrieverResults, asked: SetRecord, tasks: Mapping[str, Task
 def _answers(folder: RetrieverResults, task: str, record: TaskRecord, scored: Mapping[str, str]) -> list[QueryAnswer]:
     if task not in scored:
         raise PredictionError(f"holds no scores of '{task}', which was answered; {_AGAIN}", folder.scores_yaml)
-    if scored[task] != answers_hash(folder.answers(task)):
+    if scored[task] != sha256_file(folder.answers(task)):
         raise PredictionError(f"changed since it was scored; {_AGAIN}", folder.answers(task))
     return checked_answers(task, record, folder)
 

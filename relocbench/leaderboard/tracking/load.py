@@ -18,6 +18,7 @@ from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.common.matching_table import MatchingRow, check_complete, read_matching, summarize_matching
 from relocbench.evaluation.common.results import (
+    PREDICTIONS,
     DatasetRecord,
     DatasetResults,
     ErrorTable,
@@ -30,11 +31,10 @@ from relocbench.evaluation.common.results import (
 )
 from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows
 from relocbench.files import read_journal
+from relocbench.leaderboard.common.commands import method_words
+from relocbench.leaderboard.common.copies import distinct_label
 from relocbench.leaderboard.common.foreign_results import check_file_names, check_folder
-from relocbench.leaderboard.common.text import json_text
 
-PREDICTIONS = "predictions:"
-"""prefix of the target of predictions that were made elsewhere"""
 FLOOR = "identity"
 """the method that every other one is compared with"""
 SEED = "seed"
@@ -165,9 +165,7 @@ def _merged(first: DatasetEntry, other: DatasetEntry) -> DatasetEntry:
                     f"{other.title} claims to ask what {first.title} asks, and '{method.label}' answered other pairs "
                     f"of '{name}'; expected results of one question"
                 )
-        label = method.label
-        if label in known:
-            label = f"{label}@{other.record.fingerprint[:SHORT]}"
+        label = distinct_label(method.label, known, other.record.fingerprint)
         known[label] = replace(method, label=label, run=method.run.model_copy(update={"method": label}))
     methods = tuple(known[label] for label in sorted(known))
     return replace(first, methods=methods, copies=(*first.copies, other.record.fingerprint))
@@ -189,17 +187,8 @@ def evaluate_command(
     method: RunRecord, dataset: str = "DATASET", results: str = "RESULTS", *, matching: bool = False
 ) -> str:
     """The command that runs a method as it was run, or resumes a run that was stopped."""
-    words = ["relocbench", "evaluate", "--dataset", dataset, "--out", results]
-    if method.target.startswith(PREDICTIONS):
-        return shlex.join([*words, "--method", method.method, "--predictions", method.target.removeprefix(PREDICTIONS)])
-    named = method.target if method.target == method.method else f"{method.method}={method.target}"
-    words += ["--method", named]
-    for key, value in method.parameters.items():
-        if key != SEED or value != method.seed:
-            text = value if isinstance(value, str) else json_text(value, ascii_only=True)
-            words += ["--set", f"{method.method}.{key}={text}"]
-    words += ["--seed", str(method.seed)] if method.seed else []
-    return shlex.join([*words, *(["--matching"] if matching else [])])
+    words = ["relocbench", "evaluate", "--dataset", dataset, "--out", results, *method_words(method)]
+    return shlex.join([*words, "--matching"] if matching and not method.target.startswith(PREDICTIONS) else words)
 
 
 def _dataset(folder: DatasetResults, split: str | None) -> DatasetEntry:

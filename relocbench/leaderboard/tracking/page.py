@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from urllib.parse import quote
 
 from relocbench.leaderboard.common.copies import copies_words, question_words
-from relocbench.leaderboard.common.text import bullet, code, escaped, number, table_text
+from relocbench.leaderboard.common.text import bullet, code, escaped, number, table_text, with_bounds
 from relocbench.leaderboard.tracking.load import evaluate_command
 from relocbench.leaderboard.tracking.matching import matching_section
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, SeedRow, Table
 from relocbench.leaderboard.tracking.page_methods import methods_section, reproduce_section
-from relocbench.metrics import Interval, Metric, Spread, metric_named
+from relocbench.metrics import Metric, Spread, metric_named
 from relocbench.metrics.statistics.significance import LEVEL
 
 SHOWN = (
@@ -253,12 +253,7 @@ def _cell(metric: Metric, row: Row, table: Table) -> str:
     value = row.values[metric.name]
     if value is None:
         return ""
-    interval = row.intervals.get(metric.name)
-    return _greyed(number(value, metric.unit) + (_bounds(interval, metric) if interval else ""), metric, table)
-
-
-def _bounds(interval: Interval, metric: Metric) -> str:
-    return f" [{number(interval.low, metric.unit)}, {number(interval.high, metric.unit)}]"
+    return _greyed(with_bounds(value, row.intervals.get(metric.name), metric.unit), metric, table)
 
 
 def _spread_cell(metric: Metric, row: SeedRow, table: Table) -> str:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 
-from relocbench.leaderboard.common.text import bullet, code, escaped, fenced, json_text, table_text
-from relocbench.leaderboard.tracking.load import PREDICTIONS, Method, evaluate_command
+from relocbench.evaluation.common.results import PREDICTIONS
+from relocbench.leaderboard.common.commands import RESUMES, again_section
+from relocbench.leaderboard.common.text import bullet, code, escaped, json_text, table_text
+from relocbench.leaderboard.tracking.load import Method, evaluate_command
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 
 
@@ -35,17 +37,17 @@ def methods_section(dataset: DatasetBoard) -> list[str]:
 
 def reproduce_section(board: Board) -> list[str]:
     """The commands that reproduce the page."""
-    parts = [
-        "## Again",
+    intro = (
         "`DATASET` is a folder whose `dataset.yaml` has the fingerprint above (`relocbench validate DATASET` checks "
-        "it), `RESULTS` a folder for the results. A run that was stopped goes on with the same command.",
+        f"it), `RESULTS` a folder for the results. {RESUMES}"
+    )
+    commands = [
+        (d.entry.title, [evaluate_command(m.run, matching=bool(m.matching)) for m in d.entry.methods])
+        for d in board.datasets
     ]
-    for dataset in board.datasets:
-        commands = [evaluate_command(m.run, matching=bool(m.matching)) for m in dataset.entry.methods]
-        parts.append(f"{escaped(dataset.entry.title)}:\n\n" + fenced(commands))
-    ranking = f" --metric '{board.metric.name}' --seed {board.seed}"
     split = f" --split {shlex.quote(board.split)}" if board.split else ""
-    return [*parts, "This page:\n\n" + fenced([f"relocbench leaderboard RESULTS --out DIR{ranking}{split}"])]
+    page = f"relocbench leaderboard RESULTS --out DIR --metric '{board.metric.name}' --seed {board.seed}{split}"
+    return again_section(intro, commands, page)
 
 
 def _machine_notes(methods: Sequence[Method]) -> list[str]:

@@ -5,7 +5,6 @@ A pair set is a total over one set, and a group is a set of fewer pairs: one fun
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -22,6 +21,7 @@ from relocbench.metrics import (
     Metric,
     Spread,
     bootstrap_interval,
+    generator,
     metric_named,
     paired_difference,
     rank_with_ties,
@@ -107,7 +107,7 @@ def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) ->
     if group == ALL:
         ranks = rank_with_ties(
             {label: [None if rows is None else _per_pair(metric, rows) for rows in own] for label, own in sets.items()},
-            _generator(seed, place, metric.name),
+            generator(seed, place, metric.name),
             higher_is_better=metric.higher_is_better,
         )
     floor = sets[entry.floor.label] if entry.floor else None
@@ -144,7 +144,7 @@ def _row(
         return Row(method, sum(map(len, there)), None, None, None, values, {}, rank, None, missing)
     counts = {status: sum(rows.with_status(status) for rows in there) for status in STATUSES}
     intervals = {
-        m.name: bootstrap_interval([_per_pair(m, rows) for rows in there], _generator(seed, place, m.name))
+        m.name: bootstrap_interval([_per_pair(m, rows) for rows in there], generator(seed, place, m.name))
         for m in METRICS
         if m.name in {*INTERVALS, metric.name}
     }
@@ -153,7 +153,7 @@ def _row(
         above = paired_difference(
             [_sign(metric) * _per_pair(metric, rows) for rows in there],
             [_sign(metric) * _per_pair(metric, rows) for rows in floor if rows is not None],
-            _generator(seed, place, metric.name),
+            generator(seed, place, metric.name),
         )
     return Row(
         method=method,
@@ -177,10 +177,6 @@ def _per_pair(metric: Metric, rows: ErrorTable) -> Array:
     if metric.per_pair is None:
         raise ValueError(f"{metric.name} is no mean over pairs")
     return metric.per_pair(rows.errors)
-
-
-def _generator(seed: int, place: str, metric: str) -> np.random.Generator:
-    return np.random.default_rng([seed, zlib.crc32(f"{place} {metric}".encode())])
 
 
 def _sign(metric: Metric) -> float:

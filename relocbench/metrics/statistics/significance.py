@@ -16,6 +16,7 @@ methods is paired. Several pair sets are resampled separately and averaged, each
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -61,6 +62,11 @@ class Difference:
     def significant(self) -> bool:
         """Whether the interval excludes 0."""
         return self.interval is not None and self.interval.excludes(0.0)
+
+
+def generator(seed: int, place: str, metric: str) -> np.random.Generator:
+    """The random generator for one metric in one table, so that a number does not depend on which others there are."""
+    return np.random.default_rng([seed, zlib.crc32(f"{place} {metric}".encode())])
 
 
 def bootstrap_interval(
