@@ -243,15 +243,6 @@ def plain_pixels(ends: object, count: int) -> Array:
     return found
 
 
-def match_fault_of(ends: object, count: int) -> str | None:
-    """What keeps ``ends`` from being the answer to ``count`` pixels, or None if nothing does."""
-    try:
-        plain_pixels(ends, count)
-    except ContractFault as fault:
-        return str(fault)
-    return None
-
-
 def plain_result(result: object) -> TrackResult:
     """A copy of an answer, with the pose as (4, 4) float64 and the confidence as float; message and info are kept.
 
@@ -270,17 +261,6 @@ def plain_result(result: object) -> TrackResult:
         message,
         info,
     )
-
-
-def fault_of(result: object) -> str | None:
-    """The reason why ``result`` breaks the contract, or None if it does not."""
-    try:
-        plain_result(result)
-    except ContractFault as fault:
-        return str(fault)
-    except Exception as bad:  # noqa: BLE001  the boundary to code that is not ours
-        return f"the answer cannot be read: {raised(bad)}"
-    return None
 
 
 def _plain_confidence(value: Any) -> float:

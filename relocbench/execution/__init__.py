@@ -98,10 +98,7 @@ def run_units(
     if run.scheduler is not None:
         yield from run_on_cluster(function, units, run.scheduler, on_lost)
     elif run.workers <= 1 or len(units) <= 1:
-        for index, unit in enumerate(units):
-            with messages_to_stderr():
-                result = function(unit)
-            yield index, result
+        yield from _run_here(function, units)
     else:
         yield from run_on_processes(function, units, run.workers, on_lost)
 
@@ -131,14 +128,18 @@ def run_limited(
         died = Loss(None, "death", "lost by two workers of the cluster", workers=2)
         yield from run_on_cluster(function, list(units), run.scheduler, lambda unit: on_loss(unit, died))
     elif run.workers <= 0:
-        for index, unit in enumerate(units):
-            with messages_to_stderr():
-                result = function(unit)
-            yield index, result
+        yield from _run_here(function, units)
     elif run.limits.memory_bytes is not None and not can_watch():
         raise ConfigError("--memory-limit needs /proc, which reports the memory of processes; this system has none")
     else:
         yield from run_with_limits(function, units, run.workers, run.limits, on_loss)
+
+
+def _run_here(function: Callable[[Unit], Result], units: Iterable[Unit]) -> Iterator[tuple[int, Result]]:
+    for index, unit in enumerate(units):
+        with messages_to_stderr():
+            result = function(unit)
+        yield index, result
 
 
 def chunks(items: Iterable[Unit], size: int) -> Iterator[list[Unit]]:

@@ -162,12 +162,18 @@ def parse_methods(
     except ValueError as bad:
         raise MethodError(str(bad)) from None
     for setting in settings:
-        prefix, dot, _ = setting.partition("=")[0].rpartition(".")
-        if dot and prefix not in labels:
+        label = setting_label(setting)
+        if label is not None and label not in labels:
             raise MethodError(
-                f"--set {cut(setting)}: no {kind.noun} '{prefix}' in this run; there is {', '.join(labels)}"
+                f"--set {cut(setting)}: no {kind.noun} '{label}' in this run; there is {', '.join(labels)}"
             )
     return specs
+
+
+def setting_label(setting: str) -> str | None:
+    """The ``LABEL`` of ``LABEL.key=value``; None if the setting has none."""
+    label, dot, _ = setting.partition("=")[0].rpartition(".")
+    return label if dot else None
 
 
 def method_class(target: str, kind: MethodKind = TRACKERS) -> Any:

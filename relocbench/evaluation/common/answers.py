@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from relocbench.errors import one_line
 from relocbench.evaluation.common.guard import guarded, implements
 from relocbench.evaluation.common.info_text import info_text
+from relocbench.evaluation.common.worker import read_only
 from relocbench.geometry import transform_to_tq
 from relocbench.tracking import ContractFault, Query, SupportsBatch, plain_pixels, plain_result
 
@@ -112,7 +113,7 @@ _Taken = tuple[Any, str | None]
 
 
 def _ask_single(tracker: Any, reference: Any, view: Query, prior: Array | None) -> _Taken:
-    return guarded(lambda: tracker.track(reference, view, _copy(prior)))
+    return guarded(lambda: tracker.track(reference, view, _shown(prior)))
 
 
 def _ask_batch(
@@ -123,7 +124,7 @@ def _ask_batch(
     The results may come from a generator: at most one more is taken than was asked for.
     """
     count = len(views)
-    copies = [_copy(prior) for prior in priors]
+    copies = [_shown(prior) for prior in priors]
     given, broke = guarded(lambda: list(islice(tracker.track_batch(reference, list(views), copies), count + 1)))
     if broke is not None:
         return [(None, broke)] * count, True
@@ -133,13 +134,9 @@ def _ask_batch(
     return [(result, None) for result in given], False
 
 
-def _copy(prior: Array | None) -> Array | None:
+def _shown(prior: Array | None) -> Array | None:
     """A read-only copy of a prior, to be passed to the method."""
-    if prior is None:
-        return None
-    shown = prior.copy()
-    shown.flags.writeable = False
-    return shown
+    return None if prior is None else read_only(prior.copy())
 
 
 def checked_pixels(ends: object, broke: str | None, count: int) -> tuple[Array | None, str | None]:

@@ -84,8 +84,8 @@ class ErrorTable(Sequence[PairErrors]):
             tuple(names),
             np.array([STATUSES.index(row.status) for row in rows], dtype=np.int8),
             np.array(
-                [[math.nan if (v := getattr(r, n)) is None else v for r in rows] for n in (*_ERRORS, *_OPTIONAL)],
-                dtype=np.float64,
+                [[getattr(row, name) for row in rows] for name in (*_ERRORS, *_OPTIONAL)],
+                dtype=np.float64,  # None becomes NaN
             ).reshape(len(_ERRORS) + len(_OPTIONAL), len(rows)),
         )
 

@@ -62,6 +62,7 @@ __all__ = [
     "check_made_for",
     "dataset_results",
     "first_breakage",
+    "folders_with",
     "groups_in",
     "read_answers",
     "read_errors",
@@ -321,13 +322,18 @@ def check_made_for(run: RunRecord, dataset: str, fingerprint: str, path: Path) -
         )
 
 
+def folders_with(record: str, results: Path) -> list[Path]:
+    """The results folder itself if it holds that record, else every ``NAME@FINGERPRINT`` folder in it that does."""
+    if (results / record).exists():
+        return [results]
+    return [path.parent for path in sorted(results.glob(f"*@*/{record}"))]
+
+
 def all_results(results: Path) -> list[DatasetResults]:
     """Every dataset's folder below a results folder. Raises PredictionError where there is none."""
     if not results.is_dir():
         raise PredictionError("no such folder; expected results of `relocbench evaluate`", results)
-    if (results / "dataset.yaml").exists():
-        return [DatasetResults(results)]
-    found = [DatasetResults(p.parent) for p in sorted(results.glob("*@*/dataset.yaml"))]
+    found = list(map(DatasetResults, folders_with("dataset.yaml", results)))
     if not found:
         raise PredictionError("holds no results (expected DATASET@FINGERPRINT folders)", results)
     return found

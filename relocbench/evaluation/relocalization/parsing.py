@@ -10,7 +10,7 @@ from relocbench.evaluation.relocalization.rankings import label_of
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
 from relocbench.files import check_name
 from relocbench.methods import RETRIEVERS, TRACKERS, MethodSpec
-from relocbench.methods.discovery import parse_method
+from relocbench.methods.discovery import parse_method, setting_label
 
 
 def parse_chain(
@@ -24,12 +24,9 @@ def parse_chain(
         MethodError: an unknown method, one of another kind, or a wrong parameter.
         ConfigError: a repeated label, the name of a floor, or a setting without the label of its method.
     """
-    prefixes = {}
     for setting in settings:
-        prefix, dot, _ = setting.partition("=")[0].rpartition(".")
-        if not dot:
+        if setting_label(setting) is None:
             raise ConfigError(f"--set {cut(setting)}: say for which method, as LABEL.key=value")
-        prefixes[prefix] = setting
     of_retrievers = [_retriever(text, settings, seed) for text in retrievers]
     of_trackers = [parse_method(text, settings, seed, TRACKERS) for text in trackers]
     labels = [*map(label_of, of_retrievers), *(spec.label for spec in of_trackers)]
@@ -41,9 +38,10 @@ def parse_chain(
             raise ConfigError(f"'{label}' is the name of a floor; give the method another label: LABEL=METHOD")
         if labels.count(label) > 1:
             raise ConfigError(f"two methods are called '{label}'; give one a label of its own: LABEL=METHOD")
-    for prefix, setting in prefixes.items():
-        if prefix not in labels:
-            raise ConfigError(f"--set {cut(setting)}: no method '{prefix}' in this run; there is {', '.join(labels)}")
+    for setting in settings:
+        label = setting_label(setting)
+        if label not in labels:
+            raise ConfigError(f"--set {cut(setting)}: no method '{label}' in this run; there is {', '.join(labels)}")
     return of_retrievers, of_trackers
 
 

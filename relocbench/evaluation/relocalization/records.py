@@ -18,7 +18,7 @@ from pydantic import Field
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import AnswerFolder, DatasetResults, RunRecord, write_record
+from relocbench.evaluation.common.results import AnswerFolder, DatasetResults, RunRecord, folders_with, write_record
 from relocbench.evaluation.relocalization.basin import Source
 from relocbench.evaluation.retrieval.records import RetrievalRun
 from relocbench.files import load_yaml
@@ -154,6 +154,4 @@ def write_set(folder: ChainSetResults, new: ChainSet) -> None:
 
 def all_chain_sets(results: Path) -> list[ChainSetResults]:
     """Every folder of chains below a results folder; empty where there is none."""
-    if (results / SET_FILE).exists():
-        return [ChainSetResults(results)]
-    return [ChainSetResults(p.parent) for p in sorted(results.glob(f"*@*/{SET_FILE}"))]
+    return list(map(ChainSetResults, folders_with(SET_FILE, results)))

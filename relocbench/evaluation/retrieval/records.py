@@ -18,7 +18,14 @@ from pydantic import Field
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import Count, MethodResults, RunRecord, method_folders, write_record
+from relocbench.evaluation.common.results import (
+    Count,
+    MethodResults,
+    RunRecord,
+    folders_with,
+    method_folders,
+    write_record,
+)
 from relocbench.files import MAX_FOLDER_BYTES, check_joined_name, load_yaml
 from relocbench.metrics import chance_level
 from relocbench.retrieval import RetrievalSet, RetrievalTask
@@ -203,9 +210,7 @@ def task_record(task: RetrievalTask) -> TaskRecord:
 
 def all_sets(results: Path) -> list[SetResults]:
     """Every retrieval set's folder below a results folder; empty where there is none."""
-    if (results / SET_FILE).exists():
-        return [SetResults(results)]
-    return [SetResults(p.parent) for p in sorted(results.glob(f"*@*/{SET_FILE}"))]
+    return list(map(SetResults, folders_with(SET_FILE, results)))
 
 
 def _views(images: Sequence[Any]) -> str:

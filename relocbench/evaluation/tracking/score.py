@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from relocbench import version
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.datasets.core.pairfile import Pair, PairKey, distances_and_angles, read_pose_lines
+from relocbench.datasets.core.pairfile import PairKey, distances_and_angles, read_pose_lines
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.matching_table import (
     ALL,
@@ -75,7 +75,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
         rows = score_pair_set(pair_set, folder)
         write_errors(folder.errors(pair_set.name), rows)
         hashes[pair_set.name] = predictions_hash(folder, pair_set.name)
-        scores[pair_set.name] = {g: _plain(summarize_rows(rows, g)) for g in groups_of(rows)}
+        scores[pair_set.name] = {g: summarize_rows(rows, g).to_dict() for g in groups_of(rows)}
         if folder.matching(pair_set.name).exists():
             matching[pair_set.name] = matching_scores(pair_set, folder)
     known = {s for s in dataset.pair_set_names if folder.predictions(s).exists()}
@@ -89,7 +89,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
     return score_record
 
 
-def score_pair_set(pair_set: PairSet, folder: MethodResults) -> list[PairErrors]:
+def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
     """The errors of every accepted pair, in the pair set's order. Raises PredictionError."""
     poses = read_predictions(folder.predictions(pair_set.name), pair_set)
     path = folder.answers(pair_set.name)
@@ -99,17 +99,17 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> list[PairErrors]
     T_pred = np.array([poses.get(p.key, np.full((4, 4), np.nan)) for p in pairs]).reshape(-1, 4, 4)
     T_gt = np.array([p.T_query_ref for p in pairs], dtype=np.float64).reshape(-1, 4, 4)
     errors = pose_errors(T_pred, T_gt, answered=[p.key in poses for p in pairs])
-    return [
-        _row(pair, answers.get(pair.key) or _unreported(pair, poses), *between, *values)
-        for pair, between, *values in zip(
-            pairs,
-            distances_and_angles(pairs),
-            errors.rotation_error_deg.tolist(),
-            errors.translation_error_m.tolist(),
-            errors.mlad_translation_error_m.tolist(),
-            strict=True,
+    values = (errors.rotation_error_deg, errors.translation_error_m, errors.mlad_translation_error_m)
+    rows = []
+    for pair, between, *of_pair in zip(pairs, distances_and_angles(pairs), *(v.tolist() for v in values), strict=True):
+        # Predictions made elsewhere may come without a table.
+        answer = answers.get(pair.key) or Answer(pair.key, "failed")
+        status = "ok" if math.isfinite(of_pair[1]) else "failed" if answer.status == "ok" else answer.status
+        sigmas = (pair.sigma_translation_m, pair.sigma_rotation_deg)
+        rows.append(
+            PairErrors(pair.key, pair.group, status, *of_pair, answer.confidence, answer.seconds, *between, *sigmas)
         )
-    ]
+    return ErrorTable.of(rows)
 
 
 def matching_scores(pair_set: PairSet, folder: MethodResults) -> dict[str, Summary]:
@@ -146,39 +146,3 @@ def _add_file(digest: hashlib._Hash, path: Path) -> None:
     with plain_file(path, "a table of answers", PredictionError).open("rb") as stream:
         while block := stream.read(2**20):
             digest.update(block)
-
-
-def _row(
-    pair: Pair,
-    answer: Answer,
-    distance_m: float | None,
-    angle_deg: float | None,
-    rotation: float,
-    translation: float,
-    mlad: float,
-) -> PairErrors:
-    answered = math.isfinite(translation)
-    status = answer.status if answered or answer.status != "ok" else "failed"
-    return PairErrors(
-        key=pair.key,
-        group=pair.group,
-        status=status if not answered else "ok",
-        rotation_error_deg=rotation,
-        translation_error_m=translation,
-        mlad_translation_error_m=mlad,
-        confidence=answer.confidence,
-        seconds=answer.seconds,
-        distance_m=distance_m,
-        angle_deg=angle_deg,
-        sigma_translation_m=pair.sigma_translation_m,
-        sigma_rotation_deg=pair.sigma_rotation_deg,
-    )
-
-
-def _unreported(pair: Pair, poses: dict[PairKey, Array]) -> Answer:
-    """The answer for a pair of predictions made elsewhere, which may come without a table."""
-    return Answer(pair.key, "ok" if pair.key in poses else "failed")
-
-
-def _plain(summary: PairSetSummary) -> dict[str, float | int | None]:
-    return summary.to_dict()

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.common.results import folders_with
 from relocbench.evaluation.retrieval.answers import QueryAnswer
 from relocbench.evaluation.retrieval.records import (
     METRICS,
@@ -148,7 +149,7 @@ def load_retrieval(
 
 def holds_tracking(results: Path) -> bool:
     """Whether the folder holds results of trackers."""
-    return (results / "dataset.yaml").exists() or any(results.glob("*@*/dataset.yaml"))
+    return bool(folders_with("dataset.yaml", results))
 
 
 def mean_tables(tasks: Mapping[str, TaskRecord]) -> dict[str, tuple[str, ...]]:

@@ -10,17 +10,15 @@ For a query with n positives in a gallery of G images (junk removed), all orders
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.errors import ConfigError
+from relocbench.metrics.retrieval.measures import recall_depth, unknown_metric
 from relocbench.metrics.retrieval.relevance import Relevance
 
 Array = NDArray[np.float64]
-_RECALL = re.compile(r"R@([1-9][0-9]*)")
 
 
 def chance_level(relevance: Relevance, metrics: Sequence[str]) -> dict[str, float]:
@@ -42,9 +40,9 @@ def chance_level(relevance: Relevance, metrics: Sequence[str]) -> dict[str, floa
 
 def _expected(metric: str, n: int, size: int, whole: int) -> float:
     """The expected metric of one query with n positives among ``size`` images; ``whole`` includes junk."""
-    recall = _RECALL.fullmatch(metric)
-    if recall is not None:
-        return _recall(n, size, int(recall[1]))
+    k = recall_depth(metric)
+    if k is not None:
+        return _recall(n, size, k)
     match metric:
         case "R@top1%":
             return _recall(n, size, round(0.01 * whole) + 1)
@@ -54,7 +52,7 @@ def _expected(metric: str, n: int, size: int, whole: int) -> float:
             return _average_precision(n, size, trapezoids=True)
         case "AP_rectangle":
             return _average_precision(n, size, trapezoids=False)
-    raise ConfigError(f"unknown retrieval metric '{metric}'; expected R@K, R@top1%, AP, AP_rectangle or MRR")
+    raise unknown_metric(metric)
 
 
 def _recall(n: int, size: int, k: int) -> float:

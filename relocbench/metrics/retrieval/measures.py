@@ -46,6 +46,17 @@ class Denominator(StrEnum):
     WITH_POSITIVES = "queries with positives"
 
 
+def recall_depth(metric: str) -> int | None:
+    """The K of a metric ``R@K``; None for other metrics."""
+    recall = _RECALL.fullmatch(metric)
+    return None if recall is None else int(recall[1])
+
+
+def unknown_metric(metric: str) -> ConfigError:
+    """The error for a name that no metric has."""
+    return ConfigError(f"unknown retrieval metric '{metric}'; expected R@K, R@top1%, AP, AP_rectangle or MRR")
+
+
 @dataclass(frozen=True, eq=False)
 class RetrievalScores:
     """The scores of each of Q queries, 0..1, in the order of the queries."""
@@ -77,9 +88,9 @@ class RetrievalScores:
         Raises:
             ConfigError: no metric has that name.
         """
-        recall = _RECALL.fullmatch(metric)
-        if recall is not None:
-            return ((self.first != NEVER) & (self.first < int(recall[1]))).astype(np.float64)
+        k = recall_depth(metric)
+        if k is not None:
+            return ((self.first != NEVER) & (self.first < k)).astype(np.float64)
         match metric:
             case "R@top1%":
                 return (self.first <= self.top1_index).astype(np.float64)
@@ -89,7 +100,7 @@ class RetrievalScores:
                 return self.average_precision_rectangle
             case "MRR":
                 return np.where(self.first == NEVER, 0.0, 1.0 / (np.minimum(self.first, NEVER - 1) + 1.0))
-        raise ConfigError(f"unknown retrieval metric '{metric}'; expected R@K, R@top1%, AP, AP_rectangle or MRR")
+        raise unknown_metric(metric)
 
 
 @dataclass(frozen=True)
