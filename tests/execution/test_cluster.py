@@ -126,7 +126,7 @@ def test_with_no_worker_left_the_run_ends_and_says_how_to_go_on(
 ) -> None:
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 0.2)
     with pytest.raises(
-        RelocbenchError, match=r"no worker of .* has joined within 0.2 s; 0 of 2 units are done, the same"
+        RelocbenchError, match=r"no worker of .* has joined within 0.2 s; 0 of 2 units are done; the same"
     ):
         list(run_units(square, [1, 2], Run(scheduler=where(dask))))
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 120.0)
@@ -148,7 +148,7 @@ def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path, monkeypatch: pyt
         processes.add_workers(1)
         units = [(index, processes.scheduler, "") for index in range(8)]
         with pytest.raises(
-            RelocbenchError, match=r"the Dask scheduler at .* is gone; \d of 8 units are done, the same"
+            RelocbenchError, match=r"the Dask scheduler at .* is gone; \d of 8 units are done; the same"
         ):
             list(run_units(kill_once, units, Run(scheduler=where(processes))))
     finally:

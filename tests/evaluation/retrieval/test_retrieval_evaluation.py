@@ -508,7 +508,7 @@ def test_answers_keep_their_order_and_their_digits(views: Path, tmp_path: Path) 
     text = path.read_text()
     for old, new, words in (
         (",ok,", ",fine,", r"csv:2: status is 'fine'"),
-        (",1,1,", ",1,1 2,", r"csv:2: 2 ranks of '1' positives"),
+        (",1,1,", ",1,1 2,", r"csv:2: 2 ranks of 1 positives"),
         (",1,1,", ",1,0,", r"csv:2: ranks are '0'"),
         ("query,group", "query,grp", r"csv:1: expected the header"),
     ):

@@ -282,7 +282,7 @@ def test_descriptors_that_overflow_retrieve_nothing_or_something_but_end_nothing
     for value in (1e300, np.inf, np.nan):
         describer = Describer(Describing(lambda n, value=value: np.full((n, 3), value)))
         queries, gallery = (describer(side, lambda count: None) for side in (task().queries, task().gallery))
-        rows = list(rank_task(task(), queries, gallery, describer.asked, None))
+        rows = list(rank_task(task(), queries, gallery, describer.handle, None))
         assert len(rows) == 2
 
 
