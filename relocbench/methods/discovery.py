@@ -162,10 +162,10 @@ def parse_methods(
     except ValueError as bad:
         raise MethodError(str(bad)) from None
     for setting in settings:
-        label = setting_label(setting)
-        if label is not None and label not in labels:
+        wanted = setting_label(setting)
+        if wanted is not None and wanted not in labels:
             raise MethodError(
-                f"--set {cut(setting)}: no {kind.noun} '{label}' in this run; there is {', '.join(labels)}"
+                f"--set {cut(setting)}: no {kind.noun} '{wanted}' in this run; there is {', '.join(labels)}"
             )
     return specs
 

@@ -39,9 +39,9 @@ def parse_chain(
         if labels.count(label) > 1:
             raise ConfigError(f"two methods are called '{label}'; give one a label of its own: LABEL=METHOD")
     for setting in settings:
-        label = setting_label(setting)
-        if label not in labels:
-            raise ConfigError(f"--set {cut(setting)}: no method '{label}' in this run; there is {', '.join(labels)}")
+        wanted = setting_label(setting)
+        if wanted not in labels:
+            raise ConfigError(f"--set {cut(setting)}: no method '{wanted}' in this run; there is {', '.join(labels)}")
     return of_retrievers, of_trackers
 
 

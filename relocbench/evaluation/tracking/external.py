@@ -51,8 +51,8 @@ def import_predictions(
         raise PredictionError("holds no prediction file (PAIRSET.txt)", source)
     for path in files:
         if path.stem not in dataset.pair_set_names:
-            known = ", ".join(dataset.pair_set_names)
-            raise PredictionError(f"no pair set '{path.stem}' in {dataset.name}; there is {known}", path)
+            names = ", ".join(dataset.pair_set_names)
+            raise PredictionError(f"no pair set '{path.stem}' in {dataset.name}; there is {names}", path)
     ours = results.method(label)
     if source.resolve() == ours.root.resolve():
         return ours

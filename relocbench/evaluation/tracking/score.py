@@ -99,15 +99,29 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
     T_pred = np.array([poses.get(p.key, np.full((4, 4), np.nan)) for p in pairs]).reshape(-1, 4, 4)
     T_gt = np.array([p.T_query_ref for p in pairs], dtype=np.float64).reshape(-1, 4, 4)
     errors = pose_errors(T_pred, T_gt, answered=[p.key in poses for p in pairs])
-    values = (errors.rotation_error_deg, errors.translation_error_m, errors.mlad_translation_error_m)
+    values = zip(errors.rotation_error_deg, errors.translation_error_m, errors.mlad_translation_error_m, strict=True)
     rows = []
-    for pair, between, *of_pair in zip(pairs, distances_and_angles(pairs), *(v.tolist() for v in values), strict=True):
+    for pair, (distance, angle), (rotation, translation, mlad) in zip(
+        pairs, distances_and_angles(pairs), values, strict=True
+    ):
         # Predictions made elsewhere may come without a table.
         answer = answers.get(pair.key) or Answer(pair.key, "failed")
-        status = "ok" if math.isfinite(of_pair[1]) else "failed" if answer.status == "ok" else answer.status
-        sigmas = (pair.sigma_translation_m, pair.sigma_rotation_deg)
+        status = "ok" if math.isfinite(translation) else "failed" if answer.status == "ok" else answer.status
         rows.append(
-            PairErrors(pair.key, pair.group, status, *of_pair, answer.confidence, answer.seconds, *between, *sigmas)
+            PairErrors(
+                key=pair.key,
+                group=pair.group,
+                status=status,
+                rotation_error_deg=rotation,
+                translation_error_m=translation,
+                mlad_translation_error_m=mlad,
+                confidence=answer.confidence,
+                seconds=answer.seconds,
+                distance_m=distance,
+                angle_deg=angle,
+                sigma_translation_m=pair.sigma_translation_m,
+                sigma_rotation_deg=pair.sigma_rotation_deg,
+            )
         )
     return ErrorTable.of(rows)
 

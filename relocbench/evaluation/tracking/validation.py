@@ -263,8 +263,11 @@ def _check_scores(folder: MethodResults, complete: set[str], asked: _Expected, f
 
 def _check_errors(path: Path, found: Findings) -> None:
     for row in _rows(path, ERROR_COLUMNS, found):
-        checks = [(row.timestamp, name) for name in KEY_COLUMNS]
-        checks += [(row.error if "_error_" in name else row.number_or_none, name) for name in ERROR_COLUMNS[4:]]
-        for check, name in checks:
+        for name in (*KEY_COLUMNS, *ERROR_COLUMNS[4:]):
             with found.catching():
-                check(name)
+                if name in KEY_COLUMNS:
+                    row.timestamp(name)
+                elif "_error_" in name:
+                    row.error(name)
+                else:
+                    row.number_or_none(name)
