@@ -13,10 +13,10 @@ from relocbench.execution import Loss, Run, run_limited
 
 U = TypeVar("U", bound=Unit)
 
-_TRIES = 2
+TRIES = 2
 """a death may be accidental (another program took the memory), and a method that leaks gets a fresh process"""
-_HOPELESS = 3
-"""if ``prepare`` was lost on this many keyframes and has succeeded on none, the other keyframes are not tried"""
+HOPELESS = 3
+"""calls that may be lost before any has succeeded; then a method is given up"""
 
 
 def run_until_answered(
@@ -82,7 +82,7 @@ class LossHandler(Generic[U]):
 
     @property
     def _hopeless(self) -> bool:
-        return len(self._suspect_keyframes) >= _HOPELESS and not self._prepared
+        return len(self._suspect_keyframes) >= HOPELESS and not self._prepared
 
     def unit_ended(self, done: int) -> None:
         """Record the end of a unit; the method, or :meth:`handle_loss` just before, has done ``done`` pairs."""
@@ -109,8 +109,8 @@ class LossHandler(Generic[U]):
             self._given_up = message
         else:
             self._lost_keyframes[what] = message
-            if len(self._lost_keyframes) >= _HOPELESS and not self._prepared:
-                self._given_up = f"{message}; so on the first {_HOPELESS} keyframes, the others were not tried"
+            if len(self._lost_keyframes) >= HOPELESS and not self._prepared:
+                self._given_up = given_up_message(message, "keyframes, the others were not tried")
         self._write_all(unit, left, message)
         return len(unit.keys)
 
@@ -127,11 +127,21 @@ class LossHandler(Generic[U]):
 
     def _is_final(self, what: Hashable, loss: Loss) -> bool:
         self._deaths[what] += loss.workers
-        return loss.kind == "time" or self._deaths[what] >= _TRIES
+        return is_final(loss, self._deaths[what])
 
     def _write_all(self, unit: U, keys: Iterable[PairKey], message: str) -> None:
         for key in keys:
             self._write(unit, key, message)
+
+
+def is_final(loss: Loss, deaths: int) -> bool:
+    """Whether a call is not tried again: a death may be an accident, while waiting for a limit twice tells nothing."""
+    return loss.kind == "time" or deaths >= TRIES
+
+
+def given_up_message(message: str, rest: str) -> str:
+    """The message for calls that are not made because the first ones were lost."""
+    return f"{message}; so on the first {HOPELESS} {rest}"
 
 
 def loss_message(loss: Loss, where: str) -> str:

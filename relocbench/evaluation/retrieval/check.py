@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from relocbench.evaluation.common.guard import guarded, implements
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.output_checks import checked_descriptors, checked_scores, rerank_top_of
-from relocbench.evaluation.tracking.check import Finding
+from relocbench.evaluation.tracking.check import Finding, constructed
 from relocbench.execution import messages_to_stderr
 from relocbench.methods import MethodSpec
 from relocbench.progress import Silent
@@ -30,10 +30,10 @@ def check_retriever(spec: MethodSpec, dataset: Path | None = None) -> list[Findi
     Raises:
         RelocbenchError: the retriever cannot be constructed, or the dataset is bad.
     """
-    made, problem = guarded(spec.create)
-    if problem:
-        return [Finding("is constructed", False, problem)]
-    findings = [Finding("is constructed", True, ", ".join(f"{k}={v}" for k, v in spec.parameters.items()))]
+    made, finding = constructed(spec)
+    findings = [finding]
+    if not finding.passed:
+        return findings
     if not implements(made, Retriever):
         return [*findings, Finding("has describe()", False, f"{type(made).__name__} has none")]
     images = [*_made_up(), *(_from_dataset(dataset) if dataset else [])]

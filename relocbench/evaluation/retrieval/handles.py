@@ -13,7 +13,7 @@ from relocbench.errors import MethodError, RelocbenchError
 from relocbench.evaluation.common.guard import guarded, implements
 from relocbench.evaluation.common.info_text import info_text
 from relocbench.evaluation.common.worker import CONSTRUCTOR
-from relocbench.evaluation.common.worker_losses import loss_message
+from relocbench.evaluation.common.worker_losses import HOPELESS, TRIES, given_up_message, is_final, loss_message
 from relocbench.evaluation.retrieval.output_checks import checked_descriptors, checked_scores, rerank_top_of
 from relocbench.execution import MANY_TIMES, Limits, Loss, Run, messages_to_stderr, run_limited, step
 from relocbench.methods import MethodSpec
@@ -26,8 +26,6 @@ from relocbench.retrieval import (
 
 CallResult = tuple[Any, float, str]
 """what a call returned, its seconds, and how it broke (empty if it did not)"""
-_HOPELESS = 3
-"""if this many calls ended the process and none has succeeded, the retriever is not called again"""
 
 
 class RetrieverHandle(Protocol):
@@ -115,7 +113,7 @@ class WorkerRetriever:
         self._answered = False
         self._losses = 0
         self._gone = ""
-        about, _, broke = self._call("about", (), tries=2)
+        about, _, broke = self._call("about", (), tries=TRIES)
         if broke:
             self._gone = f"{CONSTRUCTOR}: {broke}"
         self.fits = not broke and about.fits
@@ -129,35 +127,33 @@ class WorkerRetriever:
 
     def fit(self, gallery: Sequence[ImageView], seed: int) -> CallResult:
         self._fitted_by = ()
-        told = self._call("fit", (gallery, seed), tries=2)
+        told = self._call("fit", (gallery, seed), tries=TRIES)
         self._fitted_by = (gallery, seed)
         return told
 
     def describe(self, images: Sequence[ImageView]) -> CallResult:
-        return self._call("describe", (images,), tries=2 if len(images) == 1 else 1)
+        return self._call("describe", (images,), tries=TRIES if len(images) == 1 else 1)
 
     def rerank(self, query: Descriptors, candidates: Descriptors) -> CallResult:
-        return self._call("rerank", (query, candidates), tries=2)
+        return self._call("rerank", (query, candidates), tries=TRIES)
 
     def _call(self, what: str, given: tuple[Any, ...], tries: int) -> CallResult:
         if self._gone:
             return None, 0.0, self._gone
         told: CallResult | Loss | None = None
-        for _ in range(tries):
+        for attempt in range(1, tries + 1):
             told = self._send(_Request(self._token, self._spec, what, given, bool(self._fitted_by)))
             if told is None:  # a fresh process
                 fitted = self._send(_Request(self._token, self._spec, "fit", self._fitted_by))
                 again = _Request(self._token, self._spec, what, given, True)
                 told = fitted if isinstance(fitted, Loss) else self._send(again)
-            if not isinstance(told, Loss):
-                break
-            if told.kind == "time":
+            if not isinstance(told, Loss) or is_final(told, attempt):
                 break
         if isinstance(told, Loss):
             message = loss_message(told, "")
             self._losses += 1
-            if self._losses >= _HOPELESS and not self._answered:
-                self._gone = f"{message}; so on the first {_HOPELESS} calls, it was not asked again"
+            if self._losses >= HOPELESS and not self._answered:
+                self._gone = given_up_message(message, "calls, it was not asked again")
             return None, 0.0, message
         assert told is not None, "a process that was fitted a moment ago"
         self._answered |= what == "describe" and not told[2]

@@ -54,11 +54,10 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
         MethodError: the method cannot be constructed.
         DatasetError: the dataset is bad.
     """
-    findings: list[Finding] = []
-    tracker, problem = guarded(spec.create)
-    if problem:
-        return [Finding("is constructed", False, problem)]
-    findings.append(Finding("is constructed", True, ", ".join(f"{k}={v}" for k, v in spec.parameters.items())))
+    tracker, finding = constructed(spec)
+    findings = [finding]
+    if not finding.passed:
+        return findings
     if guarded(lambda: callable(getattr(tracker, "track", None)))[0] is not True:
         return [*findings, Finding("has track()", False, f"{type(tracker).__name__} has none")]
     questions = _made_up() + (_from_dataset(dataset) if dataset else [])
@@ -78,6 +77,13 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
         findings.append(_matches_by_pixel(spec, tracker, questions[0]))
     _close(tracker)
     return findings
+
+
+def constructed(spec: MethodSpec) -> tuple[Any, Finding]:
+    """The method, and whether it could be constructed."""
+    method, problem = guarded(spec.create)
+    parameters = ", ".join(f"{k}={v}" for k, v in spec.parameters.items())
+    return method, Finding("is constructed", not problem, problem or parameters)
 
 
 def _close(tracker: Any) -> None:

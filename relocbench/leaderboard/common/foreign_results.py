@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from relocbench.errors import PredictionError
 
@@ -39,6 +40,20 @@ def check_folder(results: Path) -> None:
                 raise PredictionError("is a link to a folder that holds it; expected a file or folder", path)
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise PredictionError("is neither a file nor a folder; expected results of `relocbench evaluate`", path)
+
+
+def check_same_queries(tables: Iterable[tuple[str, str, Sequence[Any], Path]], what: str) -> None:
+    """Raise PredictionError unless all methods answered the same queries of a task.
+
+    Args:
+        tables: task, label of the method, what it answered, and the path of its table.
+        what: a description of what it answered, for the message.
+    """
+    first: dict[str, tuple[str, Sequence[Any]]] = {}
+    for task, label, answered, path in tables:
+        other, expected = first.setdefault(task, (label, answered))
+        if answered != expected:
+            raise PredictionError(f"holds other {what} than the table of '{other}'", path)
 
 
 def check_file_names(names: Iterable[str], what: str, path: Path) -> None:

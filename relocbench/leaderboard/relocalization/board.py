@@ -31,7 +31,7 @@ from relocbench.evaluation.relocalization.score import (
     per_query,
 )
 from relocbench.files import sha256_file
-from relocbench.leaderboard.common.foreign_results import check_file_names, check_folder
+from relocbench.leaderboard.common.foreign_results import check_file_names, check_folder, check_same_queries
 from relocbench.leaderboard.retrieval.board import holds_tracking
 from relocbench.metrics import Interval, bootstrap_interval, generator, rank_with_ties
 
@@ -142,7 +142,12 @@ def _set(folder: ChainSetResults, metric: str, split: str | None, seed: int) -> 
     used = {n: r for n, r in tasks.items() if any(n in chain.answers for chain in chains)}
     if not used:
         return None
-    _check_same_queries(folder, chains)
+    tables_of_tasks = (
+        (task, c.label, [a.query_timestamp_ns for a in answers], ChainResults(folder.root / c.label).answers(task))
+        for c in chains
+        for task, answers in c.answers.items()
+    )
+    check_same_queries(tables_of_tasks, "queries")
     plans = {**_means(used), **{name: (name,) for name in used}}
     tables = tuple(_table(record, name, of, chains, metric, seed) for name, of in plans.items())
     return ChainSetBoard(record, chains, tables)
@@ -183,17 +188,6 @@ def _chain(folder: ChainResults, asked: ChainSet, tasks: Mapping[str, ChainTask]
         if len(answers[name]) != record.queries:
             raise PredictionError(f"{len(answers[name])} rows, expected one for each of {record.queries} queries", path)
     return Chain(folder.label, run, scores.basins if scores else {}, answers)
-
-
-def _check_same_queries(folder: ChainSetResults, chains: Sequence[Chain]) -> None:
-    first: dict[str, tuple[str, list[int]]] = {}
-    for chain in chains:
-        for task, answers in chain.answers.items():
-            asked = [a.query_timestamp_ns for a in answers]
-            label, expected = first.setdefault(task, (chain.label, asked))
-            if asked != expected:
-                path = folder.root / chain.label / f"{task}.csv"
-                raise PredictionError(f"holds other queries than the table of '{label}'", path)
 
 
 def _table(

@@ -25,7 +25,7 @@ from relocbench.evaluation.retrieval.records import (
 from relocbench.evaluation.retrieval.score import checked_answers, resampled, scores_of
 from relocbench.files import sha256_file
 from relocbench.leaderboard.common.copies import distinct_label
-from relocbench.leaderboard.common.foreign_results import check_file_names, check_folder
+from relocbench.leaderboard.common.foreign_results import check_file_names, check_folder, check_same_queries
 from relocbench.metrics import Interval, bootstrap_interval, generator, rank_with_ties, single_positive_fault
 
 Array = NDArray[np.float64]
@@ -210,7 +210,12 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
     methods, path_of = _methods_of(copies, tasks)
     if not methods:
         raise PredictionError("holds no retriever's answers; expected results of `relocbench evaluate`", copies[0].root)
-    _check_same_queries(methods, path_of)
+    tables_of_tasks = (
+        (task, m.label, [(a.query, a.positives, a.group) for a in answers], path_of[m.label].answers(task))
+        for m in methods
+        for task, answers in m.answers.items()
+    )
+    check_same_queries(tables_of_tasks, "queries, positives or groups")
     used = {n: r for n, r in tasks.items() if any(n in m.answers for m in methods)}
     plans = {**{name: (name,) for name in used}, **mean_tables(used)}
     tables = []
@@ -258,17 +263,6 @@ def _answers(folder: RetrieverResults, task: str, record: TaskRecord, scored: Ma
     if scored[task] != sha256_file(folder.answers(task)):
         raise PredictionError(f"changed since it was scored; {_AGAIN}", folder.answers(task))
     return checked_answers(task, record, folder)
-
-
-def _check_same_queries(methods: Sequence[Retriever], folders: Mapping[str, RetrieverResults]) -> None:
-    first: dict[str, tuple[str, list[tuple[str, int, str]]]] = {}
-    for method in methods:
-        for task, answers in method.answers.items():
-            asked = [(a.query, a.positives, a.group) for a in answers]
-            label, expected = first.setdefault(task, (method.label, asked))
-            if asked != expected:
-                path = folders[method.label].answers(task)
-                raise PredictionError(f"holds other queries, positives or groups than the table of '{label}'", path)
 
 
 def _table(
