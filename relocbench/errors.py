@@ -1,4 +1,4 @@
-"""The exception family for errors that a user can fix, and foreign text made safe for messages."""
+"""The exception family for errors that a user can fix, and untrusted text made safe for messages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 USER_ERROR = 2
 """exit status of a command whose input or use is wrong"""
 MOST_QUOTED = 200
-"""characters of foreign text in a message"""
+"""characters of untrusted text in a message"""
 MOST_MESSAGE = 2000
 """characters of a message, without its path"""
 _ENDLESS = re.compile(rf"[^\s/]{{{MOST_QUOTED + 11},}}")
@@ -78,17 +78,17 @@ def cut(text: str, most: int = MOST_QUOTED) -> str:
 
 
 def quoted(text: object, most: int = MOST_QUOTED) -> str:
-    """Foreign text for a message: in quotation marks, printable, at most ``most`` characters between the marks."""
+    """Untrusted text for a message: in quotation marks, printable, at most ``most`` characters between the marks."""
     # Text that is cut off need not be made printable: it may be a whole file.
     return f"'{cut(printable(str(text)[: most + 1]), most)}'"
 
 
 MESSAGE_CHARACTERS = 500
-"""characters that are kept of a message of foreign code"""
+"""characters that are kept of a message of third-party code"""
 
 
 def one_line(thing: object, most: int = MESSAGE_CHARACTERS) -> str:
-    """A message of foreign code as one printable line of limited length, for a table or a terminal.
+    """A message of third-party code as one printable line of limited length, for a table or a terminal.
 
     The line is made whatever the object's ``__str__`` does.
     """
@@ -101,5 +101,5 @@ def one_line(thing: object, most: int = MESSAGE_CHARACTERS) -> str:
 
 
 def raised(bad: BaseException) -> str:
-    """An exception of foreign code in one line: its type and its message."""
+    """An exception of third-party code in one line: its type and its message."""
     return one_line(f"{type(bad).__name__}: {one_line(bad)}")

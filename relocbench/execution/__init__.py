@@ -61,7 +61,7 @@ class Run:
     scheduler: Scheduler | None = None
     """a Dask scheduler, whose workers replace local ones"""
     limits: Limits = field(default_factory=Limits)
-    """limits of each call of foreign code (:func:`run_limited`); a scheduler's workers have limits of their own"""
+    """limits of each call of third-party code (:func:`run_limited`); a scheduler's workers have limits of their own"""
 
     def alone(self) -> Self:
         """The same without worker processes, for work that is shorter than their start."""
@@ -110,7 +110,7 @@ def run_limited(
     *,
     on_loss: Callable[[Unit, Loss], Result],
 ) -> Iterator[tuple[int, Result]]:
-    """Run units that call foreign code as :func:`run_units` does, but always in another process, within limits.
+    """Run units that call third-party code as :func:`run_units` does, but always in another process, within limits.
 
     ``function`` marks such calls with :func:`step`.
 

@@ -1,4 +1,4 @@
-"""Limits of time and memory on foreign code, and how a worker process reports what it is doing.
+"""Limits of time and memory on third-party code, and how a worker process reports what it is doing.
 
 Code in a worker marks each call of a method by :func:`step`. The process that waits for the worker ends it when a step
 takes too long or too much memory: code that hangs cannot be asked to stop.

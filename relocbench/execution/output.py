@@ -1,4 +1,4 @@
-"""Redirecting what foreign code prints to standard error."""
+"""Redirecting what third-party code prints to standard error."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager, redirect_stdout
 
 @contextmanager
 def messages_to_stderr() -> Iterator[None]:
-    """Redirect standard output to standard error while foreign code runs: only a command's result belongs on it.
+    """Redirect standard output to standard error while third-party code runs: only a command's result belongs on it.
 
     The file descriptor itself is redirected, so that native libraries and child processes are included.
     """

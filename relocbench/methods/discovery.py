@@ -24,7 +24,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from relocbench.errors import MethodError, cut, quoted
 from relocbench.files import YamlFault, check_distinct, check_name, first_fault, parse_yaml_setting, sha256_file
-from relocbench.methods.lookup import call_foreign, entry_points_of, hint, load_dotted
+from relocbench.methods.lookup import call_third_party, entry_points_of, hint, load_dotted
 
 ENTRY_POINT_GROUP = "relocbench.methods"
 SUBPROCESS = "subprocess:"
@@ -67,7 +67,7 @@ class MethodSpec:
     def create(self) -> Any:
         """Construct the tracker or retriever. Raises MethodError."""
         factory = method_class(self.target, self.kind)
-        return call_foreign(f"{self.kind.noun} '{self.label}' cannot be made", lambda: factory(**self.parameters))
+        return call_third_party(f"{self.kind.noun} '{self.label}' cannot be made", lambda: factory(**self.parameters))
 
     def files(self) -> dict[str, str]:
         """The SHA-256 of each file that affects the answers, by name: a file may change while its path does not.
@@ -78,7 +78,7 @@ class MethodSpec:
         named = {name: value for name, value in self.parameters.items() if isinstance(value, Path)}
         tell = getattr(method_class(self.target, self.kind), "files", None)
         if callable(tell):
-            named |= call_foreign(f"the files of '{self.label}' cannot be listed", lambda: tell(**self.parameters))
+            named |= call_third_party(f"the files of '{self.label}' cannot be listed", lambda: tell(**self.parameters))
         return {name: sha256_file(path) for name, path in sorted(named.items()) if path.is_file()}
 
 

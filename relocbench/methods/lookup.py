@@ -1,4 +1,4 @@
-"""Finding foreign code by entry point or dotted path, and importing and calling it with faults reported in one line."""
+"""Finding third-party code by entry point or dotted path, and calling it with its faults reported in one line."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def load_dotted(target: str, kind: str) -> Any:
     # As with `python -m`, a class in the user's current folder is found without installing it.
     if "" not in sys.path and str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
-    found = call_foreign(f"{kind} '{target}' cannot be imported", lambda: _import(module_name, target, kind))
+    found = call_third_party(f"{kind} '{target}' cannot be imported", lambda: _import(module_name, target, kind))
     for part in attribute.split("."):
         found = getattr(found, part, None)
     if found is None:
@@ -59,8 +59,8 @@ def _import(module_name: str, target: str, kind: str) -> Any:
         raise MethodError(f"{kind} '{target}': no module '{bad.name}' (looked on the Python path and here)") from bad
 
 
-def call_foreign(failed: str, call: Callable[[], Any]) -> Any:
-    """Call foreign code. Raises MethodError with what it raised, and where."""
+def call_third_party(failed: str, call: Callable[[], Any]) -> Any:
+    """Call third-party code. Raises MethodError with what it raised, and where."""
     try:
         with messages_to_stderr():
             return call()

@@ -9,7 +9,7 @@ from typing import Any
 
 from relocbench.errors import ConfigError, MethodError, cut, quoted
 from relocbench.files import YamlFault, load_yaml_values, parse_yaml_setting
-from relocbench.methods.lookup import call_foreign, entry_points_of, hint, load_dotted
+from relocbench.methods.lookup import call_third_party, entry_points_of, hint, load_dotted
 from relocbench.training import ConfiguredTrainer, PlaceTrainer, Trainer
 
 TRAINER_GROUP = "relocbench.trainers"
@@ -35,7 +35,7 @@ def trainer_named(name: str) -> Trainer | PlaceTrainer:
             f"no trainer '{name}'{hint(name, installed)}; installed: {', '.join(installed) or 'none'} "
             "(or package.module:Class)"
         )
-    made = call_foreign(f"trainer '{name}' cannot be made from {target}", load_dotted(target, "trainer"))
+    made = call_third_party(f"trainer '{name}' cannot be made from {target}", load_dotted(target, "trainer"))
     if not isinstance(made, Trainer | PlaceTrainer):
         raise MethodError(f"trainer '{name}': {target} has no train() or train_places(), or no default_options()")
     return made

@@ -1,1 +1,1 @@
-"""What the leaderboards of all tasks share: text and tables, checks of foreign folders, copies of one dataset."""
+"""What the leaderboards of all tasks share: text and tables, checks of untrusted folders, copies of one dataset."""

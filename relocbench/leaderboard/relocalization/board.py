@@ -31,7 +31,7 @@ from relocbench.evaluation.relocalization.score import (
     per_query,
 )
 from relocbench.files import sha256_file
-from relocbench.leaderboard.common.foreign_results import check_file_names, check_folder, check_same_queries
+from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder, check_same_queries
 from relocbench.leaderboard.retrieval.board import holds_tracking
 from relocbench.metrics import Interval, bootstrap_interval, generator, rank_with_ties
 

@@ -25,7 +25,7 @@ from relocbench.evaluation.retrieval.records import (
 from relocbench.evaluation.retrieval.score import checked_answers, resampled, scores_of
 from relocbench.files import sha256_file
 from relocbench.leaderboard.common.copies import distinct_label
-from relocbench.leaderboard.common.foreign_results import check_file_names, check_folder, check_same_queries
+from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder, check_same_queries
 from relocbench.metrics import Interval, bootstrap_interval, generator, rank_with_ties, single_positive_fault
 
 Array = NDArray[np.float64]

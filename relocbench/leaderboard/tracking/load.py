@@ -33,7 +33,7 @@ from relocbench.evaluation.tracking.score import groups_of, predictions_hash, su
 from relocbench.files import read_journal
 from relocbench.leaderboard.common.commands import method_words
 from relocbench.leaderboard.common.copies import distinct_label
-from relocbench.leaderboard.common.foreign_results import check_file_names, check_folder
+from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder
 
 FLOOR = "identity"
 """the method that every other one is compared with"""
