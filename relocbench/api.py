@@ -158,7 +158,7 @@ def read_errors(results: Path | str, *, split: str | None = None) -> pd.DataFram
     """
     import pandas as pd
 
-    from relocbench.evaluation.common.results import ERROR_COLUMNS
+    from relocbench.evaluation.common.error_table import ERROR_COLUMNS
     from relocbench.leaderboard.tracking.load import load_results
 
     frames = []

@@ -23,15 +23,7 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, distances_and_angles
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.error_table import (
-    ERROR_COLUMNS,
-    ErrorTable,
-    PairErrors,
-    groups_in,
-    read_errors,
-    write_errors,
-)
-from relocbench.evaluation.common.tables import KEY_COLUMNS, STATUSES, float_text, read_rows, seconds_text, write_rows
+from relocbench.evaluation.common.tables import KEY_COLUMNS, float_text, read_rows, seconds_text, write_rows
 from relocbench.files import (
     check_joined_name,
     check_name,
@@ -41,36 +33,6 @@ from relocbench.files import (
     remove_parts,
     write_text,
 )
-
-__all__ = [
-    "ANSWER_COLUMNS",
-    "ERROR_COLUMNS",
-    "PREDICTIONS",
-    "STATUSES",
-    "Answer",
-    "AnswerFolder",
-    "DatasetRecord",
-    "DatasetResults",
-    "ErrorTable",
-    "MethodResults",
-    "PairErrors",
-    "PairSetRecord",
-    "RunRecord",
-    "ScoreRecord",
-    "adopted_run",
-    "all_results",
-    "check_made_for",
-    "dataset_results",
-    "first_breakage",
-    "folders_with",
-    "groups_in",
-    "read_answers",
-    "read_errors",
-    "write_answers",
-    "write_dataset_record",
-    "write_errors",
-    "write_record",
-]
 
 PREDICTIONS = "predictions:"
 """prefix of the target of predictions that were made elsewhere"""

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from relocbench.errors import DatasetError, PredictionError
-from relocbench.evaluation.common.results import STATUSES, write_record
+from relocbench.evaluation.common.results import write_record
+from relocbench.evaluation.common.tables import STATUSES
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers, write_lists
 from relocbench.evaluation.retrieval.describe import (
     AnonymousViews,

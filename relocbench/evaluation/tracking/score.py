@@ -15,6 +15,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, distances_and_angles, read_pose_lines
 from relocbench.errors import PredictionError
+from relocbench.evaluation.common.error_table import ErrorTable, PairErrors, groups_in, write_errors
 from relocbench.evaluation.common.matching_table import (
     ALL,
     MatchingRow,
@@ -25,14 +26,10 @@ from relocbench.evaluation.common.matching_table import (
 )
 from relocbench.evaluation.common.results import (
     Answer,
-    ErrorTable,
     MethodResults,
-    PairErrors,
     ScoreRecord,
     check_made_for,
-    groups_in,
     read_answers,
-    write_errors,
     write_record,
 )
 from relocbench.files import plain_file, remove_parts

@@ -11,10 +11,10 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.errors import PredictionError
+from relocbench.evaluation.common.error_table import ERROR_COLUMNS
 from relocbench.evaluation.common.matching_table import read_matching
 from relocbench.evaluation.common.results import (
     ANSWER_COLUMNS,
-    ERROR_COLUMNS,
     PREDICTIONS,
     DatasetRecord,
     MethodResults,

@@ -16,18 +16,17 @@ import numpy as np
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.common.error_table import ErrorTable, read_errors
 from relocbench.evaluation.common.matching_table import MatchingRow, check_complete, read_matching, summarize_matching
 from relocbench.evaluation.common.results import (
     PREDICTIONS,
     DatasetRecord,
     DatasetResults,
-    ErrorTable,
     MethodResults,
     PairSetRecord,
     RunRecord,
     ScoreRecord,
     all_results,
-    read_errors,
 )
 from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows
 from relocbench.files import read_journal

@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import repeat
 from typing import Any
 
-from relocbench.evaluation.common.results import ERROR_COLUMNS, ErrorTable
+from relocbench.evaluation.common.error_table import ERROR_COLUMNS, ErrorTable
 from relocbench.evaluation.common.tables import CHUNK_ROWS
 from relocbench.leaderboard.common.text import Value, cell, json_text
 from relocbench.leaderboard.tracking.model import TOTAL, Board, DatasetBoard, Row, Table

@@ -13,7 +13,7 @@ from small_dataset import ACROSS, CAMERA, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.common.results import read_errors
+from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.relocalization.answers import ChainAnswer, read_chain, write_chain
 from relocbench.evaluation.relocalization.chain import most_confident
 from relocbench.evaluation.relocalization.evaluate import (
