@@ -17,8 +17,13 @@ def open_for_evaluation(folder: Path, out: Path) -> Dataset:
         DatasetError: there is no dataset, or one of its tables is not what its manifest records.
     """
     dataset = Dataset(folder)
-    if out.resolve().is_relative_to(dataset.root.resolve()):
-        raise ConfigError("--out lies inside the dataset, which results would change; choose another folder", out)
+    check_outside(out, dataset.root)
     for fault in fingerprint.faults(dataset.layout, content="text"):
         raise fault
     return dataset
+
+
+def check_outside(out: Path, dataset: Path) -> None:
+    """Raise ConfigError if the folder for results lies inside the dataset."""
+    if out.resolve().is_relative_to(dataset.resolve()):
+        raise ConfigError("--out lies inside the dataset, which results would change; choose another folder", out)

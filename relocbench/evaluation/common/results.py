@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from relocbench.datasets.core.dataset import Dataset
@@ -351,13 +352,15 @@ def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
         rejected=len(pair_set.rejected),
         has_truth=pair_set.has_truth,
         groups=tuple(dict.fromkeys(p.group for p in pairs if p.group)),
-        median_distance_m=_median([distance for distance, _ in between]),
-        median_angle_deg=_median([angle for _, angle in between]),
-        median_sigma_translation_m=_median([p.sigma_translation_m for p in pairs]),
-        median_sigma_rotation_deg=_median([p.sigma_rotation_deg for p in pairs]),
+        median_distance_m=rounded_median([distance for distance, _ in between]),
+        median_angle_deg=rounded_median([angle for _, angle in between]),
+        median_sigma_translation_m=rounded_median([p.sigma_translation_m for p in pairs]),
+        median_sigma_rotation_deg=rounded_median([p.sigma_rotation_deg for p in pairs]),
     )
 
 
-def _median(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return round(float(np.median(known)), 6) if known else None
+def rounded_median(values: ArrayLike) -> float | None:
+    """The median of the finite values, to six decimals; None counts as NaN, and without a value it is None."""
+    known = np.asarray(values, dtype=np.float64)
+    known = known[np.isfinite(known)]
+    return round(float(np.median(known)), 6) if known.size else None

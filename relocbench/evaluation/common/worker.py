@@ -75,7 +75,12 @@ def prepared(unit: Unit, tracker: Any) -> tuple[Any, str | None]:
     if not implements(tracker, SupportsPrepare):
         return keyframe, None
     with step(PREPARE, unit.keys, MANY_TIMES):
-        return guarded(lambda: tracker.prepare(keyframe))
+        return prepare(tracker, keyframe)
+
+
+def prepare(tracker: Any, keyframe: Reference) -> tuple[Any, str | None]:
+    """What a tracker's ``prepare`` returns, or the keyframe itself where it has none; or None and how it broke."""
+    return guarded(lambda: tracker.prepare(keyframe)) if implements(tracker, SupportsPrepare) else (keyframe, None)
 
 
 def query_of(unit: Unit, key: PairKey) -> Query:

@@ -8,10 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError
+from relocbench.evaluation.common.results import rounded_median
 from relocbench.evaluation.relocalization.records import ChainSet, ChainTask
 from relocbench.evaluation.relocalization.truth import MapTruth
 from relocbench.evaluation.retrieval.opening import OpenedSet
@@ -89,12 +88,7 @@ def _record(dataset: Dataset, task: RetrievalTask, truth: MapTruth) -> ChainTask
         reach_m=round(metres, 6),
         reach_deg=round(degrees, 6),
         unposed_keyframes=sum(time not in traversal.poses for time in truth.keyframe_times),
-        truth_spread_m=_median(truth.spread),
-        median_sigma_translation_m=_median([p.sigma_translation_m for p in pair_set.pairs]),
-        median_sigma_rotation_deg=_median([p.sigma_rotation_deg for p in pair_set.pairs]),
+        truth_spread_m=rounded_median(truth.spread),
+        median_sigma_translation_m=rounded_median([p.sigma_translation_m for p in pair_set.pairs]),
+        median_sigma_rotation_deg=rounded_median([p.sigma_rotation_deg for p in pair_set.pairs]),
     )
-
-
-def _median(values: object) -> float | None:
-    known = [value for value in np.asarray(values, dtype=np.float64).ravel() if np.isfinite(value)]
-    return round(float(np.median(known)), 6) if known else None

@@ -9,7 +9,7 @@ from pathlib import Path
 from relocbench.datasets.cross_view import CrossViewSet, is_cross_view, open_cross_view
 from relocbench.datasets.pairs.street_places import Positives, StreetPlaces
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.evaluation.common.opening import open_for_evaluation
+from relocbench.evaluation.common.opening import check_outside, open_for_evaluation
 from relocbench.evaluation.retrieval.run import check_task
 from relocbench.metrics.retrieval.relevance import PLACE_RADIUS_M
 from relocbench.progress import Reporter
@@ -127,8 +127,7 @@ def _cross_view(folder: Path, out: Path, options: SetOptions, reporter: Reporter
     for option, value in given.items():
         if value is not None:
             raise ConfigError(f"{option} is for the drives of a dataset; {folder} holds places with labels")
-    if out.resolve().is_relative_to(folder.resolve()):
-        raise ConfigError("--out lies inside the dataset, which results would change; choose another folder", out)
+    check_outside(out, folder)
     found: CrossViewSet = open_cross_view(folder, reporter)
     tasks = tuple(found.tasks(by_condition=options.by_condition))
     known = [task.name for task in tasks]

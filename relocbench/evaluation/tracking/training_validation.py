@@ -20,10 +20,11 @@ from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.learning.training_pairs import VALIDATION_SPLIT
 from relocbench.errors import ConfigError
 from relocbench.evaluation.common.answers import CheckedAnswer, ask, error_answer
-from relocbench.evaluation.common.guard import guarded, implements, neighbours_of
+from relocbench.evaluation.common.guard import neighbours_of
+from relocbench.evaluation.common.worker import prepare
 from relocbench.metrics import PoseErrors, pose_errors, summarize
 from relocbench.progress import Reporter
-from relocbench.tracking import SupportsPrepare, Tracker
+from relocbench.tracking import Tracker
 from relocbench.training import ValidationScores
 
 METRICS = ("t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)")
@@ -101,13 +102,9 @@ def _track(tracker: Tracker, asked: Sequence[_ValidationPair]) -> list[CheckedAn
     neighbours, broke = neighbours_of(tracker)
     if broke is not None:
         return [error_answer(broke)] * len(asked)
-    keyframe: Any = first.dataset.reference(first.pair_set, first.pair, neighbours)
-    if implements(tracker, SupportsPrepare):
-        preparing: Any = tracker
-        view = keyframe
-        keyframe, broke = guarded(lambda: preparing.prepare(view))
-        if broke is not None:
-            return [error_answer(broke)] * len(asked)
+    keyframe, broke = prepare(tracker, first.dataset.reference(first.pair_set, first.pair, neighbours))
+    if broke is not None:
+        return [error_answer(broke)] * len(asked)
     return [ask(tracker, keyframe, [each.dataset.query(each.pair_set, each.pair)])[0][0] for each in asked]
 
 
