@@ -158,7 +158,7 @@ def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path, monkeypatch: pyt
 def test_a_worker_that_does_not_see_the_folders_is_refused(dask: DaskProcesses, tmp_path: Path) -> None:
     """What a path below /proc/self means depends on the process, as a path of the same name on two machines."""
     hasty = tmp_path.with_name(f"{tmp_path.name}.py")
-    hasty.write_text("import relocbench.execution.handshake\nrelocbench.execution.greeting._LOOKS = 1\n")
+    hasty.write_text("import relocbench.execution.handshake\nrelocbench.execution.handshake._LOOKS = 1\n")
     dask.add_workers(1, cwd=tmp_path, preload=hasty)  # it does not look again for a file that may come later
     mine = Path(f"/proc/self/task/{os.getpid()}")
     with pytest.raises(ConfigError, match=rf"{mine}: not seen by worker .*; all workers must see the folders"):
