@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 from pydantic import Field
 
 from relocbench.datasets.core.dataset import Dataset
@@ -359,7 +359,7 @@ def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
     )
 
 
-def rounded_median(values: ArrayLike) -> float | None:
+def rounded_median(values: Sequence[float | None] | NDArray[np.float64]) -> float | None:
     """The median of the finite values, to six decimals; None counts as NaN, and without a value it is None."""
     known = np.asarray(values, dtype=np.float64)
     known = known[np.isfinite(known)]
