@@ -21,6 +21,7 @@ from relocbench.errors import DatasetError, MethodError, PredictionError
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.results import DatasetResults, read_answers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
+from relocbench.evaluation.tracking.validation import validate_results
 from relocbench.files import alone_in, read_journal
 from relocbench.progress import Silent
 
@@ -345,6 +346,18 @@ def test_a_pose_that_is_not_finite_is_a_failure(dataset: Dataset, tmp_path: Path
     (theirs / f"{ACROSS}.txt").write_text(f"{ref} {query} nan 0 0 0 0 0 1\n")
     report = evaluate(dataset, tmp_path / "out", predictions=theirs)
     assert {r.status for r in read_errors(report.folders[0].errors(ACROSS))} == {"failed"}
+
+
+def test_validation_names_a_negative_error_as_reading_does(dataset: Dataset, tmp_path: Path) -> None:
+    report = evaluate(dataset, tmp_path, "identity")
+    path = report.folders[0].errors(ACROSS)
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    rows[1][4] = "-0.5"
+    path.write_text("".join(",".join(row) + "\n" for row in rows))
+    with pytest.raises(PredictionError, match=r"errors\.csv:2: rotation_error_deg is -0\.5, expected an error"):
+        read_errors(path)
+    faults = validate_results(report.results, dataset, Silent()).faults
+    assert [fault.line for fault in faults if "rotation_error_deg is -0.5" in fault.message] == [2]
 
 
 @pytest.mark.parametrize(
