@@ -18,9 +18,9 @@ import pytest
 from scipy.spatial import cKDTree
 
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
-from relocbench.datasets.groundtruth.icp.icp import refine
+from relocbench.datasets.groundtruth.icp.icp import run_icp
 from relocbench.datasets.groundtruth.registration.global_registration import describe, guesses
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.verification.alternatives import SlideOptions, fit
 from relocbench.datasets.groundtruth.verification.verification import gather_evidence, verdict
@@ -57,13 +57,13 @@ def submap(points: np.ndarray) -> Submap:
 
 
 @pytest.fixture(scope="module")
-def scans(real_data: FindData) -> dict[str, tuple[np.ndarray, list[Prepared]]]:
+def scans(real_data: FindData) -> dict[str, tuple[np.ndarray, list[PreparedSubmap]]]:
     folder = real_data("lidar_submaps_with_graph")
     found = {}
     for name, files in FILES.items():
         rows = np.loadtxt(folder / name / "graph.txt", usecols=range(1, 8))
         clouds = [np.fromfile(folder / name / file, np.float32).reshape(-1, 3) for file in files]
-        found[name] = (transform_from_tq(rows[:, :3], rows[:, 3:]), [Prepared(submap(cloud)) for cloud in clouds])
+        found[name] = (transform_from_tq(rows[:, :3], rows[:, 3:]), [PreparedSubmap(submap(cloud)) for cloud in clouds])
     return found
 
 
@@ -75,7 +75,7 @@ def guessed(scans) -> Callable[[str, int], list[np.ndarray]]:
     def refined(name: str, i: int) -> list[np.ndarray]:
         ref, query = scans[name][1][i : i + 2]
         found = guesses(describe(ref.submap), describe(query.submap))
-        return [refine(ref.planes, query.planes, T).T_ref_query for T in found]
+        return [run_icp(ref.planes, query.planes, T).T_ref_query for T in found]
 
     return refined
 
@@ -103,8 +103,8 @@ def test_any_turn_and_a_coarse_place_lead_to_the_same_pose(scans, name):
     for (i, j), yaw in zip(combinations(range(3), 2), (4.0, -3.0, 2.0), strict=True):
         truth = invert(poses[i]) @ poses[j]
         turn = make_transform(so3_exp([0, 0, np.radians(yaw)]), [0.3, -0.3, 0.1])
-        there = refine(sides[i].planes, sides[j].planes, truth)
-        again = refine(sides[i].planes, sides[j].planes, truth @ turn)
+        there = run_icp(sides[i].planes, sides[j].planes, truth)
+        again = run_icp(sides[i].planes, sides[j].planes, truth @ turn)
         m, d = error(again.T_ref_query, there.T_ref_query)
         assert m < 0.005
         assert d < 0.03
@@ -116,7 +116,7 @@ def test_from_the_identity_turned_by_up_to_thirty_degrees(scans, guessed):
     for (i, j), yaw in (((0, 1), 30.0), ((1, 2), -30.0), ((2, 3), 20.0), ((3, 4), -10.0)):
         start = make_transform(so3_exp([0, 0, np.radians(yaw)]), [0.0, 0.0, 0.0])
         ref, query = sides[i], sides[j]
-        refined = [refine(ref.planes, query.planes, start).T_ref_query, *guessed("newer_01", i)]
+        refined = [run_icp(ref.planes, query.planes, start).T_ref_query, *guessed("newer_01", i)]
         best = max(refined, key=lambda T: fit(ref.planes, query.planes, T, SlideOptions()))
         m, d = error(best, invert(poses[i]) @ poses[j])
         assert m < 0.03
@@ -127,7 +127,7 @@ def test_far_pairs_close_the_cycle_of_near_ones(scans):
     poses, sides = scans["newer_01"]
 
     def registered(i: int, j: int) -> np.ndarray:
-        return refine(sides[i].planes, sides[j].planes, invert(poses[i]) @ poses[j]).T_ref_query
+        return run_icp(sides[i].planes, sides[j].planes, invert(poses[i]) @ poses[j]).T_ref_query
 
     chain = np.eye(4)
     for i in range(4):
@@ -141,7 +141,7 @@ def test_right_poses_of_a_dense_scene_are_trusted_and_wrong_ones_are_not(scans):
     poses, sides = scans["newer_01"]
     for i in range(4):
         ref, query = sides[i], sides[i + 1]
-        found = refine(ref.planes, query.planes, invert(poses[i]) @ poses[i + 1])
+        found = run_icp(ref.planes, query.planes, invert(poses[i]) @ poses[i + 1])
         assert verdict(gather_evidence(ref, query, found.T_ref_query, found.information)) == ""
         for wrong in (
             make_transform(so3_exp([0, 0, np.pi]), [0, 0, 0]),

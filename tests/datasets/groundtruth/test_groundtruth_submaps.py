@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes, Surface
 from relocbench.datasets.groundtruth.blocks.deskewing import BeamReader
 from relocbench.datasets.groundtruth.blocks.making import BlockOptions, make_blocks, wheel_height
-from relocbench.datasets.groundtruth.blocks.nodes import make_nodes, way_along
+from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along, make_nodes
 from relocbench.datasets.groundtruth.blocks.store import BlockStore, build_blocks, read_block, write_block
 from relocbench.datasets.groundtruth.blocks.surfaces import smallest_eigenvector
 from relocbench.datasets.groundtruth.submaps.submaps import Submap, SubmapWindow
@@ -32,9 +32,9 @@ _COARSE_M = 0.33
 
 
 def blocks_of(recording: FieldRecording, nodes: Nodes, wanted: range | None = None) -> dict[int, Block]:
-    way, options = way_along(recording), BlockOptions()
-    height = wheel_height(recording, way, nodes, options)
-    return dict(make_blocks(recording, way, nodes, wanted or range(len(nodes)), height, options))
+    arc_length, options = arc_length_along(recording), BlockOptions()
+    height = wheel_height(recording, arc_length, nodes, options)
+    return dict(make_blocks(recording, arc_length, nodes, wanted or range(len(nodes)), height, options))
 
 
 def in_street(block: Block, nodes: Nodes, node: int) -> tuple[Array, Array]:
@@ -81,7 +81,7 @@ def test_standing_still_makes_no_nodes_and_reads_no_scans(wobble: float) -> None
     np.testing.assert_allclose(stopped.T_odom_node[:, 0, 3], through.T_odom_node[:, 0, 3], atol=0.3)
     reads = []
     for recording, nodes in ((going, through), (stopping, stopped)):
-        reader = BeamReader(recording, way_along(recording), 1.0, 60.0, 0.02)
+        reader = BeamReader(recording, arc_length_along(recording), 1.0, 60.0, 0.02)
         for k in range(len(nodes)):
             begin, end = nodes.begins_and_ends()
             reader.between(int(begin[k]), int(end[k]), nodes.T_odom_node[k])
@@ -93,13 +93,13 @@ def test_standing_still_makes_no_nodes_and_reads_no_scans(wobble: float) -> None
 def test_gap_of_the_odometry_parts_the_drive() -> None:
     recording = drive_street(Street(gap_s=1.0))
     nodes = make_nodes(recording)
-    stretches = nodes.stretches()
-    assert set(stretches.tolist()) == {0, 1}
+    segments = nodes.segments()
+    assert set(segments.tolist()) == {0, 1}
     begin, end = nodes.begins_and_ends()
     for k in range(len(nodes)):
         inside = begin[k] + (end[k] - begin[k]) * np.arange(51) // 50
         assert recording.odometry.covers(inside).all()
-    last, first = np.flatnonzero(stretches == 0)[-1], np.flatnonzero(stretches == 1)[0]
+    last, first = np.flatnonzero(segments == 0)[-1], np.flatnonzero(segments == 1)[0]
     assert begin[first] - end[last] >= 1_000_000_000
     assert np.all(np.diff(nodes.travelled_m) > 0)
 
@@ -109,7 +109,7 @@ def test_break_of_the_odometry_parts_the_drive(street: FieldRecording) -> None:
     nodes = make_nodes(broken)
     begin, end = nodes.begins_and_ends()
     before, after = street.odometry.times_ns[[79, 80]]
-    assert len(set(nodes.stretches().tolist())) == 2
+    assert len(set(nodes.segments().tolist())) == 2
     assert not np.any((begin < after) & (end > before))
 
 
@@ -117,7 +117,7 @@ def test_submap_stays_within_its_stretch(tmp_path: Path) -> None:
     recording = drive_street(Street(gap_s=1.0))
     nodes = make_nodes(recording)
     window = SubmapWindow(nodes, build_blocks(recording, nodes, tmp_path))
-    first = int(np.flatnonzero(nodes.stretches() == 1)[0])
+    first = int(np.flatnonzero(nodes.segments() == 1)[0])
     assert window.at(first).block.min() == first
     assert window.at(first - 1).block.max() == first - 1
 
@@ -145,7 +145,7 @@ def test_each_beam_is_placed_by_its_own_time(street: FieldRecording) -> None:
     rough = replace(street, odometry=Trajectory(street.odometry.times_ns, turned))
     begin, end = START_NS + 1_000_000_000, START_NS + 1_300_000_000
     T_odom_node = se3_exp(rng.normal(size=6))
-    beams = BeamReader(rough, way_along(rough), 1.0, 60.0, 1e-9).between(begin, end, T_odom_node)
+    beams = BeamReader(rough, arc_length_along(rough), 1.0, 60.0, 1e-9).between(begin, end, T_odom_node)
     points, origins = [], []
     for lidar in rough.lidars:
         for index in range(len(lidar.times_ns)):
@@ -230,7 +230,7 @@ def test_planes_of_the_street_are_exact(street: FieldRecording, built: tuple[Nod
 
 def test_height_of_the_road_under_the_rig_is_found(street: FieldRecording, built: tuple[Nodes, BlockStore]) -> None:
     nodes, _ = built
-    found = wheel_height(street, way_along(street), nodes, BlockOptions())
+    found = wheel_height(street, arc_length_along(street), nodes, BlockOptions())
     assert found == pytest.approx(-RIG_HEIGHT_M, abs=2e-3)
 
 
@@ -448,10 +448,10 @@ def test_step_costs_the_same_however_long_the_drive(built: tuple[Nodes, BlockSto
     window = SubmapWindow(drive, store)
     work, claims = [], []
     for node in range(count):
-        before = window.work, window.claims_work, store.reads
+        before = window.work, window.claims_changed, store.reads
         submap = window.at(node)
         work.append(window.work - before[0])
-        claims.append(window.claims_work - before[1])
+        claims.append(window.claims_changed - before[1])
         assert node == 0 or store.reads - before[2] <= 1
         assert len(submap) <= 31 * len(block)
     assert len(set(work[20:100])) == 1

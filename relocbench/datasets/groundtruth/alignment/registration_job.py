@@ -6,9 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, FirstPose, TrackUnit, track_drive
+from relocbench.datasets.groundtruth.alignment.two_drives import (
+    AlignmentOptions,
+    FirstPose,
+    RegistrationUnit,
+    register_query,
+)
 from relocbench.datasets.groundtruth.registration import files as track_files
-from relocbench.datasets.groundtruth.registration.journal import Journal, followed
+from relocbench.datasets.groundtruth.registration.journal import Journal, journal_progress
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.execution import Run, run_units
@@ -17,7 +22,7 @@ from relocbench.progress import Reporter
 
 @dataclass(frozen=True, eq=False)
 class _Unit:
-    drives: TrackUnit
+    drives: RegistrationUnit
     journal: Path
 
     def __str__(self) -> str:
@@ -41,14 +46,14 @@ def register_drives(
     tables = {q.name: folder / f"{reference.name}__{q.name}.csv" for q in queries}
     found = {name: track_files.read_registrations(path) for name, path in tables.items() if path.exists()}
     units = [
-        _Unit(TrackUnit(reference, q, options, _of(q, first)), tables[q.name].with_suffix(".journal"))
+        _Unit(RegistrationUnit(reference, q, options, _of(q, first)), tables[q.name].with_suffix(".journal"))
         for q in queries
         if q.name not in found
     ]
     steps = [unit.drives.steps for unit in units]
     with (
         reporter.stage("registering drives", sum(steps)) as advance,
-        followed([unit.journal for unit in units], steps, advance) as complete,
+        journal_progress([unit.journal for unit in units], steps, advance) as complete,
     ):
         for index, (registrations, messages) in run_units(_track, units, run):
             unit = units[index]
@@ -73,6 +78,6 @@ def _track(unit: _Unit) -> tuple[list[Registration], list[str]]:
     messages: list[str] = []
     journal = Journal(unit.journal)
     try:
-        return track_drive(unit.drives, messages.append, journal.remember), messages
+        return register_query(unit.drives, messages.append, journal.remember), messages
     finally:
         journal.close()

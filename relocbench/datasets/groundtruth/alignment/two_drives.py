@@ -13,7 +13,7 @@ from relocbench.datasets.groundtruth.pose_graph.block_fits import BlockFits
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution, optimise
 from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalOptions, refine_locally
 from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions
-from relocbench.datasets.groundtruth.registration.along_drive import Remember, TrackingOptions, track
+from relocbench.datasets.groundtruth.registration.along_drive import DriveRegistrationOptions, Remember, register_along
 from relocbench.datasets.groundtruth.registration.place_recognition import MapPrior
 from relocbench.datasets.groundtruth.registration.submap_pair import nodes_every
 from relocbench.datasets.groundtruth.submaps.drive import Drive
@@ -33,13 +33,13 @@ class AlignmentOptions:
     submap_m: float = 60.0
     """length of road that a submap shows"""
     blocks: BlockOptions = field(default_factory=BlockOptions)
-    tracking: TrackingOptions = field(default_factory=TrackingOptions)
+    registration: DriveRegistrationOptions = field(default_factory=DriveRegistrationOptions)
     graph: GraphOptions = field(default_factory=GraphOptions)
     local: LocalOptions = field(default_factory=LocalOptions)
 
 
 @dataclass(frozen=True, eq=False)
-class TrackUnit:
+class RegistrationUnit:
     """One query drive against the reference, as a worker needs it."""
 
     reference: Drive
@@ -53,11 +53,11 @@ class TrackUnit:
     @property
     def steps(self) -> int:
         """Nodes of the query that are registered."""
-        return len(nodes_every(self.query.nodes, self.options.tracking.step_m))
+        return len(nodes_every(self.query.nodes, self.options.registration.step_m))
 
 
-def track_drive(
-    unit: TrackUnit,
+def register_query(
+    unit: RegistrationUnit,
     say: Callable[[str], None] = lambda message: None,
     remember: Remember = lambda asked, work: work(),
 ) -> list[Registration]:
@@ -67,13 +67,13 @@ def track_drive(
         say, remember: as :func:`relocbench.datasets.groundtruth.registration.along_drive.track` has them.
     """
     reference, query, length = unit.reference, unit.query, unit.options.submap_m
-    return track(
+    return register_along(
         reference.window(length),
         query.window(length),
         reference.nodes,
         query.nodes,
         map_prior(reference, query),
-        unit.options.tracking,
+        unit.options.registration,
         first=None if unit.first is None else at_nodes(reference, query, unit.first),
         say=say,
         remember=remember,

@@ -36,7 +36,7 @@ class Nodes:
     """(K, 4, 4) rig poses at these times"""
     travelled_m: Array
     """(K,) metres driven up to each"""
-    stretch: NDArray[np.int64] | None = None
+    segment: NDArray[np.int64] | None = None
     """(K,) number of the piece of odometry without a gap that each lies in; None: there is no gap"""
     begin_ns: Times | None = None
     """(K,) beams fired from here on belong to the node's block; None: from half-way to the node before"""
@@ -46,9 +46,9 @@ class Nodes:
     def __len__(self) -> int:
         return len(self.times_ns)
 
-    def stretches(self) -> NDArray[np.int64]:
+    def segments(self) -> NDArray[np.int64]:
         """(K,) ``stretch``, 0 if there is no gap."""
-        return np.zeros(len(self), dtype=np.int64) if self.stretch is None else self.stretch
+        return np.zeros(len(self), dtype=np.int64) if self.segment is None else self.segment
 
     def begins_and_ends(self) -> tuple[Times, Times]:
         """(K,), (K,) times from which and up to which beams belong to each block."""

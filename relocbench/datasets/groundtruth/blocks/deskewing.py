@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.blocks.nodes import Way
+from relocbench.datasets.groundtruth.blocks.nodes import ArcLength
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Scan, Trajectory
 from relocbench.geometry import invert, so3_log
 from relocbench.kernels import njit
@@ -39,7 +39,12 @@ class BeamReader:
     """Reads the scans of a drive, those that several blocks share once."""
 
     def __init__(
-        self, recording: FieldRecording, way: Way, min_range_m: float, max_range_m: float, min_step_m: float
+        self,
+        recording: FieldRecording,
+        arc_length: ArcLength,
+        min_range_m: float,
+        max_range_m: float,
+        min_step_m: float,
     ) -> None:
         """
         Args:
@@ -47,9 +52,9 @@ class BeamReader:
             min_step_m: a scan is used if the car came on by so much since the last one; while it stands, none is.
         """
         self._lidars = recording.lidars
-        self._odometry = _segments(recording.odometry)
+        self._odometry = _pose_intervals(recording.odometry)
         self._ranges = [(min_range_m, min(max_range_m, lidar.max_range_m)) for lidar in recording.lidars]
-        self._moved = [_moving(lidar, way, min_step_m) for lidar in recording.lidars]
+        self._moved = [_moving(lidar, arc_length, min_step_m) for lidar in recording.lidars]
         self._slack = [_period(lidar) for lidar in recording.lidars]
         self._scans: list[OrderedDict[int, Scan]] = [OrderedDict() for _ in recording.lidars]
         self.scans_read = 0
@@ -95,13 +100,13 @@ def _period(lidar: LidarStream) -> int:
     return int(np.median(gaps)) if len(gaps) else 200_000_000
 
 
-def _moving(lidar: LidarStream, way: Way, min_step_m: float) -> NDArray[np.bool_]:
+def _moving(lidar: LidarStream, arc_length: ArcLength, min_step_m: float) -> NDArray[np.bool_]:
     """(M,) scans before which the car came on."""
-    steps = np.floor(way.at(lidar.times_ns) / min_step_m)
+    steps = np.floor(arc_length.at(lidar.times_ns) / min_step_m)
     return np.diff(steps, prepend=-1.0) != 0 if len(steps) else np.zeros(0, np.bool_)
 
 
-def _segments(odometry: Trajectory) -> tuple[Times, Array, Array]:
+def _pose_intervals(odometry: Trajectory) -> tuple[Times, Array, Array]:
     """Times (N,), poses (N, 4, 4) and the turns (N - 1, 3) between them."""
     rotation = odometry.T_odom_rig[:, :3, :3]
     turns = so3_log(np.swapaxes(rotation[:-1], -1, -2) @ rotation[1:]) if len(rotation) > 1 else np.zeros((0, 3))
@@ -119,16 +124,16 @@ def _place(
     n, last = len(points), len(pose_times) - 1
     placed, origins = np.empty((n, 3)), np.empty((n, 3))
     q, lever, p = np.empty(3), np.empty(3), np.empty(3)
-    segment = 0
+    interval = 0
     for i in range(n):
         time = times_ns[i]
-        if last > 0 and not (pose_times[segment] <= time <= pose_times[segment + 1]):
-            segment = min(max(int(np.searchsorted(pose_times, time, side="right")) - 1, 0), last - 1)
+        if last > 0 and not (pose_times[interval] <= time <= pose_times[interval + 1]):
+            interval = min(max(int(np.searchsorted(pose_times, time, side="right")) - 1, 0), last - 1)
         share = 0.0
         vx = vy = vz = 0.0
         if last > 0:
-            share = (time - pose_times[segment]) / (pose_times[segment + 1] - pose_times[segment])
-            vx, vy, vz = share * turns[segment, 0], share * turns[segment, 1], share * turns[segment, 2]
+            share = (time - pose_times[interval]) / (pose_times[interval + 1] - pose_times[interval])
+            vx, vy, vz = share * turns[interval, 0], share * turns[interval, 1], share * turns[interval, 2]
         angle = np.sqrt(vx * vx + vy * vy + vz * vz)
         a = np.sin(angle) / angle if angle > 1e-8 else 1.0
         b = (1 - np.cos(angle)) / (angle * angle) if angle > 1e-4 else 0.5
@@ -147,11 +152,11 @@ def _place(
             q[1] += a * cy + b * ey
             q[2] += a * cz + b * ez
             for row in range(3):
-                value = poses[segment, row, 3]
+                value = poses[interval, row, 3]
                 if last > 0:
-                    value += share * (poses[segment + 1, row, 3] - poses[segment, row, 3])
+                    value += share * (poses[interval + 1, row, 3] - poses[interval, row, 3])
                 for column in range(3):
-                    value += poses[segment, row, column] * q[column]
+                    value += poses[interval, row, column] * q[column]
                 if which == 0:
                     placed[i, row] = value
                 else:

@@ -26,7 +26,7 @@ Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class SteadyOptions:
+class DynamicPointOptions:
     """When a beam went through a point, and when it met the same thing."""
 
     pass_m: float = 0.1
@@ -56,8 +56,8 @@ class Rays(NamedTuple):
     """(N,)"""
 
 
-def steadiness(
-    rays: Rays, normals: NDArray[np.float32], wanted: Indices, heard: Indices, options: SteadyOptions
+def static_scores(
+    rays: Rays, normals: NDArray[np.float32], wanted: Indices, heard: Indices, options: DynamicPointOptions
 ) -> NDArray[np.float32]:
     """Share (M,) of the beams at a point that met something there: 1 where nothing speaks against it.
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes
 from relocbench.datasets.groundtruth.blocks.deskewing import BeamReader, Beams
-from relocbench.datasets.groundtruth.blocks.dynamic_points import Rays, SteadyOptions, steadiness
-from relocbench.datasets.groundtruth.blocks.nodes import Way
+from relocbench.datasets.groundtruth.blocks.dynamic_points import DynamicPointOptions, Rays, static_scores
+from relocbench.datasets.groundtruth.blocks.nodes import ArcLength
 from relocbench.datasets.groundtruth.blocks.surfaces import SurfaceOptions, classify, fit_normals, level_under, towards
 from relocbench.datasets.groundtruth.voxels.thinning import thin
 from relocbench.datasets.sensors.recording import FieldRecording
@@ -44,7 +44,7 @@ class BlockOptions:
     reach: int = 3
     """blocks to both sides that normals are fitted over and whose beams tell what moved"""
     surfaces: SurfaceOptions = field(default_factory=SurfaceOptions)
-    steady: SteadyOptions = field(default_factory=SteadyOptions)
+    steady: DynamicPointOptions = field(default_factory=DynamicPointOptions)
 
 
 class _Thinned(NamedTuple):
@@ -57,7 +57,7 @@ class _Thinned(NamedTuple):
 
 def make_blocks(
     recording: FieldRecording,
-    way: Way,
+    arc_length: ArcLength,
     nodes: Nodes,
     wanted: Sequence[int],
     wheel_height_m: float,
@@ -72,7 +72,7 @@ def make_blocks(
     Raises:
         DatasetError: a scan that is damaged.
     """
-    reader = _reader(recording, way, options)
+    reader = _reader(recording, arc_length, options)
     ready: dict[int, _Thinned] = {}
     for node in wanted:
         around = range(max(node - options.reach, 0), min(node + options.reach, len(nodes) - 1) + 1)
@@ -80,17 +80,17 @@ def make_blocks(
         yield node, _finish(node, ready, nodes, wheel_height_m, options)
 
 
-def wheel_height(recording: FieldRecording, way: Way, nodes: Nodes, options: BlockOptions) -> float:
+def wheel_height(recording: FieldRecording, arc_length: ArcLength, nodes: Nodes, options: BlockOptions) -> float:
     """Height of the road under the rig, in its frame, by the median over the drive; nan where no road is seen."""
-    reader = _reader(recording, way, options)
+    reader = _reader(recording, arc_length, options)
     chosen = np.unique(np.linspace(0, len(nodes) - 1, _LEVELS).astype(int))
     levels = np.array([level_under(_beams(reader, nodes, int(k)).points) for k in chosen])
     seen = levels[np.isfinite(levels)]
     return float(np.median(seen)) if len(seen) else float("nan")
 
 
-def _reader(recording: FieldRecording, way: Way, options: BlockOptions) -> BeamReader:
-    return BeamReader(recording, way, options.min_range_m, options.max_range_m, options.min_step_m)
+def _reader(recording: FieldRecording, arc_length: ArcLength, options: BlockOptions) -> BeamReader:
+    return BeamReader(recording, arc_length, options.min_range_m, options.max_range_m, options.min_step_m)
 
 
 def _beams(reader: BeamReader, nodes: Nodes, node: int) -> Beams:
@@ -109,8 +109,8 @@ def _finish(
 ) -> Block:
     """Normals, surfaces and steadiness, out of the thinned points of the blocks around, in the node's frame."""
     own = around[node]
-    stretches = nodes.stretches()
-    near = [k for k in around if stretches[k] == stretches[node]]
+    segments = nodes.segments()
+    near = [k for k in around if segments[k] == segments[node]]
     T_node_odom = invert(nodes.T_odom_node[node])
     poses = {k: T_node_odom @ nodes.T_odom_node[k] for k in near}
     rays = Rays(
@@ -123,9 +123,11 @@ def _finish(
     normals = fit_normals(rays.points, wanted, options.surfaces)
     normals = towards(normals, own.points, own.origins)
     along = np.abs(nodes.travelled_m - nodes.travelled_m[node]) <= _PATH_M
-    path = T_node_odom @ nodes.T_odom_node[along & (stretches == stretches[node])]
+    path = T_node_odom @ nodes.T_odom_node[along & (segments == segments[node])]
     surface = classify(own.points, normals, path, wheel_height_m, options.surfaces)
-    steady = steadiness(rays, normals, wanted, _heard([len(around[k].points) for k in near], options), options.steady)
+    steady = static_scores(
+        rays, normals, wanted, _heard([len(around[k].points) for k in near], options), options.steady
+    )
     return Block(own.points, normals, own.origins, surface, steady)
 
 

@@ -20,14 +20,14 @@ _ANCHOR_M = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class ArcLength:
     """How far a drive had come at each time."""
 
     times_ns: Times
     """(N,)"""
     travelled_m: Array
     """(N,) never falls; stays while the car stands; nothing is added across a gap"""
-    stretch: NDArray[np.int64]
+    segment: NDArray[np.int64]
     """(N,) number of the piece of odometry without a gap"""
 
     def at(self, times_ns: Times) -> Array:
@@ -50,10 +50,10 @@ def make_nodes(recording: FieldRecording, block_m: float = 2.0) -> Nodes:
     """
     if block_m < _ANCHOR_M:
         raise ConfigError(f"blocks are at least {_ANCHOR_M} m long, got {block_m} m")
-    way = way_along(recording)
-    begin, middle, end, travelled, stretch = [], [], [], [], []
-    for number in np.unique(way.stretch):
-        mine = way.stretch == number
+    way = arc_length_along(recording)
+    begin, middle, end, travelled, segment = [], [], [], [], []
+    for number in np.unique(way.segment):
+        mine = way.segment == number
         times, metres = way.times_ns[mine], way.travelled_m[mine]
         # A hair's breadth, so that a stretch of exactly n blocks is cut into n.
         count = int(np.floor((metres[-1] - metres[0]) / block_m + 1e-9))
@@ -63,7 +63,7 @@ def make_nodes(recording: FieldRecording, block_m: float = 2.0) -> Nodes:
         end.append(cuts[1:])
         middle.append(_times_at(times, metres, centres))
         travelled.append(centres)
-        stretch.append(np.full(count, number, dtype=np.int64))
+        segment.append(np.full(count, number, dtype=np.int64))
     times_ns = np.concatenate(middle)
     if not len(times_ns):
         raise DatasetError(f"the drive is shorter than one block of {block_m} m", recording.folder)
@@ -71,13 +71,13 @@ def make_nodes(recording: FieldRecording, block_m: float = 2.0) -> Nodes:
         times_ns,
         recording.odometry.at(times_ns),
         np.concatenate(travelled),
-        np.concatenate(stretch),
+        np.concatenate(segment),
         np.concatenate(begin),
         np.concatenate(end),
     )
 
 
-def way_along(recording: FieldRecording) -> Way:
+def arc_length_along(recording: FieldRecording) -> ArcLength:
     """The way driven while a lidar measured. Raises DatasetError if odometry and lidars share no time."""
     spans = [(int(lidar.times_ns[0]), int(lidar.times_ns[-1])) for lidar in recording.lidars if len(lidar.times_ns)]
     if not spans:
@@ -91,8 +91,8 @@ def way_along(recording: FieldRecording) -> Way:
         raise DatasetError("the odometry covers no time at which a lidar measured", recording.folder)
     positions = odometry.at(knots)[:, :3, 3]
     starts = np.concatenate([[True], ~_joined(odometry, knots)])
-    stretch = np.cumsum(starts, dtype=np.int64) - 1
-    return Way(knots, _travelled(np.ascontiguousarray(positions), starts, _ANCHOR_M), stretch)
+    segment = np.cumsum(starts, dtype=np.int64) - 1
+    return ArcLength(knots, _travelled(np.ascontiguousarray(positions), starts, _ANCHOR_M), segment)
 
 
 def _joined(odometry: Trajectory, knots: Times) -> NDArray[np.bool_]:

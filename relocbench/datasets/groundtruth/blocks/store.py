@@ -17,7 +17,7 @@ import numpy as np
 from relocbench.datasets.core.npy import parse_npz
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes
 from relocbench.datasets.groundtruth.blocks.making import BlockOptions, make_blocks, wheel_height, without_cameras
-from relocbench.datasets.groundtruth.blocks.nodes import Way, way_along
+from relocbench.datasets.groundtruth.blocks.nodes import ArcLength, arc_length_along
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.errors import DatasetError
 from relocbench.execution import Run, chunks, run_units
@@ -72,7 +72,7 @@ class BlockUnit:
     """Blocks to make, in one go."""
 
     recording: FieldRecording
-    way: Way
+    arc_length: ArcLength
     nodes: Nodes
     wanted: tuple[int, ...]
     wheel_height_m: float
@@ -100,12 +100,12 @@ def build_blocks(
     folder = folder.resolve()  # workers of a cluster start in folders of their own
     folder.mkdir(parents=True, exist_ok=True)
     remove_parts(folder)
-    way = way_along(recording)
-    height = _claim(folder, recording, way, nodes, options, reporter)
+    arc_length = arc_length_along(recording)
+    height = _claim(folder, recording, arc_length, nodes, options, reporter)
     store = BlockStore(folder)
     missing = [k for k in range(len(nodes)) if not store.is_whole(k)]
     small = without_cameras(recording)
-    units = [BlockUnit(small, way, nodes, wanted, height, options, folder) for wanted in _runs(missing)]
+    units = [BlockUnit(small, arc_length, nodes, wanted, height, options, folder) for wanted in _runs(missing)]
     with reporter.stage(f"points of {recording.name}", len(missing)) as advance:
         for _, done in run_units(make_unit, units, run):
             advance(done)
@@ -115,7 +115,7 @@ def build_blocks(
 def make_unit(unit: BlockUnit) -> int:
     """Make and write the blocks of a unit; how many."""
     store = BlockStore(unit.folder)
-    made = make_blocks(unit.recording, unit.way, unit.nodes, unit.wanted, unit.wheel_height_m, unit.options)
+    made = make_blocks(unit.recording, unit.arc_length, unit.nodes, unit.wanted, unit.wheel_height_m, unit.options)
     for node, block in made:
         write_block(store.path(node), block)
     return len(unit.wanted)
@@ -151,7 +151,12 @@ def _runs(missing: Sequence[int]) -> list[tuple[int, ...]]:
 
 
 def _claim(
-    folder: Path, recording: FieldRecording, way: Way, nodes: Nodes, options: BlockOptions, reporter: Reporter
+    folder: Path,
+    recording: FieldRecording,
+    arc_length: ArcLength,
+    nodes: Nodes,
+    options: BlockOptions,
+    reporter: Reporter,
 ) -> float:
     """Say what the blocks of a folder are made of, or see that it is this; the height of the road under the rig."""
     path = folder / "blocks.yaml"
@@ -167,7 +172,7 @@ def _claim(
         if known != made_of or not isinstance(height, float):
             raise DatasetError("blocks of another drive or with other settings lie here; choose another folder", path)
         return height
-    height = wheel_height(recording, way, nodes, options)
+    height = wheel_height(recording, arc_length, nodes, options)
     if not np.isfinite(height):
         reporter.note(f"{recording.name}: no road was found under the car; nothing is classed as ground")
     write_text(path, dump_yaml(made_of | {"wheel_height_m": height}))
@@ -177,6 +182,6 @@ def _claim(
 def _digest(nodes: Nodes) -> str:
     """A digest of all that blocks depend on."""
     digest = hashlib.sha256(json.dumps(len(nodes)).encode())
-    for part in (nodes.times_ns, nodes.T_odom_node, nodes.travelled_m, nodes.stretches(), *nodes.begins_and_ends()):
+    for part in (nodes.times_ns, nodes.T_odom_node, nodes.travelled_m, nodes.segments(), *nodes.begins_and_ends()):
         digest.update(np.ascontiguousarray(part).tobytes())
     return digest.hexdigest()

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from relocbench.datasets.groundtruth.depth.rasteriser import VEIL_STEP, Drawn, View, draw, draw_veil
-from relocbench.datasets.groundtruth.depth.sightlines import SweptSpace, sight, sweep
+from relocbench.datasets.groundtruth.depth.rasteriser import OCCLUSION_STEP, Drawn, View, draw, draw_occlusion
+from relocbench.datasets.groundtruth.depth.sightlines import TracedSpace, sight_limits, trace_beams
 from relocbench.datasets.groundtruth.depth.surfels import SurfelOptions, Surfels, make_surfels
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.errors import ConfigError
@@ -68,7 +68,7 @@ class DepthOptions:
     """... and so many metres besides"""
     least_centre: float = 0.15
     """where only the rim of the front surface is met and the middle of another one behind it, neither is certain"""
-    veil_m: float = 0.25
+    occlusion_margin_m: float = 0.25
     """what lies further than this, and 2 % of its depth, behind something that hides is not shown"""
     cell_m: float = 0.3
     """of the space that beams went through; 0: a camera may look through what stands in their shadow"""
@@ -87,11 +87,11 @@ class DepthOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class Scenery:
+class DepthScene:
     """A submap made ready for any number of images."""
 
     surfels: Surfels
-    space: SweptSpace | None
+    space: TracedSpace | None
     """None: not looked at"""
 
 
@@ -121,30 +121,30 @@ def submap_depth(submap: Submap, camera: Camera, T_cam_node: Array, options: Dep
         ConfigError: the camera is not a pinhole camera.
     """
     options = options or DepthOptions()
-    return scenery_depth(make_scenery(submap, options), camera, T_cam_node, options)
+    return scene_depth(make_scene(submap, options), camera, T_cam_node, options)
 
 
-def make_scenery(submap: Submap, options: DepthOptions | None = None) -> Scenery:
+def make_scene(submap: Submap, options: DepthOptions | None = None) -> DepthScene:
     """What does not depend on the camera."""
     options = options or DepthOptions()
-    space = sweep(submap, options.cell_m, options.max_depth_m, options.shadow_m) if options.cell_m > 0 else None
-    return Scenery(make_surfels(submap, options.surfels), space)
+    space = trace_beams(submap, options.cell_m, options.max_depth_m, options.shadow_m) if options.cell_m > 0 else None
+    return DepthScene(make_surfels(submap, options.surfels), space)
 
 
-def scenery_depth(
-    scenery: Scenery, camera: Camera, T_cam_node: Array, options: DepthOptions | None = None
+def scene_depth(
+    scene: DepthScene, camera: Camera, T_cam_node: Array, options: DepthOptions | None = None
 ) -> DepthImage:
     """As :func:`submap_depth`, for several images of one submap; with the same options."""
     if camera.model != "pinhole":
         raise ConfigError(f"depth is drawn into a pinhole camera, got '{camera.model}'")
     options = options or DepthOptions()
-    view = _seen_by(scenery.surfels, camera, np.asarray(T_cam_node, dtype=np.float64), options)
+    view = _seen_by(scene.surfels, camera, np.asarray(T_cam_node, dtype=np.float64), options)
     drawn = draw(view, camera, options.max_depth_m, options.sigmas, options.slack_m)
-    veil = draw_veil(view, camera, options.max_depth_m)
-    if scenery.space is not None:
+    occlusion = draw_occlusion(view, camera, options.max_depth_m)
+    if scene.space is not None:
         limits = options.max_depth_m, options.start_m, options.through_m
-        veil = np.minimum(veil, sight(scenery.space, camera, T_cam_node, VEIL_STEP, *limits))
-    kept = (drawn.depth > 0) & ~_veiled(drawn, veil, options)
+        occlusion = np.minimum(occlusion, sight_limits(scene.space, camera, T_cam_node, OCCLUSION_STEP, *limits))
+    kept = (drawn.depth > 0) & ~_occluded(drawn, occlusion, options)
     kept &= ~((drawn.centre < options.least_centre) & (drawn.behind > drawn.centre))
     # What has no plane is believed where it is closed all around, as a car's corner is and a leaf before a wall is not.
     known = np.where(kept, drawn.depth, np.float32(0))
@@ -159,7 +159,7 @@ def _seen_by(surfels: Surfels, camera: Camera, T_cam_node: Array, options: Depth
     """The surfels that may fall on the image, in the camera's frame, with their noise."""
     rotation, translation = T_cam_node[:3, :3], T_cam_node[:3, 3]
     points = surfels.points.astype(np.float64) @ rotation.T + translation
-    size = np.max(surfels.veil, axis=1, initial=0.0)
+    size = np.max(surfels.occluding_reach, axis=1, initial=0.0)
     x, y, z = points.T
     reach = np.maximum(z + size, 0.0)
     kept = (z > 0.3) & (z - size < options.max_depth_m)
@@ -179,22 +179,22 @@ def _seen_by(surfels: Surfels, camera: Camera, T_cam_node: Array, options: Depth
     noise = options.noise
     plane = np.any(normals != 0, axis=1)
     away = np.where(plane[:, None], normals, points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-6))
-    way = surfels.origins[rows].astype(np.float64) @ rotation.T + translation
-    driven = np.linalg.norm(way, axis=1)
-    along = np.einsum("ni,ni->n", away, way)
+    lever_arm = surfels.origins[rows].astype(np.float64) @ rotation.T + translation
+    driven = np.linalg.norm(lever_arm, axis=1)
+    along = np.einsum("ni,ni->n", away, lever_arm)
     drift = np.sqrt(
         np.square(noise.along_per_m * along) + noise.across_per_m**2 * np.maximum(driven**2 - along**2, 0.0)
     )
     own = np.where(plane, np.hypot(noise.range_m, noise.surface_m), noise.rough_m).astype(np.float32)
     p, n, a = (np.ascontiguousarray(array, dtype=np.float32) for array in (points, normals, axes))
-    return View(p, n, a, reach8, surfels.veil[rows], own, drift.astype(np.float32))
+    return View(p, n, a, reach8, surfels.occluding_reach[rows], own, drift.astype(np.float32))
 
 
-def _veiled(drawn: Drawn, veil: Floats, options: DepthOptions) -> NDArray[np.bool_]:
+def _occluded(drawn: Drawn, occlusion: Floats, options: DepthOptions) -> NDArray[np.bool_]:
     """(H, W) where something that hides stands before the depth drawn."""
     height, width = drawn.depth.shape
-    limit = np.repeat(np.repeat(veil, VEIL_STEP, axis=0), VEIL_STEP, axis=1)[:height, :width]
-    return np.asarray(drawn.depth - np.float32(options.veil_m) - np.float32(0.02) * drawn.depth > limit)
+    limit = np.repeat(np.repeat(occlusion, OCCLUSION_STEP, axis=0), OCCLUSION_STEP, axis=1)[:height, :width]
+    return np.asarray(drawn.depth - np.float32(options.occlusion_margin_m) - np.float32(0.02) * drawn.depth > limit)
 
 
 def _without_specks(kept: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:

@@ -15,10 +15,10 @@ from relocbench.datasets.core import images
 from relocbench.datasets.groundtruth.depth.depth import (
     DepthImage,
     DepthOptions,
-    Scenery,
+    DepthScene,
     fit_sigma,
-    make_scenery,
-    scenery_depth,
+    make_scene,
+    scene_depth,
 )
 from relocbench.datasets.groundtruth.depth.stereo_check import Agreement, cross_check
 from relocbench.datasets.groundtruth.depth.stereo_partner import StereoPair
@@ -70,8 +70,8 @@ class DepthView:
         node = int(np.argmin(np.abs(drive.nodes.times_ns - time_ns)))
         T_odom_rig = drive.recording.odometry.at(np.array([time_ns], dtype=np.int64))[0]
         T_cam_node = invert(T_odom_rig @ self.T_rig_cam) @ drive.nodes.T_odom_node[node]
-        scenery = _scenery(_Around(drive, self.length_m, self.options), node)
-        return scenery_depth(scenery, self.camera, T_cam_node, self.options)
+        scene = _scene(_WindowKey(drive, self.length_m, self.options), node)
+        return scene_depth(scene, self.camera, T_cam_node, self.options)
 
     def by_stereo(self, time_ns: int) -> DepthImage:
         """By matching the two images."""
@@ -156,7 +156,7 @@ def _agreement(view: DepthView, samples: Sequence[_Sample]) -> Agreement | None:
     return cross_check(lidar, stereo, view.camera, view.pair.baseline_m)
 
 
-class _Around:
+class _WindowKey:
     """The submaps of a drive, alike for the same drive and settings: a worker's windows are told apart by this."""
 
     def __init__(self, drive: Drive, length_m: float, options: DepthOptions) -> None:
@@ -167,14 +167,14 @@ class _Around:
         return hash(self._key)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Around) and self._key == other._key
+        return isinstance(other, _WindowKey) and self._key == other._key
 
 
 @lru_cache(maxsize=2)
-def _window(around: _Around) -> SubmapWindow:
-    return around.drive.window(around.length_m)
+def _window(key: _WindowKey) -> SubmapWindow:
+    return key.drive.window(key.length_m)
 
 
 @lru_cache(maxsize=4)
-def _scenery(around: _Around, node: int) -> Scenery:
-    return make_scenery(_window(around).at(node), around.options)
+def _scene(key: _WindowKey, node: int) -> DepthScene:
+    return make_scene(_window(key).at(node), key.options)

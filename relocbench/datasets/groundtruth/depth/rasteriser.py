@@ -18,7 +18,7 @@ from relocbench.kernels import njit
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-VEIL_STEP = 4
+OCCLUSION_STEP = 4
 """what only hides is drawn every fourth pixel"""
 _NEAR_M = 0.3
 _GRAZING = 0.03
@@ -40,7 +40,7 @@ class View:
     """(N, 3)"""
     reach: Floats
     """(N, 8); 0 for what is not shown"""
-    veil: Floats
+    occluding_reach: Floats
     """(N, 8)"""
     sigma: Floats
     """(N,) metres along the normal, noise of its own"""
@@ -79,18 +79,29 @@ def draw(view: View, camera: Camera, max_depth: float, sigmas: float, slack_m: f
     return Drawn(*_mean(*surfels, *noise, lens, max_depth, front, spread, sigmas, slack_m))
 
 
-def draw_veil(view: View, camera: Camera, max_depth: float) -> Floats:
+def draw_occlusion(view: View, camera: Camera, max_depth: float) -> Floats:
     """(H / 4, W / 4) depth from which on nothing is seen, inf where nothing hides; rounded up in size.
 
     Element (i, j) is that of the pixel (4 i + 1.5, 4 j + 1.5).
     """
-    shape = -(-camera.height // VEIL_STEP), -(-camera.width // VEIL_STEP)
-    middle = (VEIL_STEP - 1) / 2
-    lens = np.array([camera.fx, camera.fy, camera.cx - middle, camera.cy - middle]) / VEIL_STEP
-    veil = np.full(shape, np.inf, dtype=np.float32)
+    shape = -(-camera.height // OCCLUSION_STEP), -(-camera.width // OCCLUSION_STEP)
+    middle = (OCCLUSION_STEP - 1) / 2
+    lens = np.array([camera.fx, camera.fy, camera.cx - middle, camera.cy - middle]) / OCCLUSION_STEP
+    occlusion = np.full(shape, np.inf, dtype=np.float32)
     exact = np.zeros(len(view.points), np.float32)
-    _front(view.points, view.normals, view.axes, view.veil, exact, exact, lens, max_depth, veil, np.zeros_like(veil))
-    return veil
+    _front(
+        view.points,
+        view.normals,
+        view.axes,
+        view.occluding_reach,
+        exact,
+        exact,
+        lens,
+        max_depth,
+        occlusion,
+        np.zeros_like(occlusion),
+    )
+    return occlusion
 
 
 @njit(cache=True, inline="always")

@@ -24,7 +24,7 @@ _LARGEST = 30_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class SweptSpace:
+class TracedSpace:
     """Cells that beams went through or would have, in the frame of the submap's node."""
 
     low: Floats
@@ -34,7 +34,7 @@ class SweptSpace:
     """(X, Y, Z) 0 unknown, 1 free: a beam went through, 2 shadow: none did, and one ended before"""
 
 
-def sweep(submap: Submap, cell_m: float, within_m: float, shadow_m: float) -> SweptSpace:
+def trace_beams(submap: Submap, cell_m: float, within_m: float, shadow_m: float) -> TracedSpace:
     """Follow the beams of a submap's points, the unsteady ones' too, from the sensor to where they ended and beyond.
 
     Args:
@@ -45,7 +45,7 @@ def sweep(submap: Submap, cell_m: float, within_m: float, shadow_m: float) -> Sw
     used = np.isfinite(points).all(axis=1) & np.isfinite(origins).all(axis=1)
     points, origins = np.ascontiguousarray(points[used]), np.ascontiguousarray(origins[used])
     if not len(points):
-        return SweptSpace(np.zeros(3, np.float32), cell_m, np.zeros((1, 1, 1), np.uint8))
+        return TracedSpace(np.zeros(3, np.float32), cell_m, np.zeros((1, 1, 1), np.uint8))
     bound = np.float32(within_m)
     low = np.maximum(np.minimum(points.min(axis=0), origins.min(axis=0)), -bound)
     high = np.minimum(np.maximum(points.max(axis=0), origins.max(axis=0)), bound)
@@ -59,11 +59,11 @@ def sweep(submap: Submap, cell_m: float, within_m: float, shadow_m: float) -> Sw
     steady = submap.steady[used] >= 0.5
     _mark(points[steady], (points + np.float32(shadow_m) / length * way)[steady], *grid, 2, state)
     _mark(origins, points, *grid, 1, state)
-    return SweptSpace(grid[0], cell_m, state)
+    return TracedSpace(grid[0], cell_m, state)
 
 
-def sight(
-    space: SweptSpace, camera: Camera, T_cam_node: Array, step: int, max_depth: float, start_m: float, shadow_m: float
+def sight_limits(
+    space: TracedSpace, camera: Camera, T_cam_node: Array, step: int, max_depth: float, start_m: float, shadow_m: float
 ) -> Floats:
     """(H / step, W / step) depth along z up to which a pinhole camera sees; inf where nothing ends its sight.
 

@@ -38,7 +38,7 @@ class SurfelOptions:
 
     gap_m: float = 0.4
     """points of a surface that lie further apart leave a hole between them"""
-    veil_m: float = 1.5
+    closed_hole_m: float = 1.5
     """a hole that is narrower shows nothing of what lies behind it: a window in a wall, a dark door"""
     offset_m: float = 0.05
     """how far a neighbour may stand off a surfel's plane"""
@@ -56,8 +56,8 @@ class SurfelOptions:
     """points less steady than this moved, and are left out"""
 
     def __post_init__(self) -> None:
-        if not 0 < self.gap_m <= self.veil_m or self.offset_m <= 0 or self.rough_m < 0:
-            raise ConfigError("surfels need 0 < gap_m <= veil_m, a positive offset_m and rough_m >= 0")
+        if not 0 < self.gap_m <= self.closed_hole_m or self.offset_m <= 0 or self.rough_m < 0:
+            raise ConfigError("surfels need 0 < gap_m <= closed_hole_m, a positive offset_m and rough_m >= 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ class Surfels:
     """(N, 3) unit, along the surface: where the first direction points"""
     reach: Floats
     """(N, 8) metres that the surfel covers in each direction, anticlockwise about its normal; 0: it shows nothing"""
-    veil: Floats
+    occluding_reach: Floats
     """(N, 8) metres that it hides, at least as much as it covers"""
     origins: Floats
     """(N, 3) where the sensor was"""
@@ -107,16 +107,18 @@ def make_surfels(submap: Submap, options: SurfelOptions | None = None) -> Surfel
         way[chosen] = far[chosen] = near
         # Only surfels beside a hole look further, among points thin enough that this is quick.
         rim = np.flatnonzero(~np.isfinite(near).all(axis=1))
-        if len(rim) and options.veil_m > options.gap_m:
+        if len(rim) and options.closed_hole_m > options.gap_m:
             thin = _thinned(of[0], options.gap_m / 1.5)
             p, n, a = (np.ascontiguousarray(np.concatenate([array[rim], array[thin]])) for array in of)
-            grid = _grid(p, options.veil_m, first=len(rim))
-            wide = _ways(p, n, a, np.arange(len(rim)), *grid, options.veil_m, *limits)
+            grid = _grid(p, options.closed_hole_m, first=len(rim))
+            wide = _ways(p, n, a, np.arange(len(rim)), *grid, options.closed_hole_m, *limits)
             far[chosen[rim]] = np.minimum(near[rim], wide)
-    reach, veil = _stars(way, far, plane, options)
+    reach, occluding_reach = _stars(way, far, plane, options)
     stray = ~plane & (crowd < options.crowd)
-    reach[stray] = veil[stray] = 0
-    return Surfels(points, normals, axes, reach, veil, np.ascontiguousarray(submap.origins[kept], dtype=np.float32))
+    reach[stray] = occluding_reach[stray] = 0
+    return Surfels(
+        points, normals, axes, reach, occluding_reach, np.ascontiguousarray(submap.origins[kept], dtype=np.float32)
+    )
 
 
 def _tangents(normals: Floats) -> Floats:
@@ -136,10 +138,12 @@ def _stars(way: Floats, far: Floats, plane: NDArray[np.bool_], options: SurfelOp
     alone = np.asarray(~met.any(axis=1))
     rim = np.where(met, _OVERLAP * np.where(met, way, 0), _RIM * nearest[:, None])
     reach = np.where(alone[:, None], 0, rim)
-    veil = np.where(np.isfinite(far), np.maximum(_OVERLAP * np.where(np.isfinite(far), far, 0), reach), reach)
+    occluding_reach = np.where(
+        np.isfinite(far), np.maximum(_OVERLAP * np.where(np.isfinite(far), far, 0), reach), reach
+    )
     reach[~plane] = options.rough_reach_m
-    veil[~plane | alone] = options.rough_m
-    return reach.astype(np.float32), veil.astype(np.float32)
+    occluding_reach[~plane | alone] = options.rough_m
+    return reach.astype(np.float32), occluding_reach.astype(np.float32)
 
 
 def _thinned(points: Floats, cell_m: float) -> Indices:

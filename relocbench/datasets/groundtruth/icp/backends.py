@@ -14,9 +14,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.icp.icp import Refined, RefinementOptions, assess, refine
+from relocbench.datasets.groundtruth.icp.icp import IcpOptions, IcpResult, icp_result_at, run_icp
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, thinned
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.errors import ConfigError
 from relocbench.geometry import project_to_rotation
 
@@ -27,21 +27,21 @@ BACKENDS: tuple[Backend, ...] = ("own", "open3d", "small_gicp")
 _THINNING_M = 0.15
 
 
-def refine_with(
+def icp_by_backend(
     backend: Backend,
-    ref: Prepared,
-    query: Prepared,
+    ref: PreparedSubmap,
+    query: PreparedSubmap,
     T_ref_query: Array,
-    options: RefinementOptions,
+    options: IcpOptions,
     levels: Sequence[int] | None = None,
-) -> Refined:
+) -> IcpResult:
     """The pose near a prediction; see :func:`relocbench.datasets.groundtruth.icp.icp.refine`.
 
     Raises:
         ConfigError: no such backend, or its package is not installed.
     """
     if backend == "own":
-        return refine(ref.planes, query.planes, T_ref_query, options, levels=levels)
+        return run_icp(ref.planes, query.planes, T_ref_query, options, levels=levels)
     if backend not in BACKENDS:
         raise ConfigError(f"no registration backend '{backend}'; there is {', '.join(BACKENDS)}")
     solve = _open3d if backend == "open3d" else _small_gicp
@@ -51,7 +51,7 @@ def refine_with(
         T, steps = solve(ref.planes, query.planes, T, reach, options.scales_m[k], options.iterations[k])
         iterations += steps
     T[:3, :3] = project_to_rotation(T[:3, :3])
-    return assess(ref.planes, query.planes, T, options, iterations)
+    return icp_result_at(ref.planes, query.planes, T, options, iterations)
 
 
 def _thin(planes: PlaneMap) -> tuple[Array, Array]:

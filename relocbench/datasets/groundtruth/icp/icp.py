@@ -38,7 +38,7 @@ _THIN = 0.02
 
 
 @dataclass(frozen=True)
-class RefinementOptions:
+class IcpOptions:
     """Options of the refinement from a predicted pose."""
 
     metric: Metric = "plane"
@@ -78,16 +78,16 @@ class Linearised:
     """(7,) sum of w J r; the step is -H^-1 g"""
     residuals: Array
     """(M,) metres, of the points that found a plane, scaled to the sigma of near ones"""
-    away_m: float
+    lever_length_m: float
     """root mean square distance along odometry from the nodes of what was matched, as it counts"""
-    closeness: Array
+    surface_share: Array
     """(M,) in (0, 1]: how much of a residual's variance is the surface's and not the odometry's"""
     count: int
 
     @property
     def sigma_m(self) -> float:
         """Robust standard deviation of the residuals near the nodes: 1.4826 times their median without sign."""
-        return robust_sigma(self.residuals, self.closeness)
+        return robust_sigma(self.residuals, self.surface_share)
 
 
 NOTHING = Linearised(np.zeros((7, 7)), np.zeros(7), np.zeros(0), 0.0, np.zeros(0), 0)
@@ -95,7 +95,7 @@ NOTHING = Linearised(np.zeros((7, 7)), np.zeros(7), np.zeros(0), 0.0, np.zeros(0
 
 
 @dataclass(frozen=True, eq=False)
-class Refined:
+class IcpResult:
     """Where a refinement ended."""
 
     T_ref_query: Array
@@ -119,7 +119,7 @@ def linearise(
     reach: float,
     *,
     weights: Array | None = None,
-    carried: Array | None = None,
+    lever_arms: Array | None = None,
     planes_stretch: bool = False,
     scale_m: float = 0.05,
     sigma_m: float = 0.02,
@@ -152,8 +152,8 @@ def linearise(
     n, q = reference_planes.normals[match], points[rows]
     offset = moved[rows] - reference_planes.points[match]
     residual = np.einsum("ni,ni->n", n, offset)
-    of_points = np.zeros((len(rows), 3)) if carried is None else carried[rows]
-    of_planes = reference_planes.carried[match]
+    of_points = np.zeros((len(rows), 3)) if lever_arms is None else lever_arms[rows]
+    of_planes = reference_planes.lever_arms[match]
     away = np.einsum("ni,ni->n", of_points, of_points) + np.einsum("ni,ni->n", of_planes, of_planes)
     moves = -of_planes if planes_stretch else of_points @ rotation.T
     near = 1 / (1 + np.square(drift_per_m / sigma_m) * away)
@@ -185,7 +185,7 @@ def _plane_to_plane(
 
 def linearise_both(
     ref: tuple[Planes, Sample], query: tuple[Planes, Sample], T_ref_query: Array, reach: float, scale_m: float,
-    options: RefinementOptions,
+    options: IcpOptions,
 ) -> Linearised:  # fmt: skip
     """The query's points against the reference's planes and the other way round, in one problem.
 
@@ -194,7 +194,7 @@ def linearise_both(
 
     def one_way(planes: Planes, sample: Sample, T: Array, planes_stretch: bool) -> Linearised:
         return linearise(
-            planes, sample.points, sample.normals, T, reach, weights=sample.weights, carried=sample.carried,
+            planes, sample.points, sample.normals, T, reach, weights=sample.weights, lever_arms=sample.lever_arms,
             planes_stretch=planes_stretch, scale_m=scale_m, sigma_m=options.sigma_m, drift_per_m=options.drift_per_m,
             cosine=options.cosine, metric=options.metric,
         )  # fmt: skip
@@ -207,20 +207,20 @@ def linearise_both(
         there.H + A.T @ back.H @ A,
         there.g + A.T @ back.g,
         np.concatenate([there.residuals, back.residuals]),
-        float(np.hypot(there.away_m, back.away_m) / np.sqrt(2)),
-        np.concatenate([there.closeness, back.closeness]),
+        float(np.hypot(there.lever_length_m, back.lever_length_m) / np.sqrt(2)),
+        np.concatenate([there.surface_share, back.surface_share]),
         there.count + back.count,
     )
 
 
-def refine(
+def run_icp(
     ref: PlaneMap,
     query: PlaneMap,
     T_ref_query: Array,
-    options: RefinementOptions | None = None,
+    options: IcpOptions | None = None,
     prior_information: Array | None = None,
     levels: Sequence[int] | None = None,
-) -> Refined:
+) -> IcpResult:
     """The pose near a prediction where both submaps' planes agree.
 
     Args:
@@ -230,7 +230,7 @@ def refine(
         levels: indices into ``options.levels``; all by default. The last alone is for a prediction that is good to
             decimetres.
     """
-    options = options or RefinementOptions()
+    options = options or IcpOptions()
     T, stretch, steps, converged = np.array(T_ref_query, dtype=np.float64), 0.0, 0, False
     problem = NOTHING
     for k in range(len(options.levels)) if levels is None else levels:
@@ -244,7 +244,7 @@ def refine(
             scale = options.scales_m[k] * max(1.0, 2.0 * 0.6**iteration)
             problem = linearise_both(there, here, T, reach, scale, options)
             if problem.count < options.least_matches:
-                return Refined(T, np.zeros((6, 6)), problem.sigma_m, problem.count, steps, False, stretch)
+                return IcpResult(T, np.zeros((6, 6)), problem.sigma_m, problem.count, steps, False, stretch)
             xi, longer = _step(problem, T, T_ref_query, laid, options, prior_information)
             T, stretch = T @ se3_exp(xi), laid + longer
             steps += 1
@@ -253,14 +253,16 @@ def refine(
                 converged = True
                 break
     T[:3, :3] = project_to_rotation(T[:3, :3])
-    return Refined(T, _information(problem, options), problem.sigma_m, problem.count, steps, converged, stretch)
+    return IcpResult(T, _information(problem, options), problem.sigma_m, problem.count, steps, converged, stretch)
 
 
 def _sides(planes: PlaneMap, level: int, stretch: float) -> tuple[Planes, Sample]:
     return planes.level(level).stretched(stretch), planes.sample(level).stretched(stretch)
 
 
-def assess(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: RefinementOptions, iterations: int) -> Refined:
+def icp_result_at(
+    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: IcpOptions, iterations: int
+) -> IcpResult:
     """A pose found otherwise, with the information that it would have had it been found here."""
     level = options.levels[-1]
     reach = min(ref.options.reach_m[level], query.options.reach_m[level])
@@ -268,7 +270,7 @@ def assess(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: Refineme
     problem = linearise_both(*sides, T_ref_query, reach, options.scales_m[-1], options)
     enough = problem.count >= options.least_matches
     information = _information(problem, options) if enough else np.zeros((6, 6))
-    return Refined(T_ref_query, information, problem.sigma_m, problem.count, iterations, enough)
+    return IcpResult(T_ref_query, information, problem.sigma_m, problem.count, iterations, enough)
 
 
 def _variance(problem: Linearised) -> float:
@@ -276,7 +278,7 @@ def _variance(problem: Linearised) -> float:
     return float(max(problem.sigma_m, 1e-3) ** 2 * CORRELATION)
 
 
-def _information(problem: Linearised, options: RefinementOptions) -> Array:
+def _information(problem: Linearised, options: IcpOptions) -> Array:
     """(6, 6) of the residuals' noise with the stretch unknown, and of what else odometry drifts between the nodes and
     what was matched."""
     H = problem.H[:6, :6] / _variance(problem)
@@ -285,12 +287,12 @@ def _information(problem: Linearised, options: RefinementOptions) -> Array:
         own = problem.H[6, 6] / _variance(problem) + options.stretch_sigma**-2
         H = H - np.outer(with_stretch, with_stretch) / own
     noise = np.linalg.inv(H + _OPEN * np.eye(6))
-    drift = problem.away_m * np.repeat([options.drift_per_m, options.turn_per_m], 3)
+    drift = problem.lever_length_m * np.repeat([options.drift_per_m, options.turn_per_m], 3)
     return np.asarray(np.linalg.inv(noise + np.diag(np.square(drift))))
 
 
 def _step(
-    problem: Linearised, T: Array, T_start: Array, stretch: float, options: RefinementOptions, prior: Array | None
+    problem: Linearised, T: Array, T_start: Array, stretch: float, options: IcpOptions, prior: Array | None
 ) -> tuple[Array, float]:
     """(6,) Gauss-Newton, held where nothing else does; and how the stretch changes."""
     H, g = problem.H.copy(), problem.g.copy()

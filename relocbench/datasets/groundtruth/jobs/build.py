@@ -45,7 +45,7 @@ def build_ground_truth(
         ConfigError: an option that does not fit the recordings.
         DatasetError: something in a recording is damaged; or no pair could be accepted, with the reason.
     """
-    cameras, first = check(recordings, options)
+    cameras, first = check_recordings(recordings, options)
     folder = writer.layout.root / "groundtruth"
     if not options.use_prior:
         recordings = [replace(recording, prior=None) for recording in recordings]
@@ -64,7 +64,7 @@ def build_ground_truth(
         for query, asking in zip(queries, frames[1:], strict=True)
     ]
     paired = _pair(units, folder / "graph", reporter, run)
-    _refuse_nothing(paired, [q.name for q in queries], folder / "registrations")
+    _require_accepted(paired, [q.name for q in queries], folder / "registrations")
     poses = rig_poses(recordings, frames, paired)
     for recording, drive, chosen, known in zip(recordings, drives, frames, poses, strict=True):
         write_traversal(writer, recording, drive, chosen, known, options, reporter, run)
@@ -85,7 +85,9 @@ def build_ground_truth(
     return writer.finish()
 
 
-def check(recordings: Sequence[FieldRecording], options: FieldOptions) -> tuple[tuple[str, ...], FirstPose | None]:
+def check_recordings(
+    recordings: Sequence[FieldRecording], options: FieldOptions
+) -> tuple[tuple[str, ...], FirstPose | None]:
     """The cameras whose images are paired, and the first pair given by hand.
 
     Raises:
@@ -152,7 +154,7 @@ def _pair(units: Sequence[PairingUnit], folder: Path, reporter: Reporter, run: R
 
 def _write_graph(path: Path, unit: PairingUnit, paired: Paired) -> None:
     count = len(unit.reference.nodes)
-    before, after = paired.way_to_trusted[:count], paired.way_to_trusted[count:]
+    before, after = paired.arc_length_to_trusted[:count], paired.arc_length_to_trusted[count:]
     verdicts = {r.query: verdict for r, verdict in zip(unit.registrations, paired.verdicts, strict=True)}
     write_graph(
         path,
@@ -161,7 +163,7 @@ def _write_graph(path: Path, unit: PairingUnit, paired: Paired) -> None:
     )
 
 
-def _refuse_nothing(paired: Sequence[Paired], queries: Sequence[str], folder: Path) -> None:
+def _require_accepted(paired: Sequence[Paired], queries: Sequence[str], folder: Path) -> None:
     """Raises DatasetError where not one pair was accepted."""
     everything = [o for p in paired for outcomes in p.outcomes.values() for o in outcomes]
     if any(o.accepted for o in everything):

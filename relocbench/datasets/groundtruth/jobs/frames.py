@@ -11,7 +11,7 @@ from relocbench.datasets.sensors.recording import CameraStream, FieldRecording
 Times = NDArray[np.int64]
 
 
-def chosen_images(
+def select_images(
     recording: FieldRecording, stream: CameraStream, nodes: Nodes, apart_m: float, *, in_gaps: bool = False
 ) -> list[int]:
     """Indices of images at least ``apart_m`` of road apart, within the drive's nodes; standing still gives one.
@@ -28,8 +28,8 @@ def chosen_images(
         return []
     seconds = (times - nodes.times_ns[0]) / 1e9
     at_nodes = (nodes.times_ns - nodes.times_ns[0]) / 1e9
-    way = np.interp(seconds, at_nodes, nodes.travelled_m)
-    pieces = nodes.stretches()
+    travelled = np.interp(seconds, at_nodes, nodes.travelled_m)
+    pieces = nodes.segments()
     same = pieces[1:] == pieces[:-1]
     driven, spent = np.diff(nodes.travelled_m)[same].sum(), np.diff(at_nodes)[same].sum()
     wait_s = apart_m * spent / driven if driven > 0 else np.inf
@@ -38,7 +38,7 @@ def chosen_images(
         if chosen:
             last = chosen[-1]
             waited = not (known[index] and known[last]) and seconds[index] - seconds[last] >= wait_s - 1e-9
-            if not waited and way[index] - way[last] < apart_m - 1e-6:
+            if not waited and travelled[index] - travelled[last] < apart_m - 1e-6:
                 continue
         chosen.append(index)
     return chosen

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions
 from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits
-from relocbench.datasets.groundtruth.registration.along_drive import TrackingOptions
+from relocbench.datasets.groundtruth.registration.along_drive import DriveRegistrationOptions
 from relocbench.datasets.groundtruth.registration.global_registration import GlobalOptions
 from relocbench.datasets.groundtruth.registration.submap_pair import RegisterOptions
 
@@ -50,11 +50,11 @@ class FieldOptions(ImportOptions):
     @property
     def alignment(self) -> AlignmentOptions:
         """For the registration of drives."""
-        tracking = TrackingOptions(
+        registration = DriveRegistrationOptions(
             register=RegisterOptions(backend=self.icp),
             search=GlobalOptions(matcher=self.matcher, seeds=tuple(range(3 * self.seed, 3 * self.seed + 3))),
         )
-        return AlignmentOptions(submap_m=self.submap, tracking=tracking)
+        return AlignmentOptions(submap_m=self.submap, registration=registration)
 
     @property
     def limits(self) -> OutcomeLimits:

@@ -15,7 +15,7 @@ from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.groundtruth.depth.depth import DepthOptions
 from relocbench.datasets.groundtruth.depth.images import DepthFrame, DepthView, make_depth
 from relocbench.datasets.groundtruth.depth.stereo_partner import StereoPair, stereo_pair
-from relocbench.datasets.groundtruth.jobs.frames import chosen_images
+from relocbench.datasets.groundtruth.jobs.frames import select_images
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.pairs.pairing import Paired
 from relocbench.datasets.groundtruth.submaps.drive import Drive
@@ -52,7 +52,7 @@ def choose_frames(
         raise ConfigError(f"--depth stereo: {recording.name} has no camera to the right of {camera}, rectified with it")
     apart = options.keyframe_distance if is_reference else options.query_distance
     # Without a pose there is no keyframe; that a query has none is to be on record.
-    indices = chosen_images(recording, stream, drive.nodes, apart, in_gaps=not is_reference)
+    indices = select_images(recording, stream, drive.nodes, apart, in_gaps=not is_reference)
     if options.depth == "stereo" and pair is not None:
         both = pair.common_times()
         indices = [i for i in indices if int(stream.times_ns[i]) in both]

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.odometry.plane_map import PlaneMap
+from relocbench.datasets.groundtruth.odometry.local_map import LocalMap
 from relocbench.datasets.sensors.recording import LidarStream, Scan, Trajectory
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import apply, invert, make_transform, project_to_rotation, se3_exp, se3_log
@@ -80,7 +80,7 @@ class _Registration:
 
     def __init__(self, lidar: LidarStream, nearest_m: float, twist: Array | None = None) -> None:
         self._icp = _kiss_icp(lidar.max_range_m, nearest_m)
-        self._planes = PlaneMap()
+        self._planes = LocalMap()
         self._nearest_m = nearest_m
         self.twist = np.zeros(6) if twist is None else twist
         """(6,) motion in a nanosecond"""

@@ -102,19 +102,19 @@ class PairOutcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class RigPose:
     """Where the rig was at some time, by the graph."""
 
     node: int
     """nearest in way, of its own drive"""
     T_world_rig: Array
     """(4, 4)"""
-    way_m: float
+    distance_m: float
     """from that node"""
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class SolvedDrive:
     """One of the two drives."""
 
     nodes: Nodes
@@ -122,7 +122,7 @@ class Side:
     T_world_node: Array
     """(K, 4, 4) by the graph"""
 
-    def place(self, time_ns: int) -> Place | None:
+    def place(self, time_ns: int) -> RigPose | None:
         """The rig at a time: along the odometry from the nodes around it. None where the odometry has no pose.
 
         Between two nodes both speak, each in proportion to its nearness, so that corrections of the graph go over
@@ -134,20 +134,20 @@ class Side:
         times = self.nodes.times_ns
         after = int(np.searchsorted(times, time_ns, side="right"))
         around = [n for n in (after - 1, after) if 0 <= n < len(times)]
-        if self.nodes.stretch is not None and len(around) == 2:
+        if self.nodes.segment is not None and len(around) == 2:
             around = self._same_piece(around, time_ns)
         steps = [invert(self.nodes.T_odom_node[n]) @ T_odom_rig for n in around]
         ways = [float(np.linalg.norm(T[:3, 3])) for T in steps]
         said = [self.T_world_node[n] @ T for n, T in zip(around, steps, strict=True)]
         nearest = int(np.argmin(ways))
         if len(around) == 1 or sum(ways) < 1e-9:
-            return Place(around[nearest], said[nearest], ways[nearest])
+            return RigPose(around[nearest], said[nearest], ways[nearest])
         T_world_rig = interpolate(said[0], said[1], ways[0] / (ways[0] + ways[1]))
-        return Place(around[nearest], T_world_rig, ways[nearest])
+        return RigPose(around[nearest], T_world_rig, ways[nearest])
 
     def _same_piece(self, around: list[int], time_ns: int) -> list[int]:
         """Those of two nodes that the odometry reaches without a gap."""
-        pieces = self.nodes.stretch
+        pieces = self.nodes.segment
         if pieces is None or pieces[around[0]] == pieces[around[1]]:
             return around
         # The gap lies on one side of the time: the node on the other side is reached through poses without a gap.
@@ -174,15 +174,15 @@ class Outcomes:
         """
         self.solution = solution
         self.limits = limits or OutcomeLimits()
-        self.reference = Side(*reference, solution.T_world_ref)
-        self.query = Side(*query, solution.T_world_query)
+        self.reference = SolvedDrive(*reference, solution.T_world_ref)
+        self.query = SolvedDrive(*query, solution.T_world_query)
         self._registrations = registrations
 
     @cached_property
     def _way_to_contradiction(self) -> Array:
         """(N,) metres along its drive from each node to the nearest odometry edge that registrations contradict."""
         bad = [node for first, second, _ in self.solution.stressed_odometry() for node in (first, second)]
-        return self.solution.drives.way_to(np.array(bad, dtype=np.int64)).min(axis=1)
+        return self.solution.drives.arc_length_to(np.array(bad, dtype=np.int64)).min(axis=1)
 
     def of(self, ref_ns: int, query_ns: int, T_rig_refcam: Array, T_rig_querycam: Array) -> PairOutcome:
         """The outcome of a keyframe (its nearest one, if the distance is to mean anything) and a query.
@@ -209,7 +209,7 @@ class Outcomes:
     def _unknown(self, ref_ns: int, query_ns: int, reason: str) -> PairOutcome:
         return PairOutcome(ref_ns, query_ns, None, None, None, None, None, None, reason)
 
-    def _covariance(self, there: Place, here: Place, T_rig_refcam: Array, T_rig_querycam: Array) -> Array:
+    def _covariance(self, there: RigPose, here: RigPose, T_rig_refcam: Array, T_rig_querycam: Array) -> Array:
         """(6, 6) of the twist on the right of ``T_refcam_querycam``.
 
         The nodes' own, and that of odometry from each node to its image, are carried to the query camera.
@@ -221,26 +221,28 @@ class Outcomes:
         out = np.zeros((6, 6))
         for T, cov in (
             (T_querynode_cam, nodes),
-            (T_rig_querycam, self._motion(here.way_m)),
-            (T_refrig_cam, self._motion(there.way_m)),
+            (T_rig_querycam, self._motion(here.distance_m)),
+            (T_refrig_cam, self._motion(there.distance_m)),
         ):
             A = adjoint(invert(T))
             out += A @ cov @ A.T
         return out
 
-    def _motion(self, way_m: float) -> Array:
+    def _motion(self, distance_m: float) -> Array:
         """(6, 6) of odometry from a node; nothing is added at the node itself."""
         noise = self.solution.noise
-        return np.diag(way_m * noise.sigma**2)
+        return np.diag(distance_m * noise.sigma**2)
 
-    def _refusal(self, there: Place, here: Place, T_query_ref: Array, sigmas: tuple[float, float, float, float]) -> str:
+    def _refusal(
+        self, there: RigPose, here: RigPose, T_query_ref: Array, sigmas: tuple[float, float, float, float]
+    ) -> str:
         """Why a pair is refused, the plainest reason first; empty if it is not."""
         limits, count = self.limits, self.solution.drives.reference_count
         apart = float(np.linalg.norm(T_query_ref[:3, 3]))
         if apart > limits.distance_m:
             return f"no keyframe within {limits.distance_m:g} m: nearest {apart:.0f} m"
-        before, after = self.solution.way_to_trusted[count + here.node].tolist()
-        nearest = max(min(before, after), float(self.solution.way_to_trusted[there.node].min()))
+        before, after = self.solution.arc_length_to_trusted[count + here.node].tolist()
+        nearest = max(min(before, after), float(self.solution.arc_length_to_trusted[there.node].min()))
         if nearest > limits.evidence_m:
             return f"not registered within {limits.evidence_m:g} m, {_metres(nearest)}: {self._why(here.node)}"
         contradiction = min(self._way_to_contradiction[there.node], self._way_to_contradiction[count + here.node])
@@ -270,5 +272,5 @@ class Outcomes:
         return Counter(said).most_common(1)[0][0] if said else "no registration was found there"
 
 
-def _metres(way_m: float) -> str:
-    return "nor anywhere along the drive" if np.isinf(way_m) else f"nearest {way_m:.0f} m"
+def _metres(distance_m: float) -> str:
+    return "nor anywhere along the drive" if np.isinf(distance_m) else f"nearest {distance_m:.0f} m"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, map_prior, solve_drive
-from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome, Side
+from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome, SolvedDrive
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
@@ -57,7 +57,7 @@ class Paired:
     """(Q, 4, 4)"""
     verdicts: tuple[str, ...]
     """why each registration did not take part in the graph; empty if it did"""
-    way_to_trusted: Array
+    arc_length_to_trusted: Array
     """(R + Q, 2) metres back to the last and on to the next node with a trusted registration"""
 
 
@@ -72,11 +72,13 @@ def pair_up(unit: PairingUnit) -> Paired:
         unit.limits,
     )
     found = {frames.camera: _of_camera(unit, frames, solution, outcomes) for frames in unit.cameras}
-    return Paired(found, solution.T_world_ref, solution.T_world_query, solution.verdicts, solution.way_to_trusted)
+    return Paired(
+        found, solution.T_world_ref, solution.T_world_query, solution.verdicts, solution.arc_length_to_trusted
+    )
 
 
 def _of_camera(unit: PairingUnit, frames: CameraFrames, solution: Solution, outcomes: Outcomes) -> list[PairOutcome]:
-    keyframes = _Placed.of(outcomes.reference, solution, frames.ref_ns, frames.T_rig_refcam)
+    keyframes = _Keyframes.of(outcomes.reference, solution, frames.ref_ns, frames.T_rig_refcam)
     prior = map_prior(unit.reference, unit.query)
     out = []
     for time in frames.query_ns:
@@ -99,7 +101,7 @@ def _of_camera(unit: PairingUnit, frames: CameraFrames, solution: Solution, outc
 
 
 @dataclass(frozen=True, eq=False)
-class _Placed:
+class _Keyframes:
     """Keyframes where the graph puts them."""
 
     times: tuple[int, ...]
@@ -108,7 +110,7 @@ class _Placed:
     """which nodes each one's pose can be compared with"""
 
     @classmethod
-    def of(cls, side: Side, solution: Solution, times: Sequence[int], T_rig_cam: Array) -> _Placed:
+    def of(cls, side: SolvedDrive, solution: Solution, times: Sequence[int], T_rig_cam: Array) -> _Keyframes:
         places = [(time, place) for time in times if (place := side.place(time)) is not None]
         poses = np.array([place.T_world_rig @ T_rig_cam for _, place in places], dtype=np.float64)
         nodes = np.array([place.node for _, place in places], dtype=np.int64)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
-from relocbench.datasets.groundtruth.pose_graph.edge_information import held, minimum, scatter_by_patch
+from relocbench.datasets.groundtruth.pose_graph.edge_information import minimum, nearest_semidefinite, scatter_by_patch
 from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalFit
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions, Planes, Sample
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
@@ -32,7 +32,7 @@ _COSINE = 0.8
 """of the largest angle between normals that may meet"""
 _PATCH_M = 1.0
 """side of the patches of surface on which points err alike"""
-_LEVER_M, _OPEN_SHARE = 10.0, 1e-4
+_CHARACTERISTIC_LENGTH_M, _OPEN_SHARE = 10.0, 1e-4
 """see :class:`relocbench.datasets.groundtruth.pose_graph.local_edges.LocalOptions`"""
 
 
@@ -49,13 +49,13 @@ class BlockFits:
     def __call__(self, ref: int, query: int, T_ref_query: Array, /) -> LocalFit:
         """The fit at a pose ``T_ref_query`` (4, 4), node to node."""
         planes, points = self._planes(0, ref).level(0), self._planes(1, query).sample(0)
-        met = meet(planes, points, T_ref_query)
-        H = held(met.by_points.T @ (met.weights[:, None] * met.by_planes), _LEVER_M)
+        met = match_points(planes, points, T_ref_query)
+        H = nearest_semidefinite(met.by_points.T @ (met.weights[:, None] * met.by_planes), _CHARACTERISTIC_LENGTH_M)
         gradients = (met.weights * met.residuals)[:, None] * met.by_points
         g = gradients.sum(axis=0)
         sigma = robust_sigma(met.residuals, met.weights) if len(met) else 0.0
         # Where the fit of this block alone would lie, its points say how far they disagree.
-        left = met.residuals + met.by_planes @ minimum(H, g, _LEVER_M, _OPEN_SHARE)
+        left = met.residuals + met.by_planes @ minimum(H, g, _CHARACTERISTIC_LENGTH_M, _OPEN_SHARE)
         scatter = scatter_by_patch((met.weights * left)[:, None] * met.by_points, met.patches)
         return LocalFit(H, g, sigma, len(met), scatter)
 
@@ -71,7 +71,7 @@ class BlockFits:
 
 
 @dataclass(frozen=True, eq=False)
-class Contacts:
+class Matches:
     """Points of a query's block that lie near a plane of a reference's block."""
 
     by_planes: Array
@@ -89,7 +89,7 @@ class Contacts:
         return len(self.residuals)
 
 
-def meet(planes: Planes, points: Sample, T_ref_query: Array) -> Contacts:
+def match_points(planes: Planes, points: Sample, T_ref_query: Array) -> Matches:
     """The residual of a point q with the plane (p, n) is ``r = n^T (R q + t - p)``, its derivative ``(m, q x m)`` with
     m = R^T n, or the point's own normal."""
     rotation, translation = T_ref_query[:3, :3], T_ref_query[:3, 3]
@@ -102,7 +102,7 @@ def meet(planes: Planes, points: Sample, T_ref_query: Array) -> Contacts:
     weights = np.minimum(planes.weights[match], points.weights[rows]) / np.square(1 + np.square(residuals / _SCALE_M))
     by_planes, by_points = (np.hstack([m, np.cross(q, m)]) for m in (n @ rotation, points.normals[rows]))
     facing = np.argmax(np.abs(points.normals[rows]), axis=1) if len(rows) else rows
-    return Contacts(by_planes, by_points, residuals, weights, 4 * voxel_keys(q, _PATCH_M) + facing)
+    return Matches(by_planes, by_points, residuals, weights, 4 * voxel_keys(q, _PATCH_M) + facing)
 
 
 def as_submap(store: BlockStore, node: int) -> Submap:

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, components
-from relocbench.datasets.groundtruth.pose_graph.node_numbers import Drives
 from relocbench.errors import ConfigError
 from relocbench.geometry import invert, rotation_angle
 
@@ -59,7 +59,7 @@ class Runs:
     """(E,) whether neither it nor what contradicts it prevails"""
 
 
-def agree(edges: Edges, drives: Drives, options: RunOptions) -> Runs:
+def find_runs(edges: Edges, drives: BothDrives, options: RunOptions) -> Runs:
     """Find runs and let them win or lose.
 
     Args:
@@ -85,7 +85,7 @@ def agree(edges: Edges, drives: Drives, options: RunOptions) -> Runs:
     return Runs(run, np.isin(run, list(won - doubtful)), np.isin(run, list(doubtful)))
 
 
-def _near(edges: Edges, drives: Drives, options: RunOptions) -> tuple[Indices, Indices]:
+def _near(edges: Edges, drives: BothDrives, options: RunOptions) -> tuple[Indices, Indices]:
     """Pairs of registrations that lie near each other along both drives, on the same pieces of odometry."""
     way_first, way_second = drives.travelled_m[edges.first], drives.travelled_m[edges.second]
     spacing = np.diff(np.unique(way_second))
@@ -98,18 +98,20 @@ def _near(edges: Edges, drives: Drives, options: RunOptions) -> tuple[Indices, I
     a, b = order[left], order[right]
     kept = np.abs(way_first[a] - way_first[b]) <= reach
     for nodes in (edges.first, edges.second):
-        kept &= drives.stretch[nodes[a]] == drives.stretch[nodes[b]]
+        kept &= drives.segment[nodes[a]] == drives.segment[nodes[b]]
     return a[kept], b[kept]
 
 
-def _closes(edges: Edges, drives: Drives, a: Indices, b: Indices, options: RunOptions) -> Mask:
+def _closes(edges: Edges, drives: BothDrives, a: Indices, b: Indices, options: RunOptions) -> Mask:
     """Whether what one registration says of the other's nodes is what the other says itself."""
     T = drives.T_odom_node
     T_first = invert(T[edges.first[b]]) @ T[edges.first[a]]
     T_second = invert(T[edges.second[a]]) @ T[edges.second[b]]
     offset = invert(edges.T_first_second[b]) @ T_first @ edges.T_first_second[a] @ T_second
-    way = np.maximum(drives.way(edges.first[a], edges.first[b]), drives.way(edges.second[a], edges.second[b]))
-    closes = np.linalg.norm(offset[:, :3, 3], axis=1) <= options.closure_m + options.closure_per_m * way
+    arc_length = np.maximum(
+        drives.arc_length(edges.first[a], edges.first[b]), drives.arc_length(edges.second[a], edges.second[b])
+    )
+    closes = np.linalg.norm(offset[:, :3, 3], axis=1) <= options.closure_m + options.closure_per_m * arc_length
     return np.asarray(closes & (np.degrees(rotation_angle(offset[:, :3, :3])) <= options.closure_deg))
 
 

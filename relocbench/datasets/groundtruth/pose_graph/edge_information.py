@@ -17,26 +17,26 @@ _RIDGE = 1e-9
 """of the largest eigenvalue, so that directions that nothing holds stay solvable"""
 
 
-def held(H: Array, lever_m: float) -> Array:
+def nearest_semidefinite(H: Array, characteristic_length_m: float) -> Array:
     """(6, 6) the nearest matrix that is symmetric and holds no direction less than not at all.
 
     Args:
         lever_m: at which rotations are weighed against translations.
     """
-    scale = np.array([1.0, 1.0, 1.0, *[1.0 / lever_m] * 3])
+    scale = np.array([1.0, 1.0, 1.0, *[1.0 / characteristic_length_m] * 3])
     values, vectors = np.linalg.eigh(scale[:, None] * (H + H.T) / 2 * scale)
     nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return np.asarray(nearest / scale[:, None] / scale)
 
 
-def minimum(H: Array, g: Array, lever_m: float, open_share: float) -> Array:
+def minimum(H: Array, g: Array, characteristic_length_m: float, open_share: float) -> Array:
     """``-H^+ g`` (6,): the step to the minimum, without the directions that the block leaves open.
 
     Args:
         lever_m: at which rotations are weighed against translations when directions are called open.
         open_share: a direction with so little of the strongest one's information is open.
     """
-    scale = np.array([1.0, 1.0, 1.0, *[1.0 / lever_m] * 3])
+    scale = np.array([1.0, 1.0, 1.0, *[1.0 / characteristic_length_m] * 3])
     values, vectors = np.linalg.eigh(scale[:, None] * H * scale)
     known = values > open_share * max(values[-1], 1e-300)
     inverse = np.where(known, 1.0 / np.where(known, values, 1.0), 0.0)
@@ -56,7 +56,7 @@ def scatter_by_patch(gradients: Array, patch: NDArray[np.int64]) -> Array:
     return np.asarray(sums.T @ sums)
 
 
-def sandwich(H: Array, scatter: Array, floor: float, lever_m: float) -> Array:
+def sandwich_information(H: Array, scatter: Array, floor: float, characteristic_length_m: float) -> Array:
     """(6, 6) information ``H (S + floor H)^-1 H``.
 
     Args:
@@ -65,7 +65,7 @@ def sandwich(H: Array, scatter: Array, floor: float, lever_m: float) -> Array:
         floor: m^2, variance of a distance that is assumed on top.
         lever_m: at which rotations are weighed against translations.
     """
-    scale = np.array([1.0, 1.0, 1.0, *[1.0 / lever_m] * 3])
+    scale = np.array([1.0, 1.0, 1.0, *[1.0 / characteristic_length_m] * 3])
     scaled, spread = (scale[:, None] * m * scale for m in (H, scatter))
     spread = spread + floor * scaled
     spread = spread + _RIDGE * max(float(np.trace(spread)), 1e-300) * np.eye(6)
@@ -73,7 +73,7 @@ def sandwich(H: Array, scatter: Array, floor: float, lever_m: float) -> Array:
     return np.asarray((information + information.T) / 2 / scale[:, None] / scale)
 
 
-def distorted(information: Array, variance: Array) -> Array:
+def with_block_distortion(information: Array, variance: Array) -> Array:
     """(6, 6) information of an edge whose ends are not rigid: ``(information^-1 + diag(variance))^-1``.
 
     Args:

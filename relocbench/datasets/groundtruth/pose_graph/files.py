@@ -37,7 +37,7 @@ class PlacedDrive:
     """(K,)"""
     T_world_node: Array
     """(K, 4, 4)"""
-    way_to_trusted: Array
+    arc_length_to_trusted: Array
     """(K, 2) metres back to the last and on to the next trusted registration; inf where there is none"""
     verdicts: Mapping[int, str]
     """node -> why its registration did not take part in the graph, empty if it did; of nodes that were tried"""
@@ -54,7 +54,7 @@ class PlacedDrive:
     @property
     def connected(self) -> NDArray[np.bool_]:
         """(K,) whether the other drive's registrations reach each node, so that the two can be compared."""
-        return np.asarray(np.isfinite(self.way_to_trusted).any(axis=1))
+        return np.asarray(np.isfinite(self.arc_length_to_trusted).any(axis=1))
 
     def nodes(self) -> Nodes:
         """As submaps need them, laid out by the graph."""
@@ -64,7 +64,7 @@ class PlacedDrive:
         """The node nearest in time."""
         return int(np.argmin(np.abs(self.times_ns - time_ns)))
 
-    def way_at(self, time_ns: int) -> float:
+    def arc_length_at(self, time_ns: int) -> float:
         """Metres driven up to a time."""
         start = int(self.times_ns[0])
         return float(np.interp((time_ns - start) / 1e9, (self.times_ns - start) / 1e9, self.travelled_m))
@@ -87,7 +87,7 @@ def write_graph(path: Path, reference: PlacedDrive, query: PlacedDrive) -> None:
         t, q = transform_to_tq(np.concatenate([reference.T_world_node, query.T_world_node]))
         poses = iter(np.hstack([t, q]).tolist())
         for drive in (reference, query):
-            for node, ways in enumerate(drive.way_to_trusted.tolist()):
+            for node, ways in enumerate(drive.arc_length_to_trusted.tolist()):
                 verdict = drive.verdicts.get(node)
                 table.writerow(
                     [

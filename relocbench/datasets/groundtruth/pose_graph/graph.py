@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
-from relocbench.datasets.groundtruth.pose_graph.consensus import agree
+from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
+from relocbench.datasets.groundtruth.pose_graph.consensus import find_runs
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind, components
-from relocbench.datasets.groundtruth.pose_graph.initialisation import place
+from relocbench.datasets.groundtruth.pose_graph.initialisation import initial_poses
 from relocbench.datasets.groundtruth.pose_graph.least_squares import Covariances
-from relocbench.datasets.groundtruth.pose_graph.node_numbers import Drives
 from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise
 from relocbench.datasets.groundtruth.pose_graph.odometry_scale import scales_of
-from relocbench.datasets.groundtruth.pose_graph.outlier_test import Tested
+from relocbench.datasets.groundtruth.pose_graph.outlier_test import OutlierTest
 from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions, Selected, select
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.geometry import invert, rotation_angle
@@ -37,7 +37,7 @@ _CONTROLLED = 1.0
 class Solution:
     """Poses of both drives in one world, and how certain they are."""
 
-    drives: Drives
+    drives: BothDrives
     T_world_node: Array
     """(N, 4, 4) the R nodes of the reference, then those of the query"""
     edges: Edges
@@ -48,11 +48,11 @@ class Solution:
     """(E,) registrations that took part and that others check"""
     verdicts: tuple[str, ...]
     """(E,) why a registration did not take part; empty if it did"""
-    tested: Tested
+    tested: OutlierTest
     """(E,) registrations against all else"""
-    odometry_tested: Tested
+    odometry_tested: OutlierTest
     """odometry edges against all else"""
-    way_to_trusted: Array
+    arc_length_to_trusted: Array
     """(N, 2) metres from each node back to the last, and on to the next, node with a trusted registration"""
     information_factor: float = 1.0
     """the registrations' information was divided by this"""
@@ -122,14 +122,14 @@ def optimise(
         odometry_noise: to start from; it is estimated unless the options say otherwise.
     """
     options = options or GraphOptions()
-    drives = Drives.of(nodes_ref, nodes_query)
+    drives = BothDrives.of(nodes_ref, nodes_query)
     cross = registration_edges(drives, registrations)
     trusted = np.array([r.trusted for r in registrations], dtype=bool)
     believed = np.flatnonzero(trusted)
-    runs = agree(cross[believed], drives, options.runs)
+    runs = find_runs(cross[believed], drives, options.runs)
     candidates, doubtful = trusted.copy(), np.zeros(len(cross), dtype=bool)
     candidates[believed], doubtful[believed] = runs.won, runs.doubtful
-    start = place(cross[candidates], drives.T_odom_node, drives.travelled_m, drives.stretch)
+    start = initial_poses(cross[candidates], drives.T_odom_node, drives.travelled_m, drives.segment)
     found = select(drives, cross, candidates, start, odometry_noise or OdometryNoise(), options)
     verdicts = _verdicts(registrations, cross, candidates, doubtful, found)
     controlled = found.used & (found.tested.redundancy >= _CONTROLLED)
@@ -142,12 +142,12 @@ def optimise(
         verdicts,
         found.tested,
         found.odometry_tested,
-        drives.way_to(np.concatenate([cross.first[controlled], cross.second[controlled]])),
+        drives.arc_length_to(np.concatenate([cross.first[controlled], cross.second[controlled]])),
         found.information_factor,
     )
 
 
-def registration_edges(drives: Drives, registrations: Sequence[Registration]) -> Edges:
+def registration_edges(drives: BothDrives, registrations: Sequence[Registration]) -> Edges:
     """Registrations as edges, in their order."""
     count = len(registrations)
     return Edges(

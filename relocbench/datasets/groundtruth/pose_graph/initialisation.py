@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-def place(edges: Edges, T_odom_node: Array, travelled_m: Array, stretch: Indices) -> Array:
+def initial_poses(edges: Edges, T_odom_node: Array, travelled_m: Array, segment: Indices) -> Array:
     """First poses of all nodes; the world is the odometry of the first stretch.
 
     Stretch after stretch is laid against those that already lie, each node by the registration nearest to it along its
@@ -28,7 +28,7 @@ def place(edges: Edges, T_odom_node: Array, travelled_m: Array, stretch: Indices
         (N, 4, 4) ``T_world_node``; stretches that no registration ties keep their odometry's frame.
     """
     T_world_node = T_odom_node.copy()
-    placed = stretch == stretch[0]
+    placed = segment == segment[0]
     while True:
         forward = placed[edges.first] & ~placed[edges.second]
         backward = placed[edges.second] & ~placed[edges.first]
@@ -38,10 +38,10 @@ def place(edges: Edges, T_odom_node: Array, travelled_m: Array, stretch: Indices
         new = np.concatenate([edges.second[forward], edges.first[backward]])
         T_known_new = np.concatenate([edges.T_first_second[forward], invert(edges.T_first_second[backward])])
         # The stretch that most registrations tie goes first.
-        names, counts = np.unique(stretch[new], return_counts=True)
+        names, counts = np.unique(segment[new], return_counts=True)
         chosen = names[np.argmax(counts)]
-        links = np.flatnonzero(stretch[new] == chosen)
-        nodes = np.flatnonzero(stretch == chosen)
+        links = np.flatnonzero(segment[new] == chosen)
+        nodes = np.flatnonzero(segment == chosen)
         apart = np.abs(travelled_m[nodes, None] - travelled_m[None, new[links]])
         by = links[np.argmin(apart, axis=1)]
         T_new_node = invert(T_odom_node[new[by]]) @ T_odom_node[nodes]

@@ -14,15 +14,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.pose_graph.edge_information import distorted, minimum, sandwich
+from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
+from relocbench.datasets.groundtruth.pose_graph.edge_information import (
+    minimum,
+    sandwich_information,
+    with_block_distortion,
+)
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution
 from relocbench.datasets.groundtruth.pose_graph.least_squares import Covariances, solve
-from relocbench.datasets.groundtruth.pose_graph.node_numbers import Drives
 from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise, estimate, variance_factor
 from relocbench.datasets.groundtruth.pose_graph.odometry_scale import rescaled
 from relocbench.datasets.groundtruth.pose_graph.outlier_test import check_used
-from relocbench.datasets.groundtruth.pose_graph.selection import check_odometry, settled, spread, weakened
+from relocbench.datasets.groundtruth.pose_graph.selection import check_odometry, downweighted, noise_converged, spread
 from relocbench.errors import ConfigError
 from relocbench.geometry import invert, se3_exp
 
@@ -75,7 +79,7 @@ class LocalOptions:
     iterations: int = 4
     settled_m: float = 5e-4
     """the iterations end when no block moves further against its neighbour"""
-    lever_m: float = 10.0
+    characteristic_length_m: float = 10.0
     """at which rotations are weighed against translations when directions are called open"""
     open_share: float = 1e-4
     """a direction with so little of the strongest one's information is open: it is not moved, and keeps what it has"""
@@ -91,7 +95,7 @@ class LocalOptions:
             self.trusted_within_m,
             self.correlation,
             self.least_sigma_m,
-            self.lever_m,
+            self.characteristic_length_m,
             self.scale_m,
         )
         if min(positive) <= 0 or min(self.iterations, self.least_count, self.noise_edges, self.repeats) < 1:
@@ -108,7 +112,7 @@ def refine_locally(solution: Solution, linearise: Linearise, options: LocalOptio
         linearise: fits blocks; called for every pair of blocks that meet, once an iteration.
     """
     options = options or LocalOptions()
-    pairs = meeting(solution, options)
+    pairs = neighbouring_blocks(solution, options)
     T, noise, factor = solution.T_world_node, solution.noise, 1.0
     local = solution.edges[np.zeros(0, dtype=np.int64)]
     odometry = solution.drives.odometry(noise)
@@ -124,13 +128,13 @@ def refine_locally(solution: Solution, linearise: Linearise, options: LocalOptio
                 assumed = noise, factor
                 noise, factor = _noise(drives, T, assumed, local, options)
                 odometry = drives.odometry(noise)
-                T = solve(T, Edges.join([odometry, weakened(local, factor)]))
-                if settled(assumed, (noise, factor)):
+                T = solve(T, Edges.join([odometry, downweighted(local, factor)]))
+                if noise_converged(assumed, (noise, factor)):
                     break
             moved = invert(local.apart(before)) @ local.apart(T)
             if np.linalg.norm(moved[:, :3, 3], axis=1).max(initial=0.0) < options.settled_m:
                 break
-    edges = Edges.join([odometry, weakened(local, factor)])
+    edges = Edges.join([odometry, downweighted(local, factor)])
     T = solve(T, edges)
     return replace(
         solution,
@@ -142,14 +146,14 @@ def refine_locally(solution: Solution, linearise: Linearise, options: LocalOptio
     )
 
 
-def meeting(solution: Solution, options: LocalOptions) -> list[tuple[int, int]]:
+def neighbouring_blocks(solution: Solution, options: LocalOptions) -> list[tuple[int, int]]:
     """(reference node, query node) of all blocks that meet, in the order of the query's drive.
 
     Near in space is not enough: where a street is driven twice, nothing but drifted odometry may tell how one time lies
     to the other. A registration must say of both nodes, along their drives, that they belong together.
     """
     drives, count = solution.drives, solution.drives.reference_count
-    near = solution.way_to_trusted.min(axis=1) <= options.trusted_within_m
+    near = solution.arc_length_to_trusted.min(axis=1) <= options.trusted_within_m
     registered = solution.edges[solution.edges.kind == Kind.REGISTRATION]
     out = []
     for query in np.flatnonzero(near[count:]).tolist():
@@ -162,10 +166,10 @@ def meeting(solution: Solution, options: LocalOptions) -> list[tuple[int, int]]:
     return out
 
 
-def _along(drives: Drives, node: int, others: NDArray[np.int64]) -> Array:
+def _along(drives: BothDrives, node: int, others: NDArray[np.int64]) -> Array:
     """(M,) metres along its drive from a node to others; ``inf`` where a gap of the odometry lies between."""
-    way = np.abs(drives.travelled_m[others] - drives.travelled_m[node])
-    return np.where(drives.stretch[others] == drives.stretch[node], way, np.inf)
+    arc_length = np.abs(drives.travelled_m[others] - drives.travelled_m[node])
+    return np.where(drives.segment[others] == drives.segment[node], arc_length, np.inf)
 
 
 def local_edges(
@@ -187,8 +191,8 @@ def local_edges(
             continue
         first.append(ref)
         second.append(count + query)
-        poses.append(T_ref_query @ se3_exp(minimum(fit.H, fit.g, options.lever_m, options.open_share)))
-        information.append(distorted(_information(fit, options), options.inside_m * noise.sigma**2))
+        poses.append(T_ref_query @ se3_exp(minimum(fit.H, fit.g, options.characteristic_length_m, options.open_share)))
+        information.append(with_block_distortion(_information(fit, options), options.inside_m * noise.sigma**2))
     return Edges(
         np.array(first, dtype=np.int64),
         np.array(second, dtype=np.int64),
@@ -202,7 +206,7 @@ def _information(fit: LocalFit, options: LocalOptions) -> Array:
     if fit.scatter is None:
         return np.asarray(fit.H / (max(fit.sigma_m, options.least_sigma_m) ** 2 * options.correlation))
     floor = options.least_sigma_m**2 * options.correlation
-    return sandwich(fit.H, options.repeats * fit.scatter, floor, options.lever_m)
+    return sandwich_information(fit.H, options.repeats * fit.scatter, floor, options.characteristic_length_m)
 
 
 def _without_outliers(
@@ -211,27 +215,27 @@ def _without_outliers(
     """Poses, and the local edges that fit them."""
     from scipy.special import chdtri
 
-    T = solve(T, Edges.join([odometry, weakened(local, factor)]))
+    T = solve(T, Edges.join([odometry, downweighted(local, factor)]))
     chi2 = local.chi2(T) / factor
     typical = max(1.0, float(np.median(chi2)) / 5.348) if len(local) else 1.0
     fitting = chi2 <= typical * chdtri(6, options.significance)
     if fitting.all():
         return T, local
     kept = local[fitting]
-    return solve(T, Edges.join([odometry, weakened(kept, factor)])), kept
+    return solve(T, Edges.join([odometry, downweighted(kept, factor)])), kept
 
 
 def _noise(
-    drives: Drives, T: Array, before: tuple[OdometryNoise, float], local: Edges, options: LocalOptions
+    drives: BothDrives, T: Array, before: tuple[OdometryNoise, float], local: Edges, options: LocalOptions
 ) -> tuple[OdometryNoise, float]:
     """Odometry's noise, and by how much local edges overstate themselves, from the poses solved with those before."""
     noise, factor = before
-    odometry, local = drives.odometry(noise), weakened(local, factor)
+    odometry, local = drives.odometry(noise), downweighted(local, factor)
     covariances = Covariances(T, Edges.join([odometry, local]))
     some = odometry[spread(len(odometry), options.noise_edges)]
     posterior = np.diagonal(covariances.relative(some.first, some.second), axis1=1, axis2=2)
-    noise = estimate(noise, drives.way(some.first, some.second), some.residuals(T), posterior)
+    noise = estimate(noise, drives.arc_length(some.first, some.second), some.residuals(T), posterior)
     some = local[spread(len(local), options.noise_edges)]
     tested = check_used(some.residuals(T), some.information, covariances.relative(some.first, some.second))
-    more = variance_factor(tested.squares.ravel(), tested.free.ravel())
+    more = variance_factor(tested.squares.ravel(), tested.redundancy_numbers.ravel())
     return noise, factor if more is None else max(1.0, factor * more)

@@ -37,11 +37,11 @@ class OdometryNoise:
     roll_rad: float = 4e-4
     pitch_rad: float = 4e-4
     yaw_rad: float = 6e-4
-    least_way_m: float = 0.1
+    least_arc_length_m: float = 0.1
     """nothing is more certain than after so much, standing still included"""
 
     def __post_init__(self) -> None:
-        if not all(np.isfinite(v) and v > 0 for v in (*self.sigma, self.least_way_m)):
+        if not all(np.isfinite(v) and v > 0 for v in (*self.sigma, self.least_arc_length_m)):
             raise ConfigError("noise of odometry must be positive on every axis")
 
     @property
@@ -49,19 +49,19 @@ class OdometryNoise:
         """(6,) after one metre, in the order of :data:`AXES`: that of a twist ``(rho, phi)``, x forward, z up."""
         return np.array([self.along_m, self.across_m, self.height_m, self.roll_rad, self.pitch_rad, self.yaw_rad])
 
-    def variance(self, way_m: Array) -> Array:
+    def variance(self, arc_length_m: Array) -> Array:
         """(..., 6) after ways (...,) in metres."""
-        way = np.maximum(np.asarray(way_m, dtype=np.float64), self.least_way_m)
-        return way[..., None] * self.sigma**2
+        arc_length = np.maximum(np.asarray(arc_length_m, dtype=np.float64), self.least_arc_length_m)
+        return arc_length[..., None] * self.sigma**2
 
-    def information(self, way_m: Array) -> Array:
+    def information(self, arc_length_m: Array) -> Array:
         """(..., 6, 6)"""
-        return np.asarray((1.0 / self.variance(way_m))[..., None] * np.eye(6))
+        return np.asarray((1.0 / self.variance(arc_length_m))[..., None] * np.eye(6))
 
     def scaled(self, factors: Array) -> OdometryNoise:
         """With each standard deviation times a factor (6,)."""
         along, across, height, roll, pitch, yaw = (self.sigma * factors).tolist()
-        return OdometryNoise(along, across, height, roll, pitch, yaw, self.least_way_m)
+        return OdometryNoise(along, across, height, roll, pitch, yaw, self.least_arc_length_m)
 
     def at_least(self, other: OdometryNoise) -> OdometryNoise:
         """The larger of both on each axis."""
@@ -94,7 +94,7 @@ def variance_factor(squares: Array, redundancy: Array) -> float | None:
     return max(factor, _NARROWEST**2)
 
 
-def estimate(noise: OdometryNoise, way_m: Array, residuals: Array, posterior: Array) -> OdometryNoise:
+def estimate(noise: OdometryNoise, arc_length_m: Array, residuals: Array, posterior: Array) -> OdometryNoise:
     """The noise that the residuals of a solved graph speak for.
 
     Reference and query drive the same road side by side: only the sum of their errors shows, so they share one noise.
@@ -108,7 +108,7 @@ def estimate(noise: OdometryNoise, way_m: Array, residuals: Array, posterior: Ar
     Returns:
         The noise; axes on which too little is redundant are as before.
     """
-    prior = noise.variance(way_m)
+    prior = noise.variance(arc_length_m)
     squares, redundancy = residuals**2 / prior, np.clip(1.0 - posterior / prior, 0.0, 1.0)
     factors = [variance_factor(squares[:, i], redundancy[:, i]) for i in range(6)]
     return noise.scaled(np.sqrt([1.0 if f is None else f for f in factors]))

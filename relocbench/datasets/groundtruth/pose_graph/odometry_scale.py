@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
 from relocbench.datasets.groundtruth.pose_graph.least_squares import Scales
-from relocbench.datasets.groundtruth.pose_graph.node_numbers import Drives
 from relocbench.errors import ConfigError
 from relocbench.geometry import invert
 
@@ -44,7 +44,7 @@ class ScaleNoise:
             raise ConfigError("noise of the odometry's scale must be positive")
 
 
-def scales_of(drives: Drives, edges: Edges, noise: ScaleNoise | None = None) -> Scales:
+def scales_of(drives: BothDrives, edges: Edges, noise: ScaleNoise | None = None) -> Scales:
     """An unknown scale for each piece of each drive, wandering from piece to piece.
 
     Args:
@@ -55,8 +55,8 @@ def scales_of(drives: Drives, edges: Edges, noise: ScaleNoise | None = None) -> 
     count = 0
     neighbours: list[tuple[int, int]] = []
     begins = []
-    for stretch in np.unique(drives.stretch).tolist():
-        members = np.flatnonzero(drives.stretch == stretch)
+    for segment in np.unique(drives.segment).tolist():
+        members = np.flatnonzero(drives.segment == segment)
         piece = ((drives.travelled_m[members] - drives.travelled_m[members[0]]) // noise.piece_m).astype(np.int64)
         of_node[members] = count + piece
         begins.append(count)
@@ -72,7 +72,7 @@ def scales_of(drives: Drives, edges: Edges, noise: ScaleNoise | None = None) -> 
     )
 
 
-def rescaled(drives: Drives, T_world_node: Array, stretch_m: float) -> Drives:
+def rescaled(drives: BothDrives, T_world_node: Array, window_m: float) -> BothDrives:
     """The drives with odometry whose steps are as long as those of the graph, on the mean over a stretch.
 
     Args:
@@ -82,11 +82,11 @@ def rescaled(drives: Drives, T_world_node: Array, stretch_m: float) -> Drives:
     T_steps = invert(drives.T_odom_node[:-1]) @ drives.T_odom_node[1:]
     by_odometry = np.linalg.norm(T_steps[:, :3, 3], axis=1)
     by_graph = np.linalg.norm((invert(T_world_node[:-1]) @ T_world_node[1:])[:, :3, 3], axis=1)
-    begins = np.flatnonzero(np.diff(drives.stretch, prepend=-1))
+    begins = np.flatnonzero(np.diff(drives.segment, prepend=-1))
     T_odom_node = drives.T_odom_node.copy()
     for begin, end in zip(begins, [*begins[1:], len(drives)], strict=True):
         steps = slice(begin, end - 1)
-        ratio = _scale(drives.travelled_m[begin:end], by_odometry[steps], by_graph[steps], stretch_m)
+        ratio = _scale(drives.travelled_m[begin:end], by_odometry[steps], by_graph[steps], window_m)
         for node in range(begin, end - 1):
             T_step = T_steps[node].copy()
             T_step[:3, 3] *= ratio[node - begin]
@@ -94,14 +94,14 @@ def rescaled(drives: Drives, T_world_node: Array, stretch_m: float) -> Drives:
     return replace(drives, T_odom_node=T_odom_node)
 
 
-def _scale(travelled_m: Array, by_odometry: Array, by_graph: Array, stretch_m: float) -> Array:
+def _scale(travelled_m: Array, by_odometry: Array, by_graph: Array, window_m: float) -> Array:
     """(K - 1,) weighted mean of the graph's steps over that of odometry's, around each step of K nodes."""
     middle = 0.5 * (travelled_m[1:] + travelled_m[:-1])
     ratio = np.ones(len(middle))
-    first = np.searchsorted(middle, middle - _NEAR * stretch_m)
-    last = np.searchsorted(middle, middle + _NEAR * stretch_m)
+    first = np.searchsorted(middle, middle - _NEAR * window_m)
+    last = np.searchsorted(middle, middle + _NEAR * window_m)
     for k, (a, b) in enumerate(zip(first, last, strict=True)):
-        weight = np.exp(-0.5 * np.square((middle[a:b] - middle[k]) / stretch_m))
+        weight = np.exp(-0.5 * np.square((middle[a:b] - middle[k]) / window_m))
         expected = float(weight @ by_odometry[a:b])
         if expected > 0:
             ratio[k] = float(weight @ by_graph[a:b]) / expected

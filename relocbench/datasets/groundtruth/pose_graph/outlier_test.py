@@ -19,18 +19,18 @@ _LEAST_CHECKED = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Tested:
+class OutlierTest:
     """E edges against all others, each along six independent directions of its own."""
 
     squares: Array
     """(E, 6) squared residuals in units of the measurement's variances"""
-    free: Array
+    redundancy_numbers: Array
     """(E, 6) their expected values: the share of each that others check, from 0 to 1; above 1 for edges left out"""
 
     @property
     def checked(self) -> NDArray[np.bool_]:
         """(E, 6) directions of which others say anything"""
-        return self.free > _LEAST_CHECKED
+        return self.redundancy_numbers > _LEAST_CHECKED
 
     @property
     def freedom(self) -> NDArray[np.int64]:
@@ -40,12 +40,14 @@ class Tested:
     @property
     def chi2(self) -> Array:
         """(E,) of the residual with its own covariance, ``freedom`` degrees of freedom"""
-        return np.where(self.checked, self.squares / np.maximum(self.free, _LEAST_CHECKED), 0.0).sum(axis=1)
+        return np.where(self.checked, self.squares / np.maximum(self.redundancy_numbers, _LEAST_CHECKED), 0.0).sum(
+            axis=1
+        )
 
     @property
     def redundancy(self) -> Array:
         """(E,) in [0, 6]: how much of the edge would be known without it"""
-        return np.clip(self.free, 0.0, 1.0).sum(axis=1)
+        return np.clip(self.redundancy_numbers, 0.0, 1.0).sum(axis=1)
 
     @property
     def p_value(self) -> Array:
@@ -55,7 +57,7 @@ class Tested:
         return np.where(self.freedom > 0, chdtrc(np.maximum(self.freedom, 1), self.chi2), 1.0)
 
 
-def check_used(residuals: Array, information: Array, posterior: Array) -> Tested:
+def check_used(residuals: Array, information: Array, posterior: Array) -> OutlierTest:
     """Test edges that took part in the solution: ``R - P``.
 
     Args:
@@ -66,17 +68,17 @@ def check_used(residuals: Array, information: Array, posterior: Array) -> Tested
     return _test(residuals, information, -posterior)
 
 
-def check_left_out(residuals: Array, information: Array, posterior: Array) -> Tested:
+def check_left_out(residuals: Array, information: Array, posterior: Array) -> OutlierTest:
     """Test edges that did not take part: their residuals have the covariance ``R + P``."""
     return _test(residuals, information, posterior)
 
 
-def _test(residuals: Array, information: Array, posterior: Array) -> Tested:
+def _test(residuals: Array, information: Array, posterior: Array) -> OutlierTest:
     root = _root(information)
     transposed = np.swapaxes(root, 1, 2)
     u = np.einsum("eij,ej->ei", transposed, residuals)
-    free, basis = np.linalg.eigh(np.eye(6) + transposed @ posterior @ root)
-    return Tested(np.einsum("eji,ej->ei", basis, u) ** 2, free)
+    redundancy_numbers, basis = np.linalg.eigh(np.eye(6) + transposed @ posterior @ root)
+    return OutlierTest(np.einsum("eji,ej->ei", basis, u) ** 2, redundancy_numbers)
 
 
 def _root(information: Array) -> Array:

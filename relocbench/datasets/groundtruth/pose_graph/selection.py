@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.consensus import RunOptions
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind, components
 from relocbench.datasets.groundtruth.pose_graph.least_squares import Covariances, solve
-from relocbench.datasets.groundtruth.pose_graph.node_numbers import Drives
 from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise, estimate, variance_factor
-from relocbench.datasets.groundtruth.pose_graph.outlier_test import Tested, check_left_out, check_used
+from relocbench.datasets.groundtruth.pose_graph.outlier_test import OutlierTest, check_left_out, check_used
 from relocbench.errors import ConfigError
 
 Array = NDArray[np.float64]
@@ -67,22 +67,22 @@ class Selected:
     """all that took part, with the weights it had"""
     used: Mask
     """(E,) registrations that took part"""
-    tested: Tested
+    tested: OutlierTest
     """(E,) registrations against all else"""
-    odometry_tested: Tested
+    odometry_tested: OutlierTest
     """odometry edges against all else"""
     noise: OdometryNoise
     information_factor: float
     """the registrations' information was divided by this"""
 
 
-def weakened(edges: Edges, factor: float) -> Edges:
+def downweighted(edges: Edges, factor: float) -> Edges:
     """With information divided by a factor."""
     return replace(edges, information=edges.information / factor)
 
 
 def select(
-    drives: Drives, cross: Edges, candidates: Mask, start: Array, noise: OdometryNoise, options: GraphOptions
+    drives: BothDrives, cross: Edges, candidates: Mask, start: Array, noise: OdometryNoise, options: GraphOptions
 ) -> Selected:
     """Solve the graph of odometry and registrations.
 
@@ -95,34 +95,40 @@ def select(
     was_out, assumed = ~used, noise
     for _ in range(options.rounds):
         odometry = drives.odometry(noise)
-        edges = Edges.join([odometry, weakened(cross[used], factor)])
+        edges = Edges.join([odometry, downweighted(cross[used], factor)])
         T = solve(T, edges)
         covariances = Covariances(T, edges)
-        tested = _test_registrations(covariances, T, weakened(cross, factor), used, edges)
+        tested = _test_registrations(covariances, T, downweighted(cross, factor), used, edges)
         before = noise, factor
         if options.estimate_noise:
             some = odometry[spread(len(odometry), options.noise_edges)]
             posterior = np.diagonal(covariances.relative(some.first, some.second), axis1=1, axis2=2)
-            noise = estimate(noise, drives.way(some.first, some.second), some.residuals(T), posterior)
+            noise = estimate(noise, drives.arc_length(some.first, some.second), some.residuals(T), posterior)
             noise = noise.at_least(assumed) if options.shared_points else noise
-            more = variance_factor(tested.squares[used].ravel(), tested.free[used].ravel())
+            more = variance_factor(tested.squares[used].ravel(), tested.redundancy_numbers[used].ravel())
             # Registrations that share points err alike, and look better among themselves than they are.
             factor = max(1.0, factor * (1.0 if more is None else more))
         drop = _worst(drives, cross, used & (tested.p_value < options.significance), tested, options)
-        back = candidates & ~used & was_out & (tested.free.sum(axis=1) > 0) & (tested.p_value > options.readmission)
+        back = (
+            candidates
+            & ~used
+            & was_out
+            & (tested.redundancy_numbers.sum(axis=1) > 0)
+            & (tested.p_value > options.readmission)
+        )
         used = (used & ~drop) | back
         was_out &= ~back
-        if not drop.any() and not back.any() and settled(before, (noise, factor)):
+        if not drop.any() and not back.any() and noise_converged(before, (noise, factor)):
             break
     noise, factor = before
-    edges = Edges.join([odometry, weakened(cross[used], factor)])
+    edges = Edges.join([odometry, downweighted(cross[used], factor)])
     if drop.any() or back.any():
         T = solve(T, edges)
-        tested = _test_registrations(Covariances(T, edges), T, weakened(cross, factor), used, edges)
+        tested = _test_registrations(Covariances(T, edges), T, downweighted(cross, factor), used, edges)
     return Selected(T, edges, used, tested, check_odometry(T, edges), noise, factor)
 
 
-def check_odometry(T_world_node: Array, edges: Edges) -> Tested:
+def check_odometry(T_world_node: Array, edges: Edges) -> OutlierTest:
     """The odometry edges of a solved graph against all else."""
     odometry = edges[edges.kind != Kind.REGISTRATION]
     posterior = Covariances(T_world_node, edges).relative(odometry.first, odometry.second)
@@ -130,7 +136,7 @@ def check_odometry(T_world_node: Array, edges: Edges) -> Tested:
 
 
 def _robust(
-    drives: Drives, cross: Edges, used: Mask, start: Array, noise: OdometryNoise, options: GraphOptions
+    drives: BothDrives, cross: Edges, used: Mask, start: Array, noise: OdometryNoise, options: GraphOptions
 ) -> tuple[Array, Mask, float]:
     """Poses by a robust kernel, the registrations that fit them, and by how much these overstate themselves.
 
@@ -146,18 +152,18 @@ def _robust(
     return T, used & (found <= factor * chdtri(6, options.significance)), factor
 
 
-def _test_registrations(covariances: Covariances, T: Array, cross: Edges, used: Mask, edges: Edges) -> Tested:
+def _test_registrations(covariances: Covariances, T: Array, cross: Edges, used: Mask, edges: Edges) -> OutlierTest:
     """Every registration whose nodes are connected; of others nothing is known."""
     part = components(len(T), edges.first, edges.second)
     connected = np.flatnonzero(part[cross.first] == part[cross.second])
-    squares, free = np.zeros((len(cross), 6)), np.zeros((len(cross), 6))
+    squares, redundancy_numbers = np.zeros((len(cross), 6)), np.zeros((len(cross), 6))
     residuals, posterior = cross.residuals(T), np.zeros((len(cross), 6, 6))
     posterior[connected] = covariances.relative(cross.first[connected], cross.second[connected])
     for which, check in ((used, check_used), (~used, check_left_out)):
         some = connected[which[connected]]
         out = check(residuals[some], cross.information[some], posterior[some])
-        squares[some], free[some] = out.squares, out.free
-    return Tested(squares, free)
+        squares[some], redundancy_numbers[some] = out.squares, out.redundancy_numbers
+    return OutlierTest(squares, redundancy_numbers)
 
 
 def spread(count: int, most: int) -> NDArray[np.int64]:
@@ -165,7 +171,7 @@ def spread(count: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)) if count else np.arange(0)
 
 
-def _worst(drives: Drives, cross: Edges, failing: Mask, tested: Tested, options: GraphOptions) -> Mask:
+def _worst(drives: BothDrives, cross: Edges, failing: Mask, tested: OutlierTest, options: GraphOptions) -> Mask:
     """The worst of the failing registrations in each neighbourhood along the query's drive."""
     at = drives.travelled_m[cross.second]
     out = np.zeros(len(cross), dtype=bool)
@@ -175,7 +181,7 @@ def _worst(drives: Drives, cross: Edges, failing: Mask, tested: Tested, options:
     return out
 
 
-def settled(before: tuple[OdometryNoise, float], after: tuple[OdometryNoise, float]) -> bool:
+def noise_converged(before: tuple[OdometryNoise, float], after: tuple[OdometryNoise, float]) -> bool:
     """Whether no standard deviation changed by more than 5 %."""
     ratios = np.append(after[0].sigma / before[0].sigma, np.sqrt(after[1] / before[1]))
     return bool(np.all(np.abs(np.log(ratios)) < 0.05))

@@ -19,9 +19,9 @@ from relocbench.datasets.groundtruth.registration.global_registration import Glo
 from relocbench.datasets.groundtruth.registration.hypotheses import (
     Guess,
     HypothesisOptions,
-    Outcome,
+    SearchResult,
+    choose_hypothesis,
     nearest_node,
-    settle,
     with_alternatives,
 )
 from relocbench.datasets.groundtruth.registration.place_recognition import (
@@ -30,8 +30,8 @@ from relocbench.datasets.groundtruth.registration.place_recognition import (
     guesses_by_prior,
 )
 from relocbench.datasets.groundtruth.registration.submap_pair import (
+    PreparedDrive,
     RegisterOptions,
-    Side,
     Window,
     predict,
     register,
@@ -42,11 +42,11 @@ from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.geometry import invert, rotation_angle
 
 Array = NDArray[np.float64]
-Remember = Callable[[str, Callable[[], Outcome]], Outcome]
+Remember = Callable[[str, Callable[[], SearchResult]], SearchResult]
 
 
 @dataclass(frozen=True)
-class TrackingOptions:
+class DriveRegistrationOptions:
     """Options of the registration of a whole drive."""
 
     step_m: float = 4.0
@@ -71,13 +71,13 @@ class TrackingOptions:
     slide: SlideOptions = field(default_factory=SlideOptions)
 
 
-def track(
+def register_along(
     window_ref: Window,
     window_query: Window,
     nodes_ref: Nodes,
     nodes_query: Nodes,
     prior: MapPrior | None = None,
-    options: TrackingOptions | None = None,
+    options: DriveRegistrationOptions | None = None,
     *,
     first: Guess | None = None,
     say: Callable[[str], None] = lambda message: None,
@@ -93,22 +93,24 @@ def track(
         remember: is handed every piece of work that takes long, with words that tell it from others; it does it, or
             gives back what came of it before.
     """
-    tracker = _Tracker(Side(window_ref, nodes_ref), Side(window_query, nodes_query), prior, options, say, remember)
-    return tracker.run(first)
+    work = _DriveRegistration(
+        PreparedDrive(window_ref, nodes_ref), PreparedDrive(window_query, nodes_query), prior, options, say, remember
+    )
+    return work.run(first)
 
 
-class _Tracker:
+class _DriveRegistration:
     def __init__(
         self,
-        ref: Side,
-        query: Side,
+        ref: PreparedDrive,
+        query: PreparedDrive,
         prior: MapPrior | None,
-        options: TrackingOptions | None,
+        options: DriveRegistrationOptions | None,
         say: Callable[[str], None],
         remember: Remember,
     ) -> None:
         self.ref, self.query, self.prior = ref, query, prior
-        self.options = options or TrackingOptions()
+        self.options = options or DriveRegistrationOptions()
         self.say = say
         self.remember = remember
         self.found: dict[int, Registration] = {}
@@ -121,18 +123,18 @@ class _Tracker:
             nearest = min(range(len(steps)), key=lambda i: abs(steps[i] - start.query))
             self._along(steps[nearest:], start)
             self._along(steps[:nearest][::-1], start)
-        stretch = self.query.nodes.stretches()
+        segment = self.query.nodes.segments()
         for i, node in enumerate(steps):
-            way = float(self.query.nodes.travelled_m[node])
-            if i and stretch[node] != stretch[steps[i - 1]]:
+            travelled = float(self.query.nodes.travelled_m[node])
+            if i and segment[node] != segment[steps[i - 1]]:
                 # Beyond a gap nothing is known from before it.
                 searched = -np.inf
             if node in self.found and self.found[node].trusted:
                 continue
             if not self._is_lost(node):
                 continue
-            if way - searched >= self.options.retry_m:
-                searched = way
+            if travelled - searched >= self.options.retry_m:
+                searched = travelled
                 outcome = self.remember(f"search {node}", partial(self._search, node))
                 if outcome.best is not None:
                     self._along(steps[i:], outcome.best)
@@ -146,7 +148,7 @@ class _Tracker:
         return [self.found[node] for node in steps]
 
     def _given(self, first: Guess) -> Registration | None:
-        work = partial(settle, self.ref, self.query, [first], self.options.hypotheses, self.options.register)
+        work = partial(choose_hypothesis, self.ref, self.query, [first], self.options.hypotheses, self.options.register)
         outcome = self.remember(f"given {first[0]} {first[1]}", work)
         if outcome.best is None:
             self.say(
@@ -157,21 +159,21 @@ class _Tracker:
 
     def _is_lost(self, node: int) -> bool:
         """No trusted registration is so near along the drive that odometry still knows the place."""
-        stretch = self.query.nodes.stretches()
-        trusted = [q for q, found in self.found.items() if found.trusted and stretch[q] == stretch[node]]
-        way = self.query.nodes.travelled_m
-        return all(abs(way[node] - way[q]) > self.options.lost_m for q in trusted)
+        segment = self.query.nodes.segments()
+        trusted = [q for q, found in self.found.items() if found.trusted and segment[q] == segment[node]]
+        travelled = self.query.nodes.travelled_m
+        return all(abs(travelled[node] - travelled[q]) > self.options.lost_m for q in trusted)
 
     def _along(self, steps: list[int], start: Registration) -> None:
         """Node after node, until the drive ends, the track is lost for good, or trusted registrations are met."""
-        known, way, stretch = start, self.query.nodes.travelled_m, self.query.nodes.stretches()
+        known, travelled, segment = start, self.query.nodes.travelled_m, self.query.nodes.segments()
         for node in steps:
-            if stretch[node] != stretch[start.query]:
+            if segment[node] != segment[start.query]:
                 break
             before = self.found.get(node)
             if before is not None and before.trusted:
                 break
-            driven = abs(float(way[node] - way[known.query]))
+            driven = abs(float(travelled[node] - travelled[known.query]))
             if driven > self.options.lost_m:
                 break
             asked = f"node {node} after {known.query}"
@@ -181,8 +183,8 @@ class _Tracker:
             if found.trusted:
                 known = found
 
-    def _next_outcome(self, known: Registration, node: int, driven: float) -> Outcome:
-        return Outcome(self._next(known, node, driven))
+    def _next_outcome(self, known: Registration, node: int, driven: float) -> SearchResult:
+        return SearchResult(self._next(known, node, driven))
 
     def _next(self, known: Registration, node: int, driven: float) -> Registration:
         o = self.options
@@ -190,8 +192,8 @@ class _Tracker:
         pose = pose @ invert(self.query.nodes.T_odom_node[known.query]) @ self.query.nodes.T_odom_node[node]
         # A reference that comes by twice is followed where it was: its odometry closes no loops.
         reach = o.lost_m + 3 * o.nearest_m
-        way, stretch = self.ref.nodes.travelled_m, self.ref.nodes.stretches()
-        around = np.flatnonzero((np.abs(way - way[known.ref]) <= reach) & (stretch == stretch[known.ref]))
+        travelled, segment = self.ref.nodes.travelled_m, self.ref.nodes.segments()
+        around = np.flatnonzero((np.abs(travelled - travelled[known.ref]) <= reach) & (segment == segment[known.ref]))
         r, apart = nearest_node(self.ref, pose, around)
         predicted = predict(known, self.ref.nodes, self.query.nodes, (r, node))
         if apart > o.nearest_m + o.position_error * driven:
@@ -207,7 +209,7 @@ class _Tracker:
         limited = [s for s in starts if self._allowed(s[2], predicted, driven)]
         if driven <= 2 * o.far_m or not limited:
             return result
-        outcome: Outcome = settle(self.ref, self.query, limited, o.hypotheses, o.register)
+        outcome: SearchResult = choose_hypothesis(self.ref, self.query, limited, o.hypotheses, o.register)
         return self._consistent(outcome.best, predicted, driven) if outcome.best is not None else result
 
     def _allowed(self, T_ref_query: Array, predicted: Array, driven: float) -> bool:
@@ -229,14 +231,14 @@ class _Tracker:
         )
         return Registration(found.ref, found.query, found.T_ref_query, found.information, found.evidence, reason)
 
-    def _search(self, node: int) -> Outcome:
+    def _search(self, node: int) -> SearchResult:
         """What holds of the guesses of one search after the other; the first one's reason if nothing does."""
-        failed: Outcome | None = None
+        failed: SearchResult | None = None
         for search in self.options.search.attempts():
             if self.prior is not None:
                 found = guesses_by_prior(self.ref, self.query, self.prior, node, search)
                 if not found:
-                    return Outcome(None, "the reference did not come by, as far as the prior tells")
+                    return SearchResult(None, "the reference did not come by, as far as the prior tells")
             else:
                 found = guesses_by_features(self.ref, self.query, node, search)
             outcome = self._settled(found)
@@ -246,12 +248,12 @@ class _Tracker:
         assert failed is not None
         return failed
 
-    def _settled(self, found: list[Guess]) -> Outcome:
+    def _settled(self, found: list[Guess]) -> SearchResult:
         o, limit = self.options, self.prior
         starts = with_alternatives(self.ref, self.query, found, o.slide, 4 * o.hypotheses.tried)
         if limit is not None:
             starts = [s for s in starts if limit.allows(*s)]
-        return settle(self.ref, self.query, starts, o.hypotheses, o.register)
+        return choose_hypothesis(self.ref, self.query, starts, o.hypotheses, o.register)
 
     def _closest(self, node: int) -> int:
         return -1 if self.prior is None else self.prior.nearest(node)

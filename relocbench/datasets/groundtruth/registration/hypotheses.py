@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.registration.global_registration import distinct
-from relocbench.datasets.groundtruth.registration.submap_pair import RegisterOptions, Side, predict, register
+from relocbench.datasets.groundtruth.registration.submap_pair import PreparedDrive, RegisterOptions, predict, register
 from relocbench.datasets.groundtruth.verification.alternatives import SlideOptions, alternatives, fit
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
 from relocbench.geometry import invert, rotation_angle
@@ -28,7 +28,7 @@ Guess = tuple[int, int, Array]
 class HypothesisOptions:
     """Options that decide between several first guesses of a pose."""
 
-    stretch_m: float = 50.0
+    follow_m: float = 50.0
     """how far each is followed"""
     step_m: float = 10.0
     followed: int = 5
@@ -46,7 +46,7 @@ class HypothesisOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class SearchResult:
     """The hypothesis that held, or why none did."""
 
     best: Registration | None
@@ -63,7 +63,9 @@ def plausibility(evidence: Evidence) -> float:
     return float(min(values[:2]) - 2 * max(values[2:]))
 
 
-def with_alternatives(ref: Side, query: Side, guesses: Sequence[Guess], slide: SlideOptions, most: int) -> list[Guess]:
+def with_alternatives(
+    ref: PreparedDrive, query: PreparedDrive, guesses: Sequence[Guess], slide: SlideOptions, most: int
+) -> list[Guess]:
     """Guesses, their slides and turned versions, each once, those that fit best first."""
     ranked: list[tuple[float, int, Guess]] = []
     for r, q in dict.fromkeys(g[:2] for g in guesses):
@@ -74,9 +76,13 @@ def with_alternatives(ref: Side, query: Side, guesses: Sequence[Guess], slide: S
     return [guess for _, _, guess in sorted(ranked, key=lambda entry: entry[:2])[:most]]
 
 
-def settle(
-    ref: Side, query: Side, guesses: Sequence[Guess], options: HypothesisOptions, register_options: RegisterOptions
-) -> Outcome:
+def choose_hypothesis(
+    ref: PreparedDrive,
+    query: PreparedDrive,
+    guesses: Sequence[Guess],
+    options: HypothesisOptions,
+    register_options: RegisterOptions,
+) -> SearchResult:
     """The guess that holds over a stretch of road.
 
     Returns:
@@ -86,43 +92,46 @@ def settle(
     judged.sort(key=lambda found: -plausibility(found.evidence))
     hopeful = _apart(ref, [found for found in judged if found.trusted], options)[: options.followed]
     if not hopeful:
-        return Outcome(None, judged[0].reason if judged else "no guess of where it could be")
+        return SearchResult(None, judged[0].reason if judged else "no guess of where it could be")
     followed = [(_follow(ref, query, found, options, register_options), found) for found in hopeful]
     alive = sorted(((score, n) for n, (score, _) in enumerate(followed) if score is not None), key=lambda s: -s[0])
     if not alive:
-        way = options.stretch_m
-        return Outcome(None, f"no hypothesis of {len(hopeful)} holds over {way:.0f} m of road")
+        return SearchResult(None, f"no hypothesis of {len(hopeful)} holds over {options.follow_m:.0f} m of road")
     best = followed[alive[0][1]][1]
     if len(alive) > 1 and alive[0][0] - alive[1][0] < options.margin:
         other = followed[alive[1][1]][1]
         apart = _difference(ref, best, other)
-        reason = f"ambiguous: two poses {apart:.1f} m apart hold over {options.stretch_m:.0f} m of road"
-        return Outcome(None, reason, ambiguous=True)
-    return Outcome(best)
+        reason = f"ambiguous: two poses {apart:.1f} m apart hold over {options.follow_m:.0f} m of road"
+        return SearchResult(None, reason, ambiguous=True)
+    return SearchResult(best)
 
 
-def nearest_node(ref: Side, T_odom_query: Array, among: NDArray[np.int64]) -> tuple[int, float]:
+def nearest_node(ref: PreparedDrive, T_odom_query: Array, among: NDArray[np.int64]) -> tuple[int, float]:
     """The reference's node nearest to a pose in its odometry, and the distance."""
     apart = np.linalg.norm(ref.nodes.T_odom_node[among, :3, 3] - T_odom_query[:3, 3], axis=1)
     return int(among[int(np.argmin(apart))]), float(apart.min())
 
 
 def _follow(
-    ref: Side, query: Side, start: Registration, options: HypothesisOptions, register_options: RegisterOptions
+    ref: PreparedDrive,
+    query: PreparedDrive,
+    start: Registration,
+    options: HypothesisOptions,
+    register_options: RegisterOptions,
 ) -> float | None:
     """Mean plausibility along the stretch, both ways if the drive begins or ends; None if it does not hold."""
     scores, trusted = [plausibility(start.evidence)], 1
-    missing, stretch = options.stretch_m, query.nodes.stretches()
-    beside = np.flatnonzero(ref.nodes.stretches() == ref.nodes.stretches()[start.ref])
+    missing, segment = options.follow_m, query.nodes.segments()
+    beside = np.flatnonzero(ref.nodes.segments() == ref.nodes.segments()[start.ref])
     for sign in (1, -1):
         known, last = start, float(query.nodes.travelled_m[start.query])
         for node in range(start.query + sign, len(query) if sign > 0 else -1, sign):
-            way = abs(float(query.nodes.travelled_m[node]) - last)
-            if missing <= 0 or stretch[node] != stretch[start.query]:
+            driven = abs(float(query.nodes.travelled_m[node]) - last)
+            if missing <= 0 or segment[node] != segment[start.query]:
                 break
-            if way < options.step_m:
+            if driven < options.step_m:
                 continue
-            last, missing = float(query.nodes.travelled_m[node]), missing - way
+            last, missing = float(query.nodes.travelled_m[node]), missing - driven
             pose = ref.nodes.T_odom_node[known.ref] @ known.T_ref_query
             pose = pose @ invert(query.nodes.T_odom_node[known.query]) @ query.nodes.T_odom_node[node]
             r, apart = nearest_node(ref, pose, beside)
@@ -130,23 +139,23 @@ def _follow(
                 break
             found = register(ref, query, (r, node), predict(known, ref.nodes, query.nodes, (r, node)), register_options)
             scores.append(plausibility(found.evidence))
-            if found.trusted and _agrees(found, predict(known, ref.nodes, query.nodes, (r, node)), way):
+            if found.trusted and _agrees(found, predict(known, ref.nodes, query.nodes, (r, node)), driven):
                 trusted, known = trusted + 1, found
     return float(np.mean(scores)) if trusted >= options.share * len(scores) else None
 
 
-def _agrees(found: Registration, predicted: Array, way_m: float) -> bool:
+def _agrees(found: Registration, predicted: Array, driven_m: float) -> bool:
     apart = invert(predicted) @ found.T_ref_query
     turned = float(np.degrees(rotation_angle(apart[:3, :3])))
-    return bool(np.linalg.norm(apart[:3, 3]) <= 0.5 + 0.05 * way_m and turned <= 2 + 0.1 * way_m)
+    return bool(np.linalg.norm(apart[:3, 3]) <= 0.5 + 0.05 * driven_m and turned <= 2 + 0.1 * driven_m)
 
 
-def _difference(ref: Side, a: Registration, b: Registration) -> float:
+def _difference(ref: PreparedDrive, a: Registration, b: Registration) -> float:
     poses = [ref.nodes.T_odom_node[x.ref] @ x.T_ref_query for x in (a, b)]
     return float(np.linalg.norm(poses[0][:3, 3] - poses[1][:3, 3]))
 
 
-def _apart(ref: Side, found: Sequence[Registration], options: HypothesisOptions) -> list[Registration]:
+def _apart(ref: PreparedDrive, found: Sequence[Registration], options: HypothesisOptions) -> list[Registration]:
     """One of each group that ended in the same place."""
     kept: list[Registration] = []
     for f in found:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from relocbench.datasets.groundtruth.registration.hypotheses import Outcome
+from relocbench.datasets.groundtruth.registration.hypotheses import SearchResult
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
 from relocbench.files import parse_json, read_bytes
 from relocbench.progress import Advance
@@ -31,7 +31,7 @@ class Journal:
     def __init__(self, path: Path) -> None:
         self._path = path
         lines = _whole_lines(path)
-        self._known: deque[tuple[str, bytes, Outcome]] = deque()
+        self._known: deque[tuple[str, bytes, SearchResult]] = deque()
         for line in lines:
             try:
                 asked, outcome = parse_json(line)
@@ -45,7 +45,7 @@ class Journal:
         self._stream.writelines(line for _, line, _ in self._known)
         self._stream.flush()
 
-    def remember(self, asked: str, work: Callable[[], Outcome]) -> Outcome:
+    def remember(self, asked: str, work: Callable[[], SearchResult]) -> SearchResult:
         """The outcome of ``work``, which is done only if it was not before."""
         if self._known:
             known, line, outcome = self._known.popleft()
@@ -71,7 +71,9 @@ class Journal:
 
 
 @contextmanager
-def followed(journals: Sequence[Path], totals: Sequence[int], advance: Advance) -> Iterator[Callable[[int], None]]:
+def journal_progress(
+    journals: Sequence[Path], totals: Sequence[int], advance: Advance
+) -> Iterator[Callable[[int], None]]:
     """Advance by the lines that other processes write to journals, at most to each one's total.
 
     The value of the context is called with the index of a journal that is complete.
@@ -106,7 +108,7 @@ def _whole_lines(path: Path) -> list[bytes]:
     return [line + b"\n" for line in read_bytes(path, "a journal").split(b"\n")[:-1]]
 
 
-def _plain(outcome: Outcome) -> dict[str, Any]:
+def _plain(outcome: SearchResult) -> dict[str, Any]:
     found = outcome.best
     if found is None:
         return {"reason": outcome.reason}
@@ -123,11 +125,11 @@ def _plain(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _outcome(plain: dict[str, Any]) -> Outcome:
+def _outcome(plain: dict[str, Any]) -> SearchResult:
     """Raises ValueError, TypeError or KeyError where it is none."""
     best = plain.get("best")
     if best is None:
-        return Outcome(None, plain["reason"])
+        return SearchResult(None, plain["reason"])
     evidence = dict(best["evidence"])
     evidence["weakest_direction"] = tuple(evidence["weakest_direction"])
     registration = Registration(
@@ -138,4 +140,4 @@ def _outcome(plain: dict[str, Any]) -> Outcome:
         Evidence(**evidence),
         str(best["reason"]),
     )
-    return Outcome(registration, plain["reason"])
+    return SearchResult(registration, plain["reason"])

@@ -14,7 +14,7 @@ from relocbench.datasets.groundtruth.registration.global_registration import (
     describe,
     guesses,
 )
-from relocbench.datasets.groundtruth.registration.submap_pair import Side
+from relocbench.datasets.groundtruth.registration.submap_pair import PreparedDrive
 from relocbench.geometry import invert
 
 Array = NDArray[np.float64]
@@ -52,7 +52,9 @@ class MapPrior:
         return int(np.nanargmin(apart)) if np.isfinite(apart).any() else -1
 
 
-def guesses_by_prior(ref: Side, query: Side, prior: MapPrior, node: int, options: GlobalOptions) -> list[Guess]:
+def guesses_by_prior(
+    ref: PreparedDrive, query: PreparedDrive, prior: MapPrior, node: int, options: GlobalOptions
+) -> list[Guess]:
     """The prior itself and what features say within its limits, at the nearest node of the reference; none if that is
     too far away for both to be the same place."""
     r = prior.nearest(node)
@@ -65,7 +67,7 @@ def guesses_by_prior(ref: Side, query: Side, prior: MapPrior, node: int, options
     return [(r, node, T) for T in [_levelled(limits.T_ref_query), *guesses(a, b, limits, options)]]
 
 
-def guesses_by_features(ref: Side, query: Side, node: int, options: GlobalOptions) -> list[Guess]:
+def guesses_by_features(ref: PreparedDrive, query: PreparedDrive, node: int, options: GlobalOptions) -> list[Guess]:
     """What features say at places all along the reference: minutes for kilometres, so give a prior if there is one."""
     features: Features = describe(query.at(node).submap, options)
     once = replace(options, seeds=options.seeds[:1])

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
-from relocbench.datasets.groundtruth.icp.backends import Backend, refine_with
-from relocbench.datasets.groundtruth.icp.icp import Refined, RefinementOptions
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.icp.backends import Backend, icp_by_backend
+from relocbench.datasets.groundtruth.icp.icp import IcpOptions, IcpResult
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
 from relocbench.datasets.groundtruth.verification.verification import Thresholds, gather_evidence, verdict
@@ -30,7 +30,7 @@ class RegisterOptions:
     """Options of one registration of two submaps."""
 
     backend: Backend = "own"
-    refinement: RefinementOptions = field(default_factory=RefinementOptions)
+    icp: IcpOptions = field(default_factory=IcpOptions)
     thresholds: Thresholds = field(default_factory=Thresholds)
 
 
@@ -40,24 +40,24 @@ class Window(Protocol):
     def at(self, node: int, /) -> Submap: ...
 
 
-class Side:
+class PreparedDrive:
     """One drive's nodes and prepared submaps; the last few are kept."""
 
     def __init__(self, window: Window, nodes: Nodes, kept: int = 12) -> None:
         self.nodes = nodes
         self._window = window
         self._kept = kept
-        self._prepared: OrderedDict[int, Prepared] = OrderedDict()
+        self._prepared: OrderedDict[int, PreparedSubmap] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self.nodes)
 
-    def at(self, node: int) -> Prepared:
+    def at(self, node: int) -> PreparedSubmap:
         """The submap of a node, prepared."""
         if node in self._prepared:
             self._prepared.move_to_end(node)
         else:
-            self._prepared[node] = Prepared(self._window.at(node))
+            self._prepared[node] = PreparedSubmap(self._window.at(node))
             if len(self._prepared) > self._kept:
                 self._prepared.popitem(last=False)
         return self._prepared[node]
@@ -70,15 +70,15 @@ class Side:
 def nodes_every(nodes: Nodes, step_m: float) -> list[int]:
     """Nodes about ``step_m`` apart along a drive, the first one first."""
     chosen: list[int] = []
-    for node, way in enumerate(nodes.travelled_m.tolist()):
-        if not chosen or way - nodes.travelled_m[chosen[-1]] >= step_m - 1e-6:
+    for node, travelled in enumerate(nodes.travelled_m.tolist()):
+        if not chosen or travelled - nodes.travelled_m[chosen[-1]] >= step_m - 1e-6:
             chosen.append(node)
     return chosen
 
 
 def register(
-    ref: Side,
-    query: Side,
+    ref: PreparedDrive,
+    query: PreparedDrive,
     pair: tuple[int, int],
     T_ref_query: Array,
     options: RegisterOptions,
@@ -90,8 +90,8 @@ def register(
         levels: of the refinement; see :func:`relocbench.datasets.groundtruth.icp.icp.refine`.
     """
     a, b = ref.at(pair[0]), query.at(pair[1])
-    refined: Refined = refine_with(options.backend, a, b, T_ref_query, options.refinement, levels)
-    if refined.count < options.refinement.least_matches:
+    refined: IcpResult = icp_by_backend(options.backend, a, b, T_ref_query, options.icp, levels)
+    if refined.count < options.icp.least_matches:
         reason = f"nothing to hold on to: {refined.count} points of both found a surface of the other"
         return unregistered(pair, refined.T_ref_query, reason)
     evidence = gather_evidence(a, b, refined.T_ref_query, refined.information)

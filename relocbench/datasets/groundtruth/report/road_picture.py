@@ -51,7 +51,7 @@ def _draw(figure: Figure, found: InspectedSet, spots: list[Spot], tall: float) -
     strips: list[Axes] = list(rows[1:])
     for axes in strips[1:]:
         axes.sharex(strips[0])
-    ways = np.array([found.query.way_at(p.query_timestamp_ns) for p in pairs])
+    ways = np.array([found.query.arc_length_at(p.query_timestamp_ns) for p in pairs])
     _bands(strips[:3], pairs, ways, colours)
     _sigmas(strips[0], found, pairs, ways)
     _rotations(strips[1], found, pairs, ways)

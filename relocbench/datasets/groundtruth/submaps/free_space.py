@@ -55,7 +55,7 @@ class FreeSpaceOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
+class Patches:
     """A submap's surfaces, one piece a cell."""
 
     middle: Array
@@ -78,7 +78,7 @@ class Pieces:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class BeamVotes:
     """What the beams of one submap say of the pieces of the other."""
 
     through: Counts
@@ -89,9 +89,9 @@ class Judged:
     """(V,)"""
 
     @property
-    def pieces(self) -> int:
+    def patches(self) -> int:
         """How many were judged."""
-        return int(np.count_nonzero(self._judged))
+        return int(np.count_nonzero(self._decided))
 
     def violations(self, found: NDArray[np.bool_]) -> float:
         """Weighted share of the judged pieces that most beams went through; nan where none was judged.
@@ -100,12 +100,12 @@ class Judged:
             found: (V,) pieces that the other has as well. Beams go through hedges and between bars; what both have
                 measured contradicts nothing.
         """
-        total = float(self.weights[self._judged].sum())
-        violated = self._judged & (self.through > self.reached) & ~found
+        total = float(self.weights[self._decided].sum())
+        violated = self._decided & (self.through > self.reached) & ~found
         return float(self.weights[violated].sum()) / total if total > 0 else float("nan")
 
     @property
-    def _judged(self) -> NDArray[np.bool_]:
+    def _decided(self) -> NDArray[np.bool_]:
         # A single beam may pass beside an edge.
         return (self.through + self.reached >= 2) | (self.reached >= 1)
 
@@ -118,19 +118,19 @@ class FreeSpace:
         self.options = options or FreeSpaceOptions()
 
     @cached_property
-    def pieces(self) -> Pieces:
+    def patches(self) -> Patches:
         """Its steady surfaces that stand upright or high."""
         used = (self.submap.surface == Surface.STRUCTURE) & (self.submap.steady >= 0.5)
         arrays = (self.submap.points, self.submap.normals, self.submap.origins)
         points, normals, origins = (a[used].astype(np.float64) for a in arrays)
         for cell_m in self.options.cells_m:
-            pieces = make_pieces(points, normals, origins, cell_m, self.options)
-            if pieces.held >= self.options.held:
+            patches = make_patches(points, normals, origins, cell_m, self.options)
+            if patches.held >= self.options.held:
                 break
-        return pieces
+        return patches
 
     @cached_property
-    def passed(self) -> Array:
+    def sensor_positions(self) -> Array:
         """(P, 3) places about a metre apart where the sensors were."""
         origins = self.submap.origins.astype(np.float64)
         return np.asarray(origins[thinned(origins, 1.0)])
@@ -144,18 +144,18 @@ class FreeSpace:
             keep = keep[np.arange(self.options.beams) * len(keep) // self.options.beams]
         return self.submap.origins[keep].astype(np.float64), points[keep]
 
-    def judge(self, beams: tuple[Array, Array], T_this_other: Array) -> Judged:
+    def votes_of(self, beams: tuple[Array, Array], T_this_other: Array) -> BeamVotes:
         """This submap's pieces by another's beams."""
         origins, ends = (apply(T_this_other, p) for p in beams)
-        pieces, o = self.pieces, self.options
+        patches, o = self.patches, self.options
         through, reached = _follow(
-            origins, ends, pieces.middle, pieces.normals, pieces.grid, pieces.rows,
-            o.start_margin_m, o.end_margin_m, o.grazing, o.within * pieces.grid.size_m, o.longest_m,
+            origins, ends, patches.middle, patches.normals, patches.grid, patches.rows,
+            o.start_margin_m, o.end_margin_m, o.grazing, o.within * patches.grid.size_m, o.longest_m,
         )  # fmt: skip
-        return Judged(through, reached, pieces.weights)
+        return BeamVotes(through, reached, patches.weights)
 
 
-def make_pieces(points: Array, normals: Array, origins: Array, cell_m: float, options: FreeSpaceOptions) -> Pieces:
+def make_patches(points: Array, normals: Array, origins: Array, cell_m: float, options: FreeSpaceOptions) -> Patches:
     """Pieces of points (N, 3) with unit normals (N, 3), measured from origins (N, 3)."""
     grid = make_grid(points, cell_m)
     cells, count = cubes_of(grid), len(grid.starts) - 1
@@ -171,7 +171,7 @@ def make_pieces(points: Array, normals: Array, origins: Array, cell_m: float, op
     middle, facing = middle[surface], facing[surface] / length[surface, None]
     weights = np.where(middle[:, 2] < options.low_m, options.low_weight, 1.0)
     held = float(size[surface].sum()) / max(len(points), 1)
-    return Pieces(middle, facing, measured_from[surface], weights, held, grid, rows)
+    return Patches(middle, facing, measured_from[surface], weights, held, grid, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -59,7 +59,7 @@ class Planes:
     """(N, 3) unit, towards the sensor"""
     weights: Array
     """(N,) by surface and steadiness"""
-    carried: Array
+    lever_arms: Array
     """(N, 3) from the node to where the sensor was, as odometry tells: it drifts on that way"""
     grid: Grid
     """of these points, which are in its order"""
@@ -68,16 +68,16 @@ class Planes:
         return len(self.points)
 
     @cached_property
-    def away_m(self) -> Array:
+    def lever_lengths_m(self) -> Array:
         """(N,)"""
-        return np.asarray(np.linalg.norm(self.carried, axis=1))
+        return np.asarray(np.linalg.norm(self.lever_arms, axis=1))
 
     def stretched(self, stretch: float) -> Planes:
         """The planes where they would lie had odometry told every way longer by this share."""
         if not stretch:
             return self
-        points = self.points + stretch * self.carried
-        return grid_planes(points, self.normals, self.weights, self.carried, self.grid.size_m)
+        points = self.points + stretch * self.lever_arms
+        return grid_planes(points, self.normals, self.weights, self.lever_arms, self.grid.size_m)
 
     def nearest(self, points: Array, normals: Array, reach_m: float, cosine: float = 0.7) -> Indices:
         """(M,) the nearest plane to each point that faces the same way, -1 where there is none.
@@ -103,20 +103,20 @@ class Sample:
     """(M, 3)"""
     weights: Array
     """(M,)"""
-    carried: Array
+    lever_arms: Array
     """(M, 3)"""
 
     def __len__(self) -> int:
         return len(self.points)
 
     @cached_property
-    def away_m(self) -> Array:
+    def lever_lengths_m(self) -> Array:
         """(M,)"""
-        return np.asarray(np.linalg.norm(self.carried, axis=1))
+        return np.asarray(np.linalg.norm(self.lever_arms, axis=1))
 
     def stretched(self, stretch: float) -> Sample:
         """See :meth:`Planes.stretched`."""
-        return replace(self, points=self.points + stretch * self.carried) if stretch else self
+        return replace(self, points=self.points + stretch * self.lever_arms) if stretch else self
 
 
 class PlaneMap:
@@ -137,7 +137,7 @@ class PlaneMap:
         self.points = submap.points[used].astype(np.float64)
         self.normals = submap.normals[used].astype(np.float64)
         self._weights = weights[used].astype(np.float64)
-        self._carried = submap.origins[used].astype(np.float64)
+        self._lever_arms = submap.origins[used].astype(np.float64)
         self._levels: dict[int, Planes] = {}
         self._samples: dict[int, Sample] = {}
 
@@ -156,7 +156,7 @@ class PlaneMap:
                 self.points[keep],
                 self.normals[keep],
                 self._weights[keep],
-                self._carried[keep],
+                self._lever_arms[keep],
                 self.options.reach_m[k],
             )
         return self._levels[k]
@@ -168,17 +168,19 @@ class PlaneMap:
         other way (Rusinkiewicz and Levoy, Efficient variants of the ICP algorithm, 3DIM 2001).
         """
         if k not in self._samples:
-            often = 1 / (1 + np.square(np.linalg.norm(self._carried, axis=1) / self.options.near_m[k]))
+            often = 1 / (1 + np.square(np.linalg.norm(self._lever_arms, axis=1) / self.options.near_m[k]))
             keep = balanced(self._bins, self.options.samples[k], often)
-            self._samples[k] = Sample(self.points[keep], self.normals[keep], self._weights[keep], self._carried[keep])
+            self._samples[k] = Sample(
+                self.points[keep], self.normals[keep], self._weights[keep], self._lever_arms[keep]
+            )
         return self._samples[k]
 
 
-def grid_planes(points: Array, normals: Array, weights: Array, carried: Array, cell_m: float) -> Planes:
+def grid_planes(points: Array, normals: Array, weights: Array, lever_arms: Array, cell_m: float) -> Planes:
     """Planes of (N, 3) points with unit normals (N, 3), weights (N,) and ways from the node (N, 3)."""
     grid = make_grid(points, cell_m)
     order = grid.order
-    return Planes(points[order], normals[order], weights[order], carried[order], grid)
+    return Planes(points[order], normals[order], weights[order], lever_arms[order], grid)
 
 
 def thinned(points: Array, voxel_m: float) -> Indices:

@@ -9,7 +9,7 @@ from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOption
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 
 
-class Prepared:
+class PreparedSubmap:
     """One side of a registration."""
 
     def __init__(

@@ -66,14 +66,14 @@ class SubmapWindow:
         self._half_length_m = half_length_m
         self._voxel_m = voxel_m
         self._poses = nodes.T_odom_node if T_odom_node is None else np.asarray(T_odom_node, dtype=np.float64)
-        self._stretch = nodes.stretches()
+        self._stretch = nodes.segments()
         self._claims = VoxelClaims()
         self._inside: dict[int, Block] = {}
         self.work = 0
         """points of blocks that entered or left so far"""
 
     @property
-    def claims_work(self) -> int:
+    def claims_changed(self) -> int:
         """Claims of blocks on voxels that came or went so far."""
         return self._claims.work
 
@@ -81,8 +81,8 @@ class SubmapWindow:
         """The blocks of a node's submap. Raises IndexError if there is no such node."""
         if not 0 <= node < len(self._nodes):
             raise IndexError(f"no node {node}; there are {len(self._nodes)}")
-        way = self._nodes.travelled_m
-        near = (np.abs(way - way[node]) <= self._half_length_m) & (self._stretch == self._stretch[node])
+        travelled = self._nodes.travelled_m
+        near = (np.abs(travelled - travelled[node]) <= self._half_length_m) & (self._stretch == self._stretch[node])
         inside = np.flatnonzero(near)
         return range(int(inside[0]), int(inside[-1]) + 1)
 

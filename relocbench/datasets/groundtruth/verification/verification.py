@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relocbench.datasets.groundtruth.submaps.free_space import Judged
+from relocbench.datasets.groundtruth.submaps.free_space import BeamVotes
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.verification.evidence import Evidence
 from relocbench.geometry import apply, invert, robust_sigma
 
@@ -65,7 +65,7 @@ class _OneWay:
     violations: float
 
 
-def gather_evidence(ref: Prepared, query: Prepared, T_ref_query: Array, information: Array) -> Evidence:
+def gather_evidence(ref: PreparedSubmap, query: PreparedSubmap, T_ref_query: Array, information: Array) -> Evidence:
     """What two submaps say of a pose.
 
     Args:
@@ -94,25 +94,25 @@ def gather_evidence(ref: Prepared, query: Prepared, T_ref_query: Array, informat
     )
 
 
-def _one_way(this: Prepared, other: Prepared, T_other_this: Array) -> _OneWay:
+def _one_way(this: PreparedSubmap, other: PreparedSubmap, T_other_this: Array) -> _OneWay:
     """This submap's pieces of surface by the other's beams and planes."""
-    pieces = this.space.pieces
-    judged: Judged = this.space.judge(other.space.beams, invert(T_other_this))
+    patches = this.space.patches
+    votes: BeamVotes = this.space.votes_of(other.space.beams, invert(T_other_this))
     planes = other.planes.level(_LEVEL)
-    there, facing = apply(T_other_this, pieces.middle), pieces.normals @ T_other_this[:3, :3].T
+    there, facing = apply(T_other_this, patches.middle), patches.normals @ T_other_this[:3, :3].T
     match = planes.nearest(there, facing, _REACH_M, _COSINE)
     found = match >= 0
     residual = np.einsum("vi,vi->v", planes.normals[match], there - planes.points[match])
-    spread = np.hypot(_SIGMA_M, _DRIFT_PER_M * planes.away_m[match])
+    spread = np.hypot(_SIGMA_M, _DRIFT_PER_M * planes.lever_lengths_m[match])
     found &= np.abs(residual) <= 2 * _AGREES * spread
-    met = found | (judged.through + judged.reached > 0)
-    passed = apply(invert(T_other_this), other.space.passed)
-    same_place = cKDTree(passed).query(pieces.origins, distance_upper_bound=_SAME_PLACE_M)[0] < _SAME_PLACE_M
-    could_see, everything = float(pieces.weights[met | same_place].sum()), float(pieces.weights.sum())
+    met = found | (votes.through + votes.reached > 0)
+    sensor_positions = apply(invert(T_other_this), other.space.sensor_positions)
+    same_place = cKDTree(sensor_positions).query(patches.origins, distance_upper_bound=_SAME_PLACE_M)[0] < _SAME_PLACE_M
+    could_see, everything = float(patches.weights[met | same_place].sum()), float(patches.weights.sum())
     return _OneWay(
-        overlap=float(pieces.weights[found].sum()) / could_see if could_see > 0 else float("nan"),
-        seen=float(pieces.weights[met].sum()) / everything if everything > 0 else 0.0,
-        violations=judged.violations(found),
+        overlap=float(patches.weights[found].sum()) / could_see if could_see > 0 else float("nan"),
+        seen=float(patches.weights[met].sum()) / everything if everything > 0 else 0.0,
+        violations=votes.violations(found),
     )
 
 
@@ -127,7 +127,7 @@ def _details(this: PlaneMap, other: PlaneMap, T_other_this: Array) -> tuple[floa
         return (0.0 if nearby.any() else float("nan")), float("nan")
     match = match[rows]
     residual = np.einsum("ni,ni->n", planes.normals[match], there[rows] - planes.points[match])
-    away = np.hypot(sample.away_m[rows], planes.away_m[match])
+    away = np.hypot(sample.lever_lengths_m[rows], planes.lever_lengths_m[match])
     standard = residual / np.hypot(1.0, _DRIFT_PER_M / _SIGMA_M * away)
     agree = np.abs(standard) <= _AGREES * _SIGMA_M
     sigma = robust_sigma(standard, 1 / (1 + np.square(_DRIFT_PER_M / _SIGMA_M * away)))

@@ -34,7 +34,7 @@ _KEY_STEP_M = 0.5
 _KEY_TURN_RAD = 0.1
 
 
-class PlaneMap:
+class LocalMap:
     """Points with normals of the last key scans, in a frame that does not move."""
 
     def __init__(self) -> None:
