@@ -23,12 +23,13 @@ from relocbench.datasets.groundtruth.registration.global_registration import (
 )
 from relocbench.datasets.groundtruth.registration.hypotheses import SearchResult
 from relocbench.datasets.groundtruth.submaps.free_space import FreeSpace
-from relocbench.datasets.groundtruth.submaps.planes import balanced, direction_bins, grid_planes, thinned
+from relocbench.datasets.groundtruth.submaps.planes import balanced, direction_bins, grid_planes
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.verification.alternatives import SlideOptions, alternatives, period, slides
 from relocbench.datasets.groundtruth.verification.evidence import Evidence
 from relocbench.datasets.groundtruth.verification.verification import Thresholds, gather_evidence, verdict
+from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, se3_log
 
@@ -72,7 +73,7 @@ def test_a_grid_is_not_searched_further_than_it_can():
 
 def test_thinning_leaves_one_point_a_voxel():
     points = RNG.uniform(-2, 2, size=(2000, 3))
-    kept = points[thinned(points, 0.5)]
+    kept = points[first_in_voxels(points, 0.5)]
     cells = np.floor(kept / 0.5)
     assert len(np.unique(cells, axis=0)) == len(kept) == len(np.unique(np.floor(points / 0.5), axis=0))
 
@@ -229,7 +230,7 @@ def test_a_wall_cannot_stand_where_beams_went_through():
     assert reached.violations(nothing) == 0.0
     assert np.mean(reached.reached > 0) > 0.9
     behind = far.votes_of(near.beams, np.eye(4))
-    assert behind.patches == 0
+    assert behind.decided == 0
     assert np.isnan(behind.violations(np.zeros(len(far.patches), dtype=bool)))
 
 

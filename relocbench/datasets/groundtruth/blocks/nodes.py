@@ -1,4 +1,4 @@
-"""Where a drive is cut into blocks: at equal way, however fast it went and however long it stood."""
+"""Nodes at equal arc length along a drive, whatever its speed and however long it stood."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 _ANCHOR_M = 0.25
-"""way is measured between poses so far apart, so that the noise of odometry while standing adds up to nothing"""
+"""arc length is measured between anchor poses so far apart, so that it does not grow by the odometry's noise while the
+car stands"""
 
 
 @dataclass(frozen=True, eq=False)
 class ArcLength:
-    """How far a drive had come at each time."""
+    """Metres driven up to each time of a drive."""
 
     times_ns: Times
     """(N,)"""
     travelled_m: Array
-    """(N,) never falls; stays while the car stands; nothing is added across a gap"""
+    """(N,) metres, never decreasing; constant while the car stands and across gaps of the odometry"""
     segment: NDArray[np.int64]
-    """(N,) number of the piece of odometry without a gap"""
+    """(N,) number of the segment, a part of the odometry without a gap, that each time lies in"""
 
     def at(self, times_ns: Times) -> Array:
-        """(M,) metres; times outside are those of the ends."""
+        """(M,) metres driven up to each time; times before and after the drive get the values of its ends."""
         if not len(self.times_ns):
             return np.zeros(len(times_ns))
         origin = self.times_ns[0]
@@ -39,14 +40,14 @@ class ArcLength:
 
 
 def make_nodes(recording: FieldRecording, block_m: float = 2.0) -> Nodes:
-    """Cut a drive at equal way. What is left at the end of a stretch and shorter than a block belongs to none.
+    """Cut a drive into blocks of equal arc length. A shorter rest at the end of a segment belongs to no block.
 
     Args:
-        block_m: way through each block.
+        block_m: length of each block, metres.
 
     Raises:
-        ConfigError: blocks without length.
-        DatasetError: nothing measured while the odometry knew where.
+        ConfigError: ``block_m`` is too small.
+        DatasetError: the drive is shorter than a block, or odometry and lidars have no time in common.
     """
     if block_m < _ANCHOR_M:
         raise ConfigError(f"blocks are at least {_ANCHOR_M} m long, got {block_m} m")
@@ -55,7 +56,7 @@ def make_nodes(recording: FieldRecording, block_m: float = 2.0) -> Nodes:
     for number in np.unique(way.segment):
         mine = way.segment == number
         times, metres = way.times_ns[mine], way.travelled_m[mine]
-        # A hair's breadth, so that a stretch of exactly n blocks is cut into n.
+        # The tolerance makes a segment of exactly n blocks give n in spite of rounding.
         count = int(np.floor((metres[-1] - metres[0]) / block_m + 1e-9))
         cuts = _times_at(times, metres, metres[0] + block_m * np.arange(count + 1))
         centres = metres[0] + block_m * (np.arange(count) + 0.5)
@@ -78,10 +79,10 @@ def make_nodes(recording: FieldRecording, block_m: float = 2.0) -> Nodes:
 
 
 def arc_length_along(recording: FieldRecording) -> ArcLength:
-    """The way driven while a lidar measured. Raises DatasetError if odometry and lidars share no time."""
+    """Arc length driven while a lidar measured. Raises DatasetError if odometry and lidars have no time in common."""
     spans = [(int(lidar.times_ns[0]), int(lidar.times_ns[-1])) for lidar in recording.lidars if len(lidar.times_ns)]
     if not spans:
-        raise DatasetError("no lidar scans; the ground truth is made from them", recording.folder)
+        raise DatasetError("has no lidar scans, which the ground truth is made from", recording.folder)
     odometry = recording.odometry
     first, last = min(s[0] for s in spans), max(s[1] for s in spans)
     between = odometry.times_ns[(odometry.times_ns > first) & (odometry.times_ns < last)]
@@ -96,13 +97,19 @@ def arc_length_along(recording: FieldRecording) -> ArcLength:
 
 
 def _joined(odometry: Trajectory, knots: Times) -> NDArray[np.bool_]:
-    """(N - 1,) whether poses are told between neighbouring knots."""
+    """(N - 1,) whether the odometry covers the time between neighbouring knots."""
     return odometry.covers(knots[:-1] + (knots[1:] - knots[:-1]) // 2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _travelled(positions: Array, starts: NDArray[np.bool_], anchor_m: float) -> Array:
-    """(N,) way along poses; between anchors it grows by how far poses came in the direction of the next anchor."""
+    """(N,) arc length along positions (N, 3).
+
+    Between anchors, which are ``anchor_m`` apart, it grows by the motion in the direction of the next anchor.
+
+    Args:
+        starts: (N,) whether each position begins a new segment.
+    """
     n = len(positions)
     way = np.zeros(n)
     anchor = 0
@@ -128,7 +135,7 @@ def _travelled(positions: Array, starts: NDArray[np.bool_], anchor_m: float) -> 
 
 
 def _times_at(times_ns: Times, metres: Array, wanted: Array) -> Times:
-    """(M,) when each way had first been driven."""
+    """(M,) times at which the arc lengths wanted (M,) were first reached."""
     right = np.clip(np.searchsorted(metres, wanted, side="left"), 0, len(metres) - 1)
     left = np.maximum(right - 1, 0)
     step = metres[right] - metres[left]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
+from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.errors import ConfigError
 from relocbench.kernels import njit
 
@@ -108,7 +109,7 @@ def make_surfels(submap: Submap, options: SurfelOptions | None = None) -> Surfel
         # Only surfels beside a hole look further, among points thin enough that this is quick.
         rim = np.flatnonzero(~np.isfinite(near).all(axis=1))
         if len(rim) and options.closed_hole_m > options.gap_m:
-            thin = _thinned(of[0], options.gap_m / 1.5)
+            thin = first_in_voxels(of[0] / np.float32(options.gap_m / 1.5), 1.0)
             p, n, a = (np.ascontiguousarray(np.concatenate([array[rim], array[thin]])) for array in of)
             grid = _grid(p, options.closed_hole_m, first=len(rim))
             wide = _ways(p, n, a, np.arange(len(rim)), *grid, options.closed_hole_m, *limits)
@@ -144,15 +145,6 @@ def _stars(way: Floats, far: Floats, plane: NDArray[np.bool_], options: SurfelOp
     reach[~plane] = options.rough_reach_m
     occluding_reach[~plane | alone] = options.rough_m
     return reach.astype(np.float32), occluding_reach.astype(np.float32)
-
-
-def _thinned(points: Floats, cell_m: float) -> Indices:
-    """The first point of each cell, in order."""
-    cells = np.floor(points / np.float32(cell_m)).astype(np.int64)
-    cells -= cells.min(axis=0)
-    size = cells.max(axis=0) + 1
-    keys = (cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2]
-    return np.sort(np.unique(keys, return_index=True)[1])
 
 
 def _grid(

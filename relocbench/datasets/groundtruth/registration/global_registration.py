@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
-from relocbench.datasets.groundtruth.submaps.planes import thinned
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
+from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.errors import ConfigError
 from relocbench.geometry import invert, rotation_angle
 
@@ -94,7 +94,7 @@ def describe(submap: Submap, options: GlobalOptions | None = None) -> Features:
     points, normals = submap.points[chosen].astype(np.float64), submap.normals[chosen].astype(np.float64)
     if not len(points):
         return Features(points, normals, np.zeros((33, 0)))
-    keep = thinned(points, o.voxel_m)
+    keep = first_in_voxels(points, o.voxel_m)
     cloud = _cloud(points[keep], normals[keep])
     search = o3d.geometry.KDTreeSearchParamHybrid(radius=5 * o.voxel_m, max_nn=100)
     # The stubs ask for indices, which have a default.

@@ -1,4 +1,4 @@
-"""A submap with all that registration and its verification make of it, each once and when it is first needed."""
+"""A submap with what registration and verification derive from it, each computed once, when it is first needed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from relocbench.datasets.groundtruth.submaps.submaps import Submap
 
 
 class PreparedSubmap:
-    """One side of a registration."""
+    """A submap as one side of a registration."""
 
     def __init__(
         self,
@@ -24,10 +24,10 @@ class PreparedSubmap:
 
     @cached_property
     def planes(self) -> PlaneMap:
-        """For refinement."""
+        """Its planes, for ICP."""
         return PlaneMap(self.submap, self._plane_options)
 
     @cached_property
     def space(self) -> FreeSpace:
-        """For verification."""
+        """Its surfaces and beams, for verification."""
         return FreeSpace(self.submap, self._free_space_options)

@@ -1,7 +1,7 @@
-"""The mistakes that registration makes on streets, made on purpose: slid along, and turned round.
+"""Alternative poses, made by the typical errors of registration on streets: shifted along, and turned by 180 degrees.
 
-Facades repeat. How well a query fits is measured along the whole street, and each place where it fits about as well as
-anywhere is another guess. What fits is not what is right: verification decides between them.
+Facades repeat. The fit of a query is measured at shifts along the whole street, and each shift that fits about as well
+as the best one gives another guess. A good fit is no proof, so verification decides between the guesses.
 """
 
 from __future__ import annotations
@@ -22,24 +22,26 @@ _COSINE = 0.7
 
 @dataclass(frozen=True)
 class SlideOptions:
-    """Where alternatives are looked for."""
+    """Options of the search for alternative poses."""
 
     reach_m: float = 30.0
-    """along the street, both ways"""
+    """largest shift along the street, both ways"""
     step_m: float = 0.4
+    """distance between the shifts that are tried"""
     near_m: float = 0.4
-    """a point finds its surface again within this"""
+    """largest distance between a point and the surface that it matches"""
     apart_m: float = 1.5
-    """alternatives lie at least so far apart"""
+    """least distance between two alternatives"""
     share: float = 0.75
-    """of the best fit: what fits worse is no alternative"""
+    """share of the best fit that an alternative must reach"""
     most: int = 6
-    """alternatives of each kind"""
+    """largest number of alternatives of each kind"""
     points: int = 1500
+    """number of points that the fit is measured with"""
 
 
 def street_direction(planes: PlaneMap) -> Array:
-    """(3,) unit vector of the submap's axes along which it was driven; x where it stood still."""
+    """(3,) unit vector in the submap's frame in which the car drove; the x axis if it hardly moved."""
     origins = planes.submap.origins.astype(np.float64)
     centred = origins - origins.mean(axis=0)
     values, vectors = np.linalg.eigh(centred.T @ centred / len(origins))
@@ -48,7 +50,7 @@ def street_direction(planes: PlaneMap) -> Array:
 
 
 def fit(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOptions) -> float:
-    """Share of the query's planes, drawn evenly over directions, that find one of the reference's."""
+    """Share of the query's planes, sampled evenly over directions, that match a plane of the reference."""
     sample, planes = query.sample(_LEVEL), ref.level(_LEVEL)
     rows = np.arange(0, len(sample), max(len(sample) // options.points, 1))
     there = apply(T_ref_query, sample.points[rows])
@@ -57,7 +59,7 @@ def fit(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOption
 
 
 def slides(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOptions | None = None) -> list[Array]:
-    """Poses along the street where the query fits about as well as anywhere, the best first."""
+    """Poses shifted along the street at which the query fits about as well as at the best one, best fit first."""
     o = options or SlideOptions()
     along = street_direction(ref)
     steps = np.arange(-round(o.reach_m / o.step_m), round(o.reach_m / o.step_m) + 1) * o.step_m
@@ -73,9 +75,10 @@ def slides(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOpt
 
 
 def period(ref: PlaneMap, options: SlideOptions | None = None) -> float | None:
-    """Metres after which a street repeats: the slide, 1.5 m or more, at which a submap fits itself best; None of none.
+    """Metres after which a street repeats itself; None if it does not.
 
-    The first local maximum of the fit that stands out by a fifth over the lowest fit before it.
+    This is the shift of the submap against itself, of at least ``apart_m``, at the first local maximum of the fit that
+    is a fifth higher than the lowest fit before it.
     """
     o = options or SlideOptions()
     along = street_direction(ref)
@@ -90,13 +93,13 @@ def period(ref: PlaneMap, options: SlideOptions | None = None) -> float | None:
 
 
 def turned_round(T_ref_query: Array) -> Array:
-    """The same place, looking the other way: turned about the query's vertical."""
+    """The pose turned by 180 degrees about the query's vertical axis."""
     return np.asarray(T_ref_query @ make_transform(so3_exp([0.0, 0.0, np.pi]), [0.0, 0.0, 0.0]))
 
 
 def alternatives(
     ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOptions | None = None
 ) -> list[Array]:
-    """A guess, its slides and those of the guess turned round."""
+    """A guess, its shifts along the street, and the shifts of the guess turned by 180 degrees."""
     slid = slides(ref, query, T_ref_query, options)
     return [T_ref_query, *slid, *slides(ref, query, turned_round(T_ref_query), options)]
