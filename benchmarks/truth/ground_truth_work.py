@@ -136,7 +136,7 @@ def unverified(options: AlignmentOptions) -> AlignmentOptions:
     registration = replace(
         options.registration,
         register=register,
-        hypotheses=replace(options.registration.hypotheses, tried=1, followed=1, share=0.0),
+        hypotheses=replace(options.registration.hypotheses, most_tried=1, most_followed=1, share=0.0),
         slack_m=1e9,
         slack_deg=1e9,
     )

@@ -18,7 +18,6 @@ from relocbench.datasets.groundtruth.depth.stereo_check import (
     cross_check,
     depth_by_stereo,
     rectified,
-    without_contradicted,
 )
 from relocbench.datasets.groundtruth.depth.surfels import SECTORS, SurfelOptions, make_surfels
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
@@ -285,9 +284,6 @@ def test_agreement_is_in_pixels_of_disparity() -> None:
     assert (found.pixels, found.median_px) == (90, pytest.approx(0.0, abs=1e-6))
     assert found.within_1px == pytest.approx(60 / 90)
     assert found.within_3px == 1.0
-    kept = without_contradicted(DepthImage(lidar, lidar * 0), stereo, CAMERA, 0.5, limit_px=1.0)
-    assert (kept.depth[:, :3] == 0).all()
-    assert (kept.depth[:, 3:] == 10).all()
     assert cross_check(lidar, lidar * 0, CAMERA, 0.5).pixels == 0
 
 

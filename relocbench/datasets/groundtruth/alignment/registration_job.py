@@ -1,4 +1,4 @@
-"""Registrations of all query drives against the reference, kept on disk as they are found."""
+"""Registration of all query drives against the reference by worker processes, with the results kept on disk."""
 
 from __future__ import annotations
 
@@ -38,11 +38,14 @@ def register_drives(
     reporter: Reporter,
     run: Run,
 ) -> dict[str, list[Registration]]:
-    """Registrations of each query drive; those that a former run found are read.
+    """Register each query drive; the registrations of an earlier run are read from disk.
 
-    ``folder`` holds ``REF__QUERY.csv`` of drives that are done, and ``REF__QUERY.journal`` of those that are not.
+    ``folder`` holds ``REF__QUERY.csv`` for drives that are complete and ``REF__QUERY.journal`` for those that are not.
+
+    Returns:
+        name of the query drive -> its registrations.
     """
-    folder = folder.resolve()  # workers of a cluster start in folders of their own
+    folder = folder.resolve()  # workers of a cluster run in other working directories
     tables = {q.name: folder / f"{reference.name}__{q.name}.csv" for q in queries}
     found = {name: track_files.read_registrations(path) for name, path in tables.items() if path.exists()}
     units = [
@@ -63,13 +66,13 @@ def register_drives(
             track_files.write_registrations(tables[query.name], registrations, reference.nodes, query.nodes)
             complete(index)
             unit.journal.unlink(missing_ok=True)
-            # What is used is what a resumed build would read.
+            # Always use the file, so that a fresh build and a resumed one use the same numbers.
             found[query.name] = track_files.read_registrations(tables[query.name])
     return found
 
 
 def _of(query: Drive, first: FirstPose | None) -> FirstPose | None:
-    """The first pair, if it is of this drive."""
+    """The pose given by hand, if its time lies in this drive."""
     times = query.recording.odometry.times_ns
     return first if first is not None and times[0] <= first[1] <= times[-1] else None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,16 @@ _KEPT_SCANS = 8
 class Beams(NamedTuple):
     """Beams that returned, in one frame."""
 
-    points: NDArray[np.floating]
-    """(N, 3) where each beam ended"""
-    origins: NDArray[np.floating]
+    points: NDArray[Any]
+    """(N, 3) where each beam ended, metres"""
+    origins: NDArray[Any]
     """(N, 3) where the sensor was"""
     times_ns: Times
     """(N,) when each beam was fired"""
+
+    def rows(self, which: NDArray[np.int64]) -> Beams:
+        """Some of the beams."""
+        return Beams(self.points[which], self.origins[which], self.times_ns[which])
 
 
 class BeamReader:

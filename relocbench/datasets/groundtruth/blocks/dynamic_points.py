@@ -59,8 +59,7 @@ def static_scores(
     """
     if not len(wanted) or not len(voting):
         return np.ones(len(wanted), dtype=np.float32)
-    targets = Beams(*(array[wanted] for array in beams))
-    beams = Beams(*(array[voting] for array in beams))
+    targets, beams = beams.rows(wanted), beams.rows(voting)
     passed = _passed(targets, normals, make_grid(targets.points, 2 * options.pass_m), beams,
                      options.pass_m, options.margin_m, options.apart_ns, options.cosine)  # fmt: skip
     if not passed.any():

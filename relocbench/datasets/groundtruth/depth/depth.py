@@ -1,9 +1,9 @@
-"""Depth of an image from the submap around it: what the camera sees of the surfaces, never through them.
+"""Depth of an image from the submap around it, without surfaces that are hidden from the camera.
 
-Points become surfels (:mod:`.surfels`), surfels are drawn with a z-buffer (:mod:`.rasteriser`). A pixel is left
-without depth where no surface was scanned, behind a gap that a surface closes on both sides (a window, a dark door),
-behind leaves and whatever else has no plane, behind surfaces seen from their back, behind space in the shadow of what
-was scanned (:mod:`.sightlines`), and where the rim of one surface covers the middle of another: either may be seen.
+Points become surfels (:mod:`.surfels`), which are drawn with a z-buffer (:mod:`.rasteriser`). A pixel has no depth
+where no surface was scanned, behind a hole in a surface (a window, a dark door), behind leaves and other points without
+a plane, behind the back of a surface, behind space in the shadow of what was scanned (:mod:`.sightlines`), and where
+the rim of one surface covers the middle of another, since either may be the visible one.
 """
 
 from __future__ import annotations
@@ -27,82 +27,82 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 _CLOSED = 5
-"""pixels across"""
+"""width in pixels of the window in which depth must be closed"""
 
 
 @dataclass(frozen=True)
 class DepthNoise:
-    """What makes depth uncertain, one standard deviation each; the defaults are those of a scanner on a car.
+    """Standard deviations of the errors of depth; the defaults are those of a scanner on a car.
 
-    A surfel's plane is uncertain by ``sqrt(range^2 + surface^2)`` on its own, and by the odometry between the image
-    and the moment when it was scanned: by ``along`` a metre driven in the direction of travel and ``across`` a metre
-    in the others. Depth along a ray that meets the plane at an angle is uncertain by that over the sine of the angle.
+    The plane of a surfel has an error of its own, ``sqrt(range^2 + surface^2)``, and one from the odometry between the
+    image and the time when it was scanned: ``along`` for each metre driven in the direction of travel, and ``across``
+    in the others. Along a ray that meets the plane at an angle, the error of depth is that over the sine of the angle.
     """
 
     range_m: float = 0.012
-    """of a single range; 12 mm is the data sheet's for a LMS-151"""
+    """of a single range measurement; the data sheet of the LMS-151 states 12 mm"""
     surface_m: float = 0.004
-    """of the plane: thinning to one point a voxel, unevenness, the normal's error over the surfel's size"""
+    """of the plane: by thinning to one point a voxel, uneven surfaces, and the error of the normal"""
     rough_m: float = 0.05
-    """of a point that has no plane, in depth"""
+    """of the depth of a point without a plane"""
     along_per_m: float = 0.008
-    """scale of the odometry"""
+    """of odometry along the direction of travel, by its scale error"""
     across_per_m: float = 0.001
-    """sideways and in height"""
+    """of odometry sideways and in height"""
 
     def __post_init__(self) -> None:
         if self.range_m <= 0 or min(self.surface_m, self.rough_m, self.along_per_m, self.across_per_m) < 0:
-            raise ConfigError("noise of depth: range_m is positive, the others are not negative")
+            raise ConfigError("noise of depth needs a positive range_m and no negative values")
 
 
 @dataclass(frozen=True)
 class DepthOptions:
-    """How depth is drawn."""
+    """Options for drawing depth."""
 
     surfels: SurfelOptions = field(default_factory=SurfelOptions)
     noise: DepthNoise = field(default_factory=DepthNoise)
     max_depth_m: float = 80.0
     sigmas: float = 3.0
-    """surfels whose depths differ by no more standard deviations are one surface"""
+    """surfels are one surface if their depths differ by at most so many standard deviations"""
     slack_m: float = 0.02
-    """... and so many metres besides"""
+    """plus so many metres"""
     least_centre: float = 0.15
-    """where only the rim of the front surface is met and the middle of another one behind it, neither is certain"""
+    """least centrality of a pixel in its surfels, where a surfel behind them is met more centrally"""
     occlusion_margin_m: float = 0.25
-    """what lies further than this, and 2 % of its depth, behind something that hides is not shown"""
+    """surfaces further than this, plus 2 % of their depth, behind something that hides are not shown"""
     cell_m: float = 0.3
-    """of the space that beams went through; 0: a camera may look through what stands in their shadow"""
+    """size of the cells of space that are classified by beams; 0: sight lines are not tested"""
     shadow_m: float = 2.5
-    """length of the shadow of a point"""
+    """length of the shadow behind a point"""
     through_m: float = 0.3
-    """a line of sight that runs so far through shadow ends there"""
+    """a sight line ends after so much shadow"""
     start_m: float = 2.0
-    """so near to the camera nothing stands in the way: the car's own space"""
+    """space this near to the camera counts as free, since it is the car's own"""
     least_pixels: int = 12
-    """smaller patches of depth are left out"""
+    """least number of pixels of a connected patch of depth"""
 
     def __post_init__(self) -> None:
         if self.max_depth_m <= 0 or self.sigmas <= 0 or self.slack_m < 0 or not 0 <= self.least_centre <= 1:
-            raise ConfigError("depth needs a positive max_depth_m and sigmas, slack_m >= 0 and least_centre in [0, 1]")
+            raise ConfigError("depth needs positive max_depth_m and sigmas, slack_m >= 0 and least_centre in [0, 1]")
 
 
 @dataclass(frozen=True, eq=False)
 class DepthScene:
-    """A submap made ready for any number of images."""
+    """A submap prepared for drawing the depth of any number of images."""
 
     surfels: Surfels
     space: TracedSpace | None
-    """None: not looked at"""
+    """None: sight lines are not tested"""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """Depth of an image, and how certain it is."""
+    """Depth of an image and its standard deviation."""
 
     depth: Floats
-    """(H, W) metres along z, 0 where none is known"""
+    """(H, W) metres along z, 0 where it is unknown"""
     sigma: Floats
-    """(H, W) metres, 0 where none is known"""
+    """(H, W) metres, 0 where depth is unknown"""
 
     @property
     def coverage(self) -> float:
@@ -125,7 +125,7 @@ def submap_depth(submap: Submap, camera: Camera, T_cam_node: Array, options: Dep
 
 
 def make_scene(submap: Submap, options: DepthOptions | None = None) -> DepthScene:
-    """What does not depend on the camera."""
+    """The part of drawing depth that does not depend on the camera."""
     options = options or DepthOptions()
     space = trace_beams(submap, options.cell_m, options.max_depth_m, options.shadow_m) if options.cell_m > 0 else None
     return DepthScene(make_surfels(submap, options.surfels), space)
@@ -134,9 +134,9 @@ def make_scene(submap: Submap, options: DepthOptions | None = None) -> DepthScen
 def scene_depth(
     scene: DepthScene, camera: Camera, T_cam_node: Array, options: DepthOptions | None = None
 ) -> DepthImage:
-    """As :func:`submap_depth`, for several images of one submap; with the same options."""
+    """Depth of an image as :func:`submap_depth` returns it, from a scene made with the same options."""
     if camera.model != "pinhole":
-        raise ConfigError(f"depth is drawn into a pinhole camera, got '{camera.model}'")
+        raise ConfigError(f"depth needs a pinhole camera, got '{camera.model}'")
     options = options or DepthOptions()
     view = _seen_by(scene.surfels, camera, np.asarray(T_cam_node, dtype=np.float64), options)
     drawn = draw(view, camera, options.max_depth_m, options.sigmas, options.slack_m)
@@ -146,7 +146,7 @@ def scene_depth(
         occlusion = np.minimum(occlusion, sight_limits(scene.space, camera, T_cam_node, OCCLUSION_STEP, *limits))
     kept = (drawn.depth > 0) & ~_occluded(drawn, occlusion, options)
     kept &= ~((drawn.centre < options.least_centre) & (drawn.behind > drawn.centre))
-    # What has no plane is believed where it is closed all around, as a car's corner is and a leaf before a wall is not.
+    # Points without a plane are kept where depth is closed around them: a car's corner is, a leaf before a wall is not.
     known = np.where(kept, drawn.depth, np.float32(0))
     closed = cv2.erode(known, np.ones((_CLOSED, _CLOSED), np.uint8)) > np.float32(0.9) * known
     kept &= (drawn.rough < 0.5) | (closed & (drawn.behind == 0))
@@ -156,7 +156,7 @@ def scene_depth(
 
 
 def _seen_by(surfels: Surfels, camera: Camera, T_cam_node: Array, options: DepthOptions) -> View:
-    """The surfels that may fall on the image, in the camera's frame, with their noise."""
+    """The surfels that may be in the image, in the camera's frame, with their noise."""
     rotation, translation = T_cam_node[:3, :3], T_cam_node[:3, 3]
     points = surfels.points.astype(np.float64) @ rotation.T + translation
     size = np.max(surfels.occluding_reach, axis=1, initial=0.0)
@@ -174,7 +174,7 @@ def _seen_by(surfels: Surfels, camera: Camera, T_cam_node: Array, options: Depth
     normals = surfels.normals[rows].astype(np.float64) @ rotation.T
     axes = surfels.axes[rows].astype(np.float64) @ rotation.T
     reach8 = surfels.reach[rows].copy()
-    # From its back a surface hides, but the thing behind it may be nearer than what is drawn.
+    # A surface seen from its back is not drawn, but it hides what is behind it.
     reach8[np.einsum("ni,ni->n", normals, points) > 0] = 0
     noise = options.noise
     plane = np.any(normals != 0, axis=1)
@@ -191,14 +191,14 @@ def _seen_by(surfels: Surfels, camera: Camera, T_cam_node: Array, options: Depth
 
 
 def _occluded(drawn: Drawn, occlusion: Floats, options: DepthOptions) -> NDArray[np.bool_]:
-    """(H, W) where something that hides stands before the depth drawn."""
+    """(H, W) whether something hides the surface that was drawn."""
     height, width = drawn.depth.shape
     limit = np.repeat(np.repeat(occlusion, OCCLUSION_STEP, axis=0), OCCLUSION_STEP, axis=1)[:height, :width]
     return np.asarray(drawn.depth - np.float32(options.occlusion_margin_m) - np.float32(0.02) * drawn.depth > limit)
 
 
 def _without_specks(kept: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
-    """The pixels of patches of at least so many."""
+    """The mask (H, W) without connected patches of fewer than ``least`` pixels."""
     if least <= 1:
         return kept
     _, labels, stats, _ = cv2.connectedComponentsWithStats(kept.astype(np.uint8), connectivity=4)
@@ -207,9 +207,9 @@ def _without_specks(kept: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
 
 
 def fit_sigma(images: Iterable[DepthImage], bin_m: float = 1.0) -> tuple[float, float, float]:
-    """(a, b, c) >= 0 of ``sigma = a + b z + c z^2``, as a camera's ``depth_sigma`` has it.
+    """Fit (a, b, c) >= 0 of ``sigma = a + b z + c z^2``, the ``depth_sigma`` of a camera.
 
-    Fitted to the root mean square of the sigmas in bins of depth, each weighing by the root of its pixels.
+    The fit is to the root mean square of the sigmas in bins of depth, each weighted by the root of its pixel count.
     """
     count, square, total = np.zeros(256), np.zeros(256), np.zeros(256)
     for image in images:

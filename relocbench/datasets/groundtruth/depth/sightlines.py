@@ -1,8 +1,8 @@
-"""How far a camera can see: not through what lies behind surfaces, unless some beam went through there.
+"""Sight lines: a camera cannot see through the shadow behind a scanned surface, unless some beam went through it.
 
-What was never scanned from this side (the front of a parked car, seen along the road by a scanner that looks across it)
-has no surface that could hide what stands behind it. But its inside lies in the shadow of the side that was scanned.
-Where nothing came back at all, above roofs and behind panes, space is unknown and hides nothing.
+The side of a thing that was never scanned (the front of a parked car, seen along the road by a scanner that looks
+across it) has no surface that could hide what is behind it. But the inside of the thing is in the shadow of the side
+that was scanned. Where no beam returned, above roofs and behind panes, space is unknown and hides nothing.
 """
 
 from __future__ import annotations
@@ -20,26 +20,27 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 _LARGEST = 30_000_000
-"""cells"""
+"""largest number of cells"""
 
 
 @dataclass(frozen=True, eq=False)
 class TracedSpace:
-    """Cells that beams went through or would have, in the frame of the submap's node."""
+    """Space in cells that are free, in shadow or unknown, in the frame of the submap's node."""
 
     low: Floats
-    """(3,) corner"""
+    """(3,) lowest corner"""
     cell_m: float
     state: NDArray[np.uint8]
-    """(X, Y, Z) 0 unknown, 1 free: a beam went through, 2 shadow: none did, and one ended before"""
+    """(X, Y, Z) 0: unknown; 1: free, a beam went through; 2: shadow, none went through and one ended in front of it"""
 
 
 def trace_beams(submap: Submap, cell_m: float, within_m: float, shadow_m: float) -> TracedSpace:
-    """Follow the beams of a submap's points, the unsteady ones' too, from the sensor to where they ended and beyond.
+    """Classify space by the beams of all points of a submap; those of dynamic points make free space but no shadow.
 
     Args:
+        cell_m: size of a cell; it is enlarged if there would be too many.
+        within_m: distance from the node, on each axis, within which space is classified.
         shadow_m: length of the shadow behind the end of a beam.
-        within_m: space is told within so much of the node; the cell grows where that takes too much memory.
     """
     points, origins = submap.points, submap.origins
     used = np.isfinite(points).all(axis=1) & np.isfinite(origins).all(axis=1)
@@ -65,13 +66,13 @@ def trace_beams(submap: Submap, cell_m: float, within_m: float, shadow_m: float)
 def sight_limits(
     space: TracedSpace, camera: Camera, T_cam_node: Array, step: int, max_depth: float, start_m: float, shadow_m: float
 ) -> Floats:
-    """(H / step, W / step) depth along z up to which a pinhole camera sees; inf where nothing ends its sight.
+    """(ceil(H / step), ceil(W / step)) depth along z up to which a pinhole camera can see; inf if it is not limited.
 
-    Element (i, j) is that of the pixel (step (i + 0.5) - 0.5, step (j + 0.5) - 0.5).
+    Element (i, j) is for row step (i + 0.5) - 0.5 and column step (j + 0.5) - 0.5 of the image.
 
     Args:
-        start_m: so near to the camera everything is free.
-        shadow_m: a longer way through shadow ends the sight where that began.
+        start_m: space nearer to the camera than this counts as free.
+        shadow_m: a sight line ends where it enters a shadow in which it then runs further than this.
     """
     T_node_cam = invert(np.asarray(T_cam_node, dtype=np.float64))
     middle = (step - 1) / 2
@@ -87,7 +88,7 @@ def sight_limits(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _mark(begin, end, low, inverse, value, state):  # type: ignore[no-untyped-def]
-    """Give the cells between points a value, at steps of half a cell."""
+    """Give a value to the cells along lines, at steps of half a cell."""
     nx, ny, nz = state.shape
     for i in range(len(begin)):
         x, y, z = (begin[i, 0] - low[0]) * inverse, (begin[i, 1] - low[1]) * inverse, (begin[i, 2] - low[2]) * inverse
@@ -105,7 +106,7 @@ def _mark(begin, end, low, inverse, value, state):  # type: ignore[no-untyped-de
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _look(eye, directions, low, cell, state, max_depth, start, shadow, out):  # type: ignore[no-untyped-def]
-    """Follow rays at steps of half a cell until they were in shadow for too long without coming into free space."""
+    """Follow rays, at steps of half a cell, until they have been in shadow for too long without reaching free space."""
     nx, ny, nz = state.shape
     ex, ey, ez = (eye[0] - low[0]) / cell, (eye[1] - low[1]) / cell, (eye[2] - low[2]) / cell
     for i in range(len(directions)):

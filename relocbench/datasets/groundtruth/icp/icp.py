@@ -243,7 +243,7 @@ def run_icp(
         for iteration in range(options.iterations[k]):
             if abs(stretch - laid) >= _STRETCHED:
                 here, laid = _sides(query, level, stretch), stretch
-            # The kernel narrows over a level's first iterations, so that large residuals still have weight at its start.
+            # The kernel narrows over a level's first iterations, so that large residuals have weight at its start.
             scale = options.scales_m[k] * max(1.0, 2.0 * 0.6**iteration)
             problem = linearise_both(there, here, T, reach, scale, options)
             if problem.count < options.least_matches:

@@ -1,8 +1,8 @@
-"""From recordings of one road to a dataset: the first is the reference, all others ask about it.
+"""The build of a dataset from recordings of one road: the first is the reference, the others are queries.
 
-Everything that took long lies in ``OUT/groundtruth`` as soon as it is done, and a killed build goes on from there:
-``blocks/TRAVERSAL`` (points), ``registrations/REF__QUERY.csv`` (what was found at each node, and the evidence),
-``graph/REF__QUERY.csv`` (where the graph puts the nodes). Depth and images are kept file by file.
+Intermediate results that take long are written to ``OUT/groundtruth``, where a killed build continues:
+``blocks/TRAVERSAL`` (points), ``registrations/REF__QUERY.csv`` (the registration of each node, with its evidence) and
+``graph/REF__QUERY.csv`` (the poses of the nodes). Depth and images are written file by file.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from relocbench.progress import Reporter
 def build_ground_truth(
     recordings: Sequence[FieldRecording], writer: DatasetWriter, options: FieldOptions, reporter: Reporter, run: Run
 ) -> Dataset:
-    """The dataset of a reference drive and the drives that ask about it.
+    """Build the dataset of a reference drive and its query drives.
 
     Args:
-        recordings: as :func:`check` lets them pass.
+        recordings: at least two, the reference first.
 
     Raises:
-        ConfigError: an option that does not fit the recordings.
-        DatasetError: something in a recording is damaged; or no pair could be accepted, with the reason.
+        ConfigError: an option does not fit the recordings.
+        DatasetError: a recording is damaged, or no pair could be accepted; names the most frequent reason.
     """
     cameras, first = check_recordings(recordings, options)
     folder = writer.layout.root / "groundtruth"
@@ -88,15 +88,15 @@ def build_ground_truth(
 def check_recordings(
     recordings: Sequence[FieldRecording], options: FieldOptions
 ) -> tuple[tuple[str, ...], FirstPose | None]:
-    """The cameras whose images are paired, and the first pair given by hand.
+    """Check recordings against the options. Returns the cameras whose images are paired, and the pose given by hand.
 
     Raises:
-        ConfigError: fewer than two drives, a camera that one of them does not have, a first pair that is none or lies
-            outside the drives.
-        DatasetError: a drive has no images.
+        ConfigError: there are fewer than two drives, one of them lacks a camera, or the pose given by hand cannot be
+            read or is of a time outside the drives.
+        DatasetError: the reference has no images.
     """
     if len(recordings) < 2:
-        raise ConfigError(f"ground truth across drives needs a reference and at least one other, got {len(recordings)}")
+        raise ConfigError(f"ground truth needs a reference and at least one query drive, got {len(recordings)} in all")
     there = recordings[0].cameras
     asked = options.cameras or tuple(there)[:1]
     if not asked:
@@ -110,7 +110,7 @@ def check_recordings(
 
 
 def _first_pose(recordings: Sequence[FieldRecording], options: FieldOptions) -> FirstPose | None:
-    """With several query drives it is that of the one whose times it names."""
+    """The pose of ``--first-pose``; its query time decides which query drive it is of."""
     if not options.first_pose:
         return None
     words = options.first_pose.replace(",", " ").split()
@@ -118,11 +118,11 @@ def _first_pose(recordings: Sequence[FieldRecording], options: FieldOptions) -> 
         ref_ns, query_ns = (int(word) for word in words[:2])
         pose = parse_pose(words[2:], Path("--first-pose"), 1)
     except (ValueError, DatasetError):
-        raise ConfigError("--first-pose is 'REF_NS QUERY_NS tx ty tz qx qy qz qw'") from None
+        raise ConfigError("--first-pose: expected 'REF_NS QUERY_NS tx ty tz qx qy qz qw'") from None
     for time, drives in ((ref_ns, recordings[:1]), (query_ns, recordings[1:])):
         if not any(r.odometry.times_ns[0] <= time <= r.odometry.times_ns[-1] for r in drives):
             names = ", ".join(r.name for r in drives)
-            raise ConfigError(f"--first-pose: {time} is no time (in nanoseconds) of {names}")
+            raise ConfigError(f"--first-pose: {time} (nanoseconds) is outside the times of {names}")
     return ref_ns, query_ns, pose
 
 
@@ -164,19 +164,19 @@ def _write_graph(path: Path, unit: PairingUnit, paired: Paired) -> None:
 
 
 def _require_accepted(paired: Sequence[Paired], queries: Sequence[str], folder: Path) -> None:
-    """Raises DatasetError where not one pair was accepted."""
+    """Raises DatasetError if no pair was accepted."""
     everything = [o for p in paired for outcomes in p.outcomes.values() for o in outcomes]
     if any(o.accepted for o in everything):
         return
     kinds = by_kind(o.reason for o in everything)
     often = next(iter(kinds.values()))[0] if kinds else "there are no images"
     raise DatasetError(
-        f"no pair of {', '.join(queries)} could be accepted; most often: {often} (all registrations lie here)", folder
+        f"no pair of {', '.join(queries)} could be accepted; most often: {often} (the registrations are here)", folder
     )
 
 
 def _summary(query: str, camera: str, outcomes: Sequence[PairOutcome]) -> str:
-    """One line for a person: how many pairs, how certain, and why the others are not in."""
+    """One line for the user: the number of accepted pairs, their median sigmas, and why others were rejected."""
     accepted = [o for o in outcomes if o.accepted]
     text = f"{query}, {camera}: {len(accepted)} of {len(outcomes)} pairs accepted"
     if accepted:

@@ -1,4 +1,4 @@
-"""Which keyframe each image of a query drive is paired with, and what becomes of the pair."""
+"""Pairing of each image of a query drive with a keyframe of the reference."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CameraFrames:
-    """The images of one camera that take part, of both drives."""
+    """The images of one camera that are paired, of both drives."""
 
     camera: str
     T_rig_refcam: Array
@@ -31,7 +31,7 @@ class CameraFrames:
 
 @dataclass(frozen=True, eq=False)
 class PairingUnit:
-    """One query drive: its registrations, and the images to pair."""
+    """One query drive with its registrations and the images to pair: a unit of work."""
 
     reference: Drive
     query: Drive
@@ -47,22 +47,22 @@ class PairingUnit:
 
 @dataclass(frozen=True, eq=False)
 class Paired:
-    """What came of it."""
+    """The pairs of one query drive, and the solved graph."""
 
     outcomes: dict[str, list[PairOutcome]]
-    """camera -> one a query image"""
+    """camera -> the outcome of each query image"""
     T_world_ref: Array
-    """(R, 4, 4) the reference's nodes"""
+    """(R, 4, 4) poses of the reference's nodes"""
     T_world_query: Array
-    """(Q, 4, 4)"""
+    """(Q, 4, 4) poses of the query's nodes"""
     verdicts: tuple[str, ...]
-    """why each registration did not take part in the graph; empty if it did"""
+    """why each registration is not part of the graph; empty if it is"""
     arc_length_to_trusted: Array
-    """(R + Q, 2) metres back to the last and on to the next node with a trusted registration"""
+    """(R + Q, 2) arc length back to the last and on to the next node with a trusted registration, metres"""
 
 
 def pair_up(unit: PairingUnit) -> Paired:
-    """Solve the graph of two drives and decide every pair."""
+    """Solve the pose graph of two drives and compute the outcome of every pair."""
     solution = solve_drive(unit.reference, unit.query, unit.registrations, unit.options)
     outcomes = Outcomes(
         solution,
@@ -90,24 +90,24 @@ def _of_camera(unit: PairingUnit, frames: CameraFrames, solution: Solution, outc
             T_world_cam = place.T_world_rig @ frames.T_rig_querycam
             nearest, reason = keyframes.nearest(T_world_cam, part, unit.max_angle_deg)
         if nearest is None and prior is not None and prior.nearest(node) >= 0:
-            # Where nothing is registered, the map says which keyframe is refused.
+            # Where nothing is registered, the rejected pair has the nearest keyframe by GNSS.
             there = unit.reference.nodes.times_ns[prior.nearest(node)]
             nearest = frames.ref_ns[int(np.argmin(np.abs(np.array(frames.ref_ns) - there)))]
         found = outcomes.of(
             frames.ref_ns[0] if nearest is None else nearest, time, frames.T_rig_refcam, frames.T_rig_querycam
         )
-        out.append(found.refused(reason) if reason and found.accepted else found)
+        out.append(found.rejected(reason) if reason and found.accepted else found)
     return out
 
 
 @dataclass(frozen=True, eq=False)
 class _Keyframes:
-    """Keyframes where the graph puts them."""
+    """Keyframes with their poses by the graph."""
 
     times: tuple[int, ...]
     T_world_cam: Array
     part: NDArray[np.int64]
-    """which nodes each one's pose can be compared with"""
+    """(M,) the connected part of the graph that each keyframe is in"""
 
     @classmethod
     def of(cls, side: SolvedDrive, solution: Solution, times: Sequence[int], T_rig_cam: Array) -> _Keyframes:
@@ -117,8 +117,10 @@ class _Keyframes:
         return cls(tuple(time for time, _ in places), poses.reshape(-1, 4, 4), solution.part[nodes])
 
     def nearest(self, T_world_cam: Array, part: int, max_angle_deg: float) -> tuple[int | None, str]:
-        """The nearest keyframe of a part of the graph that looks about the same way; if none does, the nearest and why
-        it will not do. None where the part holds no keyframe."""
+        """Time of the nearest keyframe, in a part of the graph, that is turned by at most ``max_angle_deg``.
+
+        If there is none, the nearest keyframe and the reason for rejection; None if the part has no keyframe.
+        """
         here = self.part == part
         if not here.any():
             return None, ""

@@ -1,12 +1,12 @@
-"""Odometry's scale, as the graph finds it.
+"""The scale of odometry, estimated from the solved graph.
 
-The scale of visual odometry is wrong by a percent that changes slowly. Between nodes that is no noise: it adds up over
-tens of metres, and what little a street says about the way along it would have to fight it block by block. So steps are
-measured by the graph over a stretch, and each drive's odometry is stretched by that before the last adjustment. Only
-the ratio of two drives can be seen; each is given half of it.
+The scale of visual odometry is off by a percent or so, and changes slowly. This is not noise: it adds up over tens of
+metres, and the weak constraints along a street would have to correct it block by block. The scale of each drive is
+therefore estimated, in a window along the road, by comparing the steps of the graph with those of the odometry, and
+corrected before the final adjustment. Only the ratio of two drives' scales is observable; each gets half of it.
 
-What is left of the scale is no noise either: where nothing holds the way along the street, its error grows with the way
-and not with the root of it. Covariances therefore have it as unknowns of their own (:class:`Scales`).
+The remaining scale error is not noise either: where nothing constrains the position along the street, it grows with arc
+length and not with its root. Covariances therefore have it as unknowns of their own (:class:`Scales`).
 """
 
 from __future__ import annotations
@@ -26,29 +26,30 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _NEAR = 3.0
-"""nodes further away than so many standard deviations say nothing about the scale here"""
+"""half width of the window, in standard deviations"""
 
 
 @dataclass(frozen=True)
 class ScaleNoise:
-    """How far the scale of odometry may be off, and how fast that changes."""
+    """The prior of odometry's scale error and of its changes along the road."""
 
     sigma: float = 0.02
+    """standard deviation of the scale error"""
     wander: float = 0.0015
-    """after one metre of road; ``sqrt(d)`` times as much after d metres"""
+    """standard deviation of its change after one metre of road; ``sqrt(d)`` times as much after d metres"""
     piece_m: float = 10.0
-    """of road on which one scale holds"""
+    """length of road with one scale"""
 
     def __post_init__(self) -> None:
         if min(self.sigma, self.wander, self.piece_m) <= 0:
-            raise ConfigError("noise of the odometry's scale must be positive")
+            raise ConfigError("the prior of odometry's scale needs positive values")
 
 
 def scales_of(drives: BothDrives, edges: Edges, noise: ScaleNoise | None = None) -> Scales:
-    """An unknown scale for each piece of each drive, wandering from piece to piece.
+    """An unknown scale for each ``piece_m`` of each drive, which changes as a random walk from piece to piece.
 
     Args:
-        edges: E of both drives; only those of odometry have a scale.
+        edges: E edges; only those of odometry have a scale.
     """
     noise = noise or ScaleNoise()
     of_node = np.zeros(len(drives), dtype=np.int64)
@@ -73,11 +74,11 @@ def scales_of(drives: BothDrives, edges: Edges, noise: ScaleNoise | None = None)
 
 
 def rescaled(drives: BothDrives, T_world_node: Array, window_m: float) -> BothDrives:
-    """The drives with odometry whose steps are as long as those of the graph, on the mean over a stretch.
+    """The drives with the scale of their odometry corrected to that of the graph.
 
     Args:
         T_world_node: (N, 4, 4) poses by the graph.
-        stretch_m: standard deviation of the weights along the way.
+        window_m: standard deviation of the Gaussian window along the road.
     """
     T_steps = invert(drives.T_odom_node[:-1]) @ drives.T_odom_node[1:]
     by_odometry = np.linalg.norm(T_steps[:, :3, 3], axis=1)
@@ -95,7 +96,7 @@ def rescaled(drives: BothDrives, T_world_node: Array, window_m: float) -> BothDr
 
 
 def _scale(travelled_m: Array, by_odometry: Array, by_graph: Array, window_m: float) -> Array:
-    """(K - 1,) weighted mean of the graph's steps over that of odometry's, around each step of K nodes."""
+    """(K - 1,) ratio of the graph's to the odometry's mean step length in a window around each step between K nodes."""
     middle = 0.5 * (travelled_m[1:] + travelled_m[:-1])
     ratio = np.ones(len(middle))
     first = np.searchsorted(middle, middle - _NEAR * window_m)

@@ -28,7 +28,7 @@ _COSINE = 0.8
 _LEVEL, _REACH_M = 1, 0.35
 """level of the planes that surface patches are matched to, and the largest distance of a match"""
 _FINE, _FINE_REACH_M, _NEARBY_M = 2, 0.25, 0.3
-"""level of the planes that details are matched to, the largest distance of a match, and of any surface nearby"""
+"""level of the planes that details are matched to, the largest distance of a match, and that of any surface"""
 _SAME_PLACE_M = 2.5
 """a drive could see what was measured from within this distance of its own sensors; it is less than the width of a
 lane, since other sides of things are hidden from the next lane"""
@@ -40,12 +40,12 @@ _AGREES = 2.5
 class Thresholds:
     """Limits on the evidence for a registration that is trusted.
 
-    They were chosen on drives through the training district (Sunny against Overcast, Rain, Snow and Night, and the street of
-    repeating facades, Sunny against Snow): each query node was placed at its true pose, shifted by 2 to 30 m, turned
-    by 2, 4 and 180 degrees, and on other streets, then registered by ICP and verified. Right poses had an overlap of at
-    least 0.88 and violations of at most 0.04; wrong ones had overlaps of up to 0.89, the highest one period away among
-    repeating facades. The limits leave room for scenes that change more. They alone cannot reject a shift by one
-    period; following each hypothesis along the road can.
+    They were chosen on drives through the training district (Sunny against Overcast, Rain, Snow and Night, and the
+    street of repeating facades, Sunny against Snow): each query node was placed at its true pose, shifted by 2 to 30 m,
+    turned by 2, 4 and 180 degrees, and on other streets, then registered by ICP and verified. Right poses had an
+    overlap of at least 0.88 and violations of at most 0.04; wrong ones had overlaps of up to 0.89, the highest one
+    period away among repeating facades. The limits leave room for scenes that change more. They alone cannot reject a
+    shift by one period; following each hypothesis along the road can.
     """
 
     least_seen: float = 0.08
