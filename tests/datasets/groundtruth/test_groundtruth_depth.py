@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.core import images
 from relocbench.datasets.groundtruth.blocks.surfaces import SurfaceOptions, fit_normals, towards
-from relocbench.datasets.groundtruth.depth.depth import DepthImage, DepthNoise, DepthOptions, fit_sigma, submap_depth
+from relocbench.datasets.groundtruth.depth.depth import (
+    DepthImage,
+    DepthNoise,
+    DepthOptions,
+    fit_sigma,
+    make_scene,
+    scene_depth,
+)
 from relocbench.datasets.groundtruth.depth.stereo_check import (
     cross_check,
     depth_by_stereo,
@@ -73,6 +80,12 @@ def sampled(
     origins = np.column_stack([np.clip(p[:, 0] - back_m, 0, None), np.zeros(len(p)), np.full(len(p), 1.0)])
     n = np.where(np.einsum("ni,ni->n", n, origins - p)[:, None] < 0, -n, n)
     return as_submap(p, n, origins)
+
+
+def submap_depth(
+    submap: Submap, camera: Camera, T_cam_node: np.ndarray, options: DepthOptions | None = None
+) -> DepthImage:
+    return scene_depth(make_scene(submap, options), camera, T_cam_node, options)
 
 
 def as_submap(points: Array, normals: Array, origins: Array) -> Submap:

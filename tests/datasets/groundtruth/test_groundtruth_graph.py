@@ -337,7 +337,7 @@ def test_pairs_come_out_camera_to_camera_with_sigmas_along_across_and_above_the_
         assert sigmas[0] > sigmas[2]
         assert outcome.sigma_translation_m == pytest.approx(float(np.sqrt(np.mean(sigmas**2))))
     assert 0.5 < np.mean(squares) < 2.0
-    pair = outcomes.of(int(reference.nodes.times_ns[8]), int(query.nodes.times_ns[10]), CAMERA, CAMERA).pair("step_4")
+    pair = outcomes.of(int(reference.nodes.times_ns[8]), int(query.nodes.times_ns[10]), CAMERA, CAMERA).pair()
     assert pair.sigma_along_m is not None
     assert pair.T_query_ref is not None
 

@@ -440,7 +440,7 @@ def test_better_poses_lay_the_blocks_elsewhere(built: tuple[Nodes, BlockStore]) 
     nodes, store = built
     bent = nodes.T_odom_node.copy()
     bent[:, 2, 3] += 0.01 * np.arange(len(nodes))
-    submap = SubmapWindow(nodes, store, 8.0, voxel_m=0.0, T_odom_node=bent).at(9)
+    submap = SubmapWindow(replace(nodes, T_odom_node=bent), store, 8.0, voxel_m=0.0).at(9)
     plain = SubmapWindow(nodes, store, 8.0, voxel_m=0.0).at(9)
     np.testing.assert_allclose(submap.points[:, 2] - plain.points[:, 2], 0.01 * (submap.block - 9.0), atol=1e-4)
 

@@ -50,10 +50,6 @@ class DepthNoise:
     across_per_m: float = 0.001
     """of odometry sideways and in height"""
 
-    def __post_init__(self) -> None:
-        if self.range_m <= 0 or min(self.surface_m, self.rough_m, self.along_per_m, self.across_per_m) < 0:
-            raise ConfigError("noise of depth needs a positive range_m and no negative values")
-
 
 @dataclass(frozen=True)
 class DepthOptions:
@@ -81,10 +77,6 @@ class DepthOptions:
     least_pixels: int = 12
     """least number of pixels of a connected patch of depth"""
 
-    def __post_init__(self) -> None:
-        if self.max_depth_m <= 0 or self.sigmas <= 0 or self.slack_m < 0 or not 0 <= self.least_centre <= 1:
-            raise ConfigError("depth needs positive max_depth_m and sigmas, slack_m >= 0 and least_centre in [0, 1]")
-
 
 @dataclass(frozen=True, eq=False)
 class DepthScene:
@@ -110,20 +102,6 @@ class DepthImage:
         return float(np.mean(self.depth > 0))
 
 
-def submap_depth(submap: Submap, camera: Camera, T_cam_node: Array, options: DepthOptions | None = None) -> DepthImage:
-    """Depth of an image taken near a submap's node.
-
-    Args:
-        camera: pinhole.
-        T_cam_node: (4, 4).
-
-    Raises:
-        ConfigError: the camera is not a pinhole camera.
-    """
-    options = options or DepthOptions()
-    return scene_depth(make_scene(submap, options), camera, T_cam_node, options)
-
-
 def make_scene(submap: Submap, options: DepthOptions | None = None) -> DepthScene:
     """The part of drawing depth that does not depend on the camera."""
     options = options or DepthOptions()
@@ -134,7 +112,15 @@ def make_scene(submap: Submap, options: DepthOptions | None = None) -> DepthScen
 def scene_depth(
     scene: DepthScene, camera: Camera, T_cam_node: Array, options: DepthOptions | None = None
 ) -> DepthImage:
-    """Depth of an image as :func:`submap_depth` returns it, from a scene made with the same options."""
+    """Depth of an image taken near the node of a submap, from its scene made with the same options.
+
+    Args:
+        camera: a pinhole camera.
+        T_cam_node: (4, 4).
+
+    Raises:
+        ConfigError: the camera is not a pinhole camera.
+    """
     if camera.model != "pinhole":
         raise ConfigError(f"depth needs a pinhole camera, got '{camera.model}'")
     options = options or DepthOptions()

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
-from relocbench.errors import ConfigError
 from relocbench.kernels import njit
 
 Floats = NDArray[np.float32]
@@ -55,10 +54,6 @@ class SurfelOptions:
     """least number of others within ``gap_m`` of a point without a plane; with fewer it is noise, such as a raindrop"""
     steady: float = 0.5
     """points with a lower static score are left out"""
-
-    def __post_init__(self) -> None:
-        if not 0 < self.gap_m <= self.closed_hole_m or self.offset_m <= 0 or self.rough_m < 0:
-            raise ConfigError("surfels need 0 < gap_m <= closed_hole_m, a positive offset_m and rough_m >= 0")
 
 
 @dataclass(frozen=True, eq=False)

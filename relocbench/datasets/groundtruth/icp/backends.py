@@ -68,7 +68,7 @@ def _open3d(
     import open3d as o3d
 
     registration = o3d.pipelines.registration
-    target, source = (_cloud(o3d, *_thin(side)) for side in (ref, query))
+    target, source = (open3d_cloud(*_thin(side)) for side in (ref, query))
     result = registration.registration_icp(
         source,
         target,
@@ -80,7 +80,10 @@ def _open3d(
     return np.array(result.transformation, dtype=np.float64), iterations
 
 
-def _cloud(o3d: Any, points: Array, normals: Array) -> Any:
+def open3d_cloud(points: Array, normals: Array) -> Any:
+    """Open3D's point cloud of points (N, 3) with normals (N, 3)."""
+    import open3d as o3d
+
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     cloud.normals = o3d.utility.Vector3dVector(normals)
     return cloud

@@ -1,8 +1,8 @@
 """Registration from a prediction: robust, symmetric point-to-plane ICP, coarse to fine.
 
 Chen and Medioni, Object modelling by registration of multiple range images (1992); annealed Geman-McClure weights as
-in Zhou, Park and Koltun, Fast global registration (2016); the generalised metric as in Segal, Haehnel and Thrun,
-Generalized ICP (2009). Points of each submap are matched to planes of the other, so that holes and noise of both count.
+in Zhou, Park and Koltun, Fast global registration (2016). Points of each submap are matched to planes of the other, so
+that holes and noise of both count.
 
 The odometries of two drives differ in scale. Submaps put together along them differ in length, and without a correction
 surfaces 30 m ahead of the node would pull against those 30 m behind it. ICP therefore has a seventh unknown, the
@@ -14,17 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, Planes, Sample
-from relocbench.errors import ConfigError
-from relocbench.geometry import adjoint, hat, invert, project_to_rotation, robust_sigma, se3_exp, se3_log
+from relocbench.geometry import adjoint, invert, project_to_rotation, robust_sigma, se3_exp
 
 Array = NDArray[np.float64]
-Metric = Literal["plane", "generalised"]
 
 CORRELATION = 20.0
 """The information matrix is divided by this, since residuals are correlated: neighbours share the noise of a plane's
@@ -34,15 +31,12 @@ _STRETCHED = 5e-4
 """planes are moved and sorted anew when the stretch has changed by so much: 15 mm at 30 m"""
 _OPEN = 1e-4
 """information added to every direction, so that unconstrained ones have a sigma of 100 m or 100 rad"""
-_THIN = 0.02
-"""variance of a point across its plane over its variance along it, in the generalised metric"""
 
 
 @dataclass(frozen=True)
 class IcpOptions:
     """Options of ICP from a predicted pose."""
 
-    metric: Metric = "plane"
     levels: tuple[int, ...] = (0, 1, 2)
     """levels of the plane maps, in the order in which they are used"""
     scales_m: tuple[float, ...] = (0.5, 0.15, 0.05)
@@ -61,12 +55,6 @@ class IcpOptions:
     """growth of the rotation's standard deviation, in radians, with the length of the lever arm"""
     least_matches: int = 100
     """with fewer matches ICP gives up: the submaps have too little in common"""
-
-    def __post_init__(self) -> None:
-        if not len(self.levels) == len(self.scales_m) == len(self.iterations) > 0:
-            raise ConfigError("ICP needs as many values of levels as of scales_m and iterations")
-        if min(self.scales_m) <= 0 or self.sigma_m <= 0 or min(self.drift_per_m, self.stretch_sigma) < 0:
-            raise ConfigError("ICP needs positive scales_m and sigma_m, and no negative drift_per_m or stretch_sigma")
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,75 +103,47 @@ class IcpResult:
 
 
 def linearise(
-    reference_planes: Planes,
-    points: Array,
-    normals: Array,
+    planes: Planes,
+    sample: Sample,
     T_ref_query: Array,
     reach: float,
-    *,
-    weights: Array | None = None,
-    lever_arms: Array | None = None,
+    scale_m: float,
+    options: IcpOptions,
     planes_stretch: bool = False,
-    scale_m: float = 0.05,
-    sigma_m: float = 0.02,
-    drift_per_m: float = 0.0,
-    cosine: float = 0.8,
-    metric: Metric = "plane",
 ) -> Linearised:
-    """Distances from points of the query to planes of the reference, linearised.
+    """Distances of points of the query from planes of the reference, linearised.
 
     The residual of a point q with the plane (p, n) is ``r = n^T (R q + t - p)``. With m = R^T n its derivative is
     ``J = (m, q x m, m^T c)``, where c is the lever arm of q; if the stretch is that of the planes' drive, the last
-    element is ``-n^T c`` with the lever arm c of the plane.
+    element is ``-n^T c`` with the lever arm c of the plane. A match has the smaller weight of its point and its plane.
 
     Args:
-        points: (M, 3) in the query's frame.
-        normals: (M, 3) of the points, in the query's frame.
+        planes: of the reference.
+        sample: points of the query.
         reach: largest distance of a match, metres; at most the voxel size of the planes.
-        weights: (M,) of the points, ones by default. A match has the smaller weight of its point and its plane.
-        lever_arms: (M, 3) of the points, zeros by default.
-        planes_stretch: whether the stretch is that of the planes' drive instead of the points'.
         scale_m: of Geman-McClure's kernel, ``w = (1 + (r / scale)^2)^-2``.
+        planes_stretch: whether the stretch is that of the planes' drive instead of the points'.
     """
     rotation, translation = T_ref_query[:3, :3], T_ref_query[:3, 3]
-    moved, turned = points @ rotation.T + translation, normals @ rotation.T
-    match = reference_planes.nearest(moved, turned, reach, cosine)
+    moved, turned = sample.points @ rotation.T + translation, sample.normals @ rotation.T
+    match = planes.nearest(moved, turned, reach, options.cosine)
     rows = np.flatnonzero(match >= 0)
     if not len(rows):
         return NOTHING
     match = match[rows]
-    n, q = reference_planes.normals[match], points[rows]
-    offset = moved[rows] - reference_planes.points[match]
-    residual = np.einsum("ni,ni->n", n, offset)
-    of_points = np.zeros((len(rows), 3)) if lever_arms is None else lever_arms[rows]
-    of_planes = reference_planes.lever_arms[match]
+    n, q = planes.normals[match], sample.points[rows]
+    residual = np.einsum("ni,ni->n", n, moved[rows] - planes.points[match])
+    of_points, of_planes = sample.lever_arms[rows], planes.lever_arms[match]
     away = np.einsum("ni,ni->n", of_points, of_points) + np.einsum("ni,ni->n", of_planes, of_planes)
     moves = -of_planes if planes_stretch else of_points @ rotation.T
-    near = 1 / (1 + np.square(drift_per_m / sigma_m) * away)
+    near = 1 / (1 + np.square(options.drift_per_m / options.sigma_m) * away)
     standard = residual * np.sqrt(near)
-    w = near * np.minimum(reference_planes.weights[match], 1.0 if weights is None else weights[rows])
+    w = near * np.minimum(planes.weights[match], sample.weights[rows])
     w = w / np.square(1 + np.square(standard / scale_m))
-    if metric == "generalised":
-        H, g = _plane_to_plane(n, turned[rows], offset, q, moves, rotation, w)
-    else:
-        m = n @ rotation
-        J = np.hstack([m, np.cross(q, m), np.einsum("ni,ni->n", n, moves)[:, None]])
-        H, g = J.T @ (w[:, None] * J), J.T @ (w * residual)
+    m = n @ rotation
+    J = np.hstack([m, np.cross(q, m), np.einsum("ni,ni->n", n, moves)[:, None]])
+    H, g = J.T @ (w[:, None] * J), J.T @ (w * residual)
     return Linearised(H, g, standard, float(np.sqrt(w @ away / max(w.sum(), 1e-12))), near, len(rows))
-
-
-def _plane_to_plane(
-    n: Array, turned: Array, offset: Array, q: Array, moves: Array, rotation: Array, w: Array
-) -> tuple[Array, Array]:
-    """H and g of the generalised metric, in which each point is uncertain along its plane and certain across it.
-
-    The metric is ``M = 2 thin (C_ref + R C_query R^T)^-1``, so that two parallel planes have the weight of one.
-    """
-    spread = 2 * np.eye(3) - (1 - _THIN) * (n[:, :, None] * n[:, None, :] + turned[:, :, None] * turned[:, None, :])
-    M = 2 * _THIN * np.linalg.inv(spread) * w[:, None, None]
-    J = np.concatenate([np.broadcast_to(rotation, (len(q), 3, 3)), -rotation @ hat(q), moves[:, :, None]], axis=2)
-    MJ = M @ J
-    return np.einsum("nki,nkj->ij", J, MJ), np.einsum("nki,nk->i", MJ, offset)
 
 
 def linearise_both(
@@ -194,16 +154,8 @@ def linearise_both(
 
     ``T_query_ref`` changes by ``se3_exp(-Ad(T_ref_query) xi)`` when ``T_ref_query`` changes by ``se3_exp(xi)``.
     """
-
-    def one_way(planes: Planes, sample: Sample, T: Array, planes_stretch: bool) -> Linearised:
-        return linearise(
-            planes, sample.points, sample.normals, T, reach, weights=sample.weights, lever_arms=sample.lever_arms,
-            planes_stretch=planes_stretch, scale_m=scale_m, sigma_m=options.sigma_m, drift_per_m=options.drift_per_m,
-            cosine=options.cosine, metric=options.metric,
-        )  # fmt: skip
-
-    there = one_way(ref[0], query[1], T_ref_query, False)
-    back = one_way(query[0], ref[1], invert(T_ref_query), True)
+    there = linearise(ref[0], query[1], T_ref_query, reach, scale_m, options)
+    back = linearise(query[0], ref[1], invert(T_ref_query), reach, scale_m, options, planes_stretch=True)
     A = np.eye(7)
     A[:6, :6] = -adjoint(T_ref_query)
     return Linearised(
@@ -221,15 +173,14 @@ def run_icp(
     query: PlaneMap,
     T_ref_query: Array,
     options: IcpOptions | None = None,
-    prior_information: Array | None = None,
     levels: Sequence[int] | None = None,
 ) -> IcpResult:
     """ICP: the pose near a prediction at which the planes of both submaps agree.
 
+    The pose stays as predicted along directions that the planes leave open.
+
     Args:
         T_ref_query: (4, 4) the prediction.
-        prior_information: (6, 6) of the prediction; it constrains the directions that planes leave open but is not part
-            of the result's information. None: the pose stays as predicted along such directions.
         levels: indices into ``options.levels``, all by default. The last one alone suffices for a prediction that is
             good to decimetres.
     """
@@ -248,7 +199,7 @@ def run_icp(
             problem = linearise_both(there, here, T, reach, scale, options)
             if problem.count < options.least_matches:
                 return IcpResult(T, np.zeros((6, 6)), problem.sigma_m, problem.count, steps, False, stretch)
-            xi, longer = _step(problem, T, T_ref_query, laid, options, prior_information)
+            xi, longer = _step(problem, laid, options)
             T, stretch = T @ se3_exp(xi), laid + longer
             steps += 1
             still = np.linalg.norm(xi[:3]) < 2e-4 and np.linalg.norm(xi[3:]) < 2e-5 and abs(stretch - laid) < _STRETCHED
@@ -294,14 +245,9 @@ def _information(problem: Linearised, options: IcpOptions) -> Array:
     return np.asarray(np.linalg.inv(noise + np.diag(np.square(drift))))
 
 
-def _step(
-    problem: Linearised, T: Array, T_start: Array, stretch: float, options: IcpOptions, prior: Array | None
-) -> tuple[Array, float]:
+def _step(problem: Linearised, stretch: float, options: IcpOptions) -> tuple[Array, float]:
     """The Gauss-Newton step (6,) and the change of the stretch; directions that nothing constrains do not change."""
     H, g = problem.H.copy(), problem.g.copy()
-    if prior is not None:
-        H[:6, :6] += _variance(problem) * prior
-        g[:6] += _variance(problem) * prior @ se3_log(invert(T_start) @ T)
     count = 6
     if options.stretch_sigma > 0:
         H[6, 6] += _variance(problem) / options.stretch_sigma**2

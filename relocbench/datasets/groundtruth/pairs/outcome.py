@@ -15,7 +15,6 @@ from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.datasets.sensors.recording import Trajectory
-from relocbench.errors import ConfigError
 from relocbench.geometry import adjoint, interpolate, invert
 
 Array = NDArray[np.float64]
@@ -41,12 +40,6 @@ class OutcomeLimits:
     sigma_rotation_deg: float = 0.15
     contradiction_m: float = 30.0
     """least distance, along either drive, from an odometry edge that registrations contradict"""
-
-    def __post_init__(self) -> None:
-        sigmas = (self.sigma_along_m, self.sigma_across_m, self.sigma_height_m, self.sigma_rotation_deg)
-        ways = (self.distance_m, self.evidence_m, self.both_sides_m, self.one_sided, self.contradiction_m)
-        if not all(v > 0 for v in (*sigmas, *ways)):
-            raise ConfigError("the limits on pairs must be positive")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,14 +76,12 @@ class PairOutcome:
         """The same pair, rejected for a reason."""
         return replace(self, reason=reason)
 
-    def pair(self, group: str = "", overlap: float | None = None) -> Pair:
+    def pair(self) -> Pair:
         """The pair as a row of a pair set."""
         return Pair(
             self.ref_timestamp_ns,
             self.query_timestamp_ns,
             self.T_query_ref if self.accepted else None,
-            group=group,
-            overlap=overlap,
             sigma_translation_m=self.sigma_translation_m,
             sigma_rotation_deg=self.sigma_rotation_deg,
             source=SOURCE,

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, components
-from relocbench.errors import ConfigError
 from relocbench.geometry import invert, rotation_angle
 
 Array = NDArray[np.float64]
@@ -42,10 +41,6 @@ class RunOptions:
     """error of rotation up to which a cycle closes"""
     dominance: float = 3.0
     """runs win against one that they contradict if together they are at least so many times as long"""
-
-    def __post_init__(self) -> None:
-        if min(self.reach_m, self.reach_spacings, self.closure_m, self.closure_deg) <= 0 or self.dominance < 1:
-            raise ConfigError("consensus of registrations needs positive limits and a dominance of at least 1")
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,8 +48,6 @@ class Solution:
     """(E,) whether each registration is part of the graph and confirmed by others"""
     verdicts: tuple[str, ...]
     """(E,) why each registration is not part of the graph; empty if it is"""
-    tested: OutlierTest
-    """(E,) test of each registration against the rest of the graph"""
     odometry_tested: OutlierTest
     """test of each odometry edge against the rest of the graph"""
     arc_length_to_trusted: Array
@@ -141,7 +139,6 @@ def optimise(
         found.noise,
         controlled,
         verdicts,
-        found.tested,
         found.odometry_tested,
         drives.arc_length_to(np.concatenate([cross.first[controlled], cross.second[controlled]])),
         found.information_factor,

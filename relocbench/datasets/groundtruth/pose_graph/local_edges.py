@@ -34,7 +34,6 @@ from relocbench.datasets.groundtruth.pose_graph.selection import (
     noise_converged,
     reestimated,
 )
-from relocbench.errors import ConfigError
 from relocbench.geometry import invert, se3_exp
 
 Array = NDArray[np.float64]
@@ -95,20 +94,6 @@ class LocalOptions:
     """whether the noise of odometry, and the overstatement of the edges' information, are estimated"""
     noise_edges: int = 400
     """number of edges of each kind that noise is estimated from"""
-
-    def __post_init__(self) -> None:
-        positive = (
-            self.reach_m,
-            self.trusted_within_m,
-            self.correlation,
-            self.least_sigma_m,
-            self.characteristic_length_m,
-            self.scale_m,
-        )
-        if min(positive) <= 0 or min(self.iterations, self.least_count, self.noise_edges, self.repeats) < 1:
-            raise ConfigError("local edges need positive distances, correlation, least_sigma_m and counts")
-        if not 0 < self.open_share < 1 or not 0 < self.significance < 1:
-            raise ConfigError("local edges need open_share and significance between 0 and 1")
 
 
 def refine_locally(solution: Solution, linearise: Linearise, options: LocalOptions | None = None) -> Solution:

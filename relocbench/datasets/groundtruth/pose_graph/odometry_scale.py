@@ -11,7 +11,7 @@ length and not with its root. Covariances therefore have it as unknowns of their
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
 from relocbench.datasets.groundtruth.pose_graph.least_squares import Scales
-from relocbench.errors import ConfigError
 from relocbench.geometry import invert
 
 Array = NDArray[np.float64]
@@ -27,38 +26,27 @@ Indices = NDArray[np.int64]
 
 _NEAR = 3.0
 """half width of the window, in standard deviations"""
+_SIGMA = 0.02
+"""standard deviation of the scale error"""
+_CHANGE = 0.0015
+"""standard deviation of its change after one metre of road; ``sqrt(d)`` times as much after d metres"""
+_PIECE_M = 10.0
+"""length of road with one scale"""
 
 
-@dataclass(frozen=True)
-class ScaleNoise:
-    """The prior of odometry's scale error and of its changes along the road."""
-
-    sigma: float = 0.02
-    """standard deviation of the scale error"""
-    wander: float = 0.0015
-    """standard deviation of its change after one metre of road; ``sqrt(d)`` times as much after d metres"""
-    piece_m: float = 10.0
-    """length of road with one scale"""
-
-    def __post_init__(self) -> None:
-        if min(self.sigma, self.wander, self.piece_m) <= 0:
-            raise ConfigError("the prior of odometry's scale needs positive values")
-
-
-def scales_of(drives: BothDrives, edges: Edges, noise: ScaleNoise | None = None) -> Scales:
-    """An unknown scale for each ``piece_m`` of each drive, which changes as a random walk from piece to piece.
+def scales_of(drives: BothDrives, edges: Edges) -> Scales:
+    """An unknown scale for each 10 m of each drive, which changes as a random walk from piece to piece.
 
     Args:
         edges: E edges; only those of odometry have a scale.
     """
-    noise = noise or ScaleNoise()
     of_node = np.zeros(len(drives), dtype=np.int64)
     count = 0
     neighbours: list[tuple[int, int]] = []
     begins = []
     for segment in np.unique(drives.segment).tolist():
         members = np.flatnonzero(drives.segment == segment)
-        piece = ((drives.travelled_m[members] - drives.travelled_m[members[0]]) // noise.piece_m).astype(np.int64)
+        piece = ((drives.travelled_m[members] - drives.travelled_m[members[0]]) // _PIECE_M).astype(np.int64)
         of_node[members] = count + piece
         begins.append(count)
         neighbours += [(count + k, count + k + 1) for k in range(int(piece[-1]))]
@@ -67,9 +55,9 @@ def scales_of(drives: BothDrives, edges: Edges, noise: ScaleNoise | None = None)
     return Scales(
         number,
         np.array(begins, dtype=np.int64),
-        noise.sigma,
+        _SIGMA,
         np.array(neighbours, dtype=np.int64).reshape(-1, 2),
-        noise.wander * float(np.sqrt(noise.piece_m)),
+        _CHANGE * float(np.sqrt(_PIECE_M)),
     )
 
 

@@ -19,7 +19,6 @@ from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind, compon
 from relocbench.datasets.groundtruth.pose_graph.least_squares import Covariances, solve
 from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise, estimate, variance_factor
 from relocbench.datasets.groundtruth.pose_graph.outlier_test import OutlierTest, check_left_out, check_used
-from relocbench.errors import ConfigError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -50,12 +49,6 @@ class GraphOptions:
     so, its noise is never estimated to be less than assumed"""
     noise_edges: int = 600
     """number of odometry edges that noise is estimated from"""
-
-    def __post_init__(self) -> None:
-        if min(self.kernel, self.neighbourhood_m) <= 0 or self.rounds < 1 or self.noise_edges < 1:
-            raise ConfigError("the pose graph needs positive kernel, neighbourhood_m, rounds and noise_edges")
-        if not 0 < self.significance < self.readmission < 1:
-            raise ConfigError("the pose graph needs 0 < significance < readmission < 1")
 
 
 @dataclass(frozen=True, eq=False)

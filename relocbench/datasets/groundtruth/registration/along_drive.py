@@ -98,27 +98,20 @@ def register_along(
         remember: called with every piece of work that takes long and a key that identifies it; it does the work, or
             returns the result of an earlier run.
     """
-    work = _DriveRegistration(
-        PreparedDrive(window_ref, nodes_ref), PreparedDrive(window_query, nodes_query), prior, options, say, remember
-    )
-    return work.run(first)
+    ref, query = PreparedDrive(window_ref, nodes_ref), PreparedDrive(window_query, nodes_query)
+    return _DriveRegistration(ref, query, prior, options or DriveRegistrationOptions(), say, remember).run(first)
 
 
+@dataclass(frozen=True, eq=False)
 class _DriveRegistration:
-    def __init__(
-        self,
-        ref: PreparedDrive,
-        query: PreparedDrive,
-        prior: MapPrior | None,
-        options: DriveRegistrationOptions | None,
-        say: Callable[[str], None],
-        remember: Remember,
-    ) -> None:
-        self.ref, self.query, self.prior = ref, query, prior
-        self.options = options or DriveRegistrationOptions()
-        self.say = say
-        self.remember = remember
-        self.found: dict[int, Registration] = {}
+    ref: PreparedDrive
+    query: PreparedDrive
+    prior: MapPrior | None
+    options: DriveRegistrationOptions
+    say: Callable[[str], None]
+    remember: Remember
+    found: dict[int, Registration] = field(default_factory=dict)
+    """query node -> its registration"""
 
     def run(self, first: Guess | None) -> list[Registration]:
         steps = nodes_every(self.query.nodes, self.options.step_m)

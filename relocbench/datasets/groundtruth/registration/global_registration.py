@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
+from relocbench.datasets.groundtruth.icp.backends import open3d_cloud
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.errors import ConfigError
@@ -94,7 +95,7 @@ def describe(submap: Submap, options: GlobalOptions | None = None) -> Features:
     if not len(points):
         return Features(points, normals, np.zeros((33, 0)))
     keep = first_in_voxels(points, o.voxel_m)
-    cloud = _cloud(points[keep], normals[keep])
+    cloud = open3d_cloud(points[keep], normals[keep])
     search = o3d.geometry.KDTreeSearchParamHybrid(radius=5 * o.voxel_m, max_nn=100)
     # Open3D's stubs require indices, which have a default.
     feature = o3d.pipelines.registration.compute_fpfh_feature(cloud, search)  # type: ignore[call-arg]
@@ -138,14 +139,6 @@ def distinct(poses: Sequence[Array], same_m: float, same_deg: float) -> list[int
     return kept
 
 
-def _cloud(points: Array, normals: Array) -> Any:
-    import open3d as o3d
-
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    cloud.normals = o3d.utility.Vector3dVector(normals)
-    return cloud
-
-
 def _feature(descriptors: Array) -> Any:
     import open3d as o3d
 
@@ -161,8 +154,8 @@ def _ransac(ref: Features, query: Features, options: GlobalOptions, seed: int) -
     o3d.utility.random.seed(seed)
     near = 1.5 * options.voxel_m
     result = registration.registration_ransac_based_on_feature_matching(
-        _cloud(query.points, query.normals),
-        _cloud(ref.points, ref.normals),
+        open3d_cloud(query.points, query.normals),
+        open3d_cloud(ref.points, ref.normals),
         _feature(query.descriptors),
         _feature(ref.descriptors),
         True,
@@ -186,8 +179,8 @@ def _fgr(ref: Features, query: Features, options: GlobalOptions, seed: int) -> A
     registration = o3d.pipelines.registration
     o3d.utility.random.seed(seed)
     result = registration.registration_fgr_based_on_feature_matching(
-        _cloud(query.points, query.normals),
-        _cloud(ref.points, ref.normals),
+        open3d_cloud(query.points, query.normals),
+        open3d_cloud(ref.points, ref.normals),
         _feature(query.descriptors),
         _feature(ref.descriptors),
         registration.FastGlobalRegistrationOption(decrease_mu=True, maximum_correspondence_distance=options.voxel_m),

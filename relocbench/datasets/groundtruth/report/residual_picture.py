@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.icp.icp import linearise
+from relocbench.datasets.groundtruth.icp.icp import IcpOptions, linearise
 from relocbench.datasets.groundtruth.pose_graph.selection import evenly_spaced
 from relocbench.datasets.groundtruth.report.figures import QUERY, REFERENCE, shortened, write_figure
 from relocbench.datasets.groundtruth.report.inspected import InspectedSet
@@ -25,6 +25,7 @@ from relocbench.geometry import invert, robust_sigma
 Array = NDArray[np.float64]
 
 _REACH_M = 0.3
+_SCALE_M = 0.05
 _OPTIONS = PlaneOptions(thinning_m=(0.0,), reach_m=(_REACH_M,), samples=(1500,), near_m=(1e9,))
 _AROUND_M = 6.0
 """length of road before and after a block whose planes it is compared with"""
@@ -76,7 +77,7 @@ def measure_residuals(found: InspectedSet) -> Residuals:
 def _distances(planes: SubmapWindow, to: int, points: SubmapWindow, of: int, T_to_of: Array) -> Array:
     level = PlaneMap(planes.at(to), _OPTIONS).level(0)
     sample = PlaneMap(points.at(of), _OPTIONS).sample(0)
-    return linearise(level, sample.points, sample.normals, T_to_of, _REACH_M).residuals
+    return linearise(level, sample, T_to_of, _REACH_M, _SCALE_M, IcpOptions(drift_per_m=0.0)).residuals
 
 
 def write_residuals(path: Path, measured: Sequence[tuple[InspectedSet, Residuals]]) -> None:

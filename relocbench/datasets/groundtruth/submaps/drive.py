@@ -36,9 +36,9 @@ class Drive:
     def store(self) -> BlockStore:
         return BlockStore(self.blocks)
 
-    def window(self, length_m: float, T_world_node: Array | None = None) -> SubmapWindow:
-        """Submaps of ``length_m`` of road, put together along the odometry or by poses ``T_world_node`` (K, 4, 4)."""
-        return SubmapWindow(self.nodes, self.store(), length_m / 2, T_odom_node=T_world_node)
+    def window(self, length_m: float) -> SubmapWindow:
+        """Submaps of ``length_m`` of road."""
+        return SubmapWindow(self.nodes, self.store(), length_m / 2)
 
 
 def make_drive(

@@ -23,35 +23,30 @@ from relocbench.kernels import njit
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
-
-@dataclass(frozen=True)
-class FreeSpaceOptions:
-    """Options that decide when a beam counts as having gone through a surface."""
-
-    cells_m: tuple[float, ...] = (0.3, 0.5, 0.8)
-    """sizes of surface patches; the first with which patches hold enough of the points is used"""
-    held: float = 0.3
-    """share of the points that patches must hold"""
-    least_points: int = 3
-    """least number of points in a patch"""
-    flat: float = 0.95
-    """least length of the mean of a patch's unit normals"""
-    end_margin_m: float = 0.6
-    """a surface this close to a beam's end was reached, not passed"""
-    start_margin_m: float = 1.5
-    """surfaces this close to the sensor are ignored"""
-    grazing: float = 0.3
-    """sine of the smallest angle between a beam and a surface that it crosses"""
-    within: float = 0.6
-    """a beam crosses a patch if it meets its plane within this share of the patch's size from its middle"""
-    beams: int = 12_000
-    """number of beams that are followed, evenly spread"""
-    low_m: float = 2.2
-    """height over the node below which cars park and hedges grow"""
-    low_weight: float = 0.3
-    """weight of patches below that height"""
-    longest_m: float = 45.0
-    """distance from the sensor up to which beams are followed"""
+_CELLS_M = (0.3, 0.5, 0.8)
+"""sizes of surface patches; the first with which patches hold enough of the points is used"""
+_HELD = 0.3
+"""share of the points that patches must hold"""
+_LEAST_POINTS = 3
+"""least number of points in a patch"""
+_FLAT = 0.95
+"""least length of the mean of a patch's unit normals"""
+_END_MARGIN_M = 0.6
+"""a surface this close to a beam's end was reached, not passed"""
+_START_MARGIN_M = 1.5
+"""surfaces this close to the sensor are ignored"""
+_GRAZING = 0.3
+"""sine of the smallest angle between a beam and a surface that it crosses"""
+_WITHIN = 0.6
+"""a beam crosses a patch if it meets its plane within this share of the patch's size from its middle"""
+_BEAMS = 12_000
+"""number of beams that are followed, evenly spread"""
+_LOW_M = 2.2
+"""height over the node below which cars park and hedges grow"""
+_LOW_WEIGHT = 0.3
+"""weight of patches below that height"""
+_LONGEST_M = 45.0
+"""distance from the sensor up to which beams are followed"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +108,8 @@ class BeamVotes:
 class FreeSpace:
     """Surface patches and beams of one submap, each computed once."""
 
-    def __init__(self, submap: Submap, options: FreeSpaceOptions | None = None) -> None:
+    def __init__(self, submap: Submap) -> None:
         self.submap = submap
-        self.options = options or FreeSpaceOptions()
 
     @cached_property
     def patches(self) -> Patches:
@@ -123,9 +117,9 @@ class FreeSpace:
         used = (self.submap.surface == Surface.STRUCTURE) & (self.submap.steady >= 0.5)
         arrays = (self.submap.points, self.submap.normals, self.submap.origins)
         points, normals, origins = (a[used].astype(np.float64) for a in arrays)
-        for cell_m in self.options.cells_m:
-            patches = make_patches(points, normals, origins, cell_m, self.options)
-            if patches.held >= self.options.held:
+        for cell_m in _CELLS_M:
+            patches = make_patches(points, normals, origins, cell_m)
+            if patches.held >= _HELD:
                 break
         return patches
 
@@ -140,22 +134,19 @@ class FreeSpace:
         """Origins and ends (B, 3) of beams; the ends are evenly spread."""
         points = self.submap.points.astype(np.float64)
         keep = first_in_voxels(points, 0.25)
-        if len(keep) > self.options.beams:
-            keep = keep[np.arange(self.options.beams) * len(keep) // self.options.beams]
+        if len(keep) > _BEAMS:
+            keep = keep[np.arange(_BEAMS) * len(keep) // _BEAMS]
         return self.submap.origins[keep].astype(np.float64), points[keep]
 
     def votes_of(self, beams: tuple[Array, Array], T_this_other: Array) -> BeamVotes:
         """The votes of another submap's beams (origins and ends, in its frame) on this one's patches."""
         origins, ends = (apply(T_this_other, p) for p in beams)
-        patches, o = self.patches, self.options
-        through, reached = _follow(
-            origins, ends, patches.middle, patches.normals, patches.grid, patches.rows,
-            o.start_margin_m, o.end_margin_m, o.grazing, o.within * patches.grid.size_m, o.longest_m,
-        )  # fmt: skip
+        patches = self.patches
+        through, reached = _follow(origins, ends, patches.middle, patches.normals, patches.grid, patches.rows)
         return BeamVotes(through, reached, patches.weights)
 
 
-def make_patches(points: Array, normals: Array, origins: Array, cell_m: float, options: FreeSpaceOptions) -> Patches:
+def make_patches(points: Array, normals: Array, origins: Array, cell_m: float) -> Patches:
     """Patches, one a voxel of ``cell_m``, of points (N, 3) with unit normals (N, 3), measured from origins (N, 3)."""
     grid = make_grid(points, cell_m)
     cells, count = cells_of(grid), len(grid.starts) - 1
@@ -166,20 +157,20 @@ def make_patches(points: Array, normals: Array, origins: Array, cell_m: float, o
 
     middle, facing, measured_from = mean(points), mean(normals), mean(origins)
     length = np.linalg.norm(facing, axis=1)
-    surface = (size >= options.least_points) & (length >= options.flat)
+    surface = (size >= _LEAST_POINTS) & (length >= _FLAT)
     rows = np.where(surface, np.cumsum(surface) - 1, -1).astype(np.int32)
     middle, facing = middle[surface], facing[surface] / length[surface, None]
-    weights = np.where(middle[:, 2] < options.low_m, options.low_weight, 1.0)
+    weights = np.where(middle[:, 2] < _LOW_M, _LOW_WEIGHT, 1.0)
     held = float(size[surface].sum()) / max(len(points), 1)
     return Patches(middle, facing, measured_from[surface], weights, held, grid, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _follow(
-    origins: Array, ends: Array, middle: Array, normals: Array, grid: Grid,
-    rows: NDArray[np.int32], start_margin: float, end_margin: float, grazing: float, within: float,
-    longest: float,
-) -> tuple[Counts, Counts]:  # fmt: skip  # pragma: no cover - compiled
+    origins: Array, ends: Array, middle: Array, normals: Array, grid: Grid, rows: NDArray[np.int32]
+) -> tuple[Counts, Counts]:  # pragma: no cover - compiled
+    """(V,) beams through each patch, and (V,) beams that ended at it."""
+    within = _WITHIN * grid.size_m
     through = np.zeros(len(middle), dtype=np.int64)
     reached = np.zeros(len(middle), dtype=np.int64)
     voxel, step = np.empty(3, np.int64), np.empty(3, np.int64)
@@ -190,9 +181,9 @@ def _follow(
             d[k] = ends[i, k] - origins[i, k]
             length += d[k] * d[k]
         length = np.sqrt(length)
-        if length < start_margin:
+        if length < _START_MARGIN_M:
             continue
-        last = min(length + end_margin, longest)
+        last = min(length + _END_MARGIN_M, _LONGEST_M)
         for k in range(3):
             d[k] /= length
         enter_grid(origins[i], d, 0.0, grid.size_m, voxel, step, leave, stride)
@@ -202,7 +193,7 @@ def _follow(
             if slot >= 0 and rows[slot] >= 0:
                 v = rows[slot]
                 towards = normals[v, 0] * d[0] + normals[v, 1] * d[1] + normals[v, 2] * d[2]
-                if abs(towards) >= grazing:
+                if abs(towards) >= _GRAZING:
                     far = 0.0
                     for k in range(3):
                         far += normals[v, k] * (middle[v, k] - origins[i, k])
@@ -210,10 +201,10 @@ def _follow(
                     aside = 0.0
                     for k in range(3):
                         aside += (origins[i, k] + far * d[k] - middle[v, k]) ** 2
-                    if aside <= within * within and far > start_margin:
-                        if far < length - end_margin:
+                    if aside <= within * within and far > _START_MARGIN_M:
+                        if far < length - _END_MARGIN_M:
                             through[v] += 1
-                        elif far <= length + end_margin:
+                        elif far <= length + _END_MARGIN_M:
                             reached[v] += 1
             travelled = next_voxel(voxel, step, leave, stride)
     return through, reached

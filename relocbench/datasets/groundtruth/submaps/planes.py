@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,6 @@ from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.datasets.groundtruth.voxels.voxels import Grid, cell_of, make_grid, pack
-from relocbench.errors import ConfigError
 from relocbench.kernels import njit
 
 Array = NDArray[np.float64]
@@ -43,16 +43,10 @@ class PlaneOptions:
     near_m: tuple[float, ...] = (1e9, 20.0, 8.0)
     """lever arm at which points are sampled half as often, level by level, since odometry is best near the node"""
 
-    def __post_init__(self) -> None:
-        if not len(self.thinning_m) == len(self.reach_m) == len(self.samples) == len(self.near_m) > 0:
-            raise ConfigError("planes need as many values of thinning_m as of reach_m, samples and near_m")
-        if min(self.reach_m + self.near_m) <= 0 or min(self.samples) < 6 or min(self.thinning_m) < 0:
-            raise ConfigError("planes need positive reach_m and near_m, at least 6 samples and no negative thinning_m")
-
 
 @dataclass(frozen=True, eq=False)
-class Planes:
-    """Points with normals that stand for planes, sorted by voxel for fast search."""
+class Sample:
+    """Points of a submap, with normals, that are matched to planes of another."""
 
     points: Array
     """(N, 3) in the node's frame"""
@@ -62,8 +56,6 @@ class Planes:
     """(N,) weights by surface and static score"""
     lever_arms: Array
     """(N, 3) from the node to the sensor when it measured each point, by the odometry, whose drift grows with it"""
-    grid: Grid
-    """of these points, which are in the grid's order"""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -73,8 +65,20 @@ class Planes:
         """(N,) lengths of the lever arms, metres"""
         return np.asarray(np.linalg.norm(self.lever_arms, axis=1))
 
+    def stretched(self, stretch: float) -> Self:
+        """The points as they would lie if the odometry's scale were larger by a factor of ``1 + stretch``."""
+        return replace(self, points=self.points + stretch * self.lever_arms) if stretch else self
+
+
+@dataclass(frozen=True, eq=False)
+class Planes(Sample):
+    """Points with normals that stand for planes, sorted by voxel for fast search."""
+
+    grid: Grid
+    """of these points, which are in the grid's order"""
+
     def stretched(self, stretch: float) -> Planes:
-        """The planes as they would lie if the odometry's scale were larger by a factor of ``1 + stretch``."""
+        """The planes as they would lie, sorted anew."""
         if not stretch:
             return self
         points = self.points + stretch * self.lever_arms
@@ -92,32 +96,6 @@ class Planes:
         if reach_m > self.grid.size_m * (1 + 1e-9):
             raise ValueError(f"a grid of {self.grid.size_m} m cells cannot be searched to a distance of {reach_m} m")
         return np.asarray(_nearest(points, normals, self.points, self.normals, self.grid, reach_m, cosine))
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """Points of one submap that are matched to planes of the other; arrays as in :class:`Planes`."""
-
-    points: Array
-    """(M, 3)"""
-    normals: Array
-    """(M, 3)"""
-    weights: Array
-    """(M,)"""
-    lever_arms: Array
-    """(M, 3)"""
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    @cached_property
-    def lever_lengths_m(self) -> Array:
-        """(M,) lengths of the lever arms, metres"""
-        return np.asarray(np.linalg.norm(self.lever_arms, axis=1))
-
-    def stretched(self, stretch: float) -> Sample:
-        """See :meth:`Planes.stretched`."""
-        return replace(self, points=self.points + stretch * self.lever_arms) if stretch else self
 
 
 class PlaneMap:

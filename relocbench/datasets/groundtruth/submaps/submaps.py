@@ -53,19 +53,17 @@ class SubmapWindow:
         half_length_m: float = 30.0,
         *,
         voxel_m: float = 0.1,
-        T_odom_node: Array | None = None,
     ) -> None:
         """
         Args:
             half_length_m: length of road on either side of the node, within its segment of the odometry.
             voxel_m: size of the voxels in which only the points of one block are kept; 0: all points are kept.
-            T_odom_node: (K, 4, 4) poses to use instead of the odometry's, all in the same frame.
         """
         self._nodes = nodes
         self._store = store
         self._half_length_m = half_length_m
         self._voxel_m = voxel_m
-        self._poses = nodes.T_odom_node if T_odom_node is None else np.asarray(T_odom_node, dtype=np.float64)
+        self._poses = nodes.T_odom_node
         self._stretch = nodes.segments()
         self._claims = VoxelClaims()
         self._inside: dict[int, Block] = {}

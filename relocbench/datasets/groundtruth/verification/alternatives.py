@@ -74,24 +74,6 @@ def slides(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOpt
     return [moved[i] for i in kept]
 
 
-def period(ref: PlaneMap, options: SlideOptions | None = None) -> float | None:
-    """Metres after which a street repeats itself; None if it does not.
-
-    This is the shift of the submap against itself, of at least ``apart_m``, at the first local maximum of the fit that
-    is a fifth higher than the lowest fit before it.
-    """
-    o = options or SlideOptions()
-    along = street_direction(ref)
-    steps = np.arange(0, round(o.reach_m / o.step_m) + 1) * o.step_m
-    fits = [fit(ref, ref, make_transform(np.eye(3), s * along), o) for s in steps]
-    lowest = np.minimum.accumulate(fits)
-    for i in range(1, len(steps) - 1):
-        rises = fits[i] >= fits[i - 1] and fits[i] > fits[i + 1]
-        if steps[i] >= o.apart_m and rises and fits[i] > 1.2 * lowest[i]:
-            return float(steps[i])
-    return None
-
-
 def turned_round(T_ref_query: Array) -> Array:
     """The pose turned by 180 degrees about the query's vertical axis."""
     return np.asarray(T_ref_query @ make_transform(so3_exp([0.0, 0.0, np.pi]), [0.0, 0.0, 0.0]))
