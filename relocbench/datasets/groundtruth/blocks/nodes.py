@@ -51,11 +51,11 @@ def make_nodes(recording: FieldRecording, block_m: float = 2.0) -> Nodes:
     """
     if block_m < _ANCHOR_M:
         raise ConfigError(f"blocks are at least {_ANCHOR_M} m long, got {block_m} m")
-    way = arc_length_along(recording)
+    total = arc_length_along(recording)
     begin, middle, end, travelled, segment = [], [], [], [], []
-    for number in np.unique(way.segment):
-        mine = way.segment == number
-        times, metres = way.times_ns[mine], way.travelled_m[mine]
+    for number in np.unique(total.segment):
+        mine = total.segment == number
+        times, metres = total.times_ns[mine], total.travelled_m[mine]
         # The tolerance makes a segment of exactly n blocks give n in spite of rounding.
         count = int(np.floor((metres[-1] - metres[0]) / block_m + 1e-9))
         cuts = _times_at(times, metres, metres[0] + block_m * np.arange(count + 1))
@@ -111,13 +111,13 @@ def _travelled(positions: Array, starts: NDArray[np.bool_], anchor_m: float) -> 
         starts: (N,) whether each position begins a new segment.
     """
     n = len(positions)
-    way = np.zeros(n)
+    total = np.zeros(n)
     anchor = 0
     for i in range(1, n):
         if starts[i]:
             for k in range(anchor + 1, i):
-                way[k] = way[anchor]
-            way[i] = way[anchor]
+                total[k] = total[anchor]
+            total[i] = total[anchor]
             anchor = i
             continue
         leg = positions[i] - positions[anchor]
@@ -126,12 +126,12 @@ def _travelled(positions: Array, starts: NDArray[np.bool_], anchor_m: float) -> 
             continue
         for k in range(anchor + 1, i):
             come = np.sum((positions[k] - positions[anchor]) * leg) / length
-            way[k] = max(way[k - 1], way[anchor] + min(max(come, 0.0), length))
-        way[i] = way[anchor] + length
+            total[k] = max(total[k - 1], total[anchor] + min(max(come, 0.0), length))
+        total[i] = total[anchor] + length
         anchor = i
     for k in range(anchor + 1, n):
-        way[k] = way[anchor]
-    return way
+        total[k] = total[anchor]
+    return total
 
 
 def _times_at(times_ns: Times, metres: Array, wanted: Array) -> Times:

@@ -51,14 +51,14 @@ def fit_normals(points: Array, wanted: Indices, options: SurfaceOptions) -> NDAr
         wanted: (M,) rows of the points whose normals are wanted.
     """
     normals = np.zeros((len(wanted), 3), dtype=np.float32)
-    open_ = np.arange(len(wanted))
+    undecided = np.arange(len(wanted))
     for radius in (options.radius_m, options.wide_radius_m):
         grid = make_grid(points, radius)
-        found, told = _fit(
-            points, wanted[open_], grid, radius, options.fewest, options.plane_m, options.flatness, options.line
+        found, decided = _fit(
+            points, wanted[undecided], grid, radius, options.fewest, options.plane_m, options.flatness, options.line
         )
-        normals[open_] = found
-        open_ = open_[~told]
+        normals[undecided] = found
+        undecided = undecided[~decided]
     return normals
 
 
@@ -68,7 +68,7 @@ def _fit(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Normals (M, 3), and (M,) whether the neighbours determine a plane at all."""
     normals = np.zeros((len(wanted), 3), dtype=np.float32)
-    told = np.zeros(len(wanted), dtype=np.bool_)
+    decided = np.zeros(len(wanted), dtype=np.bool_)
     size = grid.size_m
     for w in range(len(wanted)):
         i = wanted[w]
@@ -105,10 +105,10 @@ def _fit(
         low, middle, high, nx, ny, nz = smallest_eigenvector(cov)
         if middle < line * line * high:
             continue
-        told[w] = True
+        decided[w] = True
         if low <= plane_m * plane_m and low <= flatness * flatness * middle:
             normals[w, 0], normals[w, 1], normals[w, 2] = nx, ny, nz
-    return normals, told
+    return normals, decided
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

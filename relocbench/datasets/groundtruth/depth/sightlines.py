@@ -55,10 +55,10 @@ def trace_beams(submap: Submap, cell_m: float, within_m: float, shadow_m: float)
         cell_m *= 1.25
     state = np.zeros(np.floor(extent / cell_m).astype(int) + 1, np.uint8)
     grid = low.astype(np.float32), np.float32(1 / cell_m)
-    way = points - origins
-    length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-3).astype(np.float32)
+    beam = points - origins
+    length = np.maximum(np.linalg.norm(beam, axis=1, keepdims=True), 1e-3).astype(np.float32)
     steady = submap.steady[used] >= 0.5
-    _mark(points[steady], (points + np.float32(shadow_m) / length * way)[steady], *grid, 2, state)
+    _mark(points[steady], (points + np.float32(shadow_m) / length * beam)[steady], *grid, 2, state)
     _mark(origins, points, *grid, 1, state)
     return TracedSpace(grid[0], cell_m, state)
 
@@ -113,7 +113,7 @@ def _look(eye, directions, low, cell, state, max_depth, start, shadow, out):  # 
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         step = np.float32(0.5) * cell / length
-        depth, begin, way = start / length, np.float32(0.0), np.float32(0.0)
+        depth, begin, shaded = start / length, np.float32(0.0), np.float32(0.0)
         out[i] = np.inf
         while depth < max_depth:
             at = depth / cell
@@ -121,12 +121,12 @@ def _look(eye, directions, low, cell, state, max_depth, start, shadow, out):  # 
             if x >= 0 and y >= 0 and z >= 0 and x < nx and y < ny and z < nz:
                 found = state[np.int64(x), np.int64(y), np.int64(z)]
                 if found == 1:
-                    way = np.float32(0.0)
+                    shaded = np.float32(0.0)
                 elif found == 2:
-                    if way == 0:
+                    if shaded == 0:
                         begin = depth
-                    way += step * length
-                    if way > shadow:
+                    shaded += step * length
+                    if shaded > shadow:
                         out[i] = begin
                         break
             depth += step

@@ -92,24 +92,24 @@ def make_surfels(submap: Submap, options: SurfelOptions | None = None) -> Surfel
     plane = length > 0.5
     normals = np.where(plane[:, None], normals / np.maximum(length, 1e-6)[:, None], 0).astype(np.float32)
     axes = _tangents(normals)
-    way = np.full((len(points), SECTORS), np.inf, dtype=np.float32)
-    far = way.copy()
+    distance = np.full((len(points), SECTORS), np.inf, dtype=np.float32)
+    far = distance.copy()
     chosen = np.flatnonzero(plane)
     if len(chosen):
         of = (points[chosen], normals[chosen], axes[chosen])
         limits = (options.offset_m, _RISE, options.cosine)
         everything = np.arange(len(chosen))
-        near = np.asarray(_ways(*of, everything, *_grid(of[0], options.gap_m), options.gap_m, *limits))
-        way[chosen] = far[chosen] = near
+        near = np.asarray(_neighbour_distances(*of, everything, *_grid(of[0], options.gap_m), options.gap_m, *limits))
+        distance[chosen] = far[chosen] = near
         # Only for surfels beside a hole are neighbours searched further away, among thinned points to save time.
         rim = np.flatnonzero(~np.isfinite(near).all(axis=1))
         if len(rim) and options.closed_hole_m > options.gap_m:
             thin = first_in_voxels(of[0] / np.float32(options.gap_m / 1.5), 1.0)
             p, n, a = (np.ascontiguousarray(np.concatenate([array[rim], array[thin]])) for array in of)
             grid = _grid(p, options.closed_hole_m, first=len(rim))
-            wide = _ways(p, n, a, np.arange(len(rim)), *grid, options.closed_hole_m, *limits)
+            wide = _neighbour_distances(p, n, a, np.arange(len(rim)), *grid, options.closed_hole_m, *limits)
             far[chosen[rim]] = np.minimum(near[rim], wide)
-    reach, occluding_reach = _stars(way, far, plane, options)
+    reach, occluding_reach = _stars(distance, far, plane, options)
     stray = ~plane & (crowd < options.crowd)
     reach[stray] = occluding_reach[stray] = 0
     return Surfels(
@@ -127,12 +127,12 @@ def _tangents(normals: Floats) -> Floats:
     return (level / size[:, None]).astype(np.float32)
 
 
-def _stars(way: Floats, far: Floats, plane: NDArray[np.bool_], options: SurfelOptions) -> tuple[Floats, Floats]:
+def _stars(distance: Floats, far: Floats, plane: NDArray[np.bool_], options: SurfelOptions) -> tuple[Floats, Floats]:
     """``reach`` and ``occluding_reach`` of surfels, from the distances to their neighbours (N, 8), inf if none."""
-    met = np.isfinite(way)
-    nearest = np.min(way, axis=1, initial=options.gap_m)
+    met = np.isfinite(distance)
+    nearest = np.min(distance, axis=1, initial=options.gap_m)
     alone = np.asarray(~met.any(axis=1))
-    rim = np.where(met, _OVERLAP * np.where(met, way, 0), _RIM * nearest[:, None])
+    rim = np.where(met, _OVERLAP * np.where(met, distance, 0), _RIM * nearest[:, None])
     reach = np.where(alone[:, None], 0, rim)
     occluding_reach = np.where(
         np.isfinite(far), np.maximum(_OVERLAP * np.where(np.isfinite(far), far, 0), reach), reach
@@ -214,18 +214,18 @@ def _adopted(points, normals, low, cell_m, shape, starts, rows, gap_m, adopt_m):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ways(  # type: ignore[no-untyped-def]
-    points, normals, axes, asked, low, cell_m, shape, starts, rows, gap_m, offset_m, rise, cosine
+def _neighbour_distances(  # type: ignore[no-untyped-def]
+    points, normals, axes, wanted, low, cell_m, shape, starts, rows, gap_m, offset_m, rise, cosine
 ):
     """(M, 8) metres from each point asked to its nearest neighbour on the same surface, by direction; inf if none.
 
     A neighbour counts for the two directions that it is between.
     """
-    out = np.full((len(asked), SECTORS), np.inf, np.float32)
+    out = np.full((len(wanted), SECTORS), np.inf, np.float32)
     inverse = np.float32(1.0 / cell_m)
     farthest = gap_m * gap_m
-    for k in range(len(asked)):
-        i = asked[k]
+    for k in range(len(wanted)):
+        i = wanted[k]
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
         ax, ay, az = axes[i, 0], axes[i, 1], axes[i, 2]

@@ -98,15 +98,15 @@ def check_recordings(
     if len(recordings) < 2:
         raise ConfigError(f"ground truth needs a reference and at least one query drive, got {len(recordings)} in all")
     there = recordings[0].cameras
-    asked = options.cameras or tuple(there)[:1]
-    if not asked:
+    wanted = options.cameras or tuple(there)[:1]
+    if not wanted:
         raise DatasetError("holds no images", recordings[0].folder)
     for recording in recordings:
-        for name in asked:
+        for name in wanted:
             if name not in recording.cameras:
                 known = ", ".join(recording.cameras) or "none"
                 raise ConfigError(f"--cameras: {recording.name} has no images of a camera '{name}'; it has {known}")
-    return asked, _first_pose(recordings, options)
+    return wanted, _first_pose(recordings, options)
 
 
 def _first_pose(recordings: Sequence[FieldRecording], options: FieldOptions) -> FirstPose | None:

@@ -128,13 +128,13 @@ class SolvedDrive:
         if len(around) == 2:
             around = self._same_segment(around, time_ns)
         steps = [invert(self.nodes.T_odom_node[n]) @ T_odom_rig for n in around]
-        ways = [float(np.linalg.norm(T[:3, 3])) for T in steps]
+        distances = [float(np.linalg.norm(T[:3, 3])) for T in steps]
         said = [self.T_world_node[n] @ T for n, T in zip(around, steps, strict=True)]
-        nearest = int(np.argmin(ways))
-        if len(around) == 1 or sum(ways) < 1e-9:
-            return RigPose(around[nearest], said[nearest], ways[nearest])
-        T_world_rig = interpolate(said[0], said[1], ways[0] / (ways[0] + ways[1]))
-        return RigPose(around[nearest], T_world_rig, ways[nearest])
+        nearest = int(np.argmin(distances))
+        if len(around) == 1 or sum(distances) < 1e-9:
+            return RigPose(around[nearest], said[nearest], distances[nearest])
+        T_world_rig = interpolate(said[0], said[1], distances[0] / (distances[0] + distances[1]))
+        return RigPose(around[nearest], T_world_rig, distances[nearest])
 
     def _same_segment(self, around: list[int], time_ns: int) -> list[int]:
         """Those of the two nodes around a time that are in its segment of the odometry."""
@@ -173,7 +173,7 @@ class Outcomes:
     @cached_property
     def _way_to_contradiction(self) -> Array:
         """(N,) arc length from each node to the nearest odometry edge that registrations contradict, metres."""
-        bad = [node for first, second, _ in self.solution.stressed_odometry() for node in (first, second)]
+        bad = [node for edge in self.solution.contradicted_odometry() for node in edge]
         return self.solution.drives.arc_length_to(np.array(bad, dtype=np.int64)).min(axis=1)
 
     def of(self, ref_ns: int, query_ns: int, T_rig_refcam: Array, T_rig_querycam: Array) -> PairOutcome:

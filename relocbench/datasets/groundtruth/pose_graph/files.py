@@ -87,7 +87,7 @@ def write_graph(path: Path, reference: PlacedDrive, query: PlacedDrive) -> None:
         t, q = transform_to_tq(np.concatenate([reference.T_world_node, query.T_world_node]))
         poses = iter(np.hstack([t, q]).tolist())
         for drive in (reference, query):
-            for node, ways in enumerate(drive.arc_length_to_trusted.tolist()):
+            for node, lengths in enumerate(drive.arc_length_to_trusted.tolist()):
                 verdict = drive.verdicts.get(node)
                 table.writerow(
                     [
@@ -95,7 +95,7 @@ def write_graph(path: Path, reference: PlacedDrive, query: PlacedDrive) -> None:
                         node,
                         int(drive.times_ns[node]),
                         *map(repr, next(poses)),
-                        *("" if np.isinf(way) else f"{way:.3f}" for way in ways),
+                        *("" if np.isinf(length) else f"{length:.3f}" for length in lengths),
                         int(verdict == ""),
                         verdict or "",
                     ]
@@ -123,16 +123,16 @@ def read_graph(path: Path, reference: str, query: str) -> tuple[PlacedDrive, Pla
 def _drive(name: str, lines: list[tuple[int, dict[str, str]]], path: Path) -> PlacedDrive:
     if not lines:
         raise DatasetError(f"holds no node of {name}", path)
-    times, poses, ways, verdicts = [], [], [], {}
+    times, poses, lengths, verdicts = [], [], [], {}
     for node, (number, row) in enumerate(lines):
         if row["node"] != str(node):
             raise DatasetError(f"node is '{row['node']}', expected {node}", path, number)
         times.append(parse_timestamp(row["timestamp_ns"], path, number, DatasetError))
         poses.append(parse_pose([row[c] for c in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")], path, number))
         try:
-            ways.append([float(row[c]) if row[c] else np.inf for c in ("m_since_trusted", "m_to_trusted")])
+            lengths.append([float(row[c]) if row[c] else np.inf for c in ("m_since_trusted", "m_to_trusted")])
         except ValueError:
             raise DatasetError("m_since_trusted and m_to_trusted must be numbers or empty", path, number) from None
         if row["registered"] == "1" or row["verdict"]:
             verdicts[node] = row["verdict"]
-    return PlacedDrive(name, np.array(times, dtype=np.int64), np.array(poses), np.array(ways), verdicts)
+    return PlacedDrive(name, np.array(times, dtype=np.int64), np.array(poses), np.array(lengths), verdicts)

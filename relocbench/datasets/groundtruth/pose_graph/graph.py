@@ -95,16 +95,15 @@ class Solution:
         nodes = np.array([ref]), np.array([query + self.drives.reference_count])
         return self.pose(ref, query), self._covariances.relative(*nodes)[0]
 
-    def stressed_odometry(self, significance: float = 1e-9) -> list[tuple[int, int, float]]:
-        """Odometry edges that registrations contradict: (node, next node, chi2 for each degree of freedom).
+    def contradicted_odometry(self, significance: float = 1e-9) -> list[tuple[int, int]]:
+        """Odometry edges that registrations contradict: (node, next node).
 
         A run of wrong registrations that agree with each other, as repeating facades cause it, shows at its ends. Nodes
         are numbered as in :class:`BothDrives`.
         """
         odometry = self.edges[self.edges.kind != Kind.REGISTRATION]
         bad = np.flatnonzero(self.odometry_tested.p_value < significance)
-        excess = self.odometry_tested.chi2 / np.maximum(self.odometry_tested.freedom, 1)
-        return [(int(odometry.first[e]), int(odometry.second[e]), float(excess[e])) for e in bad]
+        return [(int(odometry.first[e]), int(odometry.second[e])) for e in bad]
 
 
 def optimise(

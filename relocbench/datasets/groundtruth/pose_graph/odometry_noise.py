@@ -16,7 +16,6 @@ from relocbench.errors import ConfigError
 
 Array = NDArray[np.float64]
 
-AXES = ("along", "across", "height", "roll", "pitch", "yaw")
 _LEAST_REDUNDANCY = 30.0
 """least total redundancy with which a variance is estimated"""
 _NARROWEST = 0.05
@@ -46,7 +45,7 @@ class OdometryNoise:
 
     @property
     def sigma(self) -> Array:
-        """(6,) standard deviations of the twist ``(rho, phi)`` after one metre, in the order of :data:`AXES`."""
+        """(6,) standard deviations of the twist ``(rho, phi)`` after one metre: x forward, y to the left, z up."""
         return np.array([self.along_m, self.across_m, self.height_m, self.roll_rad, self.pitch_rad, self.yaw_rad])
 
     def variance(self, arc_length_m: Array) -> Array:

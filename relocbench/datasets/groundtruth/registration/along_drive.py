@@ -39,7 +39,7 @@ from relocbench.datasets.groundtruth.registration.submap_pair import (
     register,
     unregistered,
 )
-from relocbench.datasets.groundtruth.verification.alternatives import SlideOptions
+from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ class DriveRegistrationOptions:
     register: RegisterOptions = field(default_factory=RegisterOptions)
     hypotheses: HypothesisOptions = field(default_factory=HypothesisOptions)
     search: GlobalOptions = field(default_factory=GlobalOptions)
-    slide: SlideOptions = field(default_factory=SlideOptions)
+    shift: ShiftOptions = field(default_factory=ShiftOptions)
 
 
 def register_along(
@@ -115,7 +115,7 @@ class _DriveRegistration:
 
     def run(self, first: Guess | None) -> list[Registration]:
         steps = nodes_every(self.query.nodes, self.options.step_m)
-        start = None if first is None else self._given(first)
+        start = None if first is None else self._from_given_pose(first)
         searched, reason = -np.inf, "no registration to follow on"
         if start is not None:
             nearest = min(range(len(steps)), key=lambda i: abs(steps[i] - start.query))
@@ -145,7 +145,7 @@ class _DriveRegistration:
                 self.found[node] = self._unfound(node, reason)
         return [self.found[node] for node in steps]
 
-    def _given(self, first: Guess) -> Registration | None:
+    def _from_given_pose(self, first: Guess) -> Registration | None:
         work = partial(choose_hypothesis, self.ref, self.query, [first], self.options.hypotheses, self.options.register)
         result = self.remember(f"given {first[0]} {first[1]}", work)
         if result.best is None:
@@ -202,8 +202,8 @@ class _DriveRegistration:
         result = self._consistent(near, predicted, driven)
         if result.trusted or driven <= o.far_m:
             return result
-        slide = SlideOptions(reach_m=2 + 3 * o.position_error * driven, apart_m=1.0)
-        starts = with_alternatives(self.ref, self.query, [(r, node, predicted)], slide, 4)
+        shift = ShiftOptions(reach_m=2 + 3 * o.position_error * driven, apart_m=1.0)
+        starts = with_alternatives(self.ref, self.query, [(r, node, predicted)], shift, 4)
         limited = [s for s in starts if self._allowed(s[2], predicted, driven)]
         if not limited:
             return result
@@ -247,7 +247,7 @@ class _DriveRegistration:
 
     def _choose(self, found: list[Guess]) -> SearchResult:
         o, limit = self.options, self.prior
-        starts = with_alternatives(self.ref, self.query, found, o.slide, 4 * o.hypotheses.most_tried)
+        starts = with_alternatives(self.ref, self.query, found, o.shift, 4 * o.hypotheses.most_tried)
         if limit is not None:
             starts = [s for s in starts if limit.allows(*s)]
         return choose_hypothesis(self.ref, self.query, starts, o.hypotheses, o.register)

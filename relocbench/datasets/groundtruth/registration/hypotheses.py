@@ -21,7 +21,7 @@ from relocbench.datasets.groundtruth.registration.submap_pair import (
     predict_in_reference,
     register,
 )
-from relocbench.datasets.groundtruth.verification.alternatives import SlideOptions, alternatives, fit
+from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions, alternatives, fit
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
 
 Array = NDArray[np.float64]
@@ -73,15 +73,15 @@ def plausibility(evidence: Evidence) -> float:
 
 
 def with_alternatives(
-    ref: PreparedDrive, query: PreparedDrive, guesses: Sequence[Guess], slide: SlideOptions, most: int
+    ref: PreparedDrive, query: PreparedDrive, guesses: Sequence[Guess], shift: ShiftOptions, most: int
 ) -> list[Guess]:
     """Guesses and their distinct alternatives, best fit first; at most ``most``."""
     ranked: list[tuple[float, int, Guess]] = []
     for r, q in dict.fromkeys(g[:2] for g in guesses):
         a, b = ref.at(r).planes, query.at(q).planes
-        own = [alt for *at, T in guesses if tuple(at) == (r, q) for alt in alternatives(a, b, T, slide)]
-        for k in distinct(own, slide.apart_m / 2, 4.0):
-            ranked.append((-fit(a, b, own[k], slide), len(ranked), (r, q, own[k])))
+        own = [alt for *at, T in guesses if tuple(at) == (r, q) for alt in alternatives(a, b, T, shift)]
+        for k in distinct(own, shift.apart_m / 2, 4.0):
+            ranked.append((-fit(a, b, own[k], shift), len(ranked), (r, q, own[k])))
     return [guess for _, _, guess in sorted(ranked, key=lambda entry: entry[:2])[:most]]
 
 
@@ -100,16 +100,16 @@ def choose_hypothesis(
     tried.sort(key=lambda found: -plausibility(found.evidence))
     trusted = [found for found in tried if found.trusted]
     rows = distinct(_query_poses(ref, trusted), options.same_m, options.same_deg)[: options.most_followed]
-    hopeful = [trusted[row] for row in rows]
-    if not hopeful:
+    candidates = [trusted[row] for row in rows]
+    if not candidates:
         return SearchResult(None, tried[0].reason if tried else "no guess of where it could be")
-    followed = [(_follow(ref, query, found, options, register_options), found) for found in hopeful]
-    alive = sorted(((score, n) for n, (score, _) in enumerate(followed) if score is not None), key=lambda s: -s[0])
-    if not alive:
-        return SearchResult(None, f"no hypothesis of {len(hopeful)} holds over {options.follow_m:.0f} m of road")
-    best = followed[alive[0][1]][1]
-    if len(alive) > 1 and alive[0][0] - alive[1][0] < options.margin:
-        one, other = _query_poses(ref, [best, followed[alive[1][1]][1]])
+    followed = [(_follow(ref, query, found, options, register_options), found) for found in candidates]
+    surviving = sorted(((score, n) for n, (score, _) in enumerate(followed) if score is not None), key=lambda s: -s[0])
+    if not surviving:
+        return SearchResult(None, f"no hypothesis of {len(candidates)} holds over {options.follow_m:.0f} m of road")
+    best = followed[surviving[0][1]][1]
+    if len(surviving) > 1 and surviving[0][0] - surviving[1][0] < options.margin:
+        one, other = _query_poses(ref, [best, followed[surviving[1][1]][1]])
         apart = float(np.linalg.norm(one[:3, 3] - other[:3, 3]))
         reason = f"ambiguous: two poses {apart:.1f} m apart hold over {options.follow_m:.0f} m of road"
         return SearchResult(None, reason, ambiguous=True)

@@ -89,11 +89,11 @@ def _draw(figure: Figure, measured: Sequence[tuple[InspectedSet, Residuals]]) ->
     figure.suptitle("distances from points to the other drive's planes, at the poses of the graph", fontsize=11)
     rows = figure.subplots(len(measured), 2, squeeze=False, width_ratios=(1.6, 1))
     for (left, right), (found, residuals) in zip(rows, measured, strict=True):
-        ways = (
+        directions = (
             (residuals.to_reference_m, QUERY, "query's points to the reference's planes", "-"),
             (residuals.to_query_m, REFERENCE, "reference's points to the query's planes", "--"),
         )
-        for values, colour, name, style in ways:
+        for values, colour, name, style in directions:
             if not values.size:
                 continue
             edges = np.linspace(-_SHOWN_M, _SHOWN_M, 101)

@@ -51,12 +51,12 @@ def _draw(figure: Figure, found: InspectedSet, spots: list[Spot], tall: float) -
     strips: list[Axes] = list(rows[1:])
     for axes in strips[1:]:
         axes.sharex(strips[0])
-    ways = np.array([found.query.arc_length_at(p.query_timestamp_ns) for p in pairs])
-    _bands(strips[:3], pairs, ways, colours)
-    _sigmas(strips[0], found, pairs, ways)
-    _rotations(strips[1], found, pairs, ways)
+    positions = np.array([found.query.arc_length_at(p.query_timestamp_ns) for p in pairs])
+    _bands(strips[:3], pairs, positions, colours)
+    _sigmas(strips[0], found, pairs, positions)
+    _rotations(strips[1], found, pairs, positions)
     _overlaps(strips[2], found)
-    _verdicts(strips[3], found, pairs, ways, colours)
+    _verdicts(strips[3], found, pairs, positions, colours)
     for axes in strips[:3]:
         axes.tick_params(labelbottom=False)
         axes.grid(True, axis="y", color="#dddddd", linewidth=0.6)
@@ -126,35 +126,35 @@ def _place(found: InspectedSet, pair: Pair) -> Array:
     return np.asarray(found.reference.at(pair.ref_timestamp_ns)[:2, 3])
 
 
-def _bands(strips: list[Axes], pairs: list[Pair], ways: Array, colours: dict[str, str]) -> None:
+def _bands(strips: list[Axes], pairs: list[Pair], positions: Array, colours: dict[str, str]) -> None:
     for axes in strips:
-        for pair, (begin, end) in zip(pairs, _bars(ways), strict=True):
+        for pair, (begin, end) in zip(pairs, _bars(positions), strict=True):
             if not pair.accepted:
                 axes.axvspan(begin, end, color=colours[kind_of(reason_of(pair))], alpha=0.15, linewidth=0)
 
 
-def _bars(ways: Array) -> list[tuple[float, float]]:
+def _bars(positions: Array) -> list[tuple[float, float]]:
     """Begin and end of the bar of each pair."""
-    order = np.argsort(ways, kind="stable")
-    half = np.minimum(np.diff(ways[order]), _BAND_M) / 2
-    begins, ends = np.empty(len(ways)), np.empty(len(ways))
-    begins[order] = ways[order] - np.concatenate([[_BAND_M / 2], half])[: len(ways)]
-    ends[order] = ways[order] + np.concatenate([half, [_BAND_M / 2]])[: len(ways)]
+    order = np.argsort(positions, kind="stable")
+    half = np.minimum(np.diff(positions[order]), _BAND_M) / 2
+    begins, ends = np.empty(len(positions)), np.empty(len(positions))
+    begins[order] = positions[order] - np.concatenate([[_BAND_M / 2], half])[: len(positions)]
+    ends[order] = positions[order] + np.concatenate([half, [_BAND_M / 2]])[: len(positions)]
     return list(zip(begins.tolist(), ends.tolist(), strict=True))
 
 
-def _sigmas(axes: Axes, found: InspectedSet, pairs: list[Pair], ways: Array) -> None:
+def _sigmas(axes: Axes, found: InspectedSet, pairs: list[Pair], positions: Array) -> None:
     values = np.array([[np.nan if s is None else 100 * s for s in p.axis_sigmas] for p in pairs]).reshape(-1, 3)
     for k, (name, marker) in enumerate((("along", "o"), ("across", "x"), ("height", "+"))):
-        axes.plot(ways, values[:, k], marker, color=AXES[k], markersize=3 + k, label=name)
+        axes.plot(positions, values[:, k], marker, color=AXES[k], markersize=3 + k, label=name)
     _limit(axes, values, None if found.limits.sigma_m is None else 100 * found.limits.sigma_m)
     axes.set_ylabel("sigma (cm)")
     axes.legend(fontsize=8, loc="upper left", ncols=4, frameon=False)
 
 
-def _rotations(axes: Axes, found: InspectedSet, pairs: list[Pair], ways: Array) -> None:
+def _rotations(axes: Axes, found: InspectedSet, pairs: list[Pair], positions: Array) -> None:
     values = np.array([np.nan if p.sigma_rotation_deg is None else p.sigma_rotation_deg for p in pairs])
-    axes.plot(ways, values, ".", color="#000000", markersize=5)
+    axes.plot(positions, values, ".", color="#000000", markersize=5)
     _limit(axes, values, found.limits.sigma_deg)
     axes.set_ylabel("sigma (deg)\nof rotation")
 
@@ -175,17 +175,17 @@ def _limit(axes: Axes, values: Array, limit: float | None) -> None:
 
 def _overlaps(axes: Axes, found: InspectedSet) -> None:
     tried = [r for r in found.registrations if 0 <= r.query < len(found.query)]
-    ways = found.query.travelled_m[[r.query for r in tried]] if tried else np.zeros(0)
+    positions = found.query.travelled_m[[r.query for r in tried]] if tried else np.zeros(0)
     for side, colour, name in (("ref", REFERENCE, "of the reference"), ("query", QUERY, "of the query")):
         values = [100 * getattr(r.evidence, f"overlap_{side}") for r in tried]
-        axes.plot(ways, values, ".", color=colour, markersize=5, label=name)
+        axes.plot(positions, values, ".", color=colour, markersize=5, label=name)
     axes.set_ylim(0, 108)
     axes.set_ylabel("overlap of\nsubmaps (%)")
     axes.legend(fontsize=8, loc="lower left", ncols=2, frameon=False)
 
 
-def _verdicts(axes: Axes, found: InspectedSet, pairs: list[Pair], ways: Array, colours: dict[str, str]) -> None:
-    for pair, (begin, end) in zip(pairs, _bars(ways), strict=True):
+def _verdicts(axes: Axes, found: InspectedSet, pairs: list[Pair], positions: Array, colours: dict[str, str]) -> None:
+    for pair, (begin, end) in zip(pairs, _bars(positions), strict=True):
         colour = ACCEPTED if pair.accepted else colours[kind_of(reason_of(pair))]
         axes.axvspan(begin, end, 0.55, 0.95, color=colour, linewidth=0)
     travelled = found.query.travelled_m

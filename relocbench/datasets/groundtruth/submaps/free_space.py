@@ -83,11 +83,6 @@ class BeamVotes:
     weights: Array
     """(V,) weights of the patches"""
 
-    @property
-    def decided(self) -> int:
-        """Number of patches with enough beams to decide."""
-        return int(np.count_nonzero(self._decided))
-
     def violations(self, found: NDArray[np.bool_]) -> float:
         """Weighted share of the decided patches that more beams went through than reached; nan if none is decided.
 

@@ -21,7 +21,7 @@ _COSINE = 0.7
 
 
 @dataclass(frozen=True)
-class SlideOptions:
+class ShiftOptions:
     """Options of the search for alternative poses."""
 
     reach_m: float = 30.0
@@ -49,7 +49,7 @@ def street_direction(planes: PlaneMap) -> Array:
     return np.asarray(direction * (1.0 if direction[0] >= 0 else -1.0))
 
 
-def fit(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOptions) -> float:
+def fit(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: ShiftOptions) -> float:
     """Share of the query's planes, sampled evenly over directions, that match a plane of the reference."""
     sample, planes = query.sample(_LEVEL), ref.level(_LEVEL)
     rows = np.arange(0, len(sample), max(len(sample) // options.points, 1))
@@ -58,9 +58,11 @@ def fit(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOption
     return float(np.mean(match >= 0)) if len(rows) else 0.0
 
 
-def slides(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOptions | None = None) -> list[Array]:
+def shifted_poses(
+    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: ShiftOptions | None = None
+) -> list[Array]:
     """Poses shifted along the street at which the query fits about as well as at the best one, best fit first."""
-    o = options or SlideOptions()
+    o = options or ShiftOptions()
     along = street_direction(ref)
     steps = np.arange(-round(o.reach_m / o.step_m), round(o.reach_m / o.step_m) + 1) * o.step_m
     moved = [make_transform(np.eye(3), s * along) @ T_ref_query for s in steps]
@@ -74,14 +76,14 @@ def slides(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOpt
     return [moved[i] for i in kept]
 
 
-def turned_round(T_ref_query: Array) -> Array:
+def turned_around(T_ref_query: Array) -> Array:
     """The pose turned by 180 degrees about the query's vertical axis."""
     return np.asarray(T_ref_query @ make_transform(so3_exp([0.0, 0.0, np.pi]), [0.0, 0.0, 0.0]))
 
 
 def alternatives(
-    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOptions | None = None
+    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: ShiftOptions | None = None
 ) -> list[Array]:
     """A guess, its shifts along the street, and the shifts of the guess turned by 180 degrees."""
-    slid = slides(ref, query, T_ref_query, options)
-    return [T_ref_query, *slid, *slides(ref, query, turned_round(T_ref_query), options)]
+    slid = shifted_poses(ref, query, T_ref_query, options)
+    return [T_ref_query, *slid, *shifted_poses(ref, query, turned_around(T_ref_query), options)]
