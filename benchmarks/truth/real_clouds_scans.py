@@ -100,7 +100,6 @@ def submap(points: Array) -> Submap:
     flat, level = values[:, 0] < 0.05 * values[:, 1], np.abs(normals[:, 2]) > 0.9
     surface = np.where(flat, np.where(level, Surface.GROUND, Surface.STRUCTURE), Surface.ROUGH)
     return Submap(
-        node=0,
         points=points.astype(np.float32),
         normals=np.where(flat[:, None], normals, 0.0).astype(np.float32),
         origins=np.zeros(points.shape, np.float32),

@@ -46,7 +46,7 @@ def walls(seed: int, flanks: float, noise_m: float = 0.01, tilt: float = 0.05) -
     kind = np.full(n, Surface.STRUCTURE, np.uint8)
     origins = np.tile(np.array([0, 0, 1.8], np.float32), (n, 1))
     ones, block = np.ones(n, np.float32), np.zeros(n, np.int32)
-    return Submap(0, points.astype(np.float32), normals.astype(np.float32), origins, kind, ones, block)
+    return Submap(points.astype(np.float32), normals.astype(np.float32), origins, kind, ones, block)
 
 
 def contacts(seed: int, flanks: float, T=None):

@@ -91,12 +91,12 @@ def submap_depth(
 def as_submap(points: Array, normals: Array, origins: Array) -> Submap:
     count = len(points)
     single = (a.astype(np.float32) for a in (points, normals, origins))
-    return Submap(0, *single, np.zeros(count, np.uint8), np.ones(count, np.float32), np.zeros(count, np.int32))
+    return Submap(*single, np.zeros(count, np.uint8), np.ones(count, np.float32), np.zeros(count, np.int32))
 
 
 def joined(*submaps: Submap) -> Submap:
     names = ("points", "normals", "origins", "surface", "steady", "block")
-    return Submap(0, *(np.concatenate([getattr(s, n) for s in submaps]) for n in names))
+    return Submap(*(np.concatenate([getattr(s, n) for s in submaps]) for n in names))
 
 
 def exact(rectangles: list[Rectangle], T_node_cam: Array = T_NODE_CAM) -> NDArray[np.float32]:
@@ -162,7 +162,7 @@ def test_the_side_of_a_box_that_was_never_scanned_does_not_show_what_is_behind()
     # The wall's points behind the car were not seen from beside it.
     behind = (scene.points[:, 1] > 5) & (np.abs(scene.points[:, 0] - 8) < 2) & (scene.points[:, 2] < 2.4)
     names = ("points", "normals", "origins", "surface", "steady", "block")
-    scene = Submap(0, *(getattr(scene, n)[~behind] for n in names))
+    scene = Submap(*(getattr(scene, n)[~behind] for n in names))
     front = exact([((6.0, 2.2, 0.4), (0, 1.4, 0), (0, 0, 1.0))]) > 0
     seeing = submap_depth(scene, CAMERA, T_CAM_NODE, DepthOptions(noise=EXACT, cell_m=0))
     found = submap_depth(scene, CAMERA, T_CAM_NODE, DepthOptions(noise=EXACT))

@@ -214,7 +214,7 @@ def wall(y: float, origins_y: float, surface: Surface = Surface.STRUCTURE, low: 
     origins = np.column_stack([x, np.full(len(x), origins_y), np.full(len(x), 1.8)]).astype(np.float32)
     normals = np.tile(np.array([0, np.sign(origins_y - y), 0], np.float32), (len(x), 1))
     kind = np.full(len(x), surface, np.uint8)
-    return Submap(0, points, normals, origins, kind, np.ones(len(x), np.float32), np.zeros(len(x), np.int32))
+    return Submap(points, normals, origins, kind, np.ones(len(x), np.float32), np.zeros(len(x), np.int32))
 
 
 def test_a_wall_cannot_stand_where_beams_went_through():
@@ -247,8 +247,8 @@ def test_the_right_pose_is_trusted(pair):
     assert max(evidence.violations_ref, evidence.violations_query) < 0.03
 
 
-@pytest.mark.parametrize("slide", [5.0, -9.0, 20.0])
-def test_a_slid_pose_is_rejected_with_a_reason(pair, shift):
+@pytest.mark.parametrize("shift", [5.0, -9.0, 20.0])
+def test_a_shifted_pose_is_rejected_with_a_reason(pair, shift):
     T = make_transform(np.eye(3), [shift, 0, 0]) @ TRUTH
     reason = verdict(gather_evidence(*pair, T, 1e6 * np.eye(6)))
     assert reason.split()[0] in ("free", "overlap", "too", "details:")
@@ -284,7 +284,7 @@ def test_a_verdict_says_why(change, reason):
     assert bool(said) == bool(reason)
 
 
-def test_slides_hold_the_right_place_and_the_wrong_ones():
+def test_shifted_poses_hold_the_right_place_and_the_wrong_ones():
     street = clouds.periodic(6.0)
     ref, query = (
         PreparedSubmap(clouds.submap(street, k, T)).planes for k, T in enumerate((T_STREET_REF, T_STREET_QUERY))

@@ -22,7 +22,7 @@ from relocbench.datasets.groundtruth.icp.icp import run_icp
 from relocbench.datasets.groundtruth.registration.global_registration import describe, guesses
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
-from relocbench.datasets.groundtruth.verification.alternatives import SlideOptions, fit
+from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions, fit
 from relocbench.datasets.groundtruth.verification.verification import gather_evidence, verdict
 from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp, transform_from_tq
 
@@ -46,7 +46,6 @@ def submap(points: np.ndarray) -> Submap:
     level = np.abs(normals[:, 2]) > 0.9
     surface = np.where(flat, np.where(level, Surface.GROUND, Surface.STRUCTURE), Surface.ROUGH)
     return Submap(
-        0,
         p.astype(np.float32),
         np.where(flat[:, None], normals, 0.0).astype(np.float32),
         np.zeros_like(p, dtype=np.float32),
@@ -90,7 +89,7 @@ def test_neighbours_agree_with_the_graph_from_no_prior_at_all(scans, guessed, na
     poses, sides = scans[name]
     for i in range(4):
         ref, query = sides[i], sides[i + 1]
-        best = max(guessed(name, i), key=lambda T: fit(ref.planes, query.planes, T, SlideOptions()))
+        best = max(guessed(name, i), key=lambda T: fit(ref.planes, query.planes, T, ShiftOptions()))
         m, d = error(best, invert(poses[i]) @ poses[i + 1])
         assert m < metres, (i, m, d)
         assert d < degrees, (i, m, d)
@@ -117,7 +116,7 @@ def test_from_the_identity_turned_by_up_to_thirty_degrees(scans, guessed):
         start = make_transform(so3_exp([0, 0, np.radians(yaw)]), [0.0, 0.0, 0.0])
         ref, query = sides[i], sides[j]
         refined = [run_icp(ref.planes, query.planes, start).T_ref_query, *guessed("newer_01", i)]
-        best = max(refined, key=lambda T: fit(ref.planes, query.planes, T, SlideOptions()))
+        best = max(refined, key=lambda T: fit(ref.planes, query.planes, T, ShiftOptions()))
         m, d = error(best, invert(poses[i]) @ poses[j])
         assert m < 0.03
         assert d < 0.15

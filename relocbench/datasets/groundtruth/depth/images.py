@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
@@ -70,7 +70,7 @@ class DepthView:
         node = int(np.argmin(np.abs(drive.nodes.times_ns - time_ns)))
         T_odom_rig = drive.recording.odometry.at(np.array([time_ns], dtype=np.int64))[0]
         T_cam_node = invert(T_odom_rig @ self.T_rig_cam) @ drive.nodes.T_odom_node[node]
-        scene = _scene(_WindowKey(drive, self.length_m, self.options), node)
+        scene = _scene(_WindowKey(drive.blocks, self.length_m, self.options, drive), node)
         return scene_depth(scene, self.camera, T_cam_node, self.options)
 
     def by_stereo(self, time_ns: int) -> DepthImage:
@@ -156,18 +156,14 @@ def _agreement(view: DepthView, samples: Sequence[_Sample]) -> Agreement | None:
     return cross_check(lidar, stereo, view.camera, view.pair.baseline_m)
 
 
+@dataclass(frozen=True)
 class _WindowKey:
-    """A drive and settings, hashable by value: the key under which a worker process caches windows and scenes."""
+    """A drive and settings, compared by value: the key under which a worker process caches windows and scenes."""
 
-    def __init__(self, drive: Drive, length_m: float, options: DepthOptions) -> None:
-        self.drive, self.length_m, self.options = drive, length_m, options
-        self._key = (str(drive.blocks), length_m, repr(options))
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _WindowKey) and self._key == other._key
+    blocks: Path
+    length_m: float
+    options: DepthOptions
+    drive: Drive = field(compare=False)
 
 
 @lru_cache(maxsize=2)

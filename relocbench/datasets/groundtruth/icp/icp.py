@@ -62,9 +62,9 @@ class Linearised:
     """The normal equations, at 0, in xi = (rho, phi) of ``T_ref_query @ se3_exp(xi)`` and the query's stretch."""
 
     H: Array
-    """(7, 7) sum of w J J^T"""
+    """(7, 7) sum of w J^T J over the matches"""
     g: Array
-    """(7,) sum of w J r; the step is -H^-1 g"""
+    """(7,) sum of w J^T r over the matches; the Gauss-Newton step is -H^-1 g"""
     residuals: Array
     """(M,) metres, one a match, divided by how much larger its sigma is than near the node"""
     lever_length_m: float

@@ -23,7 +23,7 @@ from relocbench.datasets.groundtruth.jobs.writing import Frames, choose_frames, 
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, Paired, PairingUnit, pair_up
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind
-from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive, write_graph
+from relocbench.datasets.groundtruth.pose_graph.files import write_graph
 from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.datasets.pairs.correspondences import write_pair_set
@@ -146,21 +146,11 @@ def _pair(units: Sequence[PairingUnit], folder: Path, reporter: Reporter, run: R
     with reporter.stage("pose graphs and pairs", len(units)) as advance:
         for index, paired in run_units(pair_up, units, run):
             unit = units[index]
-            _write_graph(folder / f"{unit.reference.name}__{unit.query.name}.csv", unit, paired)
+            path = folder / f"{unit.reference.name}__{unit.query.name}.csv"
+            write_graph(path, paired.reference, paired.query)
             out[index] = paired
             advance(1)
     return [out[k] for k in range(len(units))]
-
-
-def _write_graph(path: Path, unit: PairingUnit, paired: Paired) -> None:
-    count = len(unit.reference.nodes)
-    before, after = paired.arc_length_to_trusted[:count], paired.arc_length_to_trusted[count:]
-    verdicts = {r.query: verdict for r, verdict in zip(unit.registrations, paired.verdicts, strict=True)}
-    write_graph(
-        path,
-        PlacedDrive(unit.reference.name, unit.reference.nodes.times_ns, paired.T_world_ref, before, {}),
-        PlacedDrive(unit.query.name, unit.query.nodes.times_ns, paired.T_world_query, after, verdicts),
-    )
 
 
 def _require_accepted(paired: Sequence[Paired], queries: Sequence[str], folder: Path) -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, map_prior, solve_drive
 from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome, SolvedDrive
+from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
@@ -51,14 +52,8 @@ class Paired:
 
     outcomes: dict[str, list[PairOutcome]]
     """camera -> the outcome of each query image"""
-    T_world_ref: Array
-    """(R, 4, 4) poses of the reference's nodes"""
-    T_world_query: Array
-    """(Q, 4, 4) poses of the query's nodes"""
-    verdicts: tuple[str, ...]
-    """why each registration is not part of the graph; empty if it is"""
-    arc_length_to_trusted: Array
-    """(R + Q, 2) arc length back to the last and on to the next node with a trusted registration, metres"""
+    reference: PlacedDrive
+    query: PlacedDrive
 
 
 def pair_up(unit: PairingUnit) -> Paired:
@@ -72,8 +67,13 @@ def pair_up(unit: PairingUnit) -> Paired:
         unit.limits,
     )
     found = {frames.camera: _of_camera(unit, frames, solution, outcomes) for frames in unit.cameras}
+    count = len(unit.reference.nodes)
+    before, after = solution.arc_length_to_trusted[:count], solution.arc_length_to_trusted[count:]
+    verdicts = {r.query: verdict for r, verdict in zip(unit.registrations, solution.verdicts, strict=True)}
     return Paired(
-        found, solution.T_world_ref, solution.T_world_query, solution.verdicts, solution.arc_length_to_trusted
+        found,
+        PlacedDrive(unit.reference.name, unit.reference.nodes.times_ns, solution.T_world_ref, before, {}),
+        PlacedDrive(unit.query.name, unit.query.nodes.times_ns, solution.T_world_query, after, verdicts),
     )
 
 

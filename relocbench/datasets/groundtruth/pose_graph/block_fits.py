@@ -19,7 +19,6 @@ from relocbench.datasets.groundtruth.blocks.store import BlockStore
 from relocbench.datasets.groundtruth.pose_graph.edge_information import minimum, nearest_semidefinite, scatter_by_patch
 from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalFit
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions, Planes, Sample
-from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
 
 Array = NDArray[np.float64]
@@ -60,7 +59,7 @@ class BlockFits:
         return LocalFit(H, g, scatter, len(matches))
 
     def _make_planes(self, side: int, node: int) -> PlaneMap:
-        return PlaneMap(as_submap(self._stores[side], node), _OPTIONS)
+        return PlaneMap(self._stores[side].get(node), _OPTIONS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +98,3 @@ def match_points(planes: Planes, points: Sample, T_ref_query: Array) -> Matches:
     by_planes, by_points = (np.hstack([m, np.cross(q, m)]) for m in (n @ rotation, points.normals[rows]))
     facing = np.argmax(np.abs(points.normals[rows]), axis=1) if len(rows) else rows
     return Matches(by_planes, by_points, residuals, weights, 4 * voxel_keys(q, _PATCH_M) + facing)
-
-
-def as_submap(store: BlockStore, node: int) -> Submap:
-    """A submap of one block."""
-    block = store.get(node)
-    numbers = np.full(len(block), node, dtype=np.int32)
-    return Submap(node, block.points, block.normals, block.origins, block.surface, block.steady, numbers)

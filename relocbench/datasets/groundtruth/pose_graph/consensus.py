@@ -45,10 +45,8 @@ class RunOptions:
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """The runs of E registrations, and which of them won."""
+    """Which of E registrations are in runs that won."""
 
-    run: Indices
-    """(E,) number of the run of each registration"""
     won: Mask
     """(E,) whether its run won, so that it may be trusted"""
     doubtful: Mask
@@ -74,7 +72,7 @@ def find_runs(edges: Edges, drives: BothDrives, options: RunOptions) -> Runs:
         opponents = against[r] & won
         if sum(lengths[o] for o in opponents) < options.dominance * lengths[r]:
             doubtful |= opponents | {r}
-    return Runs(run, np.isin(run, list(won - doubtful)), np.isin(run, list(doubtful)))
+    return Runs(np.isin(run, list(won - doubtful)), np.isin(run, list(doubtful)))
 
 
 def _near(edges: Edges, drives: BothDrives, options: RunOptions) -> tuple[Indices, Indices]:

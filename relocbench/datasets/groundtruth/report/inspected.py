@@ -76,10 +76,10 @@ class Spot:
 
 
 def inspected_sets(dataset: Dataset, pair_sets: Sequence[PairSet]) -> list[InspectedSet]:
-    """Those of the pair sets whose truth came from lidar.
+    """The pair sets whose ground truth is from lidar, with their graphs and registrations.
 
     Raises:
-        DatasetError: none of them did, or a file of the ground truth is missing or damaged.
+        DatasetError: there are none, or a file of the ground truth is missing or damaged.
     """
     folder = dataset.root / _FOLDER
     if not folder.is_dir():

@@ -9,8 +9,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.blocks.blocks import Surface
-from relocbench.datasets.groundtruth.submaps.submaps import Submap
+from relocbench.datasets.groundtruth.blocks.blocks import Block, Surface
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.datasets.groundtruth.voxels.voxels import Grid, cell_of, make_grid, pack
 from relocbench.kernels import njit
@@ -99,9 +98,9 @@ class Planes(Sample):
 
 
 class PlaneMap:
-    """The planes of a submap at several levels, coarse to fine; computed once for any number of registrations."""
+    """The planes of a submap or block at several levels, coarse to fine, each computed once."""
 
-    def __init__(self, submap: Submap, options: PlaneOptions | None = None) -> None:
+    def __init__(self, submap: Block, options: PlaneOptions | None = None) -> None:
         self.submap = submap
         self.options = options or PlaneOptions()
         by_surface = np.zeros(256)

@@ -22,25 +22,11 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Submap:
-    """Points around one node, in that node's frame; the arrays are those of its blocks, end to end."""
+class Submap(Block):
+    """Points around one node, in that node's frame: those of several blocks, end to end."""
 
-    node: int
-    points: NDArray[np.float32]
-    """(N, 3)"""
-    normals: NDArray[np.float32]
-    """(N, 3) unit vectors towards the sensor; 0 where no plane fits"""
-    origins: NDArray[np.float32]
-    """(N, 3) position of the sensor when it measured each point"""
-    surface: NDArray[np.uint8]
-    """(N,) :class:`relocbench.datasets.groundtruth.blocks.blocks.Surface`"""
-    steady: NDArray[np.float32]
-    """(N,) static score in [0, 1], see :class:`Block`"""
     block: NDArray[np.int32]
     """(N,) number of the block that each point came from"""
-
-    def __len__(self) -> int:
-        return len(self.points)
 
 
 class SubmapWindow:
@@ -64,7 +50,7 @@ class SubmapWindow:
         self._half_length_m = half_length_m
         self._voxel_m = voxel_m
         self._poses = nodes.T_odom_node
-        self._stretch = nodes.segments()
+        self._segment = nodes.segments()
         self._claims = VoxelClaims()
         self._inside: dict[int, Block] = {}
 
@@ -73,7 +59,7 @@ class SubmapWindow:
         if not 0 <= node < len(self._nodes):
             raise IndexError(f"no node {node}; there are {len(self._nodes)}")
         travelled = self._nodes.travelled_m
-        near = (np.abs(travelled - travelled[node]) <= self._half_length_m) & (self._stretch == self._stretch[node])
+        near = (np.abs(travelled - travelled[node]) <= self._half_length_m) & (self._segment == self._segment[node])
         inside = np.flatnonzero(near)
         return range(int(inside[0]), int(inside[-1]) + 1)
 
@@ -87,9 +73,9 @@ class SubmapWindow:
                 self._enter(block)
         T_node_odom = invert(self._poses[node])
         parts = [self._part(block, T_node_odom @ self._poses[block]) for block in wanted]
-        points, normals, origins, surface, steady = (np.concatenate([part[i] for part in parts]) for i in range(5))
         numbers = np.repeat(np.array(wanted, dtype=np.int32), [len(part[0]) for part in parts])
-        return Submap(node, points, normals, origins, surface, steady, numbers)
+        points, normals, origins, surface, steady = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        return Submap(points, normals, origins, surface, steady, numbers)
 
     def _enter(self, number: int) -> None:
         block = self._store.get(number)
