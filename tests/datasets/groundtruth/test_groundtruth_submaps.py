@@ -62,7 +62,7 @@ def built(street: FieldRecording, tmp_path_factory: pytest.TempPathFactory) -> t
 # --- nodes
 
 
-def test_nodes_lie_at_equal_way(street: FieldRecording) -> None:
+def test_nodes_lie_at_equal_arc_lengths(street: FieldRecording) -> None:
     nodes = make_nodes(street, 2.0)
     assert len(nodes) == 19  # 40 m, less what the lidars do not cover at both ends
     np.testing.assert_allclose(np.diff(nodes.travelled_m), 2.0, atol=1e-9)
@@ -123,7 +123,7 @@ def test_break_of_the_odometry_parts_the_drive(street: FieldRecording) -> None:
     assert not np.any((begin < after) & (end > before))
 
 
-def test_submap_stays_within_its_stretch(tmp_path: Path) -> None:
+def test_submap_stays_within_its_segment(tmp_path: Path) -> None:
     recording = drive_street(Street(gap_s=1.0))
     nodes = make_nodes(recording)
     window = SubmapWindow(nodes, build_blocks(recording, nodes, tmp_path))

@@ -21,7 +21,7 @@ _RIDGE = 1e-9
 
 
 def _scale(characteristic_length_m: float) -> Array:
-    """(6,) factors that turn a twist in metres and in characteristic lengths into metres and radians."""
+    """(6,) factors by which rotations in metres, at the characteristic length, become radians."""
     return np.array([1.0, 1.0, 1.0, *[1.0 / characteristic_length_m] * 3])
 
 
