@@ -430,7 +430,7 @@ DAMAGES: list[tuple[Damage, str]] = [
     (timestamps_out_of_order, r"lms_front\.timestamps:[45]: "),
     (odometry_out_of_order, r"vo\.csv:\d+: "),
     (missing_folder, r"2024-12-24-10-00-00: no such folder"),
-    (one_source, r"needs a reference and at least one query drive, got 1"),
+    (one_source, r"needs a reference and at least one other, got 1"),
     (the_same_twice, r"is the second recording called"),
     (unknown_camera, r"no camera 'stereo_top'; there is stereo_left"),
     (camera_that_is_not_there, r"mono_rear: no such folder; expected images"),

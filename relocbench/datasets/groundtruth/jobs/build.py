@@ -96,7 +96,7 @@ def check_recordings(
         DatasetError: the reference has no images.
     """
     if len(recordings) < 2:
-        raise ConfigError(f"ground truth needs a reference and at least one query drive, got {len(recordings)} in all")
+        raise ConfigError(f"ground truth across drives needs a reference and at least one other, got {len(recordings)}")
     there = recordings[0].cameras
     wanted = options.cameras or tuple(there)[:1]
     if not wanted:
