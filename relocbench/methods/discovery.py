@@ -43,13 +43,17 @@ class MethodKind:
     call: str
     """the function that it must have"""
     task: str
-    """its task in ``relocbench evaluate --task``"""
+    """what it is asked for, as ``relocbench methods --json`` calls it"""
+    command: str
+    """that evaluates it"""
     programs: bool
     """whether it can be a program"""
 
 
-TRACKERS = MethodKind("method", "a tracker", ENTRY_POINT_GROUP, "track", "tracking", programs=True)
-RETRIEVERS = MethodKind("retriever", "a retriever", "relocbench.retrievers", "describe", "retrieval", programs=False)
+TRACKERS = MethodKind("method", "a tracker", ENTRY_POINT_GROUP, "track", "tracking", "evaluate", programs=True)
+RETRIEVERS = MethodKind(
+    "retriever", "a retriever", "relocbench.retrievers", "describe", "retrieval", "evaluate-retrieval", programs=False
+)
 KINDS = (TRACKERS, RETRIEVERS)
 
 
@@ -190,7 +194,9 @@ def method_class(target: str, kind: MethodKind = TRACKERS) -> Any:
     if target not in points:
         for other in KINDS:
             if other is not kind and target in installed_methods(other):
-                raise MethodError(f"'{target}' is {other.made}, not {kind.made}; ask it with --task {other.task}")
+                raise MethodError(
+                    f"'{target}' is {other.made}, not {kind.made}; evaluate it with `relocbench {other.command}`"
+                )
         program = ", or a program as subprocess:COMMAND" if kind.programs else ""
         raise MethodError(
             f"no {kind.noun} '{target}'{hint(target, points)}; installed: {', '.join(points) or 'none'} "
@@ -276,7 +282,11 @@ def _load_class(target: str, kind: MethodKind) -> Any:
     attribute = target.partition(":")[2]
     if not callable(getattr(found, kind.call, None)) and inspect.isclass(found):
         others = [k for k in KINDS if callable(getattr(found, k.call, None))]
-        other = f", but {others[0].call}(): it is {others[0].made}; --task {others[0].task}" if others else " method"
+        other = (
+            f", but {others[0].call}(): it is {others[0].made} for `relocbench {others[0].command}`"
+            if others
+            else " method"
+        )
         raise MethodError(f"{kind.noun} '{target}': class '{attribute}' has no {kind.call}(){other}")
     if not callable(found):
         raise MethodError(f"{kind.noun} '{target}': '{attribute}' is not a class or function that makes {kind.made}")

@@ -7,11 +7,15 @@ import sys
 import traceback
 from collections.abc import Callable, Iterable
 from importlib import import_module, metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from relocbench.errors import MethodError, RelocbenchError, raised
 from relocbench.execution import messages_to_stderr
+
+OUR_METHODS = "baselines"
+"""The package of the methods that come with relocbench, installed beside it."""
 
 
 def entry_points_of(group: str, kind: str) -> dict[str, metadata.EntryPoint]:
@@ -53,10 +57,24 @@ def load_dotted(target: str, kind: str) -> Any:
 
 
 def _import(module_name: str, target: str, kind: str) -> Any:
+    if module_name.partition(".")[0] == OUR_METHODS:
+        _refuse_stranger(target, kind)
     try:
         return import_module(module_name)
     except ModuleNotFoundError as bad:
         raise MethodError(f"{kind} '{target}': no module '{bad.name}' (looked on the Python path and here)") from bad
+
+
+def _refuse_stranger(target: str, kind: str) -> None:
+    """Raises MethodError where the package ``baselines`` is that of another distribution, which has the same name."""
+    spec = find_spec(OUR_METHODS)
+    origin = None if spec is None else spec.origin
+    here = Path(__file__).resolve().parents[2]
+    if origin is not None and Path(origin).resolve().parent.parent != here:
+        raise MethodError(
+            f"{kind} '{target}': the package 'baselines' of another distribution is found first, in "
+            f"{Path(origin).parent}; uninstall it, or use an environment of its own"
+        )
 
 
 def call_third_party(failed: str, call: Callable[[], Any]) -> Any:

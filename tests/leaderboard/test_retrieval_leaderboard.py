@@ -115,7 +115,7 @@ def test_the_page_says_what_a_reader_must_know(results: Path, tmp_path: Path) ->
         "- `half` on `satellite-drone`",
         "Each query has one right image",
         "| `drone-satellite` | drone → satellite |",
-        "relocbench evaluate --task retrieval --dataset DATASET --out RESULTS --method good=retrievers_for_tests:Thu",
+        "relocbench evaluate-retrieval --dataset DATASET --out RESULTS --method good=retrievers_for_tests:Thu",
     ):
         assert words in page
     assert str(results) not in page

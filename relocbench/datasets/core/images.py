@@ -55,7 +55,7 @@ def read_image(path: Path, check_size: SizeCheck | None = None) -> NDArray[np.ui
 
 def write_image(path: Path, image: NDArray[np.uint8]) -> None:
     """An 8-bit PNG of (H, W) grey or (H, W, 3) RGB."""
-    write_bytes(path, _encode(cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image))
+    write_bytes(path, png_bytes(image))
 
 
 def read_depth(path: Path, check_size: SizeCheck | None = None) -> NDArray[np.float32]:
@@ -75,7 +75,7 @@ def write_depth(path: Path, depth: NDArray[np.floating]) -> None:
     """A 16-bit PNG; depths that are not positive, not finite or beyond 256 m become 0 (unknown)."""
     stored = np.rint(np.asarray(depth, dtype=np.result_type(depth, np.float32)) * DEPTH_SCALE)
     stored[~((stored >= 1) & (stored <= 65535))] = 0
-    write_bytes(path, _encode(stored.astype(np.uint16)))
+    write_bytes(path, png_bytes(stored.astype(np.uint16)))
 
 
 def read_points(path: Path) -> KeyframePoints:
@@ -135,8 +135,10 @@ def _decode(path: Path, check_size: SizeCheck | None) -> NDArray[Any]:
     return np.asarray(image)
 
 
-def _encode(image: NDArray[Any]) -> bytes:
-    """PNG, by what is smallest and fast at once: noise has no repeats to search for, and depth is smooth."""
+def png_bytes(image: NDArray[Any]) -> bytes:
+    """PNG of (H, W) grey or (H, W, 3) RGB, with settings that are small and fast for noisy images and smooth depth."""
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     choice = cv2.IMWRITE_PNG_FILTER_AVG if image.ndim == 3 else cv2.IMWRITE_PNG_FILTER_PAETH
     how = [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE, cv2.IMWRITE_PNG_FILTER, choice]
     done, data = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 1, *how])

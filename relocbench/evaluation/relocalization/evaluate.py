@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 from pydantic import Field, model_validator
 
@@ -47,9 +47,8 @@ TOP = 3
 
 
 class RelocalizationOptions(ExecutionOptions):
-    """Fields are options of ``relocbench evaluate --task relocalization`` and keys of its YAML file."""
+    """Fields are options of ``relocbench evaluate-relocalization`` and keys of its YAML file."""
 
-    task: Literal["relocalization"] = "relocalization"
     dataset: Path
     retriever: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()

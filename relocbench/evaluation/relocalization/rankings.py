@@ -87,7 +87,7 @@ def run_retrievers(
     seed: int,
     reporter: Reporter,
 ) -> list[RankingSource]:
-    """Run retrievers as ``relocbench evaluate --task retrieval --positives pairs`` does, unless they have answered.
+    """Run retrievers as ``relocbench evaluate-retrieval --positives pairs`` does, unless they have answered.
 
     The results are the same files, with the same scores.
 

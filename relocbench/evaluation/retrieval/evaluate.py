@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 from pydantic import Field, model_validator
 
@@ -28,9 +28,8 @@ KEEP = 100
 
 
 class RetrievalOptions(LimitOptions):
-    """Fields are options of ``relocbench evaluate --task retrieval`` and keys of its YAML file."""
+    """Fields are options of ``relocbench evaluate-retrieval`` and keys of its YAML file."""
 
-    task: Literal["retrieval"] = "retrieval"
     dataset: Path
     methods: tuple[str, ...] = ()
     set: tuple[str, ...] = ()
@@ -59,7 +58,7 @@ class RetrievalOptions(LimitOptions):
     @model_validator(mode="after")
     def _one_process(self) -> Self:
         if self.workers:
-            raise ValueError("--workers does not apply to --task retrieval, except for --workers 0")
+            raise ValueError("--workers must be 0 for retrievers, which run in one process")
         return self
 
     @model_validator(mode="after")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 from pydantic import Field, model_validator
 
@@ -36,7 +36,6 @@ from relocbench.progress import Reporter
 class EvaluateOptions(ExecutionOptions):
     """Fields are options of ``relocbench evaluate`` and keys of its YAML file."""
 
-    task: Literal["tracking"] = "tracking"
     dataset: Path
     methods: tuple[str, ...] = ()
     set: tuple[str, ...] = ()

@@ -179,7 +179,7 @@ def _chain(folder: ChainResults, asked: ChainSet, tasks: Mapping[str, ChainTask]
         path = folder.answers(name)
         if not path.exists():
             continue
-        again = "run `relocbench evaluate --task relocalization` again to score"
+        again = "run `relocbench evaluate-relocalization` again to score"
         if scores is None or name not in scores.answers:
             raise PredictionError(f"is not scored; {again}", path)
         if scores.answers[name] != sha256_file(path):

@@ -56,7 +56,7 @@ def _commands(chains: Sequence[Chain]) -> list[str]:
             if name in halves and not _same(halves[name], half) and len(chains) > 1:
                 return [line for each in chains for line in _commands([each])]
             halves[name] = half
-    words = ["relocbench", "evaluate", "--task", "relocalization", "--dataset", "DATASET", "--out", "RESULTS"]
+    words = ["relocbench", "evaluate-relocalization", "--dataset", "DATASET", "--out", "RESULTS"]
     settings: list[str] = []
     seeds = {half.seed for half in halves.values() if half is not None and half.seed}
     for option, names in (

@@ -31,7 +31,7 @@ from relocbench.metrics import Interval, bootstrap_interval, generator, rank_wit
 Array = NDArray[np.float64]
 RANKING = "R@1"
 WITH_INTERVAL = ("R@1", "AP")
-_AGAIN = "run `relocbench evaluate --task retrieval` again to score"
+_AGAIN = "run `relocbench evaluate-retrieval` again to score"
 
 
 @dataclass(frozen=True, eq=False)

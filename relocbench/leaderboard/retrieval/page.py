@@ -27,7 +27,7 @@ def retrieval_page(board: RetrievalBoard) -> str:
 
 def evaluate_command(asked: SetRecord, run: RetrievalRun) -> str:
     """The command that runs a retriever as it was run, or resumes a run that was stopped."""
-    words = ["relocbench", "evaluate", "--task", "retrieval", "--dataset", "DATASET", "--out", "RESULTS"]
+    words = ["relocbench", "evaluate-retrieval", "--dataset", "DATASET", "--out", "RESULTS"]
     for key, value in asked.options.items():
         words += [f"--{key}", f"{value:g}" if isinstance(value, float) else value]
     words += ["--by-condition"] if any(name.rpartition("__")[0] in asked.tasks for name in asked.tasks) else []

@@ -36,7 +36,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         DatasetError: with file and line, what is missing or wrong in a recording; or that no pair can be accepted.
         ConfigError: options that do not fit the recordings.
     """
-    from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check
+    from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
     from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
 
     assert isinstance(options, Options)
@@ -53,7 +53,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         reporter=reporter,
     )
     check_conditions(options, [r.name for r in recordings])
-    check(recordings, options)
+    check_recordings(recordings, options)
     name = options.name or "robotcar_" + recordings[0].name
     writer = DatasetWriter(out, name, configuration("robotcar", sources, options), options.licence)
     return build_ground_truth(recordings, writer, options, reporter, run)
