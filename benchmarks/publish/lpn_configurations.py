@@ -1,7 +1,7 @@
 """LPN and its variants side by side: trained on one cross-view set, asked on others, several seeds each.
 
 Each configuration is trained with each seed by `relocbench train lpn --no-validation` (all train places are learnt from
-and the last weights are kept, as the papers do it) and asked by the code of `relocbench evaluate --task retrieval` in
+and the last weights are kept, as the papers do it) and asked by the code of `relocbench evaluate-retrieval` in
 both directions between drone and satellite. Systems that start from LPN's weights (soft partition, masks) start from
 those of `lpn` with the same seed, which are trained once; `lpn-dmli` is `lpn` with its rankings sorted anew. Retrievers
 that learn nothing stand below. The table has mean +- standard deviation over the seeds.

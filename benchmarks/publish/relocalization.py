@@ -1,7 +1,7 @@
 """Where is a query lost: by the retriever, the tracker, or the choice among the K? Both in a row on test districts.
 
 In each district that no training saw (test split, ``--seeds``) drives in several conditions are rendered; all ask the
-map of the first one, with the front camera. ``relocbench evaluate --task relocalization`` runs every retriever with
+map of the first one, with the front camera. ``relocbench evaluate-relocalization`` runs every retriever with
 every tracker: retrievers that need no training, the oracle that knows the nearest keyframes, and a random order.
 ``relocbench leaderboard`` writes the page. What is printed here are means over all tasks, and what the oracle's chain
 is ahead of each retriever's: the share that better retrieval could win for that tracker.
@@ -93,7 +93,7 @@ def _evaluate(dataset: Path, results: Path, options: argparse.Namespace) -> None
     words += [word for tracker in options.trackers for word in ("-m", tracker)]
     words += [word for setting in options.settings for word in ("--set", setting)]
     _run(
-        "evaluate", "--task", "relocalization", "-d", dataset, "--out", results, "--split", options.split,
+        "evaluate-relocalization", "-d", dataset, "--out", results, "--split", options.split,
         "--top", options.top, "-j", options.workers, "-q", *words,
     )  # fmt: skip
 

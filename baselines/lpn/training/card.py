@@ -67,7 +67,7 @@ def model_card(
         "",
         f"{system.about}. {network.backbone}, {options.size}x{options.size} pixels, {network.parts} "
         f"{'part' if network.parts == 1 else 'parts'} of {network.width} numbers, {parameters} parameters. "
-        "Use: `relocbench evaluate --task retrieval -m lpn --set lpn.weights=weights.safetensors`.",
+        "Use: `relocbench evaluate-retrieval -m lpn --set lpn.weights=weights.safetensors`.",
         "",
         *([f"**Not to be set beside published numbers: {'; '.join(apart)}.**", ""] if apart else []),
         "## How it was trained",

@@ -68,7 +68,7 @@ def read_image(path: Path, expected: ExpectedSize | None = None) -> NDArray[np.u
 
 def write_image(path: Path, image: NDArray[np.uint8]) -> None:
     """Write (H, W) grey or (H, W, 3) RGB as an 8-bit PNG."""
-    write_bytes(path, _encode(cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image))
+    write_bytes(path, png_bytes(image))
 
 
 def read_depth(path: Path, expected: ExpectedSize | None = None) -> NDArray[np.float32]:
@@ -88,7 +88,7 @@ def write_depth(path: Path, depth: NDArray[np.floating]) -> None:
     """Write depth (H, W) in metres as a 16-bit PNG; what is not positive, not finite or beyond 256 m becomes 0."""
     stored = np.rint(np.asarray(depth, dtype=np.result_type(depth, np.float32)) * DEPTH_SCALE)
     stored[~((stored >= 1) & (stored <= 65535))] = 0
-    write_bytes(path, _encode(stored.astype(np.uint16)))
+    write_bytes(path, png_bytes(stored.astype(np.uint16)))
 
 
 def read_points(path: Path) -> KeyframePoints:
@@ -156,8 +156,10 @@ def _decode(path: Path, expected: ExpectedSize | None) -> NDArray[Any]:
     return np.asarray(image)
 
 
-def _encode(image: NDArray[Any]) -> bytes:
-    """Encode as PNG with settings that are fast and give small files: noise has no repeats, and depth is smooth."""
+def png_bytes(image: NDArray[Any]) -> bytes:
+    """PNG of (H, W) grey or (H, W, 3) RGB, with settings that are small and fast for noisy images and smooth depth."""
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     choice = cv2.IMWRITE_PNG_FILTER_AVG if image.ndim == 3 else cv2.IMWRITE_PNG_FILTER_PAETH
     how = [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE, cv2.IMWRITE_PNG_FILTER, choice]
     done, data = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 1, *how])

@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from relocbench.datasets.core import images
-from relocbench.datasets.groundtruth.odometry.lidar_odometry import lidar_odometry, straightened
+from relocbench.datasets.groundtruth.odometry.lidar_odometry import deskewed, lidar_odometry
 from relocbench.datasets.importers.generic.recording import read_generic
 from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG, VelodyneStream, raised, read_kitti
@@ -111,13 +111,13 @@ def test_the_files_own_poses_can_be_taken(simulated: tuple[Path, Any]) -> None:
     np.testing.assert_allclose(found.T_odom_rig[0], np.eye(4), atol=1e-12)
 
 
-def test_a_scan_is_straightened_to_its_time() -> None:
+def test_a_scan_is_deskewed_to_its_time() -> None:
     rng = np.random.default_rng(0)
     twist = np.array([10e-9, 1e-9, 0, 0, 0, 0.3e-9])
     still = rng.uniform(-30, 30, size=(500, 3))
     offsets = rng.integers(-50_000_000, 50_000_000, size=500)
     measured = np.array([apply(se3_exp(-twist * t), p[None])[0] for t, p in zip(offsets, still, strict=True)])
-    found = straightened(Scan(measured, 7 + offsets), 7, twist)
+    found = deskewed(Scan(measured, 7 + offsets), 7, twist)
     np.testing.assert_allclose(found, still, atol=1e-4)
 
 
@@ -132,7 +132,7 @@ def test_turning_beams_up_keeps_ranges_and_azimuths() -> None:
 
 def test_a_push_broom_lidar_has_no_odometry() -> None:
     lidar = LmsStream("lms_front", Path(), np.eye(4), np.array([0]))
-    with pytest.raises(ConfigError, match="needs a spinning one; lms_front is push-broom"):
+    with pytest.raises(ConfigError, match="needs a spinning lidar; lms_front is push-broom"):
         lidar_odometry(lidar)
 
 

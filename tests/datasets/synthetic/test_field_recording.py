@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from relocbench.datasets.core import images
 from relocbench.datasets.core.schema import Transform
-from relocbench.datasets.groundtruth.odometry.plane_map import plane_normals
+from relocbench.datasets.groundtruth.odometry.local_map import plane_normals
 from relocbench.datasets.importers.robotcar.recording import read_robotcar, read_robotcar_drives
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
 from relocbench.datasets.synthetic.conditions.condition import condition_named

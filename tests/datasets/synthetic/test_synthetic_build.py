@@ -400,6 +400,13 @@ def test_the_estimate_counts_what_is_left() -> None:
     assert duration(3 * 3600) == "3.0 h"
 
 
+def test_a_preview_that_cannot_be_written_is_not_rendered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet.contact_sheet", None)
+    told = relocbench("preview", "-c", "Sunny", "--out", tmp_path)
+    assert (told.status, told.complaint) == (2, f"relocbench: {tmp_path}: Is a directory")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_preview_has_a_picture_for_each_condition(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # The light of a scene takes longer than its pictures, the more so the larger the district is.
     monkeypatch.setattr("relocbench.datasets.synthetic.jobs.contact_sheet._EXTENT_M", 180.0)

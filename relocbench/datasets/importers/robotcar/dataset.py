@@ -35,7 +35,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         DatasetError: with file and line: something in a recording is missing or wrong, or no pair can be accepted.
         ConfigError: the options do not fit the recordings.
     """
-    from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check
+    from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
     from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
 
     assert isinstance(options, Options)
@@ -52,7 +52,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         reporter=reporter,
     )
     check_conditions(options, [r.name for r in recordings])
-    check(recordings, options)
+    check_recordings(recordings, options)
     writer = open_writer("robotcar", sources, options, out, "robotcar_" + recordings[0].name)
     return build_ground_truth(recordings, writer, options, reporter, run)
 
