@@ -2,15 +2,18 @@ VENV ?= .venv
 RUN := $(VENV)/bin
 RECORDINGS ?= ../shared/data
 
-.PHONY: help setup test test-busy test-processors kills fuzz lint format demo bench prove docs light constraints clean
+.PHONY: help setup test test-busy test-processors kills fuzz lint format demo bench prove docs light constraints image clean
 .PHONY: leaderboard leaderboard-weather leaderboard-retrieval leaderboard-relocalization
+
+PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --extra registration --python-version 3.11 \
+  --custom-compile-command "make constraints"
 
 help:            ## list the targets
 	@grep -hE '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 24
 
-setup: $(VENV)/.ready ## virtual environment, pinned packages, the one system library
+setup: $(VENV)/.ready ## virtual environment, pinned packages, system libraries
 
-$(VENV)/.ready: tools/setup.sh constraints.txt pyproject.toml
+$(VENV)/.ready: tools/setup.sh tools/hashes.txt pyproject.toml
 	VENV=$(VENV) tools/setup.sh
 
 PYTEST := OMP_NUM_THREADS=1 $(RUN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=20
@@ -70,9 +73,12 @@ leaderboard-relocalization: setup ## make the published results of both halves i
 light: setup     ## the light installation: from the built wheel into an environment of its own (PYTHONS=python3.11 ...)
 	VENV=$(VENV) tools/light_install.sh $(PYTHONS)
 
-constraints: setup ## pin the newest versions that fit
-	$(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --extra registration --upgrade --generate-hashes \
-	  --no-annotate --no-header --python-version 3.11 -o constraints.txt
+constraints: setup ## pin the newest versions that fit: constraints.txt to read, tools/hashes.txt to install
+	$(PIN) --upgrade --annotation-style line -o constraints.txt
+	$(PIN) --generate-hashes --no-annotate -c constraints.txt -o tools/hashes.txt
+
+image: setup     ## the image of Dockerfile, or without Docker its steps in a folder of its own; runs the demo in it
+	VENV=$(VENV) tools/image.sh
 
 clean:           ## remove what was generated
 	rm -rf build dist site demo-output .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache fuzz-failures

@@ -39,6 +39,6 @@ if [ -n "$sample" ]; then
   for seed in 0 1 2; do
     asked+=(-m "lpn-seed$seed=lpn" --set "lpn-seed$seed.weights=systems/lpn-seed$seed/weights.safetensors")
   done
-  relocbench evaluate --task retrieval -d "$sample" --out real -q "${asked[@]}"
+  relocbench evaluate-retrieval -d "$sample" --out real -q "${asked[@]}"
   relocbench leaderboard real --out "$repository/leaderboard/retrieval/real" -q
 fi

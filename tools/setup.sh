@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Set up what relocbench needs: a virtual environment, pinned packages, and one system library.
+# Set up everything that relocbench needs: a virtual environment, pinned packages, the system libraries of Open3D.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -16,11 +16,16 @@ command -v "$python" >/dev/null || fail "no '$python'; relocbench needs Python >
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
   fail "'$python' is $("$python" -V 2>&1); relocbench needs Python >= 3.11 (set PYTHON=/path/to/python)"
 
-if ! ldconfig -p 2>/dev/null | grep -q 'libusb-1\.0\.so'; then
-  hint="Open3D needs the system library libusb-1.0: apt-get install libusb-1.0-0"
+# What Open3D's library is linked against, and the Debian packages that have it.
+missing=()
+for need in libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1 libEGL.so.1:libegl1 libX11.so.6:libx11-6 libgomp.so.1:libgomp1; do
+  ldconfig -p | grep -qF "${need%%:*}" || missing+=("${need##*:}")
+done
+if [ "${#missing[@]}" -gt 0 ]; then
+  hint="Open3D needs system libraries: apt-get install ${missing[*]}"
   [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null || fail "$hint"
-  echo "set-up: installing libusb-1.0-0, which Open3D needs"
-  apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq libusb-1.0-0 >/dev/null || fail "$hint"
+  echo "set-up: installing ${missing[*]}, which Open3D needs"
+  apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq "${missing[@]}" >/dev/null || fail "$hint"
 fi
 
 if [ ! -x "$venv/bin/python" ]; then
@@ -30,6 +35,6 @@ fi
 echo "set-up: installing pinned packages (torch is large; this may take minutes)"
 export VIRTUAL_ENV="$PWD/$venv"
 case "$venv" in /*) VIRTUAL_ENV="$venv" ;; esac
-"$venv/bin/uv" pip install --quiet --require-hashes -r constraints.txt
+"$venv/bin/uv" pip install --quiet --require-hashes -r tools/hashes.txt
 "$venv/bin/uv" pip install --quiet --no-deps --no-build-isolation -e .
 touch "$venv/.ready"

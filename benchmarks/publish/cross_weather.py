@@ -32,7 +32,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from relocbench.evaluation.common.results import all_results, read_errors
+from relocbench.evaluation.common.error_table import read_errors
+from relocbench.evaluation.common.results import all_results
 from relocbench.metrics import Difference, PoseErrors, metric_named, paired_difference
 
 Array = NDArray[np.float64]

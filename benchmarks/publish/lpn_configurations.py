@@ -1,7 +1,7 @@
 """Compare LPN and its variants, trained on one cross-view set and evaluated on others with several seeds.
 
 Each configuration is trained with each seed by `relocbench train lpn --no-validation` (on all train places, keeping the
-last weights, as in the papers) and evaluated by the code of `relocbench evaluate --task retrieval` in both directions
+last weights, as in the papers) and evaluated by the code of `relocbench evaluate-retrieval` in both directions
 between drone and satellite. Systems that start from LPN's weights (soft partition, masks) start from those of `lpn`
 with the same seed, which are trained once; `lpn-dmli` is `lpn` with re-ranking. Baselines that learn nothing are listed
 below them. The table shows mean +- standard deviation over the seeds.

@@ -1,7 +1,7 @@
 """Where relocalization fails: at the retriever, the tracker, or the choice among K keyframes, on test districts.
 
 In each district that no training saw (test split, ``--seeds``) drives in several conditions are rendered; all are
-localized in the map of the first one, with the front camera. ``relocbench evaluate --task relocalization`` runs every
+localized in the map of the first one, with the front camera. ``relocbench evaluate-relocalization`` runs every
 retriever with every tracker: retrievers that need no training, the oracle that knows the nearest keyframes, and a
 random order. ``relocbench leaderboard`` writes the page. Printed are means over all tasks, and by how much the chain
 with the oracle is ahead of that with each retriever, which is what better retrieval could gain for the tracker.
@@ -95,7 +95,7 @@ def _evaluate(dataset: Path, results: Path, options: argparse.Namespace) -> None
     words += [word for tracker in options.trackers for word in ("-m", tracker)]
     words += [word for setting in options.settings for word in ("--set", setting)]
     _run(
-        "evaluate", "--task", "relocalization", "-d", dataset, "--out", results, "--split", options.split,
+        "evaluate-relocalization", "-d", dataset, "--out", results, "--split", options.split,
         "--top", options.top, "-j", options.workers, "-q", *words,
     )  # fmt: skip
 

@@ -31,7 +31,7 @@ from relocbench.datasets.cross_view.rendered import work
 from relocbench.datasets.cross_view.rendered.flight import Optics
 from relocbench.datasets.cross_view.rendered.plan import Photo, Views, choose_places, photos_of
 from relocbench.datasets.synthetic.conditions.condition import condition_named
-from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.progress import Silent
 
 CONDITIONS = ("Sunny", "Overcast")
@@ -105,11 +105,11 @@ def main() -> int:
     options = parser.parse_args()
     split = "test"
     views = views_of(options.size, 3, CONDITIONS)
-    town = stage.Place(options.seed * 1000, split, options.extent)
-    warm_up = stage.Place(options.seed * 1000, "train", 190.0)
+    town = scenes.DistrictSpec(options.seed * 1000, split, options.extent)
+    warm_up = scenes.DistrictSpec(options.seed * 1000, "train", 190.0)
     factors = condition_named(CONDITIONS[0]).factors
     work.renderer_of(warm_up, factors, work.seen_by("drone", factors, views))
-    _, layout_s = timed(stage.district, town)
+    _, layout_s = timed(scenes.district, town)
     places = choose_places(split, options.places, 0, 1, 25.0, options.extent, options.seed, Silent())
     photos = [p for place, network in places for p in photos_of(place, network, views, split, options.seed)]
     above = [p for p in photos if p.view == "satellite"]

@@ -31,16 +31,15 @@ from numpy.typing import NDArray
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.evaluation.common.error_table import PairErrors, write_errors
 from relocbench.evaluation.common.results import (
     Answer,
     DatasetRecord,
     MethodResults,
-    PairErrors,
     PairSetRecord,
     RunRecord,
     ScoreRecord,
     write_answers,
-    write_errors,
     write_record,
 )
 from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows

@@ -50,9 +50,9 @@ from numpy.typing import NDArray
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import previewed
 from relocbench.datasets.synthetic.drives.rig import rig_named
-from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, render_unit
-from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.renderer import samples as sampling
 from relocbench.datasets.synthetic.renderer import shadows
 from relocbench.datasets.synthetic.renderer.response import exposure_gain, tone_curve
@@ -65,7 +65,7 @@ Floats = NDArray[np.float32]
 
 WORKERS = 2
 SIZE = 512
-PLACE = Place(0, "test", 400.0)
+PLACE = DistrictSpec(0, "test", 400.0)
 ROUTE_M = 100.0
 CAMERA = Camera("pinhole", SIZE, SIZE, 0.6 * SIZE, 0.6 * SIZE, (SIZE - 1) / 2, (SIZE - 1) / 2)
 CONDITIONS = ("Sunny", "WetNoon")
@@ -76,7 +76,7 @@ GREY = 0.3
 
 def poses(count: int) -> list[Array]:
     """``T_world_cam`` of frames spread along the drive."""
-    path = stage.district(PLACE).network.drive(ROUTE_M, PLACE.seed)
+    path = scenes.district(PLACE).network.drive(ROUTE_M, PLACE.seed)
     _, T_rig_cam = rig_named("front").cameras(SIZE, SIZE)["front"]
     return [path.pose(at) @ T_rig_cam for at in np.linspace(5, ROUTE_M - 5, count)]
 
@@ -86,13 +86,13 @@ def unit_of(factors: Factors, shown: list[Array], folder: Path) -> RenderUnit:
     steps = []
     for i, T_world_cam in enumerate(shown):
         missing = {"image": folder / f"image-{i}.png", "depth": folder / f"depth-{i}.png"}
-        steps.append(StepWork((), (FrameWork(CAMERA, T_world_cam, stage.frame_seed(0, 0, i, 0), missing),)))
+        steps.append(StepWork((), (FrameWork(CAMERA, T_world_cam, scenes.frame_seed(0, 0, i, 0), missing),)))
     return RenderUnit(PLACE, factors, factors, tuple(steps))
 
 
 def bare_seconds(factors: Factors, shown: list[Array]) -> float:
     """Embree's processor time for primary and shadow rays of the frames, without the preparation of the rays."""
-    renderer = stage.renderer(PLACE, factors)
+    renderer = scenes.renderer(PLACE, factors)
     v, u = np.mgrid[:SIZE, :SIZE].astype(np.float32)
     asked = np.ones(SIZE * SIZE, dtype=np.bool_)
     spent = 0.0
@@ -167,13 +167,13 @@ class Mitsuba:
 
         self._mi = mi
         self._factors = factors
-        self._renderer = stage.renderer(PLACE, factors)
+        self._renderer = scenes.renderer(PLACE, factors)
         mi.set_variant(variant)
         self._scene = self._load()
 
     def _load(self) -> Any:
         mi = self._mi
-        mesh = compose(stage.district(PLACE), self._factors)
+        mesh = compose(scenes.district(PLACE), self._factors)
         grey = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": {"type": "rgb", "value": GREY}}}
         properties = mi.Properties()
         properties["material"] = mi.load_dict(grey)

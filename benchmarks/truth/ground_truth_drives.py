@@ -15,7 +15,7 @@ import yaml
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
-from relocbench.datasets.groundtruth.jobs.frames import chosen_images
+from relocbench.datasets.groundtruth.jobs.frames import select_images
 from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.datasets.synthetic.conditions.condition import condition_named
@@ -171,7 +171,7 @@ def read_legs(legs: Sequence[Leg], folders: dict[int, Path]) -> dict[int, Taken]
 
 def _taken(leg: Leg, recording: FieldRecording) -> Taken:
     stream = Ticks(recording.odometry.times_ns)
-    chosen = chosen_images(recording, stream, make_nodes(recording), 1.0)
+    chosen = select_images(recording, stream, make_nodes(recording), 1.0)
     return Taken(leg, recording, read_truth(recording), tuple(int(stream.times_ns[i]) for i in chosen))
 
 

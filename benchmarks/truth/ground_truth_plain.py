@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions
 from relocbench.datasets.groundtruth.blocks.deskewing import BeamReader
 from relocbench.datasets.groundtruth.blocks.making import BlockOptions
-from relocbench.datasets.groundtruth.blocks.nodes import way_along
-from relocbench.datasets.groundtruth.icp.icp import refine
+from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along
+from relocbench.datasets.groundtruth.icp.icp import run_icp
 from relocbench.datasets.groundtruth.registration.global_registration import describe, guesses
 from relocbench.datasets.groundtruth.submaps.drive import Drive
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def raw_submap(drive: Drive, node: int, length_m: float) -> Array:
     near = np.flatnonzero(np.abs(nodes.travelled_m - nodes.travelled_m[node]) <= length_m / 2)
     begin, end = nodes.begins_and_ends()
     reader = BeamReader(
-        drive.recording, way_along(drive.recording), options.min_range_m, options.max_range_m, options.min_step_m
+        drive.recording, arc_length_along(drive.recording), options.min_range_m, options.max_range_m, options.min_step_m
     )
     return reader.between(int(begin[near[0]]), int(end[near[-1]]), nodes.T_odom_node[node]).points
 
@@ -105,15 +105,15 @@ def own_pairs(unit: AloneUnit) -> Answers:
     windows = unit.reference.window(unit.options.submap_m), unit.query.window(unit.options.submap_m)
     for ref, query in unit.nodes:
         submaps = windows[0].at(ref), windows[1].at(query)
-        T, spent = timed(lambda: _own_pair(*map(Prepared, submaps), unit.options))  # noqa: B023
+        T, spent = timed(lambda: _own_pair(*map(PreparedSubmap, submaps), unit.options))  # noqa: B023
         out.append((T, spent, sum(map(len, submaps))))
     return out
 
 
-def _own_pair(ref: Prepared, query: Prepared, options: AlignmentOptions) -> Array:
-    search, refinement = options.tracking.search, options.tracking.register.refinement
+def _own_pair(ref: PreparedSubmap, query: PreparedSubmap, options: AlignmentOptions) -> Array:
+    search, icp = options.registration.search, options.registration.register.icp
     found = guesses(describe(ref.submap, search), describe(query.submap, search), None, search)
-    refined = [refine(ref.planes, query.planes, T, refinement) for T in found]
+    refined = [run_icp(ref.planes, query.planes, T, icp) for T in found]
     if not refined:
         return np.full((4, 4), np.nan)
     return max(refined, key=lambda r: r.count).T_ref_query

@@ -32,7 +32,7 @@ from ground_truth_work import (
 from ground_truth_world import OPTIONS, DrivePair, World, apart, judge, rounded, say
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose, TrackUnit
+from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose, RegistrationUnit
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.geometry import invert, make_transform, so3_exp
 
@@ -238,7 +238,7 @@ def long_road(work: Path, split: str, seed: int, workers: int, spoken: Spoken) -
             (a, cut_a), (b, cut_b) = pool.map(cut, units)
             spoken.note(f"{metres} m: registering")
             path = at / "registrations" / f"{a.name}__{b.name}.csv"
-            found = pool.submit(register_drive, RegisterUnit(TrackUnit(a, b, OPTIONS.alignment), path)).result()
+            found = pool.submit(register_drive, RegisterUnit(RegistrationUnit(a, b, OPTIONS.alignment), path)).result()
             spoken.note(f"{metres} m: solving")
             unit = DecideUnit(a, b, found.registrations, taken[0].image_ns, taken[1].image_ns, OPTIONS.alignment,
                               OPTIONS.limits, OPTIONS.max_angle)  # fmt: skip

@@ -14,7 +14,12 @@ import numpy as np
 from ground_truth_drives import T_RIG_CAM
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, FirstPose, TrackUnit, track_drive
+from relocbench.datasets.groundtruth.alignment.two_drives import (
+    AlignmentOptions,
+    FirstPose,
+    RegistrationUnit,
+    register_query,
+)
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
 from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome
@@ -94,7 +99,7 @@ def cut(unit: CutUnit) -> tuple[Drive, Spent]:
 class RegisterUnit:
     """One query drive against a reference."""
 
-    track: TrackUnit
+    track: RegistrationUnit
     path: Path
 
 
@@ -113,7 +118,7 @@ def register_drive(unit: RegisterUnit) -> Registered:
     before = _kept(costs)
     if before is None:
         messages: list[str] = []
-        found, spent = timed(lambda: track_drive(unit.track, messages.append))
+        found, spent = timed(lambda: register_query(unit.track, messages.append))
         track_files.write_registrations(unit.path, found, unit.track.reference.nodes, unit.track.query.nodes)
         write_text(said, "".join(f"{message}\n" for message in messages))
         before = _keep(costs, spent)
@@ -127,15 +132,15 @@ def register_drive(unit: RegisterUnit) -> Registered:
 def unverified(options: AlignmentOptions) -> AlignmentOptions:
     """Options that accept every registration: without tests of the evidence or the odometry, and with the best fitting
     of several hypotheses for the start of a drive, without following them."""
-    register = replace(options.tracking.register, thresholds=NO_THRESHOLDS)
-    tracking = replace(
-        options.tracking,
+    register = replace(options.registration.register, thresholds=NO_THRESHOLDS)
+    registration = replace(
+        options.registration,
         register=register,
-        hypotheses=replace(options.tracking.hypotheses, tried=1, followed=1, share=0.0),
+        hypotheses=replace(options.registration.hypotheses, most_tried=1, most_followed=1, share=0.0),
         slack_m=1e9,
         slack_deg=1e9,
     )
-    return replace(options, tracking=tracking)
+    return replace(options, registration=registration)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +244,7 @@ def part_of(drive: Drive, first: int, last: int) -> PartOfDrive:
     begin, end = n.begins_and_ends()
     here = slice(first, last)
     nodes = Nodes(
-        n.times_ns[here], n.T_odom_node[here], n.travelled_m[here], n.stretches()[here], begin[here], end[here]
+        n.times_ns[here], n.T_odom_node[here], n.travelled_m[here], n.segments()[here], begin[here], end[here]
     )
     return PartOfDrive(drive.recording, nodes, drive.blocks, first)
 
@@ -263,6 +268,6 @@ class StartUnit:
 def start(unit: StartUnit) -> tuple[list[Registration], list[str], Spent]:
     """The registrations of a short stretch of road, and the messages."""
     messages: list[str] = []
-    track = TrackUnit(unit.reference, unit.query, unit.options, unit.first)
-    found, spent = timed(lambda: track_drive(track, messages.append))
+    track = RegistrationUnit(unit.reference, unit.query, unit.options, unit.first)
+    found, spent = timed(lambda: register_query(track, messages.append))
     return found, messages, spent

@@ -13,7 +13,7 @@ from ground_truth_judging import Exact, Judged
 from ground_truth_work import CutUnit, DecideUnit, RegisterUnit, Spent, cut, unverified
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.alignment.two_drives import TrackUnit
+from relocbench.datasets.groundtruth.alignment.two_drives import RegistrationUnit
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.submaps.drive import Drive
@@ -55,7 +55,7 @@ class World:
         options = OPTIONS.alignment if verified else unverified(OPTIONS.alignment)
         folder = self.work / ("registrations" if verified else "registrations-unverified")
         a, b = self.drives[ref], self.drives[query]
-        return RegisterUnit(TrackUnit(a, b, options), folder / f"{a.name}__{b.name}.csv")
+        return RegisterUnit(RegistrationUnit(a, b, options), folder / f"{a.name}__{b.name}.csv")
 
     def decide_unit(self, ref: int, query: int, registrations: tuple[Registration, ...]) -> DecideUnit:
         times = self.taken[ref].image_ns, self.taken[query].image_ns

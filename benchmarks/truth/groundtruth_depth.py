@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
 from relocbench.datasets.groundtruth.blocks.store import build_blocks
-from relocbench.datasets.groundtruth.depth.depth import DepthImage, DepthOptions, fit_sigma, submap_depth
+from relocbench.datasets.groundtruth.depth.depth import DepthImage, DepthOptions, fit_sigma, make_scene, scene_depth
 from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
 from relocbench.datasets.importers.robotcar.recording import read_robotcar
 from relocbench.datasets.synthetic.conditions.condition import condition_named
@@ -95,7 +95,7 @@ def shoot(town: District, condition: str, folder: Path, blocks: Path, count: int
     for node in inside[np.linspace(0, len(inside) - 1, count).astype(int)]:
         submap = window.at(int(node))
         begin = time.process_time()
-        found = submap_depth(submap, CAMERA, invert(T_RIG_CAM), options)
+        found = scene_depth(make_scene(submap, options), CAMERA, invert(T_RIG_CAM), options)
         seconds = time.process_time() - begin
         T_world_cam = (
             interpolate_trajectory(times, T_world_car, nodes.times_ns[node : node + 1])[0]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from real_clouds_scans import Pair, Scans
 
-from relocbench.datasets.groundtruth.icp.icp import RefinementOptions, assess, refine
+from relocbench.datasets.groundtruth.icp.icp import IcpOptions, icp_result_at, run_icp
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
 from relocbench.datasets.groundtruth.pose_graph.least_squares import solve
 from relocbench.datasets.groundtruth.registration.global_registration import (
@@ -24,7 +24,7 @@ from relocbench.datasets.groundtruth.registration.global_registration import (
     guesses,
 )
 from relocbench.datasets.groundtruth.registration.hypotheses import plausibility
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.verification.verification import gather_evidence
 from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp
 
@@ -51,7 +51,7 @@ def apart(T: Array, other: Array) -> tuple[float, float]:
 
 
 def _refined(scans: Scans, pair: Pair, start: Array) -> Array:
-    return refine(scans.sides[pair[0]].planes, scans.sides[pair[1]].planes, start).T_ref_query
+    return run_icp(scans.sides[pair[0]].planes, scans.sides[pair[1]].planes, start).T_ref_query
 
 
 @lru_cache(maxsize=1)
@@ -116,7 +116,7 @@ def methods() -> dict[str, Method]:
 def spread_m(scans: Scans, pair: Pair, T_ref_query: Array) -> float:
     """The robust standard deviation of the distances between the scans' surfaces at a pose."""
     ref, query = (scans.sides[k].planes for k in pair)
-    return assess(ref, query, T_ref_query, RefinementOptions(), 0).sigma_m
+    return icp_result_at(ref, query, T_ref_query, IcpOptions(), 0).sigma_m
 
 
 def adjusted(scans: Scans, answers: Answers) -> Array:
@@ -145,8 +145,8 @@ class Candidate:
 def judged(scans: Scans, pair: Pair, guess: Array) -> Candidate:
     """Refine a hypothesis, and evaluate it by overlap and free space besides the fit."""
     ref, query = (scans.sides[k] for k in pair)
-    options = RefinementOptions()
-    found = refine(ref.planes, query.planes, guess, options)
+    options = IcpOptions()
+    found = run_icp(ref.planes, query.planes, guess, options)
     if found.count < options.least_matches:
         return Candidate(guess, found.T_ref_query, -1.0)
     evidence = gather_evidence(ref, query, found.T_ref_query, found.information)
@@ -161,7 +161,7 @@ def best(candidates: Sequence[Candidate]) -> Array | None:
 class Search:
     """Hypotheses for pairs by features alone."""
 
-    def __init__(self, sides: Sequence[Prepared], options: Sequence[GlobalOptions] = SEARCHES) -> None:
+    def __init__(self, sides: Sequence[PreparedSubmap], options: Sequence[GlobalOptions] = SEARCHES) -> None:
         self._options = options
         self._features: list[list[Features]] = [[describe(side.submap, o) for side in sides] for o in options]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG, raised
 from relocbench.errors import DatasetError
@@ -54,7 +54,7 @@ class Scans:
     source: Source
     points: tuple[Array, ...]
     """(N, 3) each, in the lidar's frame"""
-    sides: tuple[Prepared, ...]
+    sides: tuple[PreparedSubmap, ...]
     T_graph_scan: Array
     """(5, 4, 4)"""
 
@@ -90,7 +90,7 @@ def read_scans(folder: Path, source: Source) -> Scans:
     except (OSError, ValueError) as bad:
         raise DatasetError(f"expected a graph of poses and one file of points each ({bad})", path) from None
     points = [raised(cloud, source.elevation_deg) if source.elevation_deg else cloud for cloud in clouds]
-    sides = tuple(Prepared(submap(cloud)) for cloud in points)
+    sides = tuple(PreparedSubmap(submap(cloud)) for cloud in points)
     return Scans(source, tuple(points), sides, transform_from_tq(rows[:, :3], rows[:, 3:]))
 
 
@@ -104,7 +104,6 @@ def submap(points: Array) -> Submap:
     flat, level = values[:, 0] < 0.05 * values[:, 1], np.abs(normals[:, 2]) > 0.9
     surface = np.where(flat, np.where(level, Surface.GROUND, Surface.STRUCTURE), Surface.ROUGH)
     return Submap(
-        node=0,
         points=points.astype(np.float32),
         normals=np.where(flat[:, None], normals, 0.0).astype(np.float32),
         origins=np.zeros(points.shape, np.float32),

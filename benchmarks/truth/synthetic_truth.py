@@ -36,9 +36,9 @@ from relocbench.datasets.pairs.correspondences import read_correspondences
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors
 from relocbench.datasets.synthetic.conditions.presets import conditions_of
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
-from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.plan import TraversalPlan, make_plans
-from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
 from relocbench.datasets.synthetic.town.town import compose
 from relocbench.execution import Run, default_workers
@@ -174,7 +174,8 @@ class Scenes:
         """The camera of a frame from the dataset, with the triangles from the town's plan."""
         plan = self._plans[traversal]
         cars = plan.moving[plan.times.index(timestamp_ns)]
-        mesh = compose(stage.district(Place(self._seed, plan.split, self._extent)), plan.condition.factors, cars)
+        spec = DistrictSpec(self._seed, plan.split, self._extent)
+        mesh = compose(scenes.district(spec), plan.condition.factors, cars)
         opened = self._dataset.traversal(traversal)
         return Eye(opened.camera(camera), opened.T_world_cam(camera, timestamp_ns), mesh)
 

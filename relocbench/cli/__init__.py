@@ -40,37 +40,35 @@ def main() -> None:
     """Run the command line; a user's mistake is one line and exit status 2, a bug is a traceback."""
     try:
         with interruptible():
-            from relocbench.cli.app import app
+            from relocbench.cli.app import run
 
-            app(prog_name="relocbench", standalone_mode=True)
+            status = run()
     except KeyboardInterrupt:
-        tell_once()
-        leave()
+        status = INTERRUPTED
     except RelocbenchError as bad:
         print(f"relocbench: {bad}", file=sys.stderr)
-        sys.exit(USER_ERROR)
-    except SystemExit as done:
-        if done.code == INTERRUPTED:  # what typer makes of Ctrl-C
-            tell_once()
-            leave()
-        raise
+        status = USER_ERROR
     except ModuleNotFoundError as bad:
         package = _PACKAGES.get((bad.name or "").split(".")[0])
         if package is None:
             raise
         print(f"relocbench: needs the package '{package}', which is not installed here", file=sys.stderr)
-        sys.exit(USER_ERROR)
+        status = USER_ERROR
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+        status = 1
     except OSError as bad:
         if bad.errno not in _SURROUNDINGS:
             raise
         place = f"{bad.filename}: " if bad.filename else ""
         print(f"relocbench: {printable(f'{place}{bad.strerror}')}", file=sys.stderr)
-        sys.exit(USER_ERROR)
+        status = USER_ERROR
     except RuntimeError as bad:
         if not str(bad).startswith(_SYMLINK_LOOP):
             raise
         print(f"relocbench: {bad}", file=sys.stderr)
-        sys.exit(USER_ERROR)
+        status = USER_ERROR
+    if status == INTERRUPTED:
+        tell_once()
+        leave()
+    sys.exit(status)

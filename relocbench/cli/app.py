@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
+from typer.exceptions import TyperException
 
 from relocbench import version
 from relocbench.cli.build_dataset import build_dataset
 from relocbench.cli.check_method import check_method
 from relocbench.cli.demo import demo
 from relocbench.cli.evaluate import evaluate
+from relocbench.cli.evaluate_relocalization import evaluate_relocalization
+from relocbench.cli.evaluate_retrieval import evaluate_retrieval
 from relocbench.cli.export import export
 from relocbench.cli.inspect import inspect
 from relocbench.cli.leaderboard import leaderboard
@@ -18,7 +21,9 @@ from relocbench.cli.methods import methods
 from relocbench.cli.preview import preview
 from relocbench.cli.probe import probe
 from relocbench.cli.train import train
+from relocbench.cli.usage import usage_fault
 from relocbench.cli.validate import validate
+from relocbench.errors import USER_ERROR
 
 app = typer.Typer(
     help="Can this method still say where the camera is: relocalization tracking measured across weather, light and "
@@ -49,6 +54,8 @@ app.command()(demo)
 app.add_typer(build_dataset, name="build-dataset")
 app.command()(preview)
 app.command()(evaluate)
+app.command("evaluate-retrieval")(evaluate_retrieval)
+app.command("evaluate-relocalization")(evaluate_relocalization)
 app.command()(probe)
 app.command()(leaderboard)
 app.command()(train)
@@ -57,3 +64,13 @@ app.command()(validate)
 app.command()(methods)
 app.command("check-method")(check_method)
 app.command()(export)
+
+
+def run() -> int:
+    """Run what the command line says and return the exit status. What is raised passes through."""
+    try:
+        return int(app(prog_name="relocbench", standalone_mode=False) or 0)
+    except TyperException as bad:
+        if bad.format_message():  # without one, the help was shown since no command was given
+            typer.echo(f"relocbench: {usage_fault(bad)}", err=True)
+        return USER_ERROR

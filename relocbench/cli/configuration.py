@@ -58,13 +58,6 @@ def merged(
         raise ConfigError(f"{option}: {detail}") from None
 
 
-def refuse_foreign(model: type[BaseModel], given: dict[str, Any], task: str) -> None:
-    """Raises ConfigError where an option was given that another task has, and this one does not."""
-    for name in given:
-        if name not in model.model_fields:
-            raise ConfigError(f"--{name.replace('_', '-')} means nothing with --task {task}")
-
-
 def _parts(model: type[BaseModel], name: str, value: Any) -> Any:
     """Words of an option that takes several: parted by commas."""
     field = model.model_fields.get(name)

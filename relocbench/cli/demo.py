@@ -13,14 +13,14 @@ _METHODS = ("identity", "orb-pnp", "dso")
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for dataset, results and leaderboard.")] = Path(
-        "relocbench-demo"
-    ),
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the town.")] = 0,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder for dataset, results and leaderboard.")
+    ] = Path("relocbench-demo"),
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the town.")] = 0,
     workers: Workers = None,
     quiet: Quiet = False,
 ) -> None:
-    """Render a street in four conditions, run three trackers on it and print the leaderboard; takes a minute or two.
+    """Render a street in four conditions, run three trackers on it and print the leaderboard, in a minute or two.
 
     Example: relocbench demo --out demo
     """

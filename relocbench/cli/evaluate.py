@@ -1,27 +1,13 @@
-"""``relocbench evaluate``: run methods, keep their predictions, score them."""
+"""``relocbench evaluate``: run trackers, keep their predictions, score them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from relocbench.cli.options import (
-    AskingWorkers,
-    Json,
-    MemoryLimit,
-    Methods,
-    Quiet,
-    Scheduler,
-    SchedulerTlsCa,
-    SchedulerTlsCert,
-    SchedulerTlsKey,
-    Settings,
-    TimeLimit,
-    scheduler_values,
-)
+from relocbench.cli import options as common
 
 if TYPE_CHECKING:
     from relocbench.datasets.core.dataset import Dataset
@@ -30,162 +16,68 @@ if TYPE_CHECKING:
 
 
 def evaluate(
-    task: Annotated[
-        Literal["tracking", "retrieval", "relocalization"] | None,
-        typer.Option(
-            help="What is asked: the pose of a query against its keyframe, which images of a gallery are near, or both "
-            "in a row: retrieve keyframes, track against the best [default: tracking]."
-        ),
-    ] = None,
-    dataset: Annotated[
-        Path | None,
-        typer.Option("--dataset", "-d", help="Folder of the dataset; for retrieval also places by several views."),
-    ] = None,
-    method: Methods = [],  # noqa: B006  typer copies it
-    settings: Settings = [],  # noqa: B006
-    retriever: Annotated[
-        list[str],
-        typer.Option(
-            "--retriever",
-            "-r",
-            help="Relocalization: what ranks the keyframes for the trackers of --method: a retriever as --method names "
-            "one, 'oracle', which knows the truth, or LABEL=predictions:PATH with lists of 'query db' lines. Repeat "
-            "for several: each is run with each tracker.",
-        ),
-    ] = [],  # noqa: B006
-    top: Annotated[
-        int | None,
-        typer.Option(help="Relocalization: trackers are asked against so many of the best keyframes [default: 3]."),
-    ] = None,
+    dataset: common.Dataset = None,
+    methods: common.Methods = [],  # noqa: B006  typer copies it
+    settings: common.Settings = [],  # noqa: B006
     predictions: Annotated[
         Path | None,
         typer.Option(
-            help="Score what was made elsewhere: a folder of PAIRSET.txt files, for retrieval a folder of TASK.txt "
-            "files of 'query db' lines, or one such file; --method gives the label."
+            metavar="PATH",
+            help="Score poses that were computed elsewhere: a folder of PAIRSET.txt files or one such file. --method "
+            "gives the label.",
         ),
-    ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Results folder [default: results].")] = None,
-    split: Annotated[str | None, typer.Option(help="Only the pair sets of this split.")] = None,
-    pair_set: Annotated[
-        list[str], typer.Option(help="Only this pair set, or retrieval task. Repeat for several.")
-    ] = [],  # noqa: B006
-    overwrite: Annotated[
-        Literal["never", "failed", "always"] | None,
-        typer.Option(help="Which answers to ask for again: none, failed ones, or all [default: never]."),
     ] = None,
     matching: Annotated[
         bool | None,
         typer.Option(
-            "--matching/--no-matching",
-            help="Tracking: measure too how often single pixels are found again, of methods that offer it "
-            "[default: no].",
+            "--matching",
+            help="Measure also how often single pixels are found again, for methods that offer matching.",
         ),
     ] = None,
-    keep: Annotated[
-        int | None, typer.Option(help="Retrieval: so many retrieved images of each query are kept [default: 100].")
-    ] = None,
-    radius: Annotated[
-        float | None,
-        typer.Option(
-            help="Retrieval along drives: metres within which an image is right [default: 25]. Relocalization: metres "
-            "of the trackers' basin [default: as far as the pairs reach]."
-        ),
-    ] = None,
-    heading: Annotated[
-        float | None,
-        typer.Option(
-            help="Retrieval along drives: and that look the same way within so many degrees [default: any]. "
-            "Relocalization: degrees of the basin."
-        ),
-    ] = None,
-    probe: Annotated[
-        Path | None,
-        typer.Option(help="Relocalization: results of `relocbench probe`, for each tracker's own basin."),
-    ] = None,
-    positives: Annotated[
-        Literal["radius", "pairs"] | None,
-        typer.Option(
-            help="Retrieval along drives: what is right, images within the radius or those that the pair set pairs "
-            "with the query [default: radius]."
-        ),
-    ] = None,
-    by_condition: Annotated[
-        bool | None,
-        typer.Option("--by-condition", help="Retrieval across views: ask queries of each condition by themselves too."),
-    ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed for methods that have one [default: 0].")] = None,
-    config: Annotated[Path | None, typer.Option(help="YAML file with any of these options.")] = None,
-    time_limit: TimeLimit = None,
-    memory_limit: MemoryLimit = None,
-    workers: AskingWorkers = None,
-    scheduler: Scheduler = None,
-    scheduler_tls_ca: SchedulerTlsCa = None,
-    scheduler_tls_cert: SchedulerTlsCert = None,
-    scheduler_tls_key: SchedulerTlsKey = None,
-    quiet: Quiet = False,
-    json: Json = False,
+    out: common.Results = None,
+    split: common.Split = None,
+    pair_sets: common.PairSets = [],  # noqa: B006
+    overwrite: common.Overwrite = None,
+    seed: common.Seed = None,
+    config: common.ConfigFile = None,
+    time_limit: common.TimeLimit = None,
+    memory_limit: common.MemoryLimit = None,
+    workers: common.AskingWorkers = None,
+    scheduler: common.Scheduler = None,
+    scheduler_tls_ca: common.SchedulerTlsCa = None,
+    scheduler_tls_cert: common.SchedulerTlsCert = None,
+    scheduler_tls_key: common.SchedulerTlsKey = None,
+    quiet: common.Quiet = False,
+    json: common.Json = False,
 ) -> None:
-    """Run methods on a dataset, keep their predictions and score them.
+    """Run trackers on the pairs of a dataset, keep their predictions and score them.
 
-    What was answered before is not asked again, so a killed run goes on where it stopped.
+    A tracker estimates the pose of each query against its keyframe. Pairs that have an answer are not computed again,
+    so that a killed run continues where it stopped. See also: evaluate-retrieval, evaluate-relocalization.
 
     Example: relocbench evaluate -d D -m identity -m orb-pnp -m dso --set dso.points=1000
-
-    Example: relocbench evaluate --task retrieval -d D -m lpn --set lpn.weights=trained/weights.safetensors
-
-    Example: relocbench evaluate --task relocalization -d D -r orb-bow -r oracle -m gn-net -m dso --top 3
     """
-    given: dict[str, Any] = {
-        "dataset": dataset,
-        "methods": method or None,
-        "set": settings or None,
-        "retriever": retriever or None,
-        "top": top,
-        "predictions": predictions,
-        "out": out,
-        "split": split,
-        "pair_sets": pair_set or None,
-        "overwrite": overwrite,
-        "matching": matching,
-        "keep": keep,
-        "radius": radius,
-        "heading": heading,
-        "probe": probe,
-        "positives": positives,
-        "by_condition": by_condition,
-        "seed": seed,
-        "time_limit": time_limit,
-        "memory_limit": memory_limit,
-        "workers": workers,
-        "scheduler": scheduler_values(scheduler, scheduler_tls_ca, scheduler_tls_cert, scheduler_tls_key),
-    }
-    chosen = {name: value for name, value in given.items() if value is not None}
-    asked = task or _task_of(config)
-    _EVALUATIONS[asked](config, chosen, quiet, json)
-
-
-def _task_of(config: Path | None) -> str:
-    """What a configuration file asks for, where the command line does not say."""
-    from relocbench.errors import ConfigError
-    from relocbench.files import load_yaml_values, yaml_line
-
-    if config is None:
-        return TRACKING
-    values, node = load_yaml_values(config, "options with their values", ConfigError)
-    asked = values.get("task", TRACKING)
-    if asked not in _EVALUATIONS:
-        line = yaml_line(node, ("task",))
-        raise ConfigError(f"key 'task' is '{asked}', expected {' or '.join(_EVALUATIONS)}", config, line)
-    return str(asked)
-
-
-def _evaluate_tracking(config: Path | None, given: dict[str, Any], quiet: bool, json: bool) -> None:
-    from relocbench.cli.configuration import merged, refuse_foreign
+    from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 
-    refuse_foreign(EvaluateOptions, given, TRACKING)
-    options = merged(EvaluateOptions, config, given)
+    chosen = common.given(
+        dataset=dataset,
+        methods=methods,
+        set=settings,
+        predictions=predictions,
+        matching=matching,
+        out=out,
+        split=split,
+        pair_sets=pair_sets,
+        overwrite=overwrite,
+        seed=seed,
+        time_limit=time_limit,
+        memory_limit=memory_limit,
+        workers=workers,
+        scheduler=common.scheduler_values(scheduler, scheduler_tls_ca, scheduler_tls_cert, scheduler_tls_key),
+    )
+    options = merged(EvaluateOptions, config, chosen)
     report = evaluate_methods(options, reporter(quiet))
     if json:
         print_json(report.to_dict())
@@ -195,26 +87,6 @@ def _evaluate_tracking(config: Path | None, given: dict[str, Any], quiet: bool, 
             typer.echo(f"{label}: {message}", err=True)
         typer.echo(f"results: {report.results}", err=True)
 
-
-def _evaluate_retrieval(config: Path | None, given: dict[str, Any], quiet: bool, json: bool) -> None:
-    from relocbench.cli.evaluate_retrieval import evaluate_retrieval
-
-    evaluate_retrieval(config, given, quiet, json)
-
-
-def _evaluate_relocalization(config: Path | None, given: dict[str, Any], quiet: bool, json: bool) -> None:
-    from relocbench.cli.evaluate_relocalization import evaluate_relocalization
-
-    evaluate_relocalization(config, given, quiet, json)
-
-
-TRACKING = "tracking"
-_EVALUATIONS: dict[str, Callable[[Path | None, dict[str, Any], bool, bool], None]] = {
-    TRACKING: _evaluate_tracking,
-    "retrieval": _evaluate_retrieval,
-    "relocalization": _evaluate_relocalization,
-}
-"""by ``--task``: each takes the configuration file, the options that were given, ``--quiet`` and ``--json``"""
 
 COLUMNS = {
     "recall@(0.25m,2deg)": "recall 0.25 m, 2°",

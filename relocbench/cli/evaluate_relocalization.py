@@ -1,24 +1,104 @@
-"""``relocbench evaluate --task relocalization``: retrievers and trackers in a row."""
+"""``relocbench evaluate-relocalization``: retrieve keyframes, then track against the best of them."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from relocbench.cli import options as common
 
 if TYPE_CHECKING:
     from relocbench.evaluation.relocalization.evaluate import RelocalizationReport
 
+_BASIN = "The trackers' basin of convergence"
 
-def evaluate_relocalization(config: Path | None, given: dict[str, Any], quiet: bool, json: bool) -> None:
-    """Run, score and print. Raises RelocbenchError."""
-    from relocbench.cli.configuration import merged, refuse_foreign
+
+def evaluate_relocalization(
+    dataset: common.Dataset = None,
+    retrievers: Annotated[
+        list[str],
+        typer.Option(
+            "--retriever",
+            "-r",
+            metavar="NAME",
+            help="What ranks the keyframes: a retriever as evaluate-retrieval takes it, 'oracle', which knows the "
+            "truth, or LABEL=predictions:PATH with lists of 'query db' lines. Repeat for several: each is run with "
+            "each tracker.",
+        ),
+    ] = [],  # noqa: B006  typer copies it
+    methods: common.Methods = [],  # noqa: B006
+    settings: common.Settings = [],  # noqa: B006
+    top: Annotated[
+        int | None,
+        typer.Option(metavar="K", help="Each tracker runs against the K best keyframes of a query [default: 3]."),
+    ] = None,
+    out: common.Results = None,
+    split: common.Split = None,
+    pair_sets: common.PairSets = [],  # noqa: B006
+    overwrite: common.Overwrite = None,
+    seed: common.Seed = None,
+    config: common.ConfigFile = None,
+    radius: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES",
+            help="Its radius [default: the largest distance of the pairs].",
+            rich_help_panel=_BASIN,
+        ),
+    ] = None,
+    heading: Annotated[
+        float | None, typer.Option(metavar="DEGREES", help="Its largest rotation.", rich_help_panel=_BASIN)
+    ] = None,
+    probe: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Results of `relocbench probe`, which measured the basin of each tracker.",
+            rich_help_panel=_BASIN,
+        ),
+    ] = None,
+    time_limit: common.TimeLimit = None,
+    memory_limit: common.MemoryLimit = None,
+    workers: common.AskingWorkers = None,
+    scheduler: common.Scheduler = None,
+    scheduler_tls_ca: common.SchedulerTlsCa = None,
+    scheduler_tls_cert: common.SchedulerTlsCert = None,
+    scheduler_tls_key: common.SchedulerTlsKey = None,
+    quiet: common.Quiet = False,
+    json: common.Json = False,
+) -> None:
+    """Run both halves in a row: retrieve keyframes, track against the best, keep the most confident answer.
+
+    Queries that have an answer are not computed again, so that a killed run continues where it stopped.
+
+    Example: relocbench evaluate-relocalization -d D -r orb-bow -r oracle -m gn-net -m dso --top 3
+    """
+    from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
 
-    refuse_foreign(RelocalizationOptions, given, "relocalization")
-    options = merged(RelocalizationOptions, config, {**given, "task": "relocalization"})
+    chosen = common.given(
+        dataset=dataset,
+        retriever=retrievers,
+        methods=methods,
+        set=settings,
+        top=top,
+        out=out,
+        split=split,
+        pair_sets=pair_sets,
+        overwrite=overwrite,
+        seed=seed,
+        radius=radius,
+        heading=heading,
+        probe=probe,
+        time_limit=time_limit,
+        memory_limit=memory_limit,
+        workers=workers,
+        scheduler=common.scheduler_values(scheduler, scheduler_tls_ca, scheduler_tls_cert, scheduler_tls_key),
+    )
+    options = merged(RelocalizationOptions, config, chosen)
     report = evaluate_chains(options, reporter(quiet))
     if json:
         print_json(report.to_dict())

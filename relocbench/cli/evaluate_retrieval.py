@@ -1,26 +1,145 @@
-"""``relocbench evaluate --task retrieval``: run retrievers, keep their rankings, score them."""
+"""``relocbench evaluate-retrieval``: run retrievers, keep their rankings, score them."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+
+from relocbench.cli import options as common
 
 if TYPE_CHECKING:
     from relocbench.evaluation.retrieval.evaluate import RetrievalReport
 
+_DRIVES = "Only for drives"
+_VIEWS = "Only for places by several views"
 
-def evaluate_retrieval(config: Path | None, given: dict[str, Any], quiet: bool, json: bool) -> None:
-    """Run, score and print. Raises RelocbenchError."""
-    from relocbench.cli.configuration import merged, refuse_foreign
+
+def evaluate_retrieval(
+    dataset: Annotated[
+        Path | None,
+        typer.Option(
+            "--dataset",
+            "-d",
+            metavar="FOLDER",
+            help="The dataset, or places by several views in University-1652's layout.",
+        ),
+    ] = None,
+    methods: Annotated[
+        list[str],
+        typer.Option(
+            "--method",
+            "-m",
+            metavar="NAME",
+            help="An installed name or package.module:Class; write LABEL=NAME to keep its results under that label. "
+            "Repeat for several.",
+        ),
+    ] = [],  # noqa: B006  typer copies it
+    settings: common.Settings = [],  # noqa: B006
+    predictions: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH",
+            help="Score rankings that were computed elsewhere: a folder of TASK.txt files of 'query db' lines, or one "
+            "such file. --method gives the label.",
+        ),
+    ] = None,
+    keep: Annotated[
+        int | None, typer.Option(metavar="N", help="Retrieved images of each query that are kept [default: 100].")
+    ] = None,
+    out: common.Results = None,
+    tasks: Annotated[
+        list[str],
+        typer.Option("--pair-set", metavar="NAME", help="Evaluate only this retrieval task. Repeat for several."),
+    ] = [],  # noqa: B006
+    overwrite: common.Overwrite = None,
+    seed: common.Seed = None,
+    config: common.ConfigFile = None,
+    split: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Evaluate only the pair sets of this split.", rich_help_panel=_DRIVES),
+    ] = None,
+    positives: Annotated[
+        Literal["radius", "pairs"] | None,
+        typer.Option(
+            metavar="WHICH",
+            help="Which images are right: those within the radius (radius), or those that the pair set pairs with the "
+            "query (pairs) [default: radius].",
+            rich_help_panel=_DRIVES,
+        ),
+    ] = None,
+    radius: Annotated[
+        float | None,
+        typer.Option(
+            metavar="METRES", help="Distance within which an image is right [default: 25].", rich_help_panel=_DRIVES
+        ),
+    ] = None,
+    heading: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEGREES",
+            help="Largest difference of the viewing directions of a right image [default: any].",
+            rich_help_panel=_DRIVES,
+        ),
+    ] = None,
+    by_condition: Annotated[
+        bool | None,
+        typer.Option(
+            "--by-condition",
+            help="Evaluate the queries of each condition also as a task of their own.",
+            rich_help_panel=_VIEWS,
+        ),
+    ] = None,
+    time_limit: common.TimeLimit = None,
+    memory_limit: common.MemoryLimit = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            "-j",
+            metavar="0",
+            min=0,
+            help="With 0 the retriever runs in this process without limits, for a debugger [default: in one process of "
+            "its own].",
+            rich_help_panel="Where and how work runs",
+        ),
+    ] = None,
+    quiet: common.Quiet = False,
+    json: common.Json = False,
+) -> None:
+    """Run retrievers on a dataset, keep their rankings and score them.
+
+    A retriever describes images, and those of the gallery are ranked for each query. Tasks that have an answer are not
+    computed again, so that a killed run continues where it stopped.
+
+    Example: relocbench evaluate-retrieval -d D -m lpn --set lpn.weights=trained/weights.safetensors
+    """
+    from relocbench.cli.configuration import merged
     from relocbench.cli.console import print_json, reporter
     from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 
-    refuse_foreign(RetrievalOptions, given, "retrieval")
-    options = merged(RetrievalOptions, config, {**given, "task": "retrieval"})
-    reports = reporter(quiet)
-    report = evaluate_retrievers(options, reports)
+    chosen = common.given(
+        dataset=dataset,
+        methods=methods,
+        set=settings,
+        predictions=predictions,
+        keep=keep,
+        out=out,
+        pair_sets=tasks,
+        overwrite=overwrite,
+        seed=seed,
+        split=split,
+        positives=positives,
+        radius=radius,
+        heading=heading,
+        by_condition=by_condition,
+        time_limit=time_limit,
+        memory_limit=memory_limit,
+        workers=workers,
+    )
+    options = merged(RetrievalOptions, config, chosen)
+    report = evaluate_retrievers(options, reporter(quiet))
     if json:
         print_json(report.to_dict())
     elif not quiet:

@@ -13,19 +13,34 @@ from relocbench.cli.options import DatasetPath, Quiet
 
 def export(
     dataset: DatasetPath,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder (or, for mlad, the zip) to write.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="PATH", help="Folder to write; for mlad, the zip file.")],
     format: Annotated[
         Literal["tum", "kitti", "colmap", "mlad"],
-        typer.Option("--format", "-f", help="TUM trajectory, KITTI poses, COLMAP text model, MLAD submission."),
+        typer.Option(
+            "--format",
+            "-f",
+            metavar="NAME",
+            help="tum (TUM trajectory), kitti (KITTI poses), colmap (COLMAP text model) or mlad (MLAD submission).",
+        ),
     ],
-    results: Annotated[Path, typer.Option(help="Results folder that holds the predictions.")] = Path("results"),
+    results: Annotated[Path, typer.Option(metavar="FOLDER", help="Results folder that holds the predictions.")] = Path(
+        "results"
+    ),
     method: Annotated[
-        str | None, typer.Option("--method", "-m", help="Whose predictions [default: the ground truth].")
+        str | None,
+        typer.Option(
+            "--method", "-m", metavar="LABEL", help="Method whose predictions are exported [default: the ground truth]."
+        ),
     ] = None,
-    pair_set: Annotated[list[str], typer.Option(help="Only this pair set. Repeat for several.")] = [],  # noqa: B006
+    pair_set: Annotated[
+        list[str], typer.Option(metavar="NAME", help="Export only this pair set. Repeat for several.")
+    ] = [],  # noqa: B006
     relocalization_file: Annotated[
         list[Path],
-        typer.Option(help="A challenge's own pair file: the MLAD zip takes its name and line order. Repeat."),
+        typer.Option(
+            metavar="FILE",
+            help="Pair file of a challenge: the MLAD zip gets its name and the order of its lines. Repeat for several.",
+        ),
     ] = [],  # noqa: B006
     quiet: Quiet = False,
 ) -> None:

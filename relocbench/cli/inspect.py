@@ -15,17 +15,24 @@ if TYPE_CHECKING:
 
 
 def inspect(
-    dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.", show_default=False)],
+    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.", show_default=False)],
     pictures: Annotated[
-        Path | None, typer.Option(help="Write pictures of pairs to this folder: is the ground truth right?")
+        Path | None, typer.Option(metavar="FOLDER", help="Draw pairs into this folder: is the ground truth right?")
     ] = None,
     ground_truth: Annotated[
         Path | None,
-        typer.Option(help="Write a page about the ground truth from lidar to this folder: clouds, residuals, a map."),
+        typer.Option(
+            metavar="FOLDER",
+            help="Write a page about the ground truth from lidar into this folder: clouds, residuals, a map.",
+        ),
     ] = None,
-    pairs: Annotated[int, typer.Option(min=1, help="Pictures a pair set, spread along the drive.")] = 6,
-    pair_set: Annotated[list[str], typer.Option(help="Only this pair set. Repeat for several.")] = [],  # noqa: B006
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the points that are drawn.")] = 0,
+    pairs: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Pictures of each pair set, spread along the drive.")
+    ] = 6,
+    pair_set: Annotated[
+        list[str], typer.Option(metavar="NAME", help="Draw only this pair set. Repeat for several.")
+    ] = [],  # noqa: B006
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the points that are drawn.")] = 0,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:

@@ -17,16 +17,27 @@ if TYPE_CHECKING:
 
 
 def leaderboard(
-    results: Annotated[Path, typer.Argument(help="Results folder of `relocbench evaluate`.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
-    metric: Annotated[str, typer.Option(help="Ranks trackers; any metric that is a mean over pairs.")] = "t_auc@0.5m",
-    retrieval_metric: Annotated[str, typer.Option(help="Ranks retrievers: R@1, R@5, AP, ...")] = "R@1",
+    results: Annotated[
+        Path, typer.Argument(metavar="RESULTS", help="Results folder of the evaluate commands.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write.")],
+    metric: Annotated[
+        str, typer.Option(metavar="NAME", help="Metric that ranks trackers; any that is a mean over pairs.")
+    ] = "t_auc@0.5m",
+    retrieval_metric: Annotated[
+        str, typer.Option(metavar="NAME", help="Metric that ranks retrievers: R@1, R@5, AP, ...")
+    ] = "R@1",
     relocalization_metric: Annotated[
-        str, typer.Option(help="Ranks chains of a retriever and a tracker; any metric that is a mean over queries.")
+        str,
+        typer.Option(
+            metavar="NAME", help="Metric that ranks a retriever with a tracker; any that is a mean over queries."
+        ),
     ] = "recall@(0.25m,2deg)",
-    split: Annotated[str | None, typer.Option(help="Only the pair sets of this split.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the bootstrap.")] = 0,
-    plots: Annotated[bool, typer.Option("--plots/--no-plots", help="Draw the cumulative error curves.")] = True,
+    split: Annotated[str | None, typer.Option(metavar="NAME", help="Show only the pair sets of this split.")] = None,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the bootstrap.")] = 0,
+    plots: Annotated[
+        bool, typer.Option("--plots/--no-plots", help="Whether cumulative error curves are drawn.")
+    ] = True,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:

@@ -3,68 +3,119 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress bars, no notes.")]
+_RUN = "Where and how work runs"
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress bars and no notes.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
+ConfigFile = Annotated[Path | None, typer.Option(metavar="FILE", help="YAML file that sets any of these options.")]
 Workers = Annotated[
-    int | None, typer.Option("--workers", "-j", min=1, help="Local worker processes [default: one a core].")
+    int | None,
+    typer.Option(
+        "--workers",
+        "-j",
+        metavar="N",
+        min=1,
+        help="Local worker processes [default: one a core].",
+        rich_help_panel=_RUN,
+    ),
 ]
 AskingWorkers = Annotated[
     int | None,
     typer.Option(
         "--workers",
         "-j",
+        metavar="N",
         min=0,
-        help="Local worker processes [default: one a core]; 0 asks in this process, for a debugger, without limits.",
+        help="Local worker processes [default: one a core]. With 0 methods run in this process without limits, for a "
+        "debugger.",
+        rich_help_panel=_RUN,
     ),
 ]
 TimeLimit = Annotated[
     float | None,
     typer.Option(
-        help="Seconds that a method may take for one pair or image; ten times as many to be constructed, to prepare a "
-        "keyframe or gallery, and for its first call. A slower one is ended, and the pair has failed [default: 300].",
+        metavar="SECONDS",
+        help="Time that a method may take for one pair or image; ten times as much to be constructed, to prepare a "
+        "keyframe or gallery, and for its first call. A slower method is ended, and the pair has failed [default: "
+        "300].",
+        rich_help_panel=_RUN,
     ),
 ]
 MemoryLimit = Annotated[
     str | None,
     typer.Option(
         metavar="SIZE",
-        help="Memory that a worker process with its children may hold while a method works, such as 4GB. One that "
+        help="Memory that a worker process and its children may hold while a method works, such as 4GB. A method that "
         "holds more is ended, and the pair has failed [default: no limit].",
+        rich_help_panel=_RUN,
     ),
 ]
 Scheduler = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS|FILE",
-        help="Dask scheduler that work is sent to instead (extra 'cluster'): tcp://HOST:PORT, tls://HOST:PORT, or the "
-        "JSON file of `dask scheduler --scheduler-file`.",
+        help="Dask scheduler that gets the work instead of local processes (needs the extra 'cluster'): "
+        "tcp://HOST:PORT, tls://HOST:PORT, or the JSON file of `dask scheduler --scheduler-file`.",
+        rich_help_panel=_RUN,
     ),
 ]
 SchedulerTlsCa = Annotated[
-    Path | None, typer.Option(help="For tls://: PEM file of the authority that signed the certificates.")
+    Path | None,
+    typer.Option(metavar="PEM", help="For tls://: the authority that signed the certificates.", rich_help_panel=_RUN),
 ]
-SchedulerTlsCert = Annotated[Path | None, typer.Option(help="For tls://: PEM file of this client's certificate.")]
+SchedulerTlsCert = Annotated[
+    Path | None, typer.Option(metavar="PEM", help="For tls://: this client's certificate.", rich_help_panel=_RUN)
+]
 SchedulerTlsKey = Annotated[
-    Path | None, typer.Option(help="For tls://: PEM file of its private key, if it is a file of its own.")
+    Path | None,
+    typer.Option(
+        metavar="PEM", help="For tls://: its private key, if it is in a file of its own.", rich_help_panel=_RUN
+    ),
 ]
-DatasetPath = Annotated[Path, typer.Option("--dataset", "-d", help="Folder of the dataset.")]
+DatasetPath = Annotated[Path, typer.Option("--dataset", "-d", metavar="FOLDER", help="The dataset.")]
+Dataset = Annotated[Path | None, typer.Option("--dataset", "-d", metavar="FOLDER", help="The dataset.")]
+Results = Annotated[
+    Path | None, typer.Option("--out", "-o", metavar="FOLDER", help="Where results are kept [default: results].")
+]
+Split = Annotated[str | None, typer.Option(metavar="NAME", help="Evaluate only the pair sets of this split.")]
+PairSets = Annotated[
+    list[str], typer.Option("--pair-set", metavar="NAME", help="Evaluate only this pair set. Repeat for several.")
+]
+Overwrite = Annotated[
+    Literal["never", "failed", "always"] | None,
+    typer.Option(
+        metavar="WHICH",
+        help="Answers to compute again: none (never), those that failed (failed), or all (always) [default: never].",
+    ),
+]
+Seed = Annotated[int | None, typer.Option(min=0, metavar="N", help="Seed for methods that have one [default: 0].")]
 Methods = Annotated[
     list[str],
     typer.Option(
         "--method",
         "-m",
-        help="Installed name, package.module:Class, or 'subprocess:COMMAND'; with LABEL= in front to keep it under "
-        "that label. Repeat for several.",
+        metavar="NAME",
+        help="An installed name, package.module:Class, or 'subprocess:COMMAND'; write LABEL=NAME to keep its results "
+        "under that label. Repeat for several.",
     ),
 ]
 Settings = Annotated[
     list[str],
-    typer.Option("--set", help="key=value for every method, or LABEL.key=value for one. Repeat for several."),
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Parameter of every method, or LABEL.KEY=VALUE for that of one. Repeat for several.",
+    ),
 ]
+
+
+def given(**options: object) -> dict[str, object]:
+    """The options that the command line has: those that are neither None nor an empty list."""
+    return {name: value for name, value in options.items() if value is not None and value != []}
 
 
 def scheduler_values(
@@ -78,7 +129,7 @@ def scheduler_values(
     if given:
         from relocbench.errors import ConfigError
 
-        raise ConfigError(f"--scheduler-{next(iter(given)).replace('_', '-')} means nothing without --scheduler")
+        raise ConfigError(f"--scheduler-{next(iter(given)).replace('_', '-')} is only for --scheduler")
     return None
 
 

@@ -11,19 +11,27 @@ from relocbench.cli.options import Quiet, split_commas
 
 
 def preview(
-    out: Annotated[Path, typer.Option("--out", "-o", help="PNG to write.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="PNG file to write.")],
     condition: Annotated[
-        list[str], typer.Option("--condition", "-c", help="Named condition, such as Rain. Repeat for several.")
+        list[str],
+        typer.Option(
+            "--condition", "-c", metavar="NAME", help="Draw this condition, such as Rain. Repeat for several."
+        ),
     ] = [],  # noqa: B006
-    all_: Annotated[bool, typer.Option("--all", help="All named conditions.")] = False,
+    all_: Annotated[bool, typer.Option("--all", help="Draw all named conditions.")] = False,
     sweep: Annotated[
-        str | None, typer.Option(help="One factor alone from end to end, such as light or leaves.")
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Vary one factor over its whole range and keep all others, such as light or leaves."
+        ),
     ] = None,
-    steps: Annotated[int, typer.Option(min=2, max=20, help="Pictures of a sweep.")] = 5,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the district.")] = 0,
-    split: Annotated[str, typer.Option(help="Whose district: train, validation or test.")] = "test",
-    at: Annotated[float, typer.Option(min=0, max=200, help="Metres along the drive.")] = 20.0,
-    size: Annotated[int, typer.Option(min=64, max=2048, help="Width of each picture in pixels.")] = 400,
+    steps: Annotated[int, typer.Option(min=2, max=20, metavar="N", help="Number of pictures of a sweep.")] = 5,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the district.")] = 0,
+    split: Annotated[
+        str, typer.Option(metavar="NAME", help="Split of the district: train, validation or test.")
+    ] = "test",
+    at: Annotated[float, typer.Option(min=0, max=200, metavar="METRES", help="Distance along the drive.")] = 20.0,
+    size: Annotated[int, typer.Option(min=64, max=2048, metavar="PIXELS", help="Width of each picture.")] = 400,
     quiet: Quiet = False,
 ) -> None:
     """Draw one place of the procedural town in several conditions: does the rain look like rain?
@@ -31,12 +39,15 @@ def preview(
     Example: relocbench preview --all --out conditions.png
     """
     from relocbench.cli.console import reporter
-    from relocbench.datasets.core.images import write_image
+    from relocbench.datasets.core.images import png_bytes
     from relocbench.datasets.synthetic.conditions.presets import SPLITS, previewed
     from relocbench.datasets.synthetic.jobs.contact_sheet import contact_sheet
     from relocbench.errors import ConfigError
+    from relocbench.files import atomic_write
 
     if split not in SPLITS:
         raise ConfigError(f"--split is one of {', '.join(SPLITS)}, got '{split}'")
     shown = previewed(split_commas(condition), everything=all_, swept=sweep, steps=steps)
-    write_image(out, contact_sheet(shown, seed=seed, split=split, at_m=at, width=size, reporter=reporter(quiet)))
+    with atomic_write(out, "wb") as stream:  # what cannot be written should not be found after rendering
+        sheet = contact_sheet(shown, seed=seed, split=split, at_m=at, width=size, reporter=reporter(quiet))
+        stream.write(png_bytes(sheet))

@@ -3,71 +3,72 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from relocbench.cli.options import (
-    AskingWorkers,
-    Json,
-    MemoryLimit,
-    Methods,
-    Quiet,
-    Scheduler,
-    SchedulerTlsCa,
-    SchedulerTlsCert,
-    SchedulerTlsKey,
-    Settings,
-    TimeLimit,
-    scheduler_values,
-)
+from relocbench.cli import options as common
 
 if TYPE_CHECKING:
     from relocbench.evaluation.probe import ProbeReport
 
 
 def probe(
-    dataset: Annotated[Path | None, typer.Option("--dataset", "-d", help="Folder of the dataset.")] = None,
-    method: Methods = [],  # noqa: B006  typer copies it
-    settings: Settings = [],  # noqa: B006
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for tables and pictures.")] = None,
-    split: Annotated[str | None, typer.Option(help="Only the pair sets of this split.")] = None,
-    pair_set: Annotated[list[str], typer.Option(help="Only this pair set. Repeat for several.")] = [],  # noqa: B006
+    dataset: common.Dataset = None,
+    methods: common.Methods = [],  # noqa: B006  typer copies it
+    settings: common.Settings = [],  # noqa: B006
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FOLDER", help="Folder for tables and pictures.")
+    ] = None,
+    split: common.Split = None,
+    pair_sets: common.PairSets = [],  # noqa: B006
     pixels: Annotated[
-        bool | None, typer.Option("--pixels/--no-pixels", help="Single pixels, 0 to 16 px off [default: yes].")
+        bool | None,
+        typer.Option("--pixels/--no-pixels", help="Whether single pixels start 0 to 16 px off [default: yes]."),
     ] = None,
     poses: Annotated[
         bool | None,
-        typer.Option("--poses/--no-poses", help="Whole poses, 0 to 8 m and 0 to 16 degrees off [default: yes]."),
+        typer.Option("--poses/--no-poses", help="Whether poses start 0 to 8 m and 0 to 16 degrees off [default: yes]."),
     ] = None,
-    pairs: Annotated[int | None, typer.Option(min=1, help="Pairs of each pair set at most [default: 50].")] = None,
+    pairs: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Largest number of pairs of a pair set [default: 50].")
+    ] = None,
     per_pair: Annotated[
-        int | None, typer.Option(min=1, help="Pixels of a pair, each from every offset [default: 100].")
+        int | None,
+        typer.Option(min=1, metavar="N", help="Pixels of a pair, each started from every offset [default: 100]."),
     ] = None,
     structured: Annotated[
         float | None,
-        typer.Option(help="Only so large a share of a pair's pixels, those with most structure [default: 1, all]."),
+        typer.Option(
+            metavar="SHARE", help="Use only this share of a pair's pixels, those with most structure [default: 1, all]."
+        ),
     ] = None,
-    directions: Annotated[int | None, typer.Option(min=1, help="Poses of a pair at each offset [default: 2].")] = None,
+    directions: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Start poses of a pair at each offset [default: 2].")
+    ] = None,
     feature_maps: Annotated[
         int | None,
-        typer.Option(min=0, help="Draw the features of so many places, of methods that show them [default: 0]."),
+        typer.Option(
+            min=0, metavar="N", help="Places whose features are drawn, for methods that show them [default: 0]."
+        ),
     ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the starts, and of methods [default: 0].")] = None,
-    config: Annotated[Path | None, typer.Option(help="YAML file with any of these options.")] = None,
-    time_limit: TimeLimit = None,
-    memory_limit: MemoryLimit = None,
-    workers: AskingWorkers = None,
-    scheduler: Scheduler = None,
-    scheduler_tls_ca: SchedulerTlsCa = None,
-    scheduler_tls_cert: SchedulerTlsCert = None,
-    scheduler_tls_key: SchedulerTlsKey = None,
-    quiet: Quiet = False,
-    json: Json = False,
+    seed: Annotated[
+        int | None, typer.Option(min=0, metavar="N", help="Seed of the start poses and of methods [default: 0].")
+    ] = None,
+    config: common.ConfigFile = None,
+    time_limit: common.TimeLimit = None,
+    memory_limit: common.MemoryLimit = None,
+    workers: common.AskingWorkers = None,
+    scheduler: common.Scheduler = None,
+    scheduler_tls_ca: common.SchedulerTlsCa = None,
+    scheduler_tls_cert: common.SchedulerTlsCert = None,
+    scheduler_tls_key: common.SchedulerTlsKey = None,
+    quiet: common.Quiet = False,
+    json: common.Json = False,
 ) -> None:
-    """Start methods known distances off the truth: from how far do they still come back?
+    """Measure basins of convergence: start methods at known distances from the truth and count which return to it.
 
-    The first method is what the others are compared with. A killed run goes on where it stopped.
+    The others are compared with the first method. A killed run continues where it stopped.
 
     Example: relocbench probe -d D -m dso -m gn-net --out probe
     """
@@ -76,27 +77,27 @@ def probe(
     from relocbench.evaluation.probe import ProbeOptions, probe_methods
     from relocbench.files import alone_writing_to
 
-    given: dict[str, Any] = {
-        "dataset": dataset,
-        "methods": method or None,
-        "set": settings or None,
-        "out": out,
-        "split": split,
-        "pair_sets": pair_set or None,
-        "pixels": pixels,
-        "poses": poses,
-        "pairs": pairs,
-        "per_pair": per_pair,
-        "structured": structured,
-        "directions": directions,
-        "feature_maps": feature_maps,
-        "seed": seed,
-        "time_limit": time_limit,
-        "memory_limit": memory_limit,
-        "workers": workers,
-        "scheduler": scheduler_values(scheduler, scheduler_tls_ca, scheduler_tls_cert, scheduler_tls_key),
-    }
-    options = merged(ProbeOptions, config, {k: v for k, v in given.items() if v is not None})
+    chosen = common.given(
+        dataset=dataset,
+        methods=methods,
+        set=settings,
+        out=out,
+        split=split,
+        pair_sets=pair_sets,
+        pixels=pixels,
+        poses=poses,
+        pairs=pairs,
+        per_pair=per_pair,
+        structured=structured,
+        directions=directions,
+        feature_maps=feature_maps,
+        seed=seed,
+        time_limit=time_limit,
+        memory_limit=memory_limit,
+        workers=workers,
+        scheduler=common.scheduler_values(scheduler, scheduler_tls_ca, scheduler_tls_cert, scheduler_tls_key),
+    )
+    options = merged(ProbeOptions, config, chosen)
     with alone_writing_to(options.out):
         report = probe_methods(options, reporter(quiet))
     if json:

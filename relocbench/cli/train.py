@@ -17,19 +17,27 @@ if TYPE_CHECKING:
     from relocbench.training import TrainingData, TrainingReport, Validate, ValidateRetriever
 
 
+_TRACKERS = "Only for trackers"
+_RETRIEVERS = "Only for retrievers"
+
+
 def train(
-    name: Annotated[str, typer.Argument(help="Installed trainer, or package.module:Class.")],
+    name: Annotated[
+        str, typer.Argument(metavar="TRAINER", help="Installed name, or package.module:Class.", show_default=False)
+    ],
     dataset: Annotated[
         list[Path],
         typer.Option(
             "--dataset",
             "-d",
-            help="Dataset with a split 'train', 'validation' or both; for a retriever a cross-view folder with train/. "
-            "Repeat for several.",
+            metavar="FOLDER",
+            help="Dataset with a split 'train', 'validation' or both; for a retriever, places by several views with a "
+            "folder train/. Repeat for several.",
         ),
     ] = [],  # noqa: B006  typer copies it
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for weights, checkpoint, log and model card.")
+        Path | None,
+        typer.Option("--out", "-o", metavar="FOLDER", help="Folder for weights, checkpoint, log and model card."),
     ] = None,
     config: Annotated[
         str | None,
@@ -38,44 +46,58 @@ def train(
         ),
     ] = None,
     settings: Annotated[
-        list[str], typer.Option("--set", help="key=value, nested keys with dots. Repeat for several.")
+        list[str],
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Option of the trainer, nested keys with dots. Repeat for several."
+        ),
     ] = [],  # noqa: B006
     backbone_weights: Annotated[
         Path | None,
         typer.Option(
-            help="For a retriever: file of torchvision's ResNet to start from, such as its ImageNet weights, "
-            "or weights trained here, whose backbone is taken."
+            metavar="FILE",
+            help="Weights to start from: those of a ResNet of torchvision, such as its ImageNet weights, or those of "
+            "another training of LPN, whose backbone is taken.",
+            rich_help_panel=_RETRIEVERS,
         ),
     ] = None,
-    split: Annotated[str, typer.Option(help="For a tracker: whose pairs are learnt from.")] = "train",
+    split: Annotated[
+        str, typer.Option(metavar="NAME", help="Split whose pairs are learned from.", rich_help_panel=_TRACKERS)
+    ] = "train",
     validation_pairs: Annotated[
-        int, typer.Option(min=1, help="For a tracker: so many pairs are tracked at each validation.")
+        int,
+        typer.Option(min=1, metavar="N", help="Pairs that are tracked at each validation.", rich_help_panel=_TRACKERS),
     ] = 180,
     validation_places: Annotated[
         float,
         typer.Option(
-            min=0.0, max=0.5, help="For a retriever: share of the train places that are held out to validate."
+            min=0.0,
+            max=0.5,
+            metavar="SHARE",
+            help="Share of the train places that are held out for validation.",
+            rich_help_panel=_RETRIEVERS,
         ),
     ] = 0.1,
     no_validation: Annotated[
-        bool, typer.Option("--no-validation", help="Learn from everything and keep the last weights, not the best.")
+        bool,
+        typer.Option("--no-validation", help="Learn from everything, and keep the last weights instead of the best."),
     ] = False,
     workers: Annotated[
-        int | None, typer.Option("--workers", "-j", min=0, help="Background processes that read images [default: 1].")
+        int | None,
+        typer.Option("--workers", "-j", metavar="N", min=0, help="Background processes that read images [default: 1]."),
     ] = None,
     device: Annotated[
-        str | None, typer.Option(help="cpu, cuda, cuda:1, ... [default: a GPU where there is one].")
+        str | None, typer.Option(metavar="NAME", help="cpu, cuda, cuda:1, ... [default: a GPU where there is one].")
     ] = None,
     show_options: Annotated[
-        bool, typer.Option("--show-options", help="Print the trainer's options as YAML and do nothing.")
+        bool, typer.Option("--show-options", help="Print the trainer's options as YAML and stop.")
     ] = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
     """Train a tracker or a retriever; its weights are chosen on a validation split or on held-out places.
 
-    The test split is never learnt from, and never validated on. A killed training goes on where its last checkpoint
-    stood when the same command is given again.
+    The test split is used neither for learning nor for validation. A killed training continues from its last checkpoint
+    when the same command is given again.
 
     Example: relocbench train gn-net -d town1 -d town2 -o trained --set steps=2000
 
@@ -135,14 +157,14 @@ def train(
 def _pairs(roots: Sequence[Path], split: str, validation_pairs: int) -> tuple[TrainingData, Validate | None]:
     """What a tracker learns from and is tried on; no validation at 0."""
     from relocbench.datasets.learning.training_pairs import DatasetPairs, without_only_validation
-    from relocbench.evaluation.tracking.trial import Trial
+    from relocbench.evaluation.tracking.training_validation import TrackerValidation
     from relocbench.progress import Silent
 
     if not validation_pairs:
         return DatasetPairs(roots, split), None
     data = DatasetPairs(without_only_validation(roots, split), split)
     # Two bars do not show at once: validation goes without.
-    return data, Trial(roots, validation_pairs, seed=0, reporter=Silent())
+    return data, TrackerValidation(roots, validation_pairs, seed=0, reporter=Silent())
 
 
 def _places(
@@ -151,7 +173,7 @@ def _places(
     """What a retriever learns from and is tried on; no validation at 0."""
     from relocbench.datasets.learning.training_places import training_places
     from relocbench.errors import ConfigError
-    from relocbench.evaluation.retrieval.trial import PlaceTrial, hold_out
+    from relocbench.evaluation.retrieval.training_validation import PlaceValidation, hold_out
 
     if split != "train":
         raise ConfigError(f"--split {split}: a retriever learns from the folder train/ alone")
@@ -159,7 +181,7 @@ def _places(
     if not held_out:
         return data, None
     learnt, held = hold_out(data, held_out, seed=0)
-    return learnt, PlaceTrial(held, options.get("views", data.views))
+    return learnt, PlaceValidation(held, options.get("views", data.views))
 
 
 def _device() -> str:

@@ -19,14 +19,16 @@ def validate(
     path: Annotated[
         Path,
         typer.Argument(
+            metavar="PATH",
             help="A dataset; a results folder, or one dataset or method in it; a prediction file, or a folder of them.",
             show_default=False,
         ),
     ],
     dataset: Annotated[
-        Path | None, typer.Option("--dataset", "-d", help="Hold predictions against this dataset.")
+        Path | None,
+        typer.Option("--dataset", "-d", metavar="FOLDER", help="Dataset that the predictions must belong to."),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Neither decode nor hash images.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Skip decoding and hashing images.")] = False,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:

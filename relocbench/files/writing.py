@@ -29,6 +29,8 @@ def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), bad.filename) from None
     # The part's name keeps the suffix, which image and table writers go by.
     part = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.part{path.suffix}")
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     newline = None if "b" in mode else "\n"
     encoding = None if "b" in mode else "utf-8"
     try:
@@ -40,7 +42,10 @@ def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
             os.fsync(stream.fileno())
             part.replace(path)
     except OSError as bad:
-        bad.filename = bad.filename or str(path)  # a full disk does not say which file did not fit
+        if bad.filename in (None, str(part)):  # a full disk does not say which file did not fit
+            bad.filename = str(path)
+        if bad.errno == errno.ENOENT and path.parent.is_dir():  # a file system of the kernel's own
+            raise PermissionError(errno.EACCES, "no file can be created here", str(path)) from None
         raise
     finally:
         part.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Code that is not ours: found by entry point or dotted path, imported and called, its faults told in one line."""
+"""Finding third-party code by entry point or dotted path, and calling it with its faults reported in one line."""
 
 from __future__ import annotations
 
@@ -7,27 +7,31 @@ import sys
 import traceback
 from collections.abc import Callable, Iterable
 from importlib import import_module, metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from relocbench.errors import MethodError, RelocbenchError, raised
 from relocbench.execution import messages_to_stderr
 
+OUR_METHODS = "baselines"
+"""The package of the methods that come with relocbench, installed beside it."""
 
-def offered(group: str, kind: str) -> dict[str, metadata.EntryPoint]:
-    """Name -> entry point of everything installed in a group, sorted by name; nothing is imported.
+
+def entry_points_of(group: str, kind: str) -> dict[str, metadata.EntryPoint]:
+    """The entry points of a group, sorted by name; nothing is imported.
 
     Args:
-        kind: what the group offers, for the message.
+        kind: what the group provides, for messages.
 
     Raises:
-        MethodError: two packages offer different things by one name.
+        MethodError: two packages provide different things by the same name.
     """
     found: dict[str, metadata.EntryPoint] = {}
     for point in metadata.entry_points(group=group):
         if point.name in found and found[point.name].value != point.value:
             raise MethodError(
-                f"{kind} '{point.name}' is offered twice ({found[point.name].value} and {point.value}); "
+                f"{kind} '{point.name}' is provided twice ({found[point.name].value} and {point.value}); "
                 "uninstall one, or name the class by its dotted path"
             )
         found[point.name] = point
@@ -35,16 +39,16 @@ def offered(group: str, kind: str) -> dict[str, metadata.EntryPoint]:
 
 
 def load_dotted(target: str, kind: str) -> Any:
-    """What ``package.module:Name`` names, also from a module in the current folder.
+    """Import what ``package.module:Name`` names, also from a module in the current folder.
 
     Raises:
         MethodError: it cannot be imported, or there is no such name.
     """
     module_name, _, attribute = target.partition(":")
-    # A class beside the user's data, without installing anything, as `python -m` would find it.
+    # As with `python -m`, a class in the user's current folder is found without installing it.
     if "" not in sys.path and str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
-    found = of_theirs(f"{kind} '{target}' cannot be imported", lambda: _import(module_name, target, kind))
+    found = call_third_party(f"{kind} '{target}' cannot be imported", lambda: _import(module_name, target, kind))
     for part in attribute.split("."):
         found = getattr(found, part, None)
     if found is None:
@@ -53,14 +57,28 @@ def load_dotted(target: str, kind: str) -> Any:
 
 
 def _import(module_name: str, target: str, kind: str) -> Any:
+    if module_name.partition(".")[0] == OUR_METHODS:
+        _refuse_stranger(target, kind)
     try:
         return import_module(module_name)
     except ModuleNotFoundError as bad:
         raise MethodError(f"{kind} '{target}': no module '{bad.name}' (looked on the Python path and here)") from bad
 
 
-def of_theirs(failed: str, call: Callable[[], Any]) -> Any:
-    """What code that is not ours returns. Raises MethodError with what it raised, and where."""
+def _refuse_stranger(target: str, kind: str) -> None:
+    """Raises MethodError where the package ``baselines`` is that of another distribution, which has the same name."""
+    spec = find_spec(OUR_METHODS)
+    origin = None if spec is None else spec.origin
+    here = Path(__file__).resolve().parents[2]
+    if origin is not None and Path(origin).resolve().parent.parent != here:
+        raise MethodError(
+            f"{kind} '{target}': the package 'baselines' of another distribution is found first, in "
+            f"{Path(origin).parent}; uninstall it, or use an environment of its own"
+        )
+
+
+def call_third_party(failed: str, call: Callable[[], Any]) -> Any:
+    """Call third-party code. Raises MethodError with what it raised, and where."""
     try:
         with messages_to_stderr():
             return call()
@@ -75,6 +93,6 @@ def of_theirs(failed: str, call: Callable[[], Any]) -> Any:
 
 
 def hint(name: str, known: Iterable[str], prefix: str = "") -> str:
-    """What a mistyped name was probably meant to be, in parentheses; empty if nothing is near."""
+    """A suggestion for a mistyped name, in parentheses; empty if no known name is similar."""
     close = difflib.get_close_matches(name, known, n=1)
     return f" (did you mean '{prefix}{close[0]}'?)" if close else ""

@@ -17,7 +17,7 @@ from relocbench.methods import RETRIEVERS, TRACKERS, kind_of, parameters_of, par
 HERE = "retrievers_for_tests"
 TRACKER = "trackers_for_tests:Shift"
 D2S = "drone-satellite"
-RETRIEVAL = ("evaluate", "--task", "retrieval")
+RETRIEVAL = ("evaluate-retrieval",)
 
 
 @pytest.fixture(scope="module")
@@ -55,20 +55,13 @@ def test_from_images_to_scores_and_a_page(views: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "b" / "leaderboard.md").exists()
 
 
-def test_a_configuration_file_can_ask_for_retrieval(street: Path, tmp_path: Path) -> None:
+def test_a_configuration_file_gives_the_options_of_retrieval(street: Path, tmp_path: Path) -> None:
     config = tmp_path / "run.yaml"
-    config.write_text(
-        f"task: retrieval\ndataset: {street}\nmethods: ['t={HERE}:Thumbnail']\npositives: pairs\nout: {tmp_path}/r\n"
-    )
-    assert relocbench("evaluate", "--config", config, "-q").status == 0
+    config.write_text(f"dataset: {street}\nmethods: ['t={HERE}:Thumbnail']\npositives: pairs\nout: {tmp_path}/r\n")
+    assert relocbench(*RETRIEVAL, "--config", config, "-q").status == 0
     assert [p.name.split("@")[0] for p in (tmp_path / "r").iterdir()] == ["small.places-pairs"]
-    config.write_text("task: retreival\n")
-    assert (
-        f"{config}:1: key 'task' is 'retreival', expected tracking or retrieval"
-        in relocbench("evaluate", "--config", config).complaint
-    )
-    config.write_text(f"task: retrieval\ndataset: {street}\nmatching: true\n")
-    assert f"{config}:3: unknown key 'matching'" in relocbench("evaluate", "--config", config).complaint
+    config.write_text(f"dataset: {street}\nmatching: true\n")
+    assert f"{config}:2: unknown key 'matching'" in relocbench(*RETRIEVAL, "--config", config).complaint
 
 
 def test_lists_made_elsewhere_are_scored(street: Path, tmp_path: Path) -> None:
@@ -97,8 +90,11 @@ def test_lists_made_elsewhere_are_scored(street: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("{q} {g}\n{q} nowhere.png\n", r":2: image 'nowhere.png' is not in the gallery; its are named as 'traversals/"),
-        ("nobody.png {g}\n", r":1: unknown query 'nobody.png'; they are named as 'traversals/"),
+        (
+            "{q} {g}\n{q} nowhere.png\n",
+            r":2: image 'nowhere.png' is not in the gallery, whose images have names such as 'traversals/",
+        ),
+        ("nobody.png {g}\n", r":1: unknown query 'nobody.png'; queries have names such as 'traversals/"),
         ("{q} {g}\n\n{q} {g}\n", r":3: image '{g}' occurs again for the query '{q}'"),
         ("{q} {g} 0.5\n", r":1: expected 'query db', found 3 words"),
     ],
@@ -124,8 +120,11 @@ def test_a_fault_in_a_list_is_named_with_its_line(street: Path, tmp_path: Path, 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["-d", "{v}", "-m", "identity"], "'identity' is a tracker, not a retriever; ask it with --task tracking"),
-        (["-d", "{v}", "-m", TRACKER], "has no describe(), but track(): it is a tracker; --task tracking"),
+        (
+            ["-d", "{v}", "-m", "identity"],
+            "is a tracker, not a retriever; evaluate it with `relocbench evaluate`",
+        ),
+        (["-d", "{v}", "-m", TRACKER], "has no describe(), but track(): it is a tracker for `relocbench evaluate`"),
         (["-d", "{v}", "-m", "subprocess:true"], "a program cannot be a retriever; score what it wrote"),
         (["-d", "{v}", "-m", "no-such"], "no retriever 'no-such'"),
         (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "--set", "sied=3"], "has no parameter 'sied' (did you mean 'side'?)"),
@@ -138,8 +137,11 @@ def test_a_fault_in_a_list_is_named_with_its_line(street: Path, tmp_path: Path, 
         (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "--pair-set", "a"], "no task 'a'; there is drone-satellite"),
         (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "--radius", "3"], "--radius is for the drives of a dataset"),
         (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "--split", "test"], "--split is for the drives of a dataset"),
-        (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "--matching"], "--matching means nothing with --task retrieval"),
-        (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "-j", "2"], "--workers means nothing with --task retrieval"),
+        (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "--matching"], "--matching; it is an option of relocbench evaluate"),
+        (
+            ["-d", "{v}", "-m", f"{HERE}:Thumbnail", "-j", "2"],
+            "--workers must be 0 for retrievers",
+        ),
         (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "--keep", "0"], "--keep: "),
         (["-d", "{v}", "--predictions", "{v}/absent"], "absent: no such file or folder"),
         (["-d", "{v}", "--predictions", "{v}/test"], "holds no list of retrieved images"),
@@ -169,16 +171,31 @@ def test_options_of_retrieval_are_refused_where_poses_are_asked(street: Path, tm
     common = ("evaluate", "-d", street, "--out", tmp_path / "r")
     for option in (("--keep", "5"), ("--radius", "5"), ("--positives", "pairs"), ("--by-condition",)):
         told = relocbench(*common, "-m", "identity", *option).complaint
-        assert f"{option[0]} means nothing with --task tracking" in told
+        assert f"No such option: {option[0]}; it is an option of relocbench evaluate-re" in told
     told = relocbench(*common, "-m", f"{HERE}:Thumbnail").complaint
-    assert "has no track(), but describe(): it is a retriever; --task retrieval" in told
+    assert "has no track(), but describe(): it is a retriever for `relocbench evaluate-retrieval`" in told
     assert not (tmp_path / "r").exists()
 
 
-def test_an_unknown_task_is_refused_with_those_there_are() -> None:
-    outcome = relocbench("evaluate", "--task", "guessing")
-    assert outcome.status == 2
-    assert "retrieval" in outcome.err
+@pytest.mark.parametrize(
+    ("words", "fault"),
+    [
+        (("evalute",), "No such command 'evalute'. Did you mean 'evaluate', 'validate'? (see `relocbench --help`)"),
+        (("evaluate", "-d", "D", "more"), "Got unexpected extra argument(s) (more) (see `relocbench evaluate --help`)"),
+        (("validate",), "Missing argument 'PATH' (see `relocbench validate --help`)"),
+        (("evaluate", "--sed", "1"), "No such option: --sed (Possible options: --scheduler, --seed, --set) (see"),
+    ],
+)
+def test_a_command_line_that_cannot_be_read_is_one_line(words: tuple[str, ...], fault: str) -> None:
+    outcome = relocbench(*words)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert outcome.complaint.startswith(f"relocbench: {fault}")
+
+
+def test_without_a_command_the_help_is_shown() -> None:
+    outcome = relocbench()
+    assert (outcome.status, outcome.err) == (2, "")
+    assert "evaluate-retrieval" in outcome.out
 
 
 def test_both_kinds_of_methods_are_listed_and_told_apart() -> None:
@@ -215,7 +232,7 @@ def test_a_retriever_can_be_checked() -> None:
     assert relocbench("check-method", f"{HERE}:Constant").status == 2
 
 
-def test_help_names_the_tasks() -> None:
-    shown = " ".join(relocbench("evaluate", "--help").out.split())
-    assert "Example: relocbench evaluate --task retrieval" in shown
+def test_help_gives_an_example() -> None:
+    shown = " ".join(relocbench("evaluate-retrieval", "--help").out.split())
+    assert "Example: relocbench evaluate-retrieval" in shown
     assert "--by-condition" in shown

@@ -9,8 +9,8 @@ from fuzz.asking import asks, command, write
 from fuzz.datasets import ACROSS
 from fuzz.parser import Parser, Place, Read
 
-_RETRIEVAL = ("--task", "retrieval", "--radius", 0.2)
-_CHAIN = ("--task", "relocalization", "-r", "oracle", "-m", "good=chains_for_tests:Knows", "--top", 1)
+_RETRIEVAL = ("evaluate-retrieval", "--radius", 0.2)
+_CHAIN = ("evaluate-relocalization", "-r", "oracle", "-m", "good=chains_for_tests:Knows", "--top", 1)
 
 
 def write_records(root: Path) -> None:
@@ -19,8 +19,8 @@ def write_records(root: Path) -> None:
 
     dataset = make_small_dataset(root / "ds", frames=3, size=(24, 18))
     common = ("-d", root / "ds", "-q")
-    command("evaluate", *_RETRIEVAL, *common, "-m", "t=retrievers_for_tests:Thumbnail", "-o", root / "retrieval")
-    command("evaluate", *_CHAIN, *common, "-o", root / "chains", "-j", 1)
+    command(*_RETRIEVAL, *common, "-m", "t=retrievers_for_tests:Thumbnail", "-o", root / "retrieval")
+    command(*_CHAIN, *common, "-o", root / "chains", "-j", 1)
     times = {name: dataset.traversal(name).timestamps("cam0") for name in ("summer", "winter")}
     names = {name: [f"traversals/{name}/images/cam0/{t}.png" for t in found] for name, found in times.items()}
     write(root / "lists" / f"{ACROSS}.txt", *(f"{q} {g}" for q in names["winter"] for g in names["summer"]))
@@ -143,7 +143,6 @@ PARSERS = (
         "records",
         ("lists/*",),
         asks(
-            "evaluate",
             *_RETRIEVAL,
             "-d",
             "{root}/ds",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -91,6 +93,19 @@ def test_a_method_that_cannot_be_loaded_is_one_line_that_says_where(
     with pytest.raises(MethodError, match=words) as raised:
         parse_method("broken_method:T").create()
     assert "\n" not in str(raised.value)
+
+
+def test_a_package_baselines_of_somebody_else_is_named(tmp_path: Path) -> None:
+    other = tmp_path / "elsewhere" / "baselines"
+    other.mkdir(parents=True)
+    (other / "__init__.py").write_text("")
+    code = 'from relocbench.methods import parse_method; parse_method("identity")'
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(other.parent), *sys.path])}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode != 0
+    assert f"package 'baselines' of another distribution is found first, in {other}; uninstall it" in done.stderr
 
 
 def test_two_methods_of_one_label_are_refused() -> None:

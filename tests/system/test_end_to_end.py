@@ -10,7 +10,8 @@ from statistics import median
 import pytest
 from command_line import relocbench
 
-from relocbench.evaluation.common.results import PairErrors, all_results, read_errors
+from relocbench.evaluation.common.error_table import PairErrors, read_errors
+from relocbench.evaluation.common.results import all_results
 
 pytestmark = pytest.mark.slow
 METHODS = ("-m", "identity", "-m", "orb-pnp", "-m", "dso")

@@ -36,7 +36,7 @@ def description(options: TrainOptions, data: PlaceData, trained: LpnNetwork, ste
     about = [
         f"{options.system.about}. {network.backbone}, {options.size}x{options.size} pixels, {network.parts} "
         f"{'part' if network.parts == 1 else 'parts'} of {network.width} numbers, {parameters} parameters. "
-        "Use: `relocbench evaluate --task retrieval -m lpn --set lpn.weights=weights.safetensors`."
+        "Use: `relocbench evaluate-retrieval -m lpn --set lpn.weights=weights.safetensors`."
     ]
     apart = differences(options, started)
     if apart:

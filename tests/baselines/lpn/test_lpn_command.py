@@ -128,7 +128,7 @@ def test_a_folder_becomes_weights_that_evaluate_runs(university: Path, tmp_path:
     assert {path.name for path in out.iterdir()} == {*files, "MODEL_CARD.md"}
     assert "relocbench train lpn --dataset=" in (out / "MODEL_CARD.md").read_text()
     ran = relocbench(
-        "evaluate", "--task", "retrieval", "-d", university, "-m", "lpn", "-m", "random", "-o", tmp_path / "results",
+        "evaluate-retrieval", "-d", university, "-m", "lpn", "-m", "random", "-o", tmp_path / "results",
         "-j", 0, "--set", f"lpn.weights={out / 'weights.safetensors'}", "--json",
     )  # fmt: skip
     assert ran.status == 0, ran.err

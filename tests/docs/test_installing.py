@@ -1,0 +1,61 @@
+"""Files that install relocbench agree with each other: pins, hashes, the image, the light requirements."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+
+from repository import ROOT
+
+PIN = re.compile(r"^([A-Za-z0-9._-]+)==([^ ]+)", re.MULTILINE)
+
+
+def pins(name: str) -> dict[str, str]:
+    return dict(PIN.findall((ROOT / name).read_text()))
+
+
+def requirement_names(lines: list[str]) -> set[str]:
+    return {re.split(r"[\[<>=! ]", line.strip())[0] for line in lines if line.strip() and not line.startswith("#")}
+
+
+def dependencies() -> list[str]:
+    found: list[str] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    return found
+
+
+def test_hashes_are_those_of_the_pins() -> None:
+    assert pins("constraints.txt") == pins("tools/hashes.txt")
+    assert requirement_names(dependencies()) <= pins("constraints.txt").keys() | {"PyYAML"}
+
+
+def test_every_pinned_package_has_a_hash() -> None:
+    blocks = re.split(r"\n(?=[A-Za-z0-9])", (ROOT / "tools" / "hashes.txt").read_text())
+    assert all("--hash=sha256:" in block for block in blocks if "==" in block)
+
+
+def test_the_light_installation_asks_for_the_same_versions() -> None:
+    light = (ROOT / "requirements-light.txt").read_text().splitlines()
+    assert {line for line in light if line and not line.startswith("#")} < set(dependencies())
+
+
+def test_the_image_and_the_set_up_need_the_same_libraries_and_the_same_installer() -> None:
+    image, setup = (ROOT / "Dockerfile").read_text(), (ROOT / "tools" / "setup.sh").read_text()
+    installed = re.search(r"--no-install-recommends ([^\\\n]+)", image)
+    assert installed is not None
+    assert set(installed[1].split()) == set(re.findall(r"lib[\w.+-]*\.so\.\d+:([\w.-]+)", setup))
+    uv = re.search(r"uv_version=(\S+)", setup)
+    assert uv is not None
+    assert f"uv=={uv[1]}" in image
+
+
+def test_the_image_gets_every_folder_that_the_wheel_needs() -> None:
+    copied = {
+        word
+        for line in re.findall(r"^COPY (.+) \S+$", (ROOT / "Dockerfile").read_text(), re.M)
+        for word in line.split()
+    }
+    admitted = set(re.findall(r"^!(\S+)$", (ROOT / ".dockerignore").read_text(), re.M))
+    wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert copied == admitted
+    assert {*wheel["packages"], "pyproject.toml", "README.md", "LICENSE"} <= copied
+    assert all((ROOT / name).exists() for name in copied)
