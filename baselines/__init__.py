@@ -1,1 +1,1 @@
-"""Methods that relocbench measures."""
+"""The methods that come with relocbench and are measured by it."""

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def write_whole(path: Path, data: bytes | str) -> None:
-    """Write beside ``path``, flush it to the disk and rename it; text as UTF-8."""
+    """Write a file whole or not at all: beside ``path``, flushed to the disk, then renamed. Text is UTF-8."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.part{path.suffix}")
     try:
@@ -18,7 +18,7 @@ def write_whole(path: Path, data: bytes | str) -> None:
             os.fsync(stream.fileno())
         part.replace(path)
     except OSError as bad:
-        bad.filename = bad.filename or str(path)  # a full disk does not say which file did not fit
+        bad.filename = bad.filename or str(path)  # the error of a full disk names no file
         raise
     finally:
         part.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Options as dataclasses, and as the plain values that files and command lines hold."""
+"""Options as dataclasses, and as plain values in files and on command lines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from relocbench.errors import ConfigError
 Options = TypeVar("Options")
 
 NO_OTHER_KEYS = ConfigDict(extra="forbid")
-"""for ``__pydantic_config__`` of a dataclass of options: a key that does not exist is refused by name"""
+"""value of ``__pydantic_config__`` for a dataclass of options, so that unknown keys are refused by name"""
 
 
 def options_to_dict(options: Any) -> dict[str, Any]:
@@ -23,10 +23,10 @@ def options_to_dict(options: Any) -> dict[str, Any]:
 
 
 def options_from_dict(kind: type[Options], values: Mapping[str, Any]) -> Options:
-    """The dataclass of options ``kind`` from plain values; what is absent keeps its default.
+    """An instance of the dataclass ``kind`` from plain values; absent ones have their defaults.
 
     Raises:
-        ConfigError: an unknown key, a wrong type or an impossible value, each named.
+        ConfigError: a key is unknown, or a value has the wrong type or is out of range; it is named.
     """
     try:
         return TypeAdapter(kind).validate_python(dict(values))
@@ -36,12 +36,14 @@ def options_from_dict(kind: type[Options], values: Mapping[str, Any]) -> Options
 
 
 def plain(options: Any) -> dict[str, Any]:
-    """As :func:`options_to_dict`, with lists in place of tuples: as YAML and JSON give them back."""
+    """As :func:`options_to_dict`, with lists instead of tuples, as YAML and JSON return them."""
     values: dict[str, Any] = json.loads(json.dumps(options_to_dict(options)))
     return values
 
 
-def filled(usual: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """``usual`` where ``given`` says nothing; keys that do not exist stay, to be refused by name."""
-    nested = {key for key, value in usual.items() if isinstance(value, Mapping) and isinstance(given.get(key), Mapping)}
-    return {**usual, **given, **{key: filled(usual[key], given[key]) for key in nested}}
+def filled(defaults: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """``given`` values over ``defaults``, nested; unknown keys are kept, to be refused by name later."""
+    nested = {
+        key for key, value in defaults.items() if isinstance(value, Mapping) and isinstance(given.get(key), Mapping)
+    }
+    return {**defaults, **given, **{key: filled(defaults[key], given[key]) for key in nested}}

@@ -1,8 +1,8 @@
-"""Files of ``torch.save`` from strangers: what they hold is looked over before torch takes memory for it.
+"""Untrusted files of ``torch.save``: their content is checked before torch allocates memory for it.
 
-``torch.load(weights_only=True)`` runs no code, but it unpacks what is compressed, and calls such as ``bytearray(n)``
-take as much memory as a file of a few bytes asks for. So archives must be uncompressed, as torch writes them, and may
-name nothing but tensors and plain containers.
+``torch.load(weights_only=True)`` runs no code, but it decompresses entries, and calls such as ``bytearray(n)`` in a
+file of a few bytes can allocate any amount of memory. Therefore archives must be uncompressed, as torch writes them,
+and may name only tensors and plain containers.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from typing import Any
 import torch
 
 _MOST_PICKLE_BYTES = 2**24
-"""of names, shapes and plain values; a ResNet-50 with its optimiser has 100 KB"""
+"""for names, shapes and plain values; a ResNet-50 with its optimiser has 100 KB"""
 _ARCHIVE = b"PK\x03\x04"
 _LEGACY_PICKLES = 5
-"""that the format of torch before 1.6 begins with: mark, version, system, content, keys"""
+"""number of pickles that a file of torch before 1.6 begins with: magic number, version, system, content, keys"""
 _NAMES = {
     ("collections", "OrderedDict"),
     ("torch._utils", "_rebuild_tensor_v2"),
@@ -32,14 +32,14 @@ _NAMES = {
 
 
 def load_torch_file(path: Path) -> Any:
-    """What was saved, with tensors on the CPU.
+    """The saved object, with tensors on the CPU.
 
     Raises:
-        ValueError: no plain file, not of ``torch.save``, damaged, compressed, or with something else than tensors and
-            plain values; in words.
+        ValueError: the file is not regular, not of ``torch.save``, damaged, compressed, or holds something other than
+            tensors and plain values; the message says which.
     """
     if not path.is_file():
-        raise ValueError("no plain file")
+        raise ValueError("no regular file")
     try:
         with path.open("rb") as stream:
             archived = stream.read(4) == _ARCHIVE
@@ -47,16 +47,16 @@ def load_torch_file(path: Path) -> Any:
             _check_names(_pickle_of_archive(path), 1)
         else:
             _check_names(path.read_bytes(), _LEGACY_PICKLES)
-        with warnings.catch_warnings(action="ignore"):  # of a file that is refused anyway
+        with warnings.catch_warnings(action="ignore"):  # about files that are refused anyway
             return torch.load(path, map_location="cpu", weights_only=True)
-    # What archives and pickles raise on foreign bytes is not listed anywhere.
+    # It is nowhere documented what archives and pickles raise on arbitrary bytes.
     except Exception as bad:
-        told = bad.args[0] if isinstance(bad, _Refused) else "damaged, cut short, or of another program"
-        raise ValueError(told) from bad
+        reason = bad.args[0] if isinstance(bad, _Refused) else "damaged, cut short, or of another program"
+        raise ValueError(reason) from bad
 
 
 class _Refused(Exception):
-    """With the reason."""
+    """The file is refused; the argument is the reason."""
 
 
 def _pickle_of_archive(path: Path) -> bytes:
@@ -73,11 +73,11 @@ def _pickle_of_archive(path: Path) -> bytes:
 
 
 def _check_names(data: bytes, pickles: int) -> None:
-    """Raises _Refused where pickles name something else than tensors and containers."""
+    """Raise _Refused if the pickles name anything but tensors and containers."""
     stream = io.BytesIO(data)
     for _ in range(pickles):
         for operation, argument, _at in pickletools.genops(stream):
             if operation.name in ("STACK_GLOBAL", "INST", "EXT1", "EXT2", "EXT4"):
-                raise _Refused("it holds something else than tensors and plain values")
+                raise _Refused("it holds something other than tensors and plain values")
             if operation.name == "GLOBAL" and tuple(str(argument).split(" ", 1)) not in _NAMES:
-                raise _Refused("it holds something else than tensors and plain values")
+                raise _Refused("it holds something other than tensors and plain values")

@@ -1,4 +1,4 @@
-"""A network's weights as one safetensors file that also says, as JSON, what network it is and where it comes from."""
+"""Weights files: safetensors with the network's options and origin as JSON in the metadata."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from relocbench.errors import MethodError
 
 _VERSION = 1
 _MOST_HEADER_BYTES = 2**24
-"""of names, shapes and metadata; LPN's has 30 KB"""
+"""for names, shapes and metadata; LPN's have 30 KB"""
 _MOST_QUOTED = 160
 
 
 def write_network(path: Path, kind: str, network: nn.Module, about: Mapping[str, Any]) -> None:
-    """Write weights and what is known of them, whole or not at all; the same of both gives the same bytes.
+    """Write weights and their description, whole or not at all; equal arguments give equal bytes.
 
     Args:
-        path: a file that ends in ``.safetensors``; an existing one is replaced.
-        kind: of network. It is the one entry of the file's metadata: several would be written in an order of their own.
-        network: all its parameters and buffers are kept.
-        about: plain values.
+        path: must end in ``.safetensors``; an existing file is replaced.
+        kind: of network. It is the only key of the file's metadata, since the order of several would not be fixed.
+        network: all its parameters and buffers are written.
+        about: the description, plain values.
     """
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
     write_whole(path, save(tensors, {kind: json.dumps({**about, "version": _VERSION}, sort_keys=True)}))
 
 
 def read_network(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """What :func:`write_network` was given: about, and tensors on the CPU.
+    """The description and the tensors that :func:`write_network` wrote, on the CPU.
 
     Raises:
-        MethodError: the file is missing, damaged or of something else.
+        MethodError: the file is missing, damaged or of another kind.
     """
     metadata, tensors = read_tensors(path)
     try:
@@ -50,10 +50,10 @@ def read_network(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Tenso
 
 
 def read_tensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
-    """Metadata and tensors of a safetensors file. The tensors lie in the file until their numbers are asked for.
+    """The metadata and tensors of a safetensors file. Tensors are mapped, and read when they are used.
 
     Raises:
-        MethodError: the file is missing, damaged, or declares more than it holds.
+        MethodError: the file is missing or damaged, or its header is too long.
     """
     if not path.is_file():
         raise MethodError("no such file of weights", path)
@@ -68,17 +68,17 @@ def read_tensors(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
             return dict(file.metadata() or {}), tensors
     except MethodError:
         raise
-    # Besides SafetensorError: a type of numbers that torch lacks raises as it likes.
+    # Besides SafetensorError: number types that torch lacks raise exceptions of various kinds.
     except Exception as bad:
-        told = " ".join(str(bad).split())[:_MOST_QUOTED]
-        raise MethodError(f"{fault} ({told})", path) from bad
+        reason = " ".join(str(bad).split())[:_MOST_QUOTED]
+        raise MethodError(f"{fault} ({reason})", path) from bad
 
 
 def check_enough(tensors: Mapping[str, Tensor], least: int, path: Path) -> None:
-    """See that a file has as many numbers as the network that it describes, before that network is made.
+    """Check that a file has enough numbers for the network that it describes, before that network is made.
 
     Raises:
-        MethodError: it has fewer than ``least``.
+        MethodError: the tensors have fewer than ``least`` numbers.
     """
     there = sum(tensor.numel() for tensor in tensors.values())
     if there < least:
@@ -86,8 +86,8 @@ def check_enough(tensors: Mapping[str, Tensor], least: int, path: Path) -> None:
 
 
 def holds_network(path: Path, kind: str) -> bool:
-    """Whether :func:`write_network` wrote a file for that kind of network; not if the file cannot be read at all."""
-    if not path.is_file():  # opening a pipe would wait for whoever writes to it
+    """Whether :func:`write_network` wrote a file for this kind of network; false if it cannot be read."""
+    if not path.is_file():  # opening a pipe would block
         return False
     try:
         return path.is_file() and kind in read_tensors(path)[0]
@@ -96,20 +96,26 @@ def holds_network(path: Path, kind: str) -> bool:
 
 
 def fill_network(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
-    """Give a network the weights of a file.
+    """Load the tensors of a file into a network.
 
     Raises:
-        MethodError: a tensor is missing, superfluous, of another shape or type, or not finite; it is named.
+        MethodError: a tensor is missing, unknown, of another shape or type, or not finite; it is named.
     """
-    expected = network.state_dict()
-    for name in sorted(expected.keys() | tensors.keys()):
-        if name not in tensors or name not in expected:
-            raise MethodError(f"'{name}' is {'missing' if name in expected else 'not part of this network'}", path)
-        found, wanted = tensors[name], expected[name]
-        if found.shape != wanted.shape or found.dtype != wanted.dtype:
-            raise MethodError(
-                f"'{name}' is {tuple(found.shape)} {found.dtype}, expected {tuple(wanted.shape)} {wanted.dtype}", path
-            )
-        if not bool(found.isfinite().all()):
+    different = difference(network.state_dict(), tensors)
+    if different:
+        raise MethodError(different, path)
+    for name, tensor in sorted(tensors.items()):
+        if not bool(tensor.isfinite().all()):
             raise MethodError(f"'{name}' holds numbers that are not finite", path)
     network.load_state_dict(dict(tensors))
+
+
+def difference(expected: Mapping[str, Tensor], found: Mapping[str, Tensor]) -> str | None:
+    """The first difference in names, shapes or types of two states, in words; None if there is none."""
+    for name in sorted(expected.keys() | set(map(str, found))):
+        if name not in found or name not in expected:
+            return f"'{name[:_MOST_QUOTED]}' is {'missing' if name in expected else 'not part of this network'}"
+        there, wanted = found[name], expected[name]
+        if there.shape != wanted.shape or there.dtype != wanted.dtype:
+            return f"'{name}' is {tuple(there.shape)} {there.dtype}, expected {tuple(wanted.shape)} {wanted.dtype}"
+    return None

@@ -1,6 +1,6 @@
 """relocbench: relocalization tracking measured across weather, light and season.
 
-What a notebook needs lies here (:mod:`relocbench.api`) and is loaded when it is first used.
+The functions for notebooks are those of :mod:`relocbench.api`, which is imported when one of them is first used.
 """
 
 from __future__ import annotations

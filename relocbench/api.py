@@ -1,7 +1,8 @@
-"""relocbench in a notebook: open a dataset, look at its pairs, run methods, and have the numbers as DataFrames.
+"""relocbench in a notebook: open a dataset, look at its pairs, run methods, and get the numbers as DataFrames.
 
 ``import relocbench as rb`` offers all of it as ``rb.open_dataset``, ``rb.iterate_pairs``, ``rb.evaluate``,
-``rb.read_leaderboard``, ``rb.read_errors``, ``rb.trackers`` and ``rb.retrievers``; nothing is loaded before it is used.
+``rb.read_leaderboard``, ``rb.read_errors``, ``rb.trackers`` and ``rb.retrievers``; nothing is imported before it is
+used.
 """
 
 from __future__ import annotations
@@ -27,28 +28,28 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PairView:
-    """A pair as a tracker sees it, with its truth."""
+    """A pair as a tracker sees it, together with its true pose."""
 
     pair_set: str
     """name of its pair set"""
     pair: Pair
-    """keys, group, overlap and the uncertainty of the truth"""
+    """keys, group, overlap, and the uncertainty of the true pose"""
     reference: Reference
-    """the keyframe: image, camera, depth in metres or sparse points"""
+    """the keyframe: image, camera, and depth in metres or sparse points"""
     query: Query
-    """image and camera"""
+    """the query: image and camera"""
 
     @property
     def T_query_ref(self) -> Array | None:
-        """(4, 4) true pose, query camera from reference camera, metres; None where the truth is withheld."""
+        """(4, 4) true pose, query camera from reference camera, metres; None where it is withheld."""
         return self.pair.T_query_ref
 
 
 def open_dataset(folder: Path | str) -> Dataset:
-    """A dataset folder, as ``relocbench build-dataset`` writes it. Nothing but its descriptions is read yet.
+    """Open a dataset folder as ``relocbench build-dataset`` writes it. Only its descriptions are read yet.
 
     Raises:
-        DatasetError: no such folder, no dataset, an unfinished one, or other content than its fingerprint says.
+        DatasetError: no such folder, no dataset, an unfinished one, or content that does not match its fingerprint.
     """
     return Dataset(folder)
 
@@ -56,15 +57,15 @@ def open_dataset(folder: Path | str) -> Dataset:
 def iterate_pairs(
     dataset: Dataset, *, split: str | None = None, pair_set: str | None = None, neighbours: int = 0
 ) -> Iterator[PairView]:
-    """The accepted pairs of a dataset, read one after another.
+    """Iterate over the accepted pairs of a dataset; each is read when it is reached.
 
     Args:
         split: only the pair sets of this split.
         pair_set: only this pair set.
-        neighbours: so many posed frames before and after each keyframe come with it.
+        neighbours: number of posed frames before and after each keyframe that come with it.
 
     Raises:
-        DatasetError: an unknown split or pair set, or a file that is damaged, when it is reached.
+        DatasetError: an unknown split or pair set, or a damaged file, when it is reached.
     """
     chosen = dataset.pair_sets(split)
     if pair_set is not None:
@@ -86,21 +87,22 @@ def evaluate(
     seed: int = 0,
     reporter: Reporter | None = None,
 ) -> pd.DataFrame:
-    """Run trackers on a dataset and compare everything that the results folder then holds on it.
+    """Run trackers on a dataset, and compare all results on it that the results folder then holds.
 
-    As ``relocbench evaluate`` and ``relocbench leaderboard``: answers that are there are kept, a killed run goes on.
+    This does what ``relocbench evaluate`` and ``relocbench leaderboard`` do: existing answers are kept, and a run that
+    was killed resumes.
 
     Args:
         methods: names, dotted paths ``package.module:Class`` or ``LABEL=TARGET``.
         out: the results folder.
         settings: parameters of the methods, ``{"iterations": 5}`` or ``{"LABEL.iterations": 5}``.
         split: only the pair sets of this split.
-        workers: processes; None: one a core; 0: this process, without limits, for a debugger.
-        seed: of methods that have one.
-        reporter: hears of progress.
+        workers: number of processes; None: one for each core; 0: this process, without limits, for a debugger.
+        seed: for methods that take one.
+        reporter: receives progress.
 
     Returns:
-        As :func:`read_leaderboard`, of this dataset.
+        the table of :func:`read_leaderboard` for this dataset.
 
     Raises:
         RelocbenchError: a bad dataset, method or setting.
@@ -121,14 +123,14 @@ def evaluate(
 
 
 def read_leaderboard(results: Path | str, *, split: str | None = None, metric: str | None = None) -> pd.DataFrame:
-    """What a results folder says about trackers: a row for each dataset, pair set, group and method, ranked.
+    """Compare the trackers in a results folder: a row for each dataset, pair set, group and method, ranked.
 
     The columns are those of ``leaderboard.csv``: shares from 0 to 1, metres, degrees, seconds.
 
     Args:
-        results: the results folder, or one ``DATASET@FINGERPRINT`` folder of it; read only.
+        results: the results folder, or one of its ``DATASET@FINGERPRINT`` folders; it is only read.
         split: only the pair sets of this split.
-        metric: that ranks; default: the one of ``relocbench leaderboard``.
+        metric: the metric that ranks methods; by default that of ``relocbench leaderboard``.
 
     Raises:
         PredictionError: no results, a bad file, or scores that are missing or stale.
@@ -141,13 +143,13 @@ def read_leaderboard(results: Path | str, *, split: str | None = None, metric: s
     from relocbench.leaderboard.tracking.tables import RANKING, make_board, ranking_metric
 
     ranked_by = metric or RANKING
-    ranking_metric(ranked_by)  # an unknown one is told before anything is read
+    ranking_metric(ranked_by)  # an unknown metric is reported before anything is read
     board = make_board(load_results(Path(results), split), metric=ranked_by, split=split)
     return pd.DataFrame(leaderboard_rows(board))
 
 
 def read_errors(results: Path | str, *, split: str | None = None) -> pd.DataFrame:
-    """The errors of every pair and every tracker in a results folder; a failure has infinite errors.
+    """Read the errors of every pair and every tracker in a results folder; a failure has infinite errors.
 
     The columns are those of ``errors.csv``: translation in metres, rotation in degrees.
 
@@ -156,7 +158,7 @@ def read_errors(results: Path | str, *, split: str | None = None) -> pd.DataFram
     """
     import pandas as pd
 
-    from relocbench.evaluation.common.results import ERROR_COLUMNS
+    from relocbench.evaluation.common.error_table import ERROR_COLUMNS
     from relocbench.leaderboard.tracking.load import load_results
 
     frames = []

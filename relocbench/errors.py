@@ -1,4 +1,4 @@
-"""The one exception family for mistakes that a user can mend, and foreign text made fit for a message."""
+"""The exception family for errors that a user can fix, and untrusted text made safe for messages."""
 
 from __future__ import annotations
 
@@ -6,27 +6,25 @@ import re
 from pathlib import Path
 
 USER_ERROR = 2
-"""exit status of a command that was given what the user can mend"""
+"""exit status of a command whose input or use is wrong"""
 MOST_QUOTED = 200
-"""characters of foreign text in a message"""
+"""characters of untrusted text in a message"""
 MOST_MESSAGE = 2000
-"""characters of a message, its path aside"""
+"""characters of a message, without its path"""
 _ENDLESS = re.compile(rf"[^\s/]{{{MOST_QUOTED + 11},}}")
-"""a word that is longer than what :func:`quoted` makes, with the marks around it; paths are words of short parts"""
+"""a word longer than :func:`quoted` makes, with the marks around it; the parts of paths are shorter words"""
 _MARKED = re.compile(r"(?<!\w)'([^']*(?:(?<=\w)'(?=\w)[^']*)*)'(?!\w)")
-"""what stands between quotation marks, a path or several words as well; an apostrophe within a word is no mark"""
+"""text between quotation marks, such as a path or several words; an apostrophe within a word is no quotation mark"""
 
 
 class RelocbenchError(Exception):
-    """Bad input or bad use. The command line prints it as one line and exits with 2.
+    """Bad input or bad use. The command line prints it as one line and exits with status 2.
 
-    Whatever is given, its text is one printable line: control characters are written as escapes; what stands between
-    quotation marks, words of more than :data:`MOST_QUOTED` characters and messages of more than :data:`MOST_MESSAGE`
-    are cut.
+    Its text is always one printable line: control characters become escapes, and quoted text, words of more than
+    :data:`MOST_QUOTED` characters and messages of more than :data:`MOST_MESSAGE` characters are truncated.
 
     Args:
         expected: what is wrong and what was expected.
-        path: the file or folder in question, if any.
         line: 1-based line number in ``path``, if any.
     """
 
@@ -52,50 +50,50 @@ class RelocbenchError(Exception):
 
 
 class DatasetError(RelocbenchError):
-    """A recording or dataset on disk is missing something or holds something impossible."""
+    """A recording or dataset on disk lacks something or holds something invalid."""
 
 
 class PredictionError(RelocbenchError):
-    """A predictions file or a results folder does not fit the dataset it claims to answer."""
+    """A predictions file or a results folder does not fit its dataset."""
 
 
 class MethodError(RelocbenchError):
-    """A method cannot be found, cannot be configured, or breaks the contract."""
+    """A method cannot be found or configured, or it breaks the contract."""
 
 
 class ConfigError(RelocbenchError):
-    """A configuration file or a command-line value is not understood."""
+    """A configuration file or a command-line value is not valid."""
 
 
 def printable(text: str) -> str:
-    """Text as one line that a terminal shows and does not obey: other characters become escapes, as ``\\x1b``."""
+    """Text as one line that a terminal only shows: other characters become escapes such as ``\\x1b``."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 def cut(text: str, most: int = MOST_QUOTED) -> str:
-    """At most ``most`` characters; an ellipsis stands for those that were left out."""
+    """Text truncated to ``most`` characters, the last of which is then an ellipsis."""
     return text if len(text) <= most else text[: most - 1] + "…"
 
 
 def quoted(text: object, most: int = MOST_QUOTED) -> str:
-    """Foreign text for a message: in quotation marks, printable, of at most ``most`` characters between the marks."""
-    # What is cut off anyway need not be made printable: the text may be a whole file.
+    """Untrusted text for a message: in quotation marks, printable, at most ``most`` characters between the marks."""
+    # Text that is cut off need not be made printable: it may be a whole file.
     return f"'{cut(printable(str(text)[: most + 1]), most)}'"
 
 
 MESSAGE_CHARACTERS = 500
-"""what is kept of a message of code that is not ours"""
+"""characters that are kept of a message of third-party code"""
 
 
 def one_line(thing: object, most: int = MESSAGE_CHARACTERS) -> str:
-    """What code that is not ours says, as a table and a terminal can hold it: one printable line, cut to size.
+    """A message of third-party code as one printable line of limited length, for a table or a terminal.
 
-    Whatever the object's ``__str__`` does, there is a line.
+    The line is made whatever the object's ``__str__`` does.
     """
     try:
-        text = str.__str__(str(thing))  # a subclass of str may answer otherwise the next time
+        text = str.__str__(str(thing))  # a subclass of str could return something else the next time
     except BaseException as bad:  # noqa: BLE001  the boundary to code that is not ours
         text = f"(an object of type {type(thing).__name__}, whose __str__ raised {type(bad).__name__})"
     words = " ".join(text[: 20 * most].split())[:most]
@@ -103,5 +101,5 @@ def one_line(thing: object, most: int = MESSAGE_CHARACTERS) -> str:
 
 
 def raised(bad: BaseException) -> str:
-    """An exception of code that is not ours in one line: its type and what it says."""
+    """An exception of third-party code in one line: its type and its message."""
     return one_line(f"{type(bad).__name__}: {one_line(bad)}")

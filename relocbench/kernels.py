@@ -1,11 +1,11 @@
-"""Compiled kernels: ``njit``, and where Numba keeps what it has compiled: a folder for each state of the sources.
+"""``njit`` for compiled kernels, with a Numba cache that is renewed whenever their sources change.
 
-Numba's cache looks at the file of a compiled function alone. A function of another file that is compiled into it may
-change, in an update or while one works on it, and the old code goes on running: pictures and poses would depend on what
-was compiled when. So the folder is named by a digest of all files with kernels and of the modules they take from. Who
-sets ``NUMBA_CACHE_DIR`` takes this upon himself.
+Numba's own cache only checks the file that defines a compiled function. When that function calls one from another file
+and the other file changes, Numba keeps running the old code, and results would depend on what was compiled when. Here
+the cache folder is therefore named by a digest of all files with kernels and of the modules they import. A user who
+sets ``NUMBA_CACHE_DIR`` gives up this protection.
 
-A module with kernels takes ``njit`` from here, so that the folder is known before the first of them is defined.
+Every module with kernels must import ``njit`` from here, so that the folder is set before its first kernel is defined.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _PACKAGES = ("relocbench", "baselines")
 
 
 def use_kernel_cache() -> None:
-    """Point Numba at the folder of these sources, unless the user has chosen one."""
+    """Point Numba at the cache folder of the current sources, unless the user has chosen one."""
     if _VARIABLE in os.environ:
         return
     root = Path(__file__).resolve().parents[1]
@@ -36,39 +36,41 @@ def use_kernel_cache() -> None:
     os.environ[_VARIABLE] = str(folder)
     numba.config.reload_config()
     try:
-        os.utime(folder)  # in use
+        os.utime(folder)  # marks it as in use
     except OSError:
-        _forget(home)
+        _remove_unused(home)
 
 
 def kernel_digest(root: Path, packages: Sequence[str]) -> str:
-    """Hex digits that change when a file of the packages under ``root`` that holds a kernel does, or a module that such
-    a file imports by name."""
+    """Digest of all files with kernels in the packages under ``root`` and of the modules that these files import."""
     files = sorted(path for package in packages for path in (root / package).rglob("*.py"))
     texts = {path: path.read_bytes() for path in files}
     with_kernels = {path for path, text in texts.items() if b"njit" in text}
-    taken = {
-        path for kernel in with_kernels for name in _imports(texts[kernel], packages) for path in _files(root, name)
+    imported = {
+        path
+        for kernel in with_kernels
+        for name in _imported_modules(texts[kernel], packages)
+        for path in _module_files(root, name)
     }
     digest = hashlib.sha256()
-    for path in sorted(with_kernels | (taken & texts.keys())):
+    for path in sorted(with_kernels | (imported & texts.keys())):
         digest.update(str(path.relative_to(root)).encode())
         digest.update(hashlib.sha256(texts[path]).digest())
     return digest.hexdigest()[:16]
 
 
-def _imports(text: bytes, packages: Sequence[str]) -> Iterable[str]:
+def _imported_modules(text: bytes, packages: Sequence[str]) -> Iterable[str]:
     names = (name.decode() for name in _IMPORT.findall(text))
     return (name for name in names if name.split(".")[0] in packages)
 
 
-def _files(root: Path, name: str) -> tuple[Path, Path]:
+def _module_files(root: Path, name: str) -> tuple[Path, Path]:
     path = root.joinpath(*name.split("."))
     return path.with_suffix(".py"), path / "__init__.py"
 
 
-def _forget(home: Path) -> None:
-    """Remove folders of sources that nobody has used for a month."""
+def _remove_unused(home: Path) -> None:
+    """Remove cache folders that have not been used for a month."""
     try:
         old = [f for f in home.iterdir() if f.is_dir() and time.time() - f.stat().st_mtime > _UNUSED_S]
     except OSError:

@@ -1,4 +1,4 @@
-"""How long-running work tells where it is, without knowing who listens."""
+"""The interface by which long-running work reports progress, whoever receives it."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ Advance = Callable[[int], None]
 
 
 class Reporter(Protocol):
-    """Receives progress and remarks. The command line draws bars; a library user may pass nothing."""
+    """Receives progress and notes. The command line shows bars; a library user may pass :class:`Silent`."""
 
     def stage(self, description: str, total: int) -> AbstractContextManager[Advance]:
-        """Begin a stage of ``total`` units; the value of the context is called with the units just done."""
+        """Begin a stage of ``total`` units; the context's value is called with the number of units just done."""
         ...
 
     def note(self, message: str) -> None:
-        """Something the user should know: an assumption that was made, a file that was left out."""
+        """Tell the user something: an assumption that was made, or a file that was left out."""
         ...
 
 
 class Silent:
-    """A reporter that drops everything."""
+    """A reporter that ignores everything."""
 
     @contextmanager
     def stage(self, description: str, total: int) -> Iterator[Advance]:

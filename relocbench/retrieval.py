@@ -1,11 +1,11 @@
-"""The contract between relocbench and a retriever: what it is given, what it answers.
+"""The contract of retrievers: what a retriever is given, and what it returns.
 
-A retriever is any object with ``describe``; it inherits nothing and is found by the entry-point group
-``relocbench.retrievers``, by a dotted path, or not at all where rankings were made elsewhere. It describes images by
-vectors; keyframes are ranked by the dot product of theirs with the query's. It may also order the first K anew
+A retriever is any object with ``describe``. It inherits nothing and is found by the entry-point group
+``relocbench.retrievers`` or by a dotted path; rankings made elsewhere need none. It describes images by vectors, and
+keyframes are ranked by the dot product of their vectors with the query's. It may also rerank the first K candidates
 (``rerank``), and learn from the gallery before it describes anything (``fit``).
 
-The views hold no label, no position and no pose: what the answer is judged by is never seen.
+The views hold no label, no position and no pose: a retriever never sees the ground truth.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ Descriptors = NDArray[np.floating]
 
 @dataclass(frozen=True, eq=False)
 class ImageView:
-    """An image as a retriever sees it; it is read when it is looked at."""
+    """An image as a retriever sees it; the file is read when ``image`` is first used."""
 
     key: str
-    """names the image within its set; says nothing about the place"""
+    """identifies the image within its set, without hinting at the place"""
     view: str
-    """from where it was taken: ``street``, ``drone``, ``satellite``"""
+    """where it was taken from: ``street``, ``drone``, ``satellite``"""
     read: Callable[[], Image]
-    """raises DatasetError"""
+    """reads the image; raises DatasetError"""
     content: str = ""
-    """digest of what the image holds, where it is known: images of one view with the same are described once"""
+    """digest of the image's content, if known: images of one view with equal digests are described once"""
 
     @cached_property
     def image(self) -> Image:
@@ -45,83 +45,83 @@ class ImageView:
 
 @runtime_checkable
 class Retriever(Protocol):
-    """Describes images so that images of one place are near."""
+    """Describes images so that images of one place have similar descriptors."""
 
     def describe(self, images: Sequence[ImageView]) -> Descriptors:
-        """Descriptors (N, D) of N images, float32 or float64; larger dot product = nearer place.
+        """Descriptors (N, D) of N images, float32 or float64; a larger dot product means a nearer place.
 
-        An image that cannot be described has a row of NaN: it retrieves nothing, and is not retrieved.
+        An image that cannot be described has a row of NaN: it retrieves nothing and is not retrieved.
 
         Raises:
-            MethodError: the method cannot go on.
+            MethodError: the method cannot go on at all, which ends the run.
         """
         ...
 
 
 @runtime_checkable
 class FittingRetriever(Retriever, Protocol):
-    """Learns from the images of the gallery first (a vocabulary, whitening); without labels, as a map would be made."""
+    """A retriever that first learns from the gallery (a vocabulary, whitening), without labels, as for a new map."""
 
     def fit(self, gallery: Sequence[ImageView], seed: int) -> None:
-        """Called once, before any ``describe``."""
+        """Learn from the gallery; called once, before any ``describe``."""
         ...
 
 
 @runtime_checkable
 class RerankingRetriever(Retriever, Protocol):
-    """Orders the first of a ranking anew."""
+    """A retriever that reranks the first candidates."""
 
     rerank_top: int
-    """K: so many of the first are handed over; 0 for none"""
+    """K, the number of candidates that are reranked; 0 for none"""
 
     def rerank(self, query: Descriptors, candidates: Descriptors) -> Descriptors:
-        """Scores (K,) of candidates (K, D) for a query (D,); larger is nearer. Those after the first K stay behind."""
+        """Scores (K,) of candidates (K, D) for a query (D,), larger is nearer; all other images stay behind these."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class RetrievalTask:
-    """Queries, a gallery, and which of it is right: one row of a leaderboard is a method on one task."""
+    """Queries, a gallery, and which images are right; a leaderboard has a row for each method and task."""
 
     name: str
-    """unique within its set, as ``drone-satellite`` or ``Rain__Sunny__front``; names the files of the answers"""
+    """unique within its set, such as ``drone-satellite`` or ``Rain__Sunny__front``; answers are named after it"""
     queries: tuple[ImageView, ...]
     gallery: tuple[ImageView, ...]
     relevance: Relevance
     condition_query: str = ""
     condition_gallery: str = ""
     groups: tuple[str, ...] = ()
-    """of each query: what is resampled together where intervals are made (a building); empty: blocks along the drive"""
+    """group of each query (such as its building) for resampling; empty to resample blocks along the drive"""
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceImage:
-    """An image to learn from, and what it shows."""
+    """A training image and the place that it shows."""
 
     image: ImageView
     place: int
-    """0 .. places - 1: images of one place have one number, whatever the view"""
+    """0 .. places - 1: images of one place have the same number, whatever the view"""
     condition: str = ""
     """weather and light in words, where they are known"""
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceData:
-    """What a retriever learns from: images of known places. No place of it is in what a method is tested on."""
+    """Training data of a retriever: images of known places, none of which occurs in a test set."""
 
     places: int
     images: tuple[PlaceImage, ...]
     described: tuple[tuple[str, str], ...]
-    """dataset's name and fingerprint, of each that it was made of"""
+    """name and fingerprint of each dataset that the data comes from"""
 
     @property
     def views(self) -> tuple[str, ...]:
-        """Which there are, sorted."""
+        """The views that occur, sorted."""
         return tuple(sorted({one.image.view for one in self.images}))
 
 
 class RetrievalSet(Protocol):
-    """Everything a retriever is asked on one dataset."""
+    """All retrieval tasks on one dataset."""
 
     @property
     def name(self) -> str: ...
@@ -130,7 +130,8 @@ class RetrievalSet(Protocol):
     def fingerprint(self) -> str:
         """A hash of everything that can change a score.
 
-        A set that also has a ``question``, the same for copies whose images differ in last digits, is compared by that.
+        A set may also have a ``question``, a digest equal for copies whose images differ in last digits, by which
+        results are then compared.
         """
         ...
 

@@ -1,7 +1,7 @@
-"""The contract between relocbench and a tracker: what it is given, what it answers.
+"""The contract of trackers: what a tracker is given, and what it returns.
 
-A tracker is any object with a ``track`` method; it inherits nothing. It never sees the ground truth: the views
-below hold none.
+A tracker is any object with a ``track`` method; it inherits nothing. It never sees the ground truth, which the views
+below do not hold.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class KeyframePoints:
-    """Pixels of a keyframe whose depth is known."""
+    """Pixels of a keyframe with known depth."""
 
     uv: Array
     """(N, 2) pixels, centres at integers"""
@@ -46,7 +46,7 @@ class KeyframePoints:
 
 @dataclass(frozen=True, eq=False)
 class Neighbour:
-    """Another frame of the reference's own traversal, posed against the reference by the map."""
+    """Another frame of the reference's own traversal, with its pose relative to the reference by the map."""
 
     timestamp_ns: int
     image: NDArray[np.uint8]
@@ -58,10 +58,10 @@ class Neighbour:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A keyframe of the map: image, camera and the depth that is known there."""
+    """A keyframe of the map: image, camera, and depth where it is known."""
 
     key: str
-    """names the keyframe within the dataset; the same key is the same keyframe"""
+    """identifies the keyframe within the dataset"""
     timestamp_ns: int
     image: NDArray[np.uint8]
     """(H, W) grey or (H, W, 3) RGB"""
@@ -76,7 +76,7 @@ class Reference:
 
     @cached_property
     def points(self) -> KeyframePoints:
-        """All pixels with known depth, whether the map is sparse or dense."""
+        """All pixels with known depth, from a sparse or dense map."""
         if self.sparse_points is not None:
             return self.sparse_points
         if self.depth is None:
@@ -87,12 +87,12 @@ class Reference:
         sigma_z = a + b * z + c * z * z
         points = (np.stack([u, v], axis=-1).astype(np.float64), 1.0 / z, sigma_z / (z * z))
         for array in points:
-            array.flags.writeable = False  # they are kept, for whoever asks next
+            array.flags.writeable = False  # they are cached for later callers
         return KeyframePoints(*points)
 
     @cached_property
     def inverse_depth_map(self) -> NDArray[np.float32]:
-        """(H, W) inverse depth in 1/m, 0 where unknown; sparse points rounded to pixels, the nearest one wins."""
+        """(H, W) inverse depth in 1/m, 0 where unknown; of sparse points rounded to one pixel, the nearest counts."""
         out = np.zeros((self.camera.height, self.camera.width), dtype=np.float32)
         if self.depth is not None:
             known = self.depth > 0
@@ -120,20 +120,20 @@ class Query:
 
 @dataclass(frozen=True, eq=False)
 class TrackResult:
-    """What a tracker answers: a pose, or a stated failure."""
+    """A tracker's answer: a pose, or a reported failure."""
 
     T_query_ref: Array | None
     """(4, 4) maps points of the reference camera to the query camera; None when the method failed"""
     confidence: float | None = None
-    """higher is surer; any scale, compared within one method only"""
+    """higher is more certain, on any scale; compared only among answers of the same method"""
     message: str = ""
-    """why it failed, or a remark"""
+    """the reason of a failure, or a remark"""
     info: Mapping[str, Any] = field(default_factory=dict)
-    """free-form numbers and words: inliers, energy, iterations, ...; up to 8192 characters of JSON are kept"""
+    """any further numbers and words: inliers, energy, iterations, ...; up to 8192 characters of JSON are kept"""
 
     @classmethod
     def failure(cls, message: str, **info: Any) -> TrackResult:
-        """No pose, and why."""
+        """An answer without a pose, with the reason."""
         return cls(T_query_ref=None, message=message, info=info)
 
     @property
@@ -143,18 +143,18 @@ class TrackResult:
 
 @runtime_checkable
 class Tracker(Protocol):
-    """A method that answers one pair.
+    """A method that finds the pose of one pair.
 
     The parameters of a tracker are the keyword arguments of its constructor, with their annotations and defaults:
-    ``--set key=value`` sets them and ``run.yaml`` keeps them. A parameter called ``seed`` gets the run's seed.
+    ``--set key=value`` sets them and ``run.yaml`` records them. A parameter called ``seed`` gets the run's seed.
 
-    Files that the parameters name as a ``Path`` are known by their content in ``run.yaml``; a class that reads others
-    (weights that come with it) tells them by a class method ``files(**parameters) -> Mapping[str, Path]``.
+    ``run.yaml`` records the content of files that parameters name as a ``Path``. A class that reads other files
+    (weights that come with it) lists them in a class method ``files(**parameters) -> Mapping[str, Path]``.
 
     ``reference`` is what :meth:`SupportsPrepare.prepare` returned where the tracker has it, the
-    :class:`Reference` itself otherwise. ``prior`` is a (4, 4) first guess of ``T_query_ref``, or None; a tracker that
-    uses it says so by a class attribute ``uses_prior = True``. A tracker that wants frames around the keyframe
-    says how many on each side by ``neighbours = N``.
+    :class:`Reference` itself otherwise. ``prior`` is a (4, 4) initial guess of ``T_query_ref``, or None; a tracker
+    that uses it declares so by a class attribute ``uses_prior = True``. A tracker that wants frames around the
+    keyframe declares their number on each side by ``neighbours = N``.
     """
 
     def track(self, reference: Any, query: Query, prior: Array | None = None) -> TrackResult: ...
@@ -162,7 +162,7 @@ class Tracker(Protocol):
 
 @runtime_checkable
 class SupportsPrepare(Protocol):
-    """Optional: work done once a reference and kept for all its queries (features, point selection, ...)."""
+    """Optional: work that is done once for each reference, for all its queries (features, point selection, ...)."""
 
     def prepare(self, reference: Reference) -> Any: ...
 
@@ -178,11 +178,11 @@ class SupportsBatch(Protocol):
 
 @runtime_checkable
 class SupportsMatching(Protocol):
-    """Optional: say where single pixels of a reference are in a query, for the measure of matching quality.
+    """Optional: find single pixels of a reference in a query, to measure matching quality.
 
-    ``uv_ref`` (N, 2) are pixels of the reference, ``uv_start`` (N, 2) pixels of the query to start from, float64,
-    centres at integers. The answer is (N, 2) pixels of the query, NaN where there is none. It is what the method's own
-    per-pixel Gauss-Newton walks to: each pixel is answered from its own start alone, whatever else is asked with it.
+    ``uv_ref`` (N, 2) are pixels of the reference, ``uv_start`` (N, 2) start pixels in the query, float64, with centres
+    at integers. The result is (N, 2) pixels of the query, NaN where there is no answer. It is where the method's own
+    per-pixel Gauss-Newton ends: each answer depends on its own pixel and start alone, not on the others in the call.
     """
 
     def match(self, reference: Any, query: Query, uv_ref: Array, uv_start: Array) -> Array: ...
@@ -190,17 +190,17 @@ class SupportsMatching(Protocol):
 
 @runtime_checkable
 class SupportsLevelMatching(Protocol):
-    """Optional, beside :class:`SupportsMatching`: the same on each level of the method's pyramid alone.
+    """Optional, in addition to :class:`SupportsMatching`: matches found on each single level of the image pyramid.
 
-    The answer is one (N, 2) array for each level, finest first, in pixels of the image: where the method's Gauss-Newton
-    ends if it works on that level only. There are as many levels for every pair.
+    The result is one (N, 2) array for each level, finest first, in pixels of the image: where the method's Gauss-Newton
+    ends if it uses that level only. The number of levels is the same for every pair.
     """
 
     def match_levels(self, reference: Any, query: Query, uv_ref: Array, uv_start: Array) -> Sequence[Array]: ...
 
 
 class FeatureMap(Protocol):
-    """One level of what a method sees of an image."""
+    """One level of a method's features of an image."""
 
     @property
     def map(self) -> NDArray[np.float32]:
@@ -209,7 +209,7 @@ class FeatureMap(Protocol):
 
 
 class FeatureMaps(Protocol):
-    """What a method sees of an image, level by level."""
+    """A method's features of an image, level by level."""
 
     @property
     def levels(self) -> Sequence[FeatureMap]:
@@ -219,47 +219,38 @@ class FeatureMaps(Protocol):
 
 @runtime_checkable
 class SupportsFeatures(Protocol):
-    """Optional: show the dense features that the method computes of an image, for pictures of them."""
+    """Optional: return the dense features that the method computes of an image, so that they can be drawn."""
 
     def features(self, image: NDArray[np.uint8], camera: Camera) -> FeatureMaps: ...
 
 
 class ContractFault(Exception):
-    """An answer is none in the sense of the contract; the message says why."""
+    """An answer that breaks the contract; the message says why."""
 
 
 def plain_pixels(ends: object, count: int) -> Array:
-    """A copy (N, 2) float64 of the answer to ``count`` pixels, NaN where there is none. Raises ContractFault."""
+    """A copy (N, 2) float64 of a result of ``match`` for ``count`` pixels. Raises ContractFault if it is not valid."""
     if not isinstance(ends, np.ndarray) or not np.issubdtype(ends.dtype, np.floating):
         kind = f"an array of {ends.dtype}" if isinstance(ends, np.ndarray) else type(ends).__name__
         raise ContractFault(f"match returned {kind}, expected an array of floats")
-    found = np.asarray(ends)  # of no subclass, which could answer otherwise when it is looked at again
+    found = np.asarray(ends)  # a plain array: a subclass could behave differently at each look
     if found.shape != (count, 2):
         raise ContractFault(f"match returned shape {found.shape}, expected ({count}, 2)")
     with np.errstate(over="ignore"):
         found = np.array(found, dtype=np.float64)
     if np.isinf(found).any():
-        raise ContractFault("match returned an infinite pixel; no answer is NaN")
+        raise ContractFault("match returned an infinite pixel; a pixel without an answer is NaN")
     return found
 
 
-def match_fault_of(ends: object, count: int) -> str | None:
-    """What keeps ``ends`` from being the answer to ``count`` pixels, or None if nothing does."""
-    try:
-        plain_pixels(ends, count)
-    except ContractFault as fault:
-        return str(fault)
-    return None
-
-
 def plain_result(result: object) -> TrackResult:
-    """A copy of an answer, the pose as (4, 4) float64 and the confidence as float; message and info as they are.
+    """A copy of an answer, with the pose as (4, 4) float64 and the confidence as float; message and info are kept.
 
-    Each field is looked at once, so that what was checked is what is used.
+    Each field is read once, so that what was checked is what is used.
 
     Raises:
-        ContractFault: it is no answer in the sense of the contract.
-        Exception: whatever an object that the method made raises when it is looked at.
+        ContractFault: the answer breaks the contract.
+        Exception: whatever an object of the method's raises when it is read.
     """
     if not isinstance(result, TrackResult):
         raise ContractFault(f"returned {type(result).__name__}, expected TrackResult")
@@ -272,19 +263,8 @@ def plain_result(result: object) -> TrackResult:
     )
 
 
-def fault_of(result: object) -> str | None:
-    """What keeps ``result`` from being an answer in the sense of the contract, or None if nothing does."""
-    try:
-        plain_result(result)
-    except ContractFault as fault:
-        return str(fault)
-    except Exception as bad:  # noqa: BLE001  the boundary to code that is not ours
-        return f"the answer cannot be read: {raised(bad)}"
-    return None
-
-
 def _plain_confidence(value: Any) -> float:
-    """Numbers of all kinds, NumPy's and PyTorch's scalars too. Raises ContractFault."""
+    """A confidence as float; scalars of NumPy and PyTorch are accepted. Raises ContractFault."""
     if getattr(value, "shape", ()) != ():
         raise ContractFault(
             f"confidence is an array of shape {one_line(value.shape, 60)}, expected a finite number or None"
@@ -303,7 +283,7 @@ def _plain_confidence(value: Any) -> float:
 
 
 def _plain_pose(value: Any) -> Array:
-    """(4, 4) float64 of floats or integers. Raises ContractFault."""
+    """A pose as (4, 4) float64, from floats or integers. Raises ContractFault."""
     try:
         given = np.asarray(value)
     except ValueError as bad:
@@ -317,7 +297,7 @@ def _plain_pose(value: Any) -> Array:
         if not np.all(np.isfinite(pose)):
             raise ContractFault("T_query_ref is not finite")
         rotation = pose[:3, :3]
-        # Huge numbers overflow to NaN, which must not pass: "not at most" rather than "more than".
+        # Huge numbers overflow to NaN, which "not at most" rejects and "more than" would accept.
         off = not np.abs(rotation @ rotation.T - np.eye(3)).max() <= 1e-3
         if off or np.linalg.det(rotation) < 0:
             raise ContractFault("T_query_ref is not a rigid transform (its rotation is off SO(3) by more than 1e-3)")

@@ -1,11 +1,11 @@
-"""The contract between relocbench and a method that learns: what it is given, what it leaves behind.
+"""The contract of trainers: what a method that learns is given, and what it leaves behind.
 
-A trainer is any object with ``default_options`` and ``train``; it inherits nothing and is found by the entry-point
-group ``relocbench.trainers``. It gets pairs of images with ground-truth correspondences, and a way to try what it has
-learnt as a tracker on pairs that it never learns from.
+A trainer is any object with ``default_options`` and ``train``. It inherits nothing and is found by the entry-point
+group ``relocbench.trainers``. It gets pairs of images with ground-truth correspondences, and a function that scores it
+as a tracker on pairs that it does not learn from.
 
-A trainer of places has ``train_places`` in place of ``train``. It gets images of known places, and a way to try what it
-has learnt as a retriever on places that it never learns from.
+A trainer of places has ``train_places`` instead of ``train``. It gets images of known places, and a function that
+scores it as a retriever on places that it does not learn from.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from relocbench.tracking import Tracker
 
 @dataclass(frozen=True)
 class PairLabel:
-    """What a training pair shows, known without reading it."""
+    """Facts about a training pair that are known without reading it."""
 
     dataset: str
-    """name and short fingerprint: traversals of different datasets are different"""
+    """name and short fingerprint, which tell apart traversals of different datasets"""
     traversal_ref: str
     traversal_query: str
     camera: str
@@ -41,7 +41,7 @@ class PairLabel:
 class TrainingPair:
     """Two images and the pixels in them that see the same surface points.
 
-    What is hidden in either is left out, as far as the data's depth tells.
+    Points that are hidden in either image are left out, as far as the depth of the data shows it.
     """
 
     label: PairLabel
@@ -54,16 +54,16 @@ class TrainingPair:
     u_query: NDArray[np.float32]
     """(N, 2)"""
     sigma_px: NDArray[np.float32] | None = None
-    """(N,) one standard deviation of ``u_query``, NaN where unknown; None where the data does not tell"""
+    """(N,) one standard deviation of ``u_query``, NaN where unknown; None where the data has none"""
 
 
 class TrainingData(Protocol):
-    """Pairs to learn from. It can be pickled, and each process reads for itself."""
+    """Pairs to learn from. The object can be pickled, and each process reads for itself."""
 
     def __len__(self) -> int: ...
 
     def label(self, index: int) -> PairLabel:
-        """What a pair is, without reading it, so that pairs can be drawn evenly over conditions and traversals."""
+        """The label of a pair, which is not read, so that pairs can be drawn evenly over conditions and traversals."""
         ...
 
     def load(self, index: int) -> TrainingPair:
@@ -71,27 +71,27 @@ class TrainingData(Protocol):
         ...
 
     def describe(self) -> Mapping[str, str]:
-        """What it is made of: dataset's name -> fingerprint."""
+        """The names and fingerprints of the datasets that the data comes from."""
         ...
 
 
 @dataclass(frozen=True)
 class ValidationScores:
-    """What a tracker scored on the validation pairs, or a retriever on the validation places."""
+    """The scores of a tracker on the validation pairs, or of a retriever on the validation places."""
 
     together: Mapping[str, float]
-    """metric's name -> value over all pairs; of a retriever: mean over the directions"""
+    """metric -> value over all pairs; for a retriever, the mean over the directions"""
     by_conditions: Mapping[str, Mapping[str, float]]
-    """``REFERENCE -> QUERY`` -> metric's name -> value; of a retriever by ``QUERY-GALLERY`` view, and more than the
-    metrics: what chance would score, how far descriptors spread"""
+    """``REFERENCE -> QUERY`` conditions -> metric -> value; for a retriever ``QUERY-GALLERY`` views -> metric, chance
+    level and spread of descriptors"""
     pairs: Mapping[str, int]
-    """how many of each ``REFERENCE -> QUERY``; of a retriever: queries of each direction"""
+    """number of pairs for each ``REFERENCE -> QUERY``; for a retriever, of queries for each direction"""
     messages: tuple[str, ...] = ()
-    """what broke, if anything did: the first of each kind"""
+    """what broke, if anything did: the first message of each kind"""
 
 
 Validate = Callable[[Tracker], ValidationScores]
-"""Tracks the same pairs at each call; the tracker is used as ``relocbench evaluate`` uses it."""
+"""Tracks the same pairs at each call, and uses the tracker as ``relocbench evaluate`` does."""
 
 ValidateRetriever = Callable[[Retriever], ValidationScores]
 """Retrieves among the same held-out places at each call, by descriptors alone."""
@@ -99,23 +99,23 @@ ValidateRetriever = Callable[[Retriever], ValidationScores]
 
 @dataclass(frozen=True)
 class TrainingRun:
-    """Where and how a training runs; nothing here changes what is learnt on a CPU."""
+    """Where and how a training runs; nothing in it changes what is learnt on a CPU."""
 
     out: Path
-    """folder of what is left behind; a folder with a checkpoint is gone on with"""
+    """output folder; if it holds a checkpoint, that training is resumed"""
     name: str = ""
-    """what the trainer was asked for by"""
+    """the name by which the trainer was requested"""
     command: str = ""
-    """that makes this run again"""
+    """the command that repeats this run"""
     workers: int = 1
-    """background processes that read pairs; 0 for none"""
+    """number of background processes that read pairs; 0 for none"""
     device: str = "cpu"
     reporter: Reporter = field(default_factory=Silent)
 
 
 @dataclass(frozen=True)
 class TrainingReport:
-    """What a training left behind."""
+    """The results of a training."""
 
     weights: Path
     steps: int
@@ -135,17 +135,17 @@ class Trainer(Protocol):
     def train(
         self, data: TrainingData, validate: Validate | None, options: Mapping[str, Any], run: TrainingRun
     ) -> TrainingReport:
-        """Learn, keep the weights that validate best, or the last ones where there is no validation.
+        """Train, and keep the weights that validate best, or the last ones if there is no validation.
 
         Args:
             data: pairs to learn from.
             validate: see :data:`Validate`.
-            options: nested as ``default_options``; what is absent has its default.
-            run: where and how.
+            options: nested as ``default_options``; missing options have their defaults.
+            run: where and how to train.
 
         Raises:
-            ConfigError: an option that does not exist or makes no sense.
-            MethodError: the training broke down, or ``run.out`` holds another one.
+            ConfigError: an unknown or invalid option.
+            MethodError: the training failed, or ``run.out`` holds another training.
         """
         ...
 
@@ -161,28 +161,28 @@ class PlaceTrainer(Protocol):
     def train_places(
         self, data: PlaceData, validate: ValidateRetriever | None, options: Mapping[str, Any], run: TrainingRun
     ) -> TrainingReport:
-        """Learn, keep the weights that validate best, or the last ones where there is no validation.
+        """Train, and keep the weights that validate best, or the last ones if there is no validation.
 
         Args:
             data: images to learn from.
             validate: see :data:`ValidateRetriever`.
-            options: nested as ``default_options``; what is absent has its default.
-            run: where and how.
+            options: nested as ``default_options``; missing options have their defaults.
+            run: where and how to train.
 
         Raises:
-            ConfigError: an option that does not exist or makes no sense, or data that the options do not fit.
-            MethodError: the training broke down, or ``run.out`` holds another one.
+            ConfigError: an unknown or invalid option, or data that the options do not fit.
+            MethodError: the training failed, or ``run.out`` holds another training.
         """
         ...
 
 
 @runtime_checkable
 class ConfiguredTrainer(Protocol):
-    """A trainer of several systems, told apart by the option ``configuration``, each with options of its own."""
+    """A trainer of several systems with options of their own, selected by the option ``configuration``."""
 
     configurations: tuple[str, ...]
-    """their names, which ``relocbench train --config`` takes"""
+    """names of the systems, which ``relocbench train --config`` takes"""
 
     def options_of(self, configuration: str) -> dict[str, Any]:
-        """As ``default_options``, of one system. Raises ConfigError."""
+        """The default options of one system. Raises ConfigError."""
         ...

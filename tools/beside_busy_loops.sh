@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Run a command while N loops keep the processor busy: beside_busy_loops.sh N COMMAND...
+# Run a command while N endless loops keep the processors busy.
+#   tools/beside_busy_loops.sh N COMMAND...
 set -u
 count="$1"
 shift

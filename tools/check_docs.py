@@ -1,4 +1,4 @@
-"""Check that links in README.md and docs/ lead somewhere, and that commands and tests named there exist as shown."""
+"""Check that links in README.md and docs/ have targets, and that the commands and tests named there exist."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def dead_links(page: Path) -> Iterator[str]:
             if "://" in target or target.startswith(("#", "mailto:")):
                 continue
             if not (page.parent / target.split("#")[0]).exists():
-                yield f"{page.relative_to(ROOT)}:{number}: link to '{target}', which is not there"
+                yield f"{page.relative_to(ROOT)}:{number}: link to '{target}', which does not exist"
 
 
 def commands(page: Path) -> Iterator[tuple[int, str]]:
-    """Lines of shell blocks that call relocbench, with continued lines joined."""
+    """The line number and text of relocbench commands in shell blocks, with continued lines joined."""
     language, start, pending = None, 0, ""
     for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
         fence = _FENCE.match(line)
@@ -50,7 +50,7 @@ def commands(page: Path) -> Iterator[tuple[int, str]]:
 
 
 def unknown_words(command: str) -> Iterator[str]:
-    """Sub-commands and options of a shown command that the program does not have."""
+    """Faults of a shown command: subcommands and options that do not exist."""
     words = shlex.split(command, comments=True)[1:]
     context: Any = typer.main.get_command(app)
     while words and hasattr(context, "get_command"):
@@ -70,12 +70,12 @@ def unknown_words(command: str) -> Iterator[str]:
 
 
 def unknown_tests(page: Path) -> Iterator[str]:
-    """Tests named as ``file.py::test_name`` that are not in ``tests/``."""
+    """Faults of a page: tests named as ``file.py::test_name`` that do not exist."""
     for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
         for file, name in _TEST.findall(line):
             found = (ROOT / "tests").rglob(Path(file).name)
             if not any(f"def {name}(" in path.read_text(encoding="utf-8") for path in found):
-                yield f"{page.relative_to(ROOT)}:{number}: test '{file}::{name}', which is not there"
+                yield f"{page.relative_to(ROOT)}:{number}: test '{file}::{name}', which does not exist"
 
 
 def main() -> int:
@@ -85,7 +85,7 @@ def main() -> int:
         for number, command in commands(page):
             shown += 1
             faults += [f"{page.relative_to(ROOT)}:{number}: {fault}" for fault in unknown_words(command)]
-    print("\n".join(faults) or f"{len(pages())} pages, {shown} commands: all links, commands and named tests hold")
+    print("\n".join(faults) or f"{len(pages())} pages, {shown} commands: all links, commands and named tests exist")
     return 1 if faults else 0
 
 

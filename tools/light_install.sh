@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Build the wheel, install it the light way into an environment of its own outside of the repository, and run there what
-# a scoring server runs. Prints seconds, size and the outcome of each command; exits with 1 if one fails.
+# Build the wheel, install it with requirements-light.txt into a new environment outside the repository, and run there
+# what a scoring server runs. Prints the time, the size and the result of each command; exits with 1 if one fails.
 #
 #   tools/light_install.sh [PYTHON...]      default: python3
 set -euo pipefail
@@ -34,9 +34,9 @@ for python in "${@:-python3}"; do
   try relocbench leaderboard scored --out board
   try python -c 'import relocbench as rb; assert len(rb.read_leaderboard("scored")) and len(rb.read_errors("scored"))'
   if "$env/bin/relocbench" evaluate -d data -m dso -o results >out 2>err || ! grep -q "numba" err; then
-    echo "  FAILED  dso is refused for want of numba: $(tail -n 1 err)"; failed=1
+    echo "  FAILED  dso does not name the missing numba: $(tail -n 1 err)"; failed=1
   else
-    echo "  ok      what needs more says so: $(tail -n 1 err)"
+    echo "  ok      dso names the missing package: $(tail -n 1 err)"
   fi
 done
 exit "$failed"

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Make the results in leaderboard/ again: datasets and predictions in a scratch folder, tables and curves in the repository.
+# Reproduce the results in leaderboard/: datasets and predictions in a scratch folder, tables and curves in the repository.
 #   tools/publish_leaderboard.sh RECORDINGS [SCRATCH]
 # RECORDINGS holds kitti_odometry/ (official layout, sequence 06) and tum_rgbd/ (freiburg1_xyz, freiburg1_desk).
 set -euo pipefail

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Make the results in leaderboard/retrieval/ again: sets and trainings in a scratch folder, tables in the repository.
+# Reproduce the results in leaderboard/retrieval/: datasets and trainings in a scratch folder, tables in the repository.
 #   tools/publish_retrieval.sh SCRATCH [SAMPLE]
-# SAMPLE holds sample_drone.jpg and sample_satellite.jpg. Hours on two cores; run again, it does what is missing.
+# SAMPLE holds sample_drone.jpg and sample_satellite.jpg. It takes hours on two cores; a second run does what is missing.
 set -euo pipefail
 mkdir -p "${1:?usage: tools/publish_retrieval.sh SCRATCH [SAMPLE]}"
 scratch=$(realpath "$1")
@@ -10,7 +10,7 @@ cd "$(dirname "$0")/.."
 repository=$PWD
 export PATH="$PWD/${VENV:-.venv}/bin:$PATH"
 export PYTHONPATH="$PWD${PYTHONPATH:+:$PYTHONPATH}"
-cd "$scratch" # cards and pages name files by their paths from here
+cd "$scratch" # cards and pages name files relative to this folder
 
 views=(--drone-views 12 --size 128 --conditions Sunny,Sunny,Overcast,Rain,Snow)
 relocbench build-dataset cross-view --split train --places 240 "${views[@]}" --out train -q
@@ -18,9 +18,9 @@ relocbench build-dataset cross-view --split train --places 720 "${views[@]}" --n
 relocbench build-dataset cross-view --split test --places 90 --distractors 30 --drone-views 6 --size 128 \
   --conditions Sunny,Overcast,Rain,Snow --out test -q
 
-# No ImageNet weights: one long training gives all systems their backbone, first on few places (with 720 classes drawn
-# weights begin to learn late), then on three times as many. If it favours a system, then global-average, whose own
-# way of training it is.
+# In place of ImageNet weights, one long training gives all systems their backbone: first on few places, since with 720
+# classes random weights start to learn late, then on three times as many. If this favours any system, it is
+# global-average, which is trained in this way itself.
 network=(--set network.backbone=resnet18 --set mixed_precision=true)
 backbone=("${network[@]}" --set size=96 --set batch=16 --set rate=1e-2 --set warm_up=100 --set network.dropout=0.2)
 relocbench train lpn --dataset train --config global-average "${backbone[@]}" --set backbone_rate=1e-2 \

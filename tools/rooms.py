@@ -1,7 +1,8 @@
-"""How the rooms of a package depend on each other: ``python tools/rooms.py relocbench.datasets.groundtruth``.
+"""Print how the parts of a package depend on each other: ``python tools/rooms.py relocbench.datasets.groundtruth``.
 
-A room is a folder or module directly in the package, an arrow says that one imports from another, and a room's level is
-one above the highest room that it imports from. Prints a line a room, then a line of counts.
+A room is a folder or module directly in the package. An arrow is an import from one room into another. The level of a
+room is one above the highest level of the rooms that it imports from. There is a line for each room, with its level and
+the rooms that it imports from, and a last line with the numbers of rooms, levels and arrows.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import grimp
 
 
 def arrows(package: str) -> dict[str, set[str]]:
-    """Room -> rooms that it imports from."""
+    """The rooms that each room imports from."""
     graph = grimp.build_graph("relocbench", "baselines", cache_dir=None)
     found: dict[str, set[str]] = defaultdict(set)
     for module in graph.modules:
@@ -30,7 +31,11 @@ def arrows(package: str) -> dict[str, set[str]]:
 
 
 def levels(found: dict[str, set[str]]) -> dict[str, int]:
-    """Room -> level. Raises graphlib.CycleError."""
+    """The level of each room.
+
+    Raises:
+        graphlib.CycleError: rooms import from each other.
+    """
     out: dict[str, int] = {}
     for room in TopologicalSorter(found).static_order():
         out[room] = 1 + max((out[other] for other in found.get(room, ())), default=0)

@@ -32,7 +32,7 @@ if [ ! -x "$venv/bin/python" ]; then
   "$python" -m venv "$venv" || fail "cannot make a virtual environment; on Debian: apt-get install python3-venv"
 fi
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "uv==$uv_version"
-echo "set-up: installing pinned packages (torch is large: minutes on a slow line)"
+echo "set-up: installing pinned packages (torch is large; this may take minutes)"
 export VIRTUAL_ENV="$PWD/$venv"
 case "$venv" in /*) VIRTUAL_ENV="$venv" ;; esac
 "$venv/bin/uv" pip install --quiet --require-hashes -r tools/hashes.txt

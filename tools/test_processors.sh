@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Run tests as other processors would: each library is told to leave out instructions that this one has, or to use
-# another number of threads. Prints a table of what failed last; exits with 1 if anything did.
+# Run tests as on other processors: each library is told not to use some of this processor's instructions, or to use
+# another number of threads. Prints a table of the failures at the end; exits with 1 if there are any.
 #
 #   tools/test_processors.sh [TEST FILES...]     default: the whole suite
 #   SETTINGS="aten-default old-x86" tools/...    only these settings
@@ -41,7 +41,7 @@ order="as-it-is aten-default aten-avx2 openblas-haswell openblas-nehalem openbla
 failed=0
 table="$(printf '%-20s %-10s %s' setting status failed)"
 for name in ${SETTINGS:-$order}; do
-  [ -n "${settings[$name]-}" ] || { echo "test_processors.sh: no setting '$name'; there is:" $order >&2; exit 2; }
+  [ -n "${settings[$name]-}" ] || { echo "test_processors.sh: no setting '$name'; expected one of:" $order >&2; exit 2; }
   IFS='|' read -ra variables <<<"${settings[$name]}"
   echo "== $name: ${variables[*]}"
   env "${variables[@]}" "$python" -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder -p no:cacheprovider "$@" \

@@ -1,12 +1,13 @@
-"""Gauss-Newton on single pixels: where in the query is the surface point of a reference pixel, from a start nearby?
+"""Gauss-Newton on single pixels, from a start nearby to the query pixel that shows the point of a reference pixel.
 
-For a pixel u of the reference and a position x in the query (GN-Net, von Stumberg et al., RA-L 2020, section III; the
-inner problem of its loss):
+For a pixel u of the reference and a position x in the query (von Stumberg et al., GN-Net, RA-L 2020, section III; the
+problem that its loss is about):
 
     r = F_q(x) - F_r(u)      J = dF_q/dx (x)      x <- x - (J^T J + eps I)^-1 J^T r
 
-coarse to fine. With D channels, D >= 2, one pixel is enough. With one channel J^T J of a pixel has rank 1 (the aperture
-problem), so that residuals of a pattern of pixels around u are stacked; the pattern is shifted, never warped.
+on one level after another, coarse to fine. With D >= 2 channels one pixel is enough. With one channel J^T J of a pixel
+has rank 1 (the aperture problem), so that the residuals of a pattern of pixels around u are stacked; the pattern is
+shifted, never warped.
 """
 
 from __future__ import annotations
@@ -26,65 +27,66 @@ Array = NDArray[np.float64]
 Pattern = tuple[tuple[float, float], ...]
 SINGLE_PIXEL: Pattern = ((0, 0),)
 DSO_PATTERN: Pattern = ((0, -2), (-1, -1), (1, -1), (-2, 0), (0, 0), (2, 0), (-1, 1), (0, 2))
-"""offsets u, v of the eight pixels whose residuals DSO adds up for one point (Engel et al., 2018, figure 4)"""
+"""offsets (u, v) of the eight pixels of DSO's residual pattern (Engel et al., 2018, figure 4)"""
 
 SMALLEST_STEP = 1e-3
 """pixels; a shorter step ends a level"""
-LIGHTS = {"none": 0, "offset": 1, "affine": 2}
+BRIGHTNESS_MODELS = {"none": 0, "offset": 1, "affine": 2}
+"""and how many degrees of freedom each of them takes out of a channel"""
 _OFFSET, _AFFINE = 1, 2
 
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """What the matching can be told.
+    """Pattern, brightness model, damping and iterations.
 
     Raises:
-        ValueError: unknown ``light``, no pixel in the pattern, or a number that is not positive.
+        ValueError: the brightness model is unknown, the pattern is empty, or a number is not positive.
     """
 
     pattern: Pattern = SINGLE_PIXEL
     """offsets (u, v) of the pixels whose residuals are stacked, in pixels of the level"""
-    light: Literal["none", "offset", "affine"] = "none"
-    """what a change of brightness between the images may do to a pattern: ``offset`` removes the mean of each channel
-    over the pattern from both sides, ``affine`` also divides by what remains (its norm), so that gain and offset of the
-    light have no say"""
+    brightness: Literal["none", "offset", "affine"] = "none"
+    """changes of brightness that the residuals are invariant to: ``offset`` subtracts from both images the mean of each
+    channel over the pattern, ``affine`` also divides by the norm of what remains"""
     damping: float = 1e-6
-    """eps, as a share of the mean of the diagonal of J^T J: the same for features of any scale"""
+    """eps, relative to the mean of the diagonal of J^T J, so that it does not depend on the features' scale"""
     longest_step: float = 2.0
-    """pixels of a level; a longer step is cut to it, for J is no longer right there"""
+    """pixels of a level; longer steps are shortened to it, since J is not valid that far away"""
     iterations: int = 20
-    """at most, on each level"""
+    """largest number on each level"""
 
     def __post_init__(self) -> None:
-        if self.light not in LIGHTS:
-            raise ValueError(f"light is '{self.light}', expected {', '.join(LIGHTS)}")
+        if self.brightness not in BRIGHTNESS_MODELS:
+            raise ValueError(f"brightness is '{self.brightness}', expected {', '.join(BRIGHTNESS_MODELS)}")
         if not self.pattern or min(self.damping, self.longest_step, self.iterations) <= 0:
             raise ValueError("matching needs a pattern, and positive damping, longest_step and iterations")
 
     def equations(self, channels: int) -> int:
-        """Residuals that are left for the two unknowns once the light is out."""
-        return channels * (len(self.pattern) - LIGHTS[self.light])
+        """The number of independent residuals once the brightness is taken out."""
+        return channels * (len(self.pattern) - BRIGHTNESS_MODELS[self.brightness])
 
 
 def match_pixels(
     reference: Sequence[Level], query: Sequence[Level], uv_ref: Array, uv_start: Array, settings: MatchSettings
 ) -> Array:
-    """Where the Gauss-Newton of each pixel ends, all levels that both sides have, coarsest first.
+    """Run Gauss-Newton for each pixel on all levels that both images have, coarsest first.
 
-    A level on which the pattern does not fit into the maps, on either side, or whose normal equations are singular,
-    leaves a pixel where it was; on the finest one that is no answer. Pixels do not influence each other.
+    A level on which the pattern leaves one of the maps, or whose normal equations are singular, leaves a pixel where it
+    was; if that happens on the finest level, the pixel is not found. Pixels do not influence each other.
 
     Args:
         reference: maps of each level, finest first.
-        query: likewise, with as many channels.
-        uv_ref: (N, 2) pixels of the reference, centres at integers; need not be integers.
+        query: likewise, with the same number of channels.
+        uv_ref: (N, 2) pixels of the reference, which need not be integers.
         uv_start: (N, 2) pixels of the query to start from.
+        settings: see there.
 
     Returns:
-        (N, 2) pixels of the query, NaN where there is no answer.
+        (N, 2) pixels of the query; NaN where a pixel is not found.
 
     Raises:
-        ValueError: shapes or channels do not fit; fewer than two residuals a pixel, so that nothing is determined.
+        ValueError: shapes or channels disagree, or a pixel has fewer than two independent residuals.
     """
     common = min(len(reference), len(query))
     return _match_on(range(common), reference, query, uv_ref, uv_start, settings)
@@ -93,9 +95,12 @@ def match_pixels(
 def match_pixels_by_level(
     reference: Sequence[Level], query: Sequence[Level], uv_ref: Array, uv_start: Array, settings: MatchSettings
 ) -> list[Array]:
-    """Where the Gauss-Newton of each pixel ends on each level alone, from the same starts; finest level first.
+    """Run Gauss-Newton for each pixel on each level alone, from the same starts.
 
-    Arguments, (N, 2) pixels of the finest level that come back, and errors as in :func:`match_pixels`.
+    Arguments and errors are those of :func:`match_pixels`.
+
+    Returns:
+        For each level, finest first, (N, 2) pixels of the finest level; NaN where a pixel is not found.
     """
     common = min(len(reference), len(query))
     return [_match_on([level], reference, query, uv_ref, uv_start, settings) for level in range(common)]
@@ -109,16 +114,16 @@ def _match_on(
     uv_start: Array,
     settings: MatchSettings,
 ) -> Array:
-    """Matching on some levels, given finest first and worked on coarsest first."""
+    """Match on some levels, which are given finest first and worked on coarsest first."""
     n, channels = len(uv_ref), reference[0].channels
     if np.shape(uv_ref) != (n, 2) or np.shape(uv_start) != (n, 2) or query[0].channels != channels:
         raise ValueError(
-            f"matching needs uv_ref and uv_start (N, 2) and maps of as many channels; got {np.shape(uv_ref)}, "
+            f"matching needs uv_ref and uv_start (N, 2) and maps with equally many channels; got {np.shape(uv_ref)}, "
             f"{np.shape(uv_start)} and {channels}, {query[0].channels} channels"
         )
     if settings.equations(channels) < 2:
         raise ValueError(
-            f"{len(settings.pattern)} pixels of {channels} channels (light: {settings.light}) leave "
+            f"{len(settings.pattern)} pixels of {channels} channels (brightness: {settings.brightness}) leave "
             f"{max(settings.equations(channels), 0)} residuals for two unknowns; take a larger pattern"
         )
     wanted = np.array(uv_ref, dtype=np.float64, order="C")
@@ -133,7 +138,7 @@ def _match_on(
             wanted,
             uv,
             pattern,
-            LIGHTS[settings.light],
+            BRIGHTNESS_MODELS[settings.brightness],
             settings.damping,
             settings.longest_step,
             settings.iterations,
@@ -145,12 +150,12 @@ def _match_on(
 
 @njit(cache=True, error_model="numpy")
 def _sample(level_map: NDArray[np.float32], x: float, y: float, pattern: Array, out: Array) -> bool:
-    """Values, x and y derivatives (3, P D) at the pattern around a pixel, bilinear; False where it leaves the map."""
+    """Write values, x and y derivatives (3, P D) of the pattern around a pixel; False if it leaves the map."""
     height, width, depth = level_map.shape
     channels = depth // 3
     for p in range(len(pattern)):
         px, py = x + pattern[p, 0], y + pattern[p, 1]
-        # The outermost pixels have no derivative. The comparisons are false for NaN too.
+        # The outermost pixels have no derivative. The comparisons are also false for NaN.
         if not (px >= 1.0 and py >= 1.0 and px <= width - 2.0 and py <= height - 2.0):
             return False
         ix, iy = int(px), int(py)
@@ -168,18 +173,18 @@ def _sample(level_map: NDArray[np.float32], x: float, y: float, pattern: Array, 
 
 
 @njit(cache=True, error_model="numpy")
-def _remove_light(samples: Array, channels: int, light: int) -> bool:
-    """Take mean and norm of each channel out of the values and, by the chain rule, out of the derivatives.
+def _remove_brightness(samples: Array, channels: int, brightness: int) -> bool:
+    """Take the mean and the norm of each channel out of the values and, by the chain rule, out of the derivatives.
 
-    With v the values less their mean: d(v / |v|) = (dv - n (n dv)) / |v|, n = v / |v|. False where |v| is 0: a pattern
-    without contrast has no gain.
+    With v the values minus their mean and n = v / |v|: d(v / |v|) = (dv - n (n dv)) / |v|. False if |v| is 0, since the
+    gain of a pattern without contrast is undetermined.
     """
     size = samples.shape[1] // channels
     for c in range(channels):
         part = samples[:, c::channels]
         for k in range(3):
             part[k] -= np.sum(part[k]) / size
-        if light >= _AFFINE:
+        if brightness >= _AFFINE:
             norm = np.sqrt(np.sum(part[0] * part[0]))
             if not norm > 0.0:
                 return False
@@ -197,12 +202,12 @@ def _match_level(
     uv_ref: Array,
     uv: Array,
     pattern: Array,
-    light: int,
+    brightness: int,
     damping: float,
     longest_step: float,
     iterations: int,
 ) -> NDArray[np.bool_]:
-    """Move ``uv`` (N, 2), pixels of the finest level, on the level ``scale`` times smaller; (N,) which were moved."""
+    """Move ``uv`` (N, 2), pixels of the finest level, on the level ``scale`` times smaller; (N,) which were found."""
     n = len(uv)
     channels = reference_map.shape[2] // 3
     wanted, samples = np.empty((3, len(pattern) * channels)), np.empty((3, len(pattern) * channels))
@@ -212,14 +217,14 @@ def _match_level(
         u, v = (uv_ref[i, 0] + 0.5) / scale - 0.5, (uv_ref[i, 1] + 0.5) / scale - 0.5
         if not _sample(reference_map, u, v, pattern, wanted):
             continue
-        if light >= _OFFSET and not _remove_light(wanted, channels, light):
+        if brightness >= _OFFSET and not _remove_brightness(wanted, channels, brightness):
             continue
         x, y = (uv[i, 0] + 0.5) / scale - 0.5, (uv[i, 1] + 0.5) / scale - 0.5
         found = False
         for _ in range(iterations):
             found = _sample(query_map, x, y, pattern, samples)
-            if found and light >= _OFFSET:
-                found = _remove_light(samples, channels, light)
+            if found and brightness >= _OFFSET:
+                found = _remove_brightness(samples, channels, brightness)
             if not found:
                 break
             hxx, hxy, hyy, bx, by = 0.0, 0.0, 0.0, 0.0, 0.0

@@ -1,7 +1,7 @@
 """DSO's coarse tracker as a relocalization tracker, from one start or from several.
 
 Engel, Koltun and Cremers, Direct Sparse Odometry, PAMI 2018. About 2000 pixels of large gradient with known depth are
-carried to all pyramid levels and aligned to the query, coarse to fine, together with an affine change of brightness.
+propagated to all pyramid levels and aligned to the query, coarse to fine, together with affine brightness parameters.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ Array = NDArray[np.float64]
 
 LARGEST_LOG_GAIN = 1.2
 LARGEST_OFFSET = 200.0
-"""grey levels; beyond these two DSO holds the tracking of consecutive frames for failed"""
+"""grey levels; beyond either limit DSO considers the tracking of consecutive frames failed"""
 MATCH_DAMPING = 0.01
-"""where a single pixel is matched: what DSO's tracker damps its first step by"""
+"""damping of the matching of single pixels: that of the first step of DSO's tracker"""
 MIN_VALID_SHARE = 0.1
-"""of the reference's points must project into the query for an answer"""
+"""share of the reference's points that must project into the query"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class DsoReference:
     levels: tuple[LevelPoints, ...]
     """finest first"""
     selected: int
-    """points chosen, before they were carried to the levels"""
+    """number of points chosen, before they were propagated to the levels"""
     maps: tuple[Level, ...]
     """the keyframe's pyramid, finest first"""
 
@@ -57,21 +57,21 @@ class DsoReference:
 class Dso:
     """Direct alignment of raw intensities from the prior, or from the identity without one.
 
-    Confidence, 0 to 1: the mean over all points of the reference of 1 - energy / largest energy at the final pose,
-    where a point out of view counts 0. It is 1 for a perfect fit of all points and 0 if none fits.
+    The confidence, 0 to 1, is the mean over all points of the reference of 1 - energy / largest energy at the final
+    pose, with 0 for points out of view: 1 if all points fit perfectly, 0 if none does.
 
     Args:
-        points: about so many pixels are chosen from a dense depth; points of a sparse map are all used.
-        huber: grey levels; larger residuals weigh less.
-        cutoff: grey levels; larger residuals are held for outliers.
-        cutoff_levels: on so many of the finest levels; coarser ones only have the Huber loss. DSO has the cutoff on
-            all (set ``max_levels`` for that), where a motion model gives a near start; from the identity it costs
-            half of the distance that can be bridged.
-        max_levels: of the image pyramid.
-        affine: estimate gain and offset of the brightness between the two images.
-        min_points: fewer points with depth are a stated failure.
-        dso_failure_test: refuse answers with |log gain| > 1.2 or |offset| > 200, as DSO does. Meant for consecutive
-            frames; between seasons it would reject good answers. What it would have said is in the result either way.
+        points: approximate number of pixels chosen from a dense depth image; all points of a sparse map are used.
+        huber: grey levels; larger residuals are downweighted.
+        cutoff: grey levels; larger residuals are treated as outliers.
+        cutoff_levels: number of the finest levels on which the cutoff applies; coarser ones only have the Huber loss.
+            DSO applies it on all (set it to ``max_levels``), starting from a motion model; from the identity it halves
+            the distance that can be bridged.
+        max_levels: largest number of pyramid levels.
+        affine: estimate affine brightness parameters, a gain and an offset, between the two images.
+        min_points: with fewer points that have depth, tracking fails.
+        dso_failure_test: refuse poses with |log gain| > 1.2 or |offset| > 200, as DSO does. The test is meant for
+            consecutive frames; between seasons it would reject good poses. Its verdict is in the result either way.
         seed: of the choice of points.
     """
 
@@ -97,7 +97,7 @@ class Dso:
         self.seed = seed
 
     def prepare(self, reference: Reference) -> DsoReference:
-        """Choose points and carry them to all levels.
+        """Choose points and propagate them to all levels.
 
         Raises:
             MethodError: the camera is not pinhole.
@@ -118,19 +118,22 @@ class Dso:
                 f"{reference.selected} reference points with depth, at least {self.min_points} are needed"
             )
         first = np.eye(4) if prior is None else np.asarray(prior, dtype=np.float64)
-        # Few points of a sparse map can leave too few pixels on a coarse level: then a finer one is the first.
+        # A sparse map may leave too few pixels on a coarse level; then a finer level is the first.
         usable = list(takewhile(lambda level: len(level) >= self.min_points, reference.levels))
         return self._answer(align_best(usable, levels, self._starts(first), self.settings))
 
     def match(self, reference: DsoReference, query: Query, uv_ref: Array, uv_start: Array) -> Array:
-        """Where single pixels of the keyframe are in the query, by Gauss-Newton on raw intensities from given starts.
+        """Find single pixels of the keyframe in the query, by Gauss-Newton on raw intensities from given starts.
 
-        One intensity cannot place a pixel in two directions, so that the eight of DSO's residual pattern around it are
-        taken. The tracker's one gain and offset for the whole image are not known here: with ``affine`` mean and
-        contrast are taken out of each pattern instead.
+        Since one intensity does not determine two coordinates, the eight pixels of DSO's residual pattern are matched
+        together. The brightness parameters of the whole image are not known here; with ``affine``, mean and contrast
+        are taken out of each pattern instead.
 
         Args:
-            uv_ref, uv_start: (N, 2) pixels of the keyframe, and of the query to start from.
+            reference: the prepared keyframe.
+            query: the image to search.
+            uv_ref: (N, 2) pixels of the keyframe.
+            uv_start: (N, 2) pixels of the query to start from.
 
         Returns:
             (N, 2) pixels of the query; NaN where the pattern leaves the image or has no contrast.
@@ -142,21 +145,21 @@ class Dso:
         return match_pixels(reference.maps, levels, uv_ref, uv_start, self._match_settings())
 
     def match_levels(self, reference: DsoReference, query: Query, uv_ref: Array, uv_start: Array) -> list[Array]:
-        """As :meth:`match` on each level of the pyramid alone, finest first; (N, 2) pixels of the image each."""
+        """As :meth:`match`, on each pyramid level alone, finest first; (N, 2) pixels of the image for each."""
         levels = image_pyramid(query.image, query.camera, self.max_levels)
         return match_pixels_by_level(reference.maps, levels, uv_ref, uv_start, self._match_settings())
 
     def _match_settings(self) -> MatchSettings:
-        light: Literal["affine", "none"] = "affine" if self.settings.affine else "none"
-        return MatchSettings(DSO_PATTERN, light, damping=MATCH_DAMPING)
+        brightness: Literal["affine", "none"] = "affine" if self.settings.affine else "none"
+        return MatchSettings(DSO_PATTERN, brightness, damping=MATCH_DAMPING)
 
     def _starts(self, first: Array) -> list[Array]:
         return [first]
 
     def _answer(self, found: Alignment) -> TrackResult:
         info = self._info(found)
-        if found.trouble:
-            return TrackResult.failure(found.trouble, **info)
+        if found.failure:
+            return TrackResult.failure(found.failure, **info)
         if found.final.valid < max(self.min_points, MIN_VALID_SHARE * found.points):
             return TrackResult.failure(
                 f"only {found.final.valid} of {found.points} points project into the query", **info

@@ -1,4 +1,4 @@
-"""Relocalization by sparse features: match keypoints, lift the keyframe's by its depth, solve perspective-n-point."""
+"""Relocalization by sparse features: keypoints are matched, lifted by the keyframe's depth, and given to PnP."""
 
 from baselines.feature_pnp.tracker import OrbPnp, PreparedReference, SiftPnp
 

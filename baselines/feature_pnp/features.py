@@ -1,4 +1,4 @@
-"""Keypoints with descriptors, spread evenly over the image, and their matching."""
+"""Detection, even distribution and matching of keypoints with descriptors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from relocbench.tracking import Array
 Indices = NDArray[np.intp]
 FeatureKind = Literal["orb", "sift"]
 
-_OVERSAMPLING = 4  # keypoints detected for each one kept, so that weakly textured cells have some to offer
+_OVERSAMPLING = 4  # keypoints detected for each one kept, so that weakly textured cells have some too
 _ORB_SCALE, _ORB_LEVELS, _ORB_FAST_THRESHOLD = 1.2, 8, 5
 _SIFT_CONTRAST, _SIFT_SIGMA = 0.01, 1.6
 
@@ -26,9 +26,9 @@ class Features:
     uv: Array
     """(N, 2) pixels, centres at integers"""
     scale: Array
-    """(N,) size of a pixel of the pyramid level it was found on, in image pixels: the unit of its accuracy"""
+    """(N,) size, in image pixels, of a pixel of the pyramid level that it was found on; the unit of its accuracy"""
     response: Array
-    """(N,) strength"""
+    """(N,) strength of the detector's response"""
     descriptors: NDArray[Any]
     """(N, D) float32 (SIFT) or uint8 (ORB)"""
 
@@ -41,7 +41,7 @@ class Features:
 
 
 def to_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(H, W) grey of a (H, W) grey, (H, W, 1) grey or (H, W, 3) RGB image."""
+    """The grey values (H, W) of a grey (H, W) or (H, W, 1) or an RGB (H, W, 3) image."""
     if image.ndim == 2:
         return np.ascontiguousarray(image)
     if image.shape[2] == 1:
@@ -50,7 +50,7 @@ def to_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def detect(image: NDArray[np.uint8], kind: FeatureKind, budget: int) -> Features:
-    """All features worth a choice, at most four times ``budget``; :func:`spread_evenly` makes the choice."""
+    """Up to four times ``budget`` features, strongest first, for :func:`spread_evenly` to choose from."""
     grey = to_grey(image)
     if kind == "orb":
         detector: Any = cv2.ORB.create(
@@ -64,7 +64,7 @@ def detect(image: NDArray[np.uint8], kind: FeatureKind, budget: int) -> Features
             nfeatures=_OVERSAMPLING * budget,
             contrastThreshold=_SIFT_CONTRAST,
             sigma=_SIFT_SIGMA,
-            enable_precise_upscale=True,  # without it every keypoint lies a quarter pixel off
+            enable_precise_upscale=True,  # without it every keypoint is a quarter of a pixel off
         )
     keypoints, descriptors = detector.detectAndCompute(grey, None)
     if not keypoints:
@@ -76,8 +76,8 @@ def detect(image: NDArray[np.uint8], kind: FeatureKind, budget: int) -> Features
     response = np.array([k.response for k in keypoints], dtype=np.float64)
     if kind == "orb":
         scale = _ORB_SCALE ** octave.astype(np.float64)
-        # OpenCV multiplies level coordinates by the nominal scale. Pixel centres at integers ask for
-        # (u + 0.5) s - 0.5 with the level's own scale, its size being rounded: a pixel's difference on the coarsest.
+        # OpenCV multiplies level coordinates by the nominal scale. With pixel centres at integers, it should be
+        # (u + 0.5) s - 0.5 with s from the level's rounded size: a difference of a pixel on the coarsest level.
         size = np.array([grey.shape[1], grey.shape[0]], dtype=np.float64)
         level_size = np.rint(size / scale[:, None])
         uv = (uv / scale[:, None] + 0.5) * (size / level_size) - 0.5
@@ -85,17 +85,18 @@ def detect(image: NDArray[np.uint8], kind: FeatureKind, budget: int) -> Features
         # The size of a SIFT keypoint is the diameter of its blur, 2 sigma_0 at the image's own resolution.
         scale = np.array([k.size for k in keypoints], dtype=np.float64) / (2 * _SIFT_SIGMA)
     features = Features(uv, np.maximum(scale, 1.0), response, descriptors)
-    # The detector's order may depend on its threads: this one does not.
+    # The detector's order may depend on its threads, this order does not.
     return features.take(np.lexsort((scale, uv[:, 0], uv[:, 1], -response)))
 
 
 def spread_evenly(features: Features, cell_px: int, budget: int) -> Indices:
-    """Indices of at most ``budget`` features: the strongest of every grid cell, then the second strongest, and so on.
+    """The indices of at most ``budget`` features: the strongest of each grid cell, then the second strongest, and so
+    on.
 
     Args:
         features: strongest first, as :func:`detect` returns them.
         cell_px: side of a grid cell in pixels.
-        budget: number of features kept.
+        budget: largest number of features.
     """
     if len(features) <= budget:
         return np.arange(len(features))
@@ -110,13 +111,16 @@ def spread_evenly(features: Features, cell_px: int, budget: int) -> Indices:
 
 
 def match(first: Features, second: Features, ratio: float, mutual: bool) -> Indices:
-    """Nearest neighbours of descriptors, ``first`` to ``second``, that are distinctive.
+    """Match each descriptor of ``first`` to its nearest neighbour in ``second``, if it is distinctive.
 
-    Lowe's ratio test (IJCV 2004) on the two nearest; with ``mutual``, the nearest of the nearest must be oneself.
+    Args:
+        first, second: features of one kind.
+        ratio: of Lowe's test (IJCV 2004): the largest ratio of the nearest to the second nearest distance.
+        mutual: keep only mutual nearest neighbours.
 
     Returns:
-        (M, 2) indices into ``first`` and ``second``, the most distinctive first, each feature of ``second`` at most
-        once.
+        Indices (M, 2) into ``first`` and ``second``, the most distinctive match first; each feature of ``second``
+        occurs at most once.
     """
     if len(first) == 0 or len(second) < 2:
         return np.zeros((0, 2), dtype=np.intp)
@@ -128,7 +132,7 @@ def match(first: Features, second: Features, ratio: float, mutual: bool) -> Indi
     accepted = best < ratio * second_best
     index = np.flatnonzero(accepted)
     if mutual and index.size:
-        # Only what passed the ratio test is asked back.
+        # Only matches that passed the ratio test are checked.
         back = matcher.match(second.descriptors[nearest[index]], first.descriptors)
         index = index[np.array([m.trainIdx for m in back]) == index]
     score = best[index] / np.maximum(second_best[index], 1e-12)

@@ -1,4 +1,4 @@
-"""The inverse depth of a keyframe between the pixels where it is known."""
+"""The inverse depth of a keyframe at arbitrary pixels."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from scipy.spatial import cKDTree
 
 from relocbench.tracking import Array, Reference
 
-_CONTINUOUS = 0.05  # relative spread of the four neighbours' inverse depths up to which they are one surface
+_CONTINUOUS = 0.05  # largest relative range of the four neighbours' inverse depths on one surface
 
 
 def inverse_depth_at(reference: Reference, uv: Array, radius_px: float) -> tuple[Array, Array]:
     """Inverse depth and its standard deviation at arbitrary pixels.
 
-    Between the pixels of a depth image it is interpolated where the four neighbours are one surface, and taken from
-    the nearest known one within a pixel elsewhere: the mean of two surfaces is on neither. Points of a sparse map
-    are used within ``radius_px``.
+    In a depth image it is interpolated where the four neighbouring pixels are on one surface. Elsewhere it is that of
+    the nearest known pixel within a distance of 1, since the mean of two surfaces is on neither. In a sparse map it is
+    that of the nearest point within ``radius_px``.
 
     Args:
         reference: the keyframe.
         uv: (N, 2) pixels.
-        radius_px: how far a sparse point may be from the pixel.
+        radius_px: largest distance of a point of a sparse map.
 
     Returns:
-        (N,) inverse depth in 1/m, 0 where unknown, and (N,) its sigma in 1/m.
+        The inverse depth (N,), 1/m, 0 where unknown, and its sigma (N,), 1/m.
     """
     if reference.sparse_points is None and reference.depth is not None:
         inverse = _dense(reference.depth, uv)
@@ -43,7 +43,7 @@ def inverse_depth_at(reference: Reference, uv: Array, radius_px: float) -> tuple
 
 
 def _dense(depth: NDArray[np.float32], uv: Array) -> Array:
-    """Bilinear in the inverse depth, which is linear in the pixel on a plane."""
+    """Interpolate the inverse depth bilinearly; on a plane it is a linear function of the pixel."""
     height, width = depth.shape
     u, v = uv[:, 0], uv[:, 1]
     u0 = np.clip(np.floor(u).astype(int), 0, max(width - 2, 0))

@@ -1,4 +1,4 @@
-"""Pose of a camera from points and the pixels that see them: robust search, then refinement in pixels."""
+"""The pose of a camera from 2-D to 3-D matches: a robust search, then refinement of the reprojection error."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from relocbench.geometry import Camera, apply, compose, hat, make_transform, se3
 from relocbench.tracking import Array
 
 PIXEL_NOISE = 0.5  # standard deviation of a keypoint on the finest pyramid level, pixels
-_HUBER = 2.0  # in units of that noise
-_ROUNDS = 5  # re-selections of the inliers
-_STEPS = 20  # Levenberg-Marquardt steps in each
-_STEP = 1e-6  # relative, for the derivative of the projection
-_STILL = 1e-9  # metres and radians
-_UNHELD = np.diag(np.full(6, np.inf))
+_HUBER = 2.0  # in units of this noise
+_ROUNDS = 5  # largest number of selections of inliers
+_STEPS = 20  # largest number of Levenberg-Marquardt steps in each round
+_STEP = 1e-6  # relative step of the numerical derivative of the projection
+_CONVERGED = 1e-9  # metres and radians
+_UNCONSTRAINED = np.diag(np.full(6, np.inf))
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +29,9 @@ class Matches2D3D:
     pixels: Array
     """(N, 2) query pixels"""
     scale: Array
-    """(N,) size of the coarser of the two keypoints' pyramid pixels, in image pixels, at least 1"""
+    """(N,) size, in image pixels, of a pyramid pixel of the coarser of the two keypoints; at least 1"""
     depth_direction: Array
-    """(N, 3) metres: what one standard deviation of the point's depth does to it"""
+    """(N, 3) metres; the displacement of the point by one standard deviation of its depth"""
 
     def __len__(self) -> int:
         return len(self.points)
@@ -46,14 +46,14 @@ def ransac_pose(
     seed: int,
     best_first: bool = False,
 ) -> Array | None:
-    """Pose by minimal samples scored with MAGSAC (Barath et al., CVPR 2020), as in OpenCV's USAC.
+    """Find the pose by RANSAC with MAGSAC scores (Barath et al., CVPR 2020), as in OpenCV's USAC.
 
-    Pixels of a distorted camera are first moved to those of the pinhole camera with the same K. Where the matches are
-    sorted, the likeliest to be right first (``best_first``), samples are drawn among the first ones at first (PROSAC:
-    Chum and Matas, CVPR 2005).
+    Pixels of a distorted camera are first undistorted to the pinhole camera with the same K. If the matches are sorted
+    with the most reliable ones first (``best_first``), early samples are drawn among these (PROSAC: Chum and Matas,
+    CVPR 2005).
 
     Returns:
-        ``T_query_ref`` (4, 4), or None where none was found.
+        ``T_query_ref`` (4, 4), or None if no pose is found.
     """
     pinhole = camera.pinhole()
     pixels, valid = camera.undistort(matches.pixels)
@@ -82,7 +82,7 @@ def ransac_pose(
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """A pose at the minimum of the robust reprojection error, and how well it is held there."""
+    """A pose at the minimum of the robust reprojection error, and its uncertainty."""
 
     T_query_ref: Array
     """(4, 4)"""
@@ -91,21 +91,21 @@ class Refined:
     rms_px: float
     """root mean square of the inliers' reprojection errors, each divided by its keypoint's scale"""
     covariance: Array
-    """(6, 6) of a left twist (rho, phi) on the pose, metres and radians; infinite where the pose is not held"""
+    """(6, 6) of a left twist (rho, phi) on the pose, metres and radians; infinite if the pose is not determined"""
 
     @property
     def sigmas(self) -> tuple[float, float]:
-        """Standard deviations of translation in metres and rotation in radians, each over its three axes together."""
+        """The standard deviations of translation (m) and rotation (rad), each over all three axes."""
         variance = np.diag(self.covariance)
         return float(np.sqrt(variance[:3].sum())), float(np.sqrt(variance[3:].sum()))
 
 
 def refine_pose(T_query_ref: Array, matches: Matches2D3D, camera: Camera, threshold_px: float) -> Refined:
-    """Minimise the robust reprojection error, selecting the inliers anew after every minimisation.
+    """Minimise the robust reprojection error, and select the inliers anew after each minimisation.
 
-    A match's covariance is that of its keypoint plus what the uncertainty of its depth does in the query image,
-    ``S = sigma^2 I + j j^T``. A match is an inlier where ``sqrt(e^T S^-1 e)`` pixels stay below ``threshold_px``.
-    The errors are true pixels, whatever the camera's distortion.
+    The covariance of a match is that of its keypoint plus the projected uncertainty of its depth,
+    ``S = sigma^2 I + j j^T``. A match is an inlier if ``sqrt(e^T S^-1 e)``, in pixels, is at most ``threshold_px``.
+    Errors are measured in the original, possibly distorted image.
     """
     pose, inliers = T_query_ref, np.zeros(0, dtype=np.intp)
     for _ in range(_ROUNDS):
@@ -120,7 +120,7 @@ def refine_pose(T_query_ref: Array, matches: Matches2D3D, camera: Camera, thresh
     kept = _take(matches, inliers)
     error, whitening, jacobian = _linearise(pose, kept, camera)
     if len(kept) == 0 or not np.all(np.isfinite(error)):
-        return Refined(pose, inliers, np.nan, _UNHELD)
+        return Refined(pose, inliers, np.nan, _UNCONSTRAINED)
     normal, _, _ = _normal_equations(error, whitening, jacobian)
     scaled = np.linalg.norm(error, axis=-1) / kept.scale
     return Refined(pose, inliers, float(np.sqrt(np.mean(scaled**2))), _covariance(normal))
@@ -133,10 +133,10 @@ def _take(matches: Matches2D3D, index: NDArray[np.intp]) -> Matches2D3D:
 
 
 def _linearise(pose: Array, matches: Matches2D3D, camera: Camera) -> tuple[Array, Array, Array]:
-    """Errors (N, 2) in pixels, whitenings W (N, 2, 2) with ``W^T W = S^-1``, and derivatives (N, 2, 6) by the twist.
+    """Errors (N, 2) in pixels, whitening W (N, 2, 2) with ``W^T W = S^-1``, and derivatives (N, 2, 6) by the twist.
 
-    ``T <- exp(xi) T`` moves a point P of the query frame by ``[I, -P^] xi``. Errors are NaN where a point is not
-    seen.
+    ``T <- exp(xi) T`` moves a point P of the query frame by ``[I, -P^] xi``. The error of a point that is not visible
+    is NaN.
     """
     in_query = apply(pose, matches.points)
     pixels, _ = camera.project(in_query)
@@ -150,7 +150,7 @@ def _linearise(pose: Array, matches: Matches2D3D, camera: Camera) -> tuple[Array
 
 
 def _projection_derivative(points: Array, camera: Camera) -> Array:
-    """d pixel / d point (N, 2, 3), by central differences: right for every camera model."""
+    """The derivative d pixel / d point (N, 2, 3), by central differences, which suit every camera model."""
     step = _STEP * np.linalg.norm(points, axis=-1)
     columns = []
     for axis in np.eye(3):
@@ -186,7 +186,7 @@ def _normal_equations(error: Array, whitening: Array, jacobian: Array) -> tuple[
 
 
 def _minimise(pose: Array, matches: Matches2D3D, camera: Camera) -> Array:
-    """Levenberg-Marquardt with Marquardt's scaling, which is indifferent to metres against radians."""
+    """Minimise by Levenberg-Marquardt with Marquardt's scaling, which does not depend on the units."""
     error, whitening, jacobian = _linearise(pose, matches, camera)
     normal, gradient, cost = _normal_equations(error, whitening, jacobian)
     damping = 1e-4
@@ -195,25 +195,25 @@ def _minimise(pose: Array, matches: Matches2D3D, camera: Camera) -> Array:
         step = -np.linalg.solve(normal + damping * diagonal, gradient)
         candidate = compose(se3_exp(step), pose)
         error, _, jacobian = _linearise(candidate, matches, camera)
-        # The whitening stays that of the start: were it to move, growing it would lower the cost.
+        # The whitening is kept: if it followed the pose, larger uncertainties would lower the cost.
         next_normal, next_gradient, next_cost = _normal_equations(error, whitening, jacobian)
-        if not next_cost <= cost:  # also where a point left the view and the cost is NaN
+        if not next_cost <= cost:  # also true if a point left the view and the cost is NaN
             damping *= 10.0
             if damping > 1e8:
                 break
             continue
         pose, normal, gradient, cost = candidate, next_normal, next_gradient, next_cost
         damping = max(damping / 10.0, 1e-9)
-        if np.abs(step).max() < _STILL:
+        if np.abs(step).max() < _CONVERGED:
             break
     return pose
 
 
 def _covariance(normal: Array) -> Array:
-    """Inverse of the normal equations; infinite on the diagonal where they are singular to working precision."""
+    """The inverse of the normal equations; infinite on the diagonal if they are numerically singular."""
     scale = np.sqrt(np.diag(normal))
     if np.all(scale > 0):
         scaled = normal / np.outer(scale, scale)
         if np.linalg.eigvalsh(scaled)[0] > 1e-12:
             return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))
-    return _UNHELD
+    return _UNCONSTRAINED

@@ -1,4 +1,4 @@
-"""The two trackers: the same pipeline over ORB and over SIFT."""
+"""The two trackers: one pipeline, with ORB or with SIFT features."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from baselines.feature_pnp.keyframe_depth import inverse_depth_at
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose
 from relocbench.tracking import Array, Query, Reference, TrackResult
 
-_MINIMAL = 4  # three points fix a pose up to four solutions, the fourth tells them apart
+_MINIMAL = 4  # three points leave up to four solutions, a fourth one decides
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedReference:
-    """The features of a keyframe that have a depth, and where they are."""
+    """The features of a keyframe that have a depth, and their points."""
 
     features: Features
     points: Array
     """(N, 3) metres, reference camera frame"""
     depth_direction: Array
-    """(N, 3) metres: what one standard deviation of the depth does to the point"""
+    """(N, 3) metres; the displacement of the point by one standard deviation of its depth"""
 
 
 class _FeaturePnp:
     """Keypoints, ratio test, MAGSAC perspective-n-point, robust refinement.
 
     Args:
-        features: keypoints kept in each image.
-        ratio: a match is accepted below this ratio of its distance to the second nearest one's (Lowe); 1 accepts all.
-        mutual: accept only matches that are nearest in both directions.
-        grid_px: side of the grid cells over which the keypoints are spread evenly, pixels.
-        depth_radius_px: how far from a keypoint a point of a sparse map may give it its depth, pixels.
-        reprojection_threshold_px: largest error of an inlier on the finest pyramid level, query pixels.
-        min_inliers: fewer than this is a failure.
-        max_iterations: most minimal samples tried.
-        confidence: probability of having found the best model at which the sampling stops early.
+        features: largest number of keypoints in each image.
+        ratio: of Lowe's test; a match is accepted below this ratio of the nearest to the second nearest distance.
+        mutual: accept only mutual nearest neighbours.
+        grid_px: side, in pixels, of the grid cells over which keypoints are distributed evenly.
+        depth_radius_px: largest distance, in pixels, from a keypoint to the point of a sparse map that gives its depth.
+        reprojection_threshold_px: largest error, in query pixels, of an inlier on the finest pyramid level.
+        min_inliers: with fewer inliers, tracking fails.
+        max_iterations: largest number of minimal samples.
+        confidence: the probability of success at which sampling stops early.
         seed: of the sampling.
     """
 
@@ -71,21 +71,21 @@ class _FeaturePnp:
         self.seed = seed
 
     def prepare(self, reference: Reference) -> PreparedReference:
-        """Features of the keyframe where its depth is known, as points of its frame."""
+        """Detect the features of a keyframe, and lift those whose depth is known to points of its frame."""
         found = detect(reference.image, self.kind, self.features)
         inverse_depth, sigma = inverse_depth_at(reference, found.uv, self.depth_radius_px)
         rays, valid = reference.camera.unproject(found.uv)
-        # Depth is along z: a ray that does not reach z = 1 has none.
+        # Depth is along z, so that rays parallel to the image or backwards have none.
         has_point = np.flatnonzero(valid & (inverse_depth > 0) & (rays[:, 2] > 0))
         kept = has_point[spread_evenly(found.take(has_point), self.grid_px, self.features)]
         inverse_depth, sigma, rays = inverse_depth[kept], sigma[kept], rays[kept]
         points = rays / inverse_depth[:, None]
-        # z = 1/rho, hence |dz| = z sigma_rho / rho.
+        # z = 1/rho, and therefore |dz| = z sigma_rho / rho.
         depth_direction = points * (sigma / inverse_depth)[:, None]
         return PreparedReference(found.take(kept), points, depth_direction)
 
     def track(self, reference: PreparedReference, query: Query, prior: Array | None = None) -> TrackResult:
-        """Pose of the query; the prior is not used."""
+        """Find the pose of a query; the prior is not used."""
         matches = self._match(reference, query)
         if len(matches) < max(_MINIMAL, self.min_inliers):
             return TrackResult.failure(

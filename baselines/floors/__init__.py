@@ -1,4 +1,4 @@
-"""Retrievers that learn nothing: what a trained one must be ahead of."""
+"""Baseline retrievers that learn nothing, which a trained one should surpass."""
 
 from baselines.floors.bag_of_words import OrbBagOfWords
 from baselines.floors.colour_histogram import ColourHistogram

@@ -1,10 +1,10 @@
 """Bags of visual words (Sivic and Zisserman, "Video Google", ICCV 2003) over ORB features.
 
-    word of a feature     nearest of K centres of k-means over features of the gallery, bits as numbers
+    word of a feature     the nearest of K centres of k-means over features of the gallery, bits taken as numbers
     t_i = n_i / n · log(N / N_i)      descriptor = t / ||t||
 
-n_i of an image's n features are word i, which N_i of the gallery's N images have. The dot product is the cosine. No
-label is used: the vocabulary is of the gallery, as a map would be made.
+Of an image's n features n_i are word i, which N_i of the gallery's N images contain. The dot product of descriptors is
+their cosine. No labels are used; the vocabulary is that of the gallery, which corresponds to a map.
 """
 
 from __future__ import annotations
@@ -25,22 +25,23 @@ from relocbench.retrieval import ImageView
 Words = NDArray[np.float32]
 _BITS = 256
 _ROUNDS = 10
-"""of k-means: words hardly move after them"""
+"""iterations of k-means, after which the words hardly change"""
 _BORDER = 16
-"""pixels without features; OpenCV's 31 leave nothing of an image of 64"""
+"""pixels without features; OpenCV's default of 31 leaves nothing of an image of 64"""
 _FAST_THRESHOLD = 5
-"""lower than OpenCV's 20: small and dim images have corners too"""
+"""lower than OpenCV's default of 20, so that features are found in small and dark images"""
 
 
 class OrbBagOfWords:
-    """Tf-idf vectors of ORB words; the vocabulary is made of the gallery.
+    """Tf-idf vectors of ORB words with a vocabulary made from the gallery.
 
-    An image without any feature, or with none but words that all images have, is not described.
+    An image without features, or only with words that all images have, has no descriptor.
 
     Args:
         words: K.
-        features: at most so many of an image, strongest first.
-        sample: at most so many features of the whole gallery, drawn evenly over its images, make the vocabulary.
+        features: largest number of features of an image, strongest first.
+        sample: largest number of the gallery's features, drawn evenly over its images, that the vocabulary is made
+            from.
     """
 
     def __init__(
@@ -54,10 +55,10 @@ class OrbBagOfWords:
         self._idf: NDArray[np.float64] = np.zeros(0)
 
     def fit(self, gallery: Sequence[ImageView], seed: int) -> None:
-        """Make vocabulary and weights.
+        """Make the vocabulary and its weights.
 
         Raises:
-            MethodError: the gallery's images have no features.
+            MethodError: the gallery has fewer than two different features.
         """
         rng = np.random.default_rng(seed)
         each = max(self._sample // max(len(gallery), 1), 1)
@@ -70,10 +71,10 @@ class OrbBagOfWords:
         features = np.concatenate(drawn) if drawn else np.zeros((0, _BITS), np.float32)
         different = np.unique(features, axis=0)
         if len(different) < 2:
-            raise MethodError(f"no vocabulary: ORB finds {len(different)} different features in the whole gallery")
+            raise MethodError(f"no vocabulary: ORB finds only {len(different)} different features in the gallery")
         words = min(self._words, len(different))
         start = different[rng.permutation(len(different))[:words]]
-        with warnings.catch_warnings(action="ignore"):  # a word that nothing is nearest to stays where it was
+        with warnings.catch_warnings(action="ignore"):  # a word without features keeps its place
             self._centres, _ = kmeans2(features, start, iter=_ROUNDS, minit="matrix", missing="warn")
         has = np.zeros(words)
         for image in gallery:
@@ -81,28 +82,28 @@ class OrbBagOfWords:
         self._idf = np.log(len(gallery) / np.maximum(has, 1.0))
 
     def describe(self, images: Sequence[ImageView]) -> NDArray[np.floating]:
-        """(N, K) float64, norm 1; NaN for an image that has nothing to be described by.
+        """The descriptors (N, K) of images, float64 of norm 1; NaN for an image without one.
 
         Raises:
-            MethodError: there is no vocabulary yet.
+            MethodError: ``fit`` was not called.
         """
         if self._centres is None:
-            raise MethodError("orb-bow has no vocabulary yet: fit() comes before describe()")
+            raise MethodError("orb-bow has no vocabulary yet: call fit() before describe()")
         rows = np.stack([self._counts(image) for image in images]) * self._idf
         norms = np.linalg.norm(rows, axis=1, keepdims=True)
         return np.divide(rows, norms, out=np.full_like(rows, np.nan), where=norms > 0)
 
     def _counts(self, image: ImageView) -> NDArray[np.float64]:
-        """(K,) share of an image's features that are each word; zeros where it has none."""
+        """The share (K,) of an image's features that each word has; zeros if it has no features."""
         assert self._centres is not None
         found, centres = self._bits(image), self._centres
-        # ||f - c||^2 less ||f||^2, which is the same for all words.
+        # The nearest centre c minimises ||f - c||^2 - ||f||^2.
         nearest = np.argmin(np.sum(centres**2, axis=1) - 2.0 * found @ centres.T, axis=1)
         counts = np.bincount(nearest, minlength=len(centres)).astype(np.float64)
         return np.asarray(counts / max(len(found), 1))
 
     def _bits(self, image: ImageView) -> Words:
-        """(n, 256) descriptors, strongest first and then by place: the detector's order may depend on its threads."""
+        """The ORB descriptors (n, 256) as bits, in an order that does not depend on the detector's threads."""
         grey = cv2.cvtColor(np.ascontiguousarray(image.image), cv2.COLOR_RGB2GRAY)
         orb = cv2.ORB.create(nfeatures=self._features, edgeThreshold=_BORDER, fastThreshold=_FAST_THRESHOLD)
         keypoints, descriptors = orb.detectAndCompute(grey, None)

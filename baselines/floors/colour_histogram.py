@@ -1,4 +1,4 @@
-"""Colours alone: histograms in L*a*b*, compared by the Bhattacharyya coefficient."""
+"""Colour histograms in L*a*b*, compared by the Bhattacharyya coefficient."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from relocbench.retrieval import ImageView
 
 
 class ColourHistogram:
-    """Square roots of the shares of pixels in cells of L*a*b*: their dot product is the Bhattacharyya coefficient.
+    """The square roots of L*a*b* histograms, whose dot product is the Bhattacharyya coefficient.
 
     Args:
-        light: cells along L*.
-        colour: cells along a* and along b*.
+        light: number of cells along L*.
+        colour: number of cells along a* and along b*.
     """
 
     def __init__(self, light: Annotated[int, Field(ge=1)] = 8, colour: Annotated[int, Field(ge=1)] = 16) -> None:
         self._cells = (light, colour, colour)
 
     def describe(self, images: Sequence[ImageView]) -> NDArray[np.floating]:
-        """(N, light * colour^2) float64, norm 1."""
+        """The descriptors (N, light * colour^2) of images, float64 of norm 1."""
         return np.stack([self._histogram(image) for image in images])
 
     def _histogram(self, image: ImageView) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Chance: a ranking that knows nothing."""
+"""Random rankings, which show the level of chance."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from relocbench.retrieval import ImageView
 
 _NUMBERS = 64
-"""of a descriptor: dot products of two are as good as never equal"""
+"""size of a descriptor; dot products are then practically never equal"""
 
 
 class RandomOrder:
-    """A random direction for each image, by its key and the seed; no image is looked at.
+    """A random direction for each image, determined by its view, its key and the seed.
 
     Args:
         seed: of the directions.
@@ -25,7 +25,7 @@ class RandomOrder:
         self._seed = seed
 
     def describe(self, images: Sequence[ImageView]) -> NDArray[np.floating]:
-        """(N, 64) float64, norm 1; the same whatever else is asked about."""
+        """The descriptors (N, 64) of images, float64 of norm 1; independent of the other images."""
         rows = np.stack([self._direction(f"{image.view}/{image.key}") for image in images])
         return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 

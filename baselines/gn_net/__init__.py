@@ -1,1 +1,1 @@
-"""GN-Net: feature maps on which direct alignment converges across weather, light and season."""
+"""GN-Net: learned feature maps on which direct alignment converges across weather, light and season."""

@@ -1,9 +1,9 @@
-"""Which pixel of the query shows each point of the reference: the nearest features, coarse to fine.
+"""Matches between points of the reference and pixels of the query: the nearest features, coarse to fine.
 
-At a level, a pixel is described by its own features and by those of all coarser levels read bilinearly at its place
-(hypercolumns: Hariharan et al., CVPR 2015). Points are sought over the whole query on one coarse level, and kept where
-point and pixel are nearest to each other; then they are moved, level by level, to the nearest pixel of a small window.
-Contrastive losses ask the same of each level: right pixels near, wrong ones a margin away.
+On each level, a pixel is described by its own features and by those of all coarser levels, interpolated at its place
+(hypercolumns: Hariharan et al., CVPR 2015). Points are searched for over the whole query on one coarse level and kept
+where point and pixel are mutual nearest neighbours. Then they are moved, level by level, to the nearest pixel of a
+small window. Contrastive losses train each level for this: matching features are close, others a margin apart.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Features = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Points of a reference as they are looked for."""
+    """Points of a reference that are matched in queries."""
 
     points: Array
     """(N, 3) metres, reference camera"""
@@ -34,11 +34,13 @@ class Landmarks:
 
     @classmethod
     def at(cls, points: KeyframePoints, pyramid: FeaturePyramid, count: int, rng: np.random.Generator) -> Landmarks:
-        """At most ``count`` of the points that have a depth, drawn at random.
+        """Choose at most ``count`` points that have a depth, at random.
 
         Args:
-            points: pixels of the pyramid's finest map.
+            points: pixels of the pyramid's finest map with inverse depth.
             pyramid: of the reference.
+            count: largest number of points.
+            rng: source of the choice.
         """
         inverse_depth = np.asarray(points.inverse_depth, dtype=np.float64)
         known = np.flatnonzero((inverse_depth > 0) & np.isfinite(inverse_depth))
@@ -57,15 +59,18 @@ class Landmarks:
 def match_landmarks(
     landmarks: Landmarks, query: FeaturePyramid, level: int, windows: Sequence[int]
 ) -> tuple[NDArray[np.intp], Array]:
-    """Rows of the landmarks that were found, nearest features first, and the query's pixels that show them.
+    """Match landmarks to pixels of a query.
 
     Args:
-        level: on which the whole query is searched, counted from the finest map.
-        windows: half-widths in pixels of the windows on the levels below, coarser first; levels without one are not
-            searched.
+        landmarks: of the reference.
+        query: its feature maps.
+        level: the level, counted from the finest map, on which the whole query is searched.
+        windows: half-widths, in pixels, of the windows on the finer levels, coarser ones first; finer levels without a
+            window are not searched.
 
     Returns:
-        (M,) rows and (M, 2) pixels of the finest map, to fractions.
+        The rows (M,) of the landmarks that were matched, nearest features first, and their pixels (M, 2) in the finest
+        map, to fractions of a pixel.
     """
     rows, uv, distances = _search(landmarks, query, level)
     for half_width in windows[:level]:
@@ -77,11 +82,11 @@ def match_landmarks(
 
 
 def _search(landmarks: Landmarks, query: FeaturePyramid, level: int) -> tuple[NDArray[np.intp], Array, Features]:
-    """Rows whose nearest pixel of the level has no landmark nearer than theirs, (M, 2) these pixels, (M,) distances."""
+    """Mutual nearest neighbours on a level: rows (M,), pixels (M, 2) and squared distances (M,)."""
     height, width = query.levels[level].map.shape[:2]
     values = np.concatenate(landmarks.values[level:], axis=1)
     columns = _hypercolumns(query, level).reshape(height * width, -1)
-    # -||f - g||^2 less -||f||^2, which is the same for all pixels g, as one product: 2 f g - ||g||^2.
+    # The nearest pixel g maximises -||f - g||^2 + ||f||^2 = 2 f g - ||g||^2, which is one matrix product.
     likeness = 2.0 * values @ columns.T
     likeness -= np.sum(columns**2, axis=1)
     nearest = np.argmax(likeness, axis=1)
@@ -93,7 +98,7 @@ def _search(landmarks: Landmarks, query: FeaturePyramid, level: int) -> tuple[ND
 
 
 def _hypercolumns(pyramid: FeaturePyramid, level: int) -> Features:
-    """(H, W, D of all levels from this one) of one level's pixels."""
+    """The features of all levels from this one on (H, W, channels), at the pixels of this level."""
     height, width = pyramid.levels[level].map.shape[:2]
     v, u = np.divmod(np.arange(height * width), width)
     uv = np.stack([u, v], axis=1).astype(np.float64)
@@ -107,9 +112,9 @@ def _hypercolumns(pyramid: FeaturePyramid, level: int) -> Features:
 def _move(
     uv: Array, values: Sequence[Features], query: FeaturePyramid, level: int, half_width: int
 ) -> tuple[Array, Features]:
-    """(M, 2) the nearest pixel about each, and (M,) how far its features are, squared.
+    """The nearest pixel (M, 2) in a window around each pixel, and the squared distance of its features (M,).
 
-    To fractions of a pixel by a parabola through the distances of its neighbours.
+    A parabola through the distances of neighbouring pixels gives the fraction of a pixel.
     """
     height, width = query.levels[level].map.shape[:2]
     side = 2 * half_width + 1
@@ -140,6 +145,6 @@ def _move(
 
 
 def _read(level_map: Features, uv: Array) -> Features:
-    """A map (H, W, D) at (N, 2) places -> (N, D); beyond the border the border."""
+    """A map (H, W, D) interpolated at (N, 2) pixels -> (N, D); pixels beyond the border are moved onto it."""
     height, width = level_map.shape[:2]
     return sample(level_map, np.clip(uv, 0, [width - 1, height - 1]))

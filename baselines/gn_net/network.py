@@ -1,16 +1,16 @@
-"""The feature network: a U-Net that gives each pixel D numbers at each of several resolutions.
+"""The feature network: a U-Net that computes D features for each pixel at each of several resolutions.
 
-Layout, with widths w_0 .. w_n and the finest level f (GN-Net, von Stumberg et al., RA-L 2020, uses a Siamese U-Net;
-reference and query go through the same weights):
+Layout, with widths w_0 .. w_n and the finest level f (GN-Net, von Stumberg et al., RA-L 2020, uses a Siamese U-Net:
+reference and query pass the same weights):
 
-    stem      the 2^f x 2^f pixels that one of level f covers become its channels
+    stem      the 2^f x 2^f image pixels that a pixel of level f covers become its channels
     encoder   stage 0: 3x3, 3x3    stage k: 2x2 mean, 3x3, 3x3
-    decoder   stage n: as encoded   stage k: 1x1 of the coarser one, doubled, plus the encoder's stage k, 3x3
-    head      1x1 to D at each of the finest stages, as many as there are levels
+    decoder   stage n: as encoded   stage k: 1x1 of the coarser stage, upsampled, plus the encoder's stage k, 3x3
+    head      1x1 to D channels, on each of the finest ``levels`` stages
 
-Nothing moves a feature against its pixel: convolutions are odd and centred, halving is the mean of 2x2 pixels, doubling
-is bilinear about the same centres. Stage k is level l = f + k, and its pixel i sits at pixel 2^l (i + 0.5) - 0.5 of the
-image.
+Features stay aligned with their pixels: convolutions are odd and centred, downsampling is the mean of 2x2 pixels, and
+upsampling is bilinear about the same centres. Stage k is level l = f + k, and its pixel i is at pixel
+2^l (i + 0.5) - 0.5 of the image.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.nn.utils import skip_init
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from baselines.gn_net.options import NetworkOptions
+from baselines.initialisation import convolution
 
 _MEAN, _SPREAD = 0.45, 0.25
-"""about what pictures of streets have in [0, 1]: the first layer starts from numbers of about zero mean, unit spread"""
+"""approximate mean and deviation of street images in [0, 1], by which the input is normalised"""
 
 
 class FeatureNet(nn.Module):
@@ -37,7 +37,7 @@ class FeatureNet(nn.Module):
 
     Args:
         options: the network's shape.
-        generator: where the first weights are drawn from; default seed 0. Torch's global state is not touched.
+        generator: source of the initial weights; by default of seed 0. Torch's global generator is not used.
     """
 
     def __init__(self, options: NetworkOptions | None = None, generator: torch.Generator | None = None) -> None:
@@ -47,9 +47,9 @@ class FeatureNet(nn.Module):
         self.encoder = nn.ModuleList()
         for inside, outside in zip((3 << (2 * self.options.finest), *widths), widths, strict=False):
             self.encoder.append(nn.Sequential(_Filter(inside, outside, norm), _Filter(outside, outside, norm)))
-        self.reduce = nn.ModuleList(_convolution(widths[k + 1], widths[k], 1) for k in range(len(widths) - 1))
+        self.reduce = nn.ModuleList(convolution(widths[k + 1], widths[k], 1) for k in range(len(widths) - 1))
         self.decoder = nn.ModuleList(_Filter(widths[k], widths[k], norm) for k in range(len(widths) - 1))
-        self.heads = nn.ModuleList(_convolution(widths[k], self.options.dim, 1) for k in range(levels))
+        self.heads = nn.ModuleList(convolution(widths[k], self.options.dim, 1) for k in range(levels))
         self._draw_weights(generator or torch.Generator().manual_seed(0))
 
     def forward(self, images: Tensor) -> tuple[Tensor, ...]:
@@ -60,11 +60,11 @@ class FeatureNet(nn.Module):
                 at the right and below by repeating the last column and row.
 
         Returns:
-            (B, D, H // 2^l, W // 2^l) for each level l from ``finest``: whole pixels only, what the padding gave is
-            cut off. These are the sizes that the aligner's pyramid has.
+            (B, D, H // 2^l, W // 2^l) for each level l from ``finest`` on. Pixels that cover padding are cut off; these
+            are the sizes of the aligner's pyramid.
 
         Raises:
-            ValueError: the shape is another, or the image has no pixel at the coarsest level.
+            ValueError: the shape is wrong, or the images have no pixel on the coarsest level.
         """
         x = functional.pixel_unshuffle(self._padded(images), 1 << self.options.finest)
         height, width = images.shape[-2:]
@@ -74,7 +74,7 @@ class FeatureNet(nn.Module):
             skips.append(x)
         maps = [skips[-1]]
         for k in reversed(range(len(skips) - 1)):
-            # One by one, then double: the same numbers as the other way about, at a quarter of the work.
+            # 1x1 convolution before upsampling gives the same numbers as after it, at a quarter of the work.
             up = functional.interpolate(self.reduce[k](maps[0]), scale_factor=2, mode="bilinear", align_corners=False)
             maps.insert(0, self.decoder[k](up.add_(skips[k])))
         out = []
@@ -85,11 +85,11 @@ class FeatureNet(nn.Module):
 
     @property
     def parameters_count(self) -> int:
-        """Numbers that training may change."""
+        """The number of trainable parameters."""
         return sum(parameter.numel() for parameter in self.parameters())
 
     def for_tracking(self) -> FeatureNet:
-        """A copy for run time: batch normalisation is folded into the convolutions, nothing is to be trained."""
+        """A copy for inference, with batch normalisation folded into the convolutions."""
         net = copy.deepcopy(self).eval().requires_grad_(False)
         for module in net.modules():
             if isinstance(module, _Filter):
@@ -109,7 +109,7 @@ class FeatureNet(nn.Module):
         return functional.pad(x, missing, mode="replicate") if any(missing) else x
 
     def _draw_weights(self, generator: torch.Generator) -> None:
-        """He et al., 2015: variances are kept from layer to layer; heads start with features of about unit norm."""
+        """Initialise as He et al., 2015; heads start with features of about unit norm."""
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu", generator=generator)
@@ -124,7 +124,7 @@ class _Filter(nn.Module):
 
     def __init__(self, inside: int, outside: int, norm: bool) -> None:
         super().__init__()
-        self.conv = _convolution(inside, outside, 3, bias=not norm)
+        self.conv = convolution(inside, outside, 3, bias=not norm)
         self.norm: nn.Module = nn.BatchNorm2d(outside) if norm else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:
@@ -136,13 +136,8 @@ class _Filter(nn.Module):
             self.norm = nn.Identity()
 
 
-def _convolution(inside: int, outside: int, size: int, bias: bool = True) -> nn.Conv2d:
-    """A convolution whose weights are still to be drawn: no number is taken from torch's global generator."""
-    return cast(nn.Conv2d, skip_init(nn.Conv2d, inside, outside, size, padding=size // 2, bias=bias))
-
-
 def image_tensor(image: NDArray[np.uint8]) -> Tensor:
     """(1, 3, H, W) or (1, 1, H, W) float32 in [0, 1] of an (H, W, 3) RGB or (H, W) grey image."""
     channels = image[..., None] if image.ndim == 2 else image
-    # A copy: torch takes no array that must not be written to.
+    # The conversion copies; torch does not accept read-only arrays.
     return torch.from_numpy(np.ascontiguousarray(channels, dtype=np.float32)).permute(2, 0, 1)[None] / 255.0

@@ -1,4 +1,4 @@
-"""What a network can be told, checked once and stored with its weights."""
+"""The options of the feature network, which are stored with its weights."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 _MOST_WIDTHS, _MOST_CHANNELS, _COARSEST = 12, 8192, 6
-"""far beyond any network that is trained; a file of weights that asks for more is not what it says"""
+"""far beyond any network that is trained; a weights file that asks for more is not genuine"""
 
 
 @dataclass(frozen=True)
@@ -17,24 +17,24 @@ class NetworkOptions:
     """Shape of the feature network.
 
     Raises:
-        ConfigError: a combination that no network can have.
+        ConfigError: no network can have these options.
     """
 
     widths: tuple[int, ...] = (32, 48, 64, 96, 128)
-    """channels of the encoder, finest resolution first; one pooling between neighbours"""
+    """channels of the encoder's stages, finest resolution first; each stage halves the resolution"""
     finest: int = 1
-    """level of the finest feature map, and of the encoder's first resolution: 0 is the image's own, 1 half of it; the
-    pixels of a 2^finest square go into the network as channels of one"""
+    """level of the finest feature map and of the encoder's first stage: 0 is the image's own resolution, 1 half of it;
+    the pixels of a 2^finest square enter the network as channels of one pixel"""
     dim: int = 16
     """D: channels of each feature map"""
     levels: int = 4
-    """feature maps that come out, levels ``finest`` to ``finest + levels - 1``"""
+    """number of feature maps, from level ``finest`` on"""
     norm: Literal["batch", "none"] = "batch"
-    """after each 3x3 convolution; batch normalisation is a fixed scaling at run time, so that a feature depends on its
-    surroundings and not on the rest of the image"""
+    """normalisation after each 3x3 convolution; batch normalisation is a fixed scaling at inference, so that a feature
+    depends only on its surroundings"""
     normalise: Literal["none", "unit"] = "none"
-    """``unit``: each pixel's D features are divided by their norm; residuals and derivatives are both taken from the
-    divided map; a pixel without any feature stays zero"""
+    """``unit``: the D features of each pixel are divided by their norm, and residuals and derivatives are taken from
+    the normalised map; features that are all zero stay zero"""
 
     __pydantic_config__ = NO_OTHER_KEYS
 
@@ -58,16 +58,16 @@ class NetworkOptions:
 
     @property
     def least_parameters(self) -> int:
-        """Number of weights in the encoder's 3x3 convolutions, which every network of these options has at least."""
+        """A lower bound of the number of parameters: those of the encoder's 3x3 convolutions."""
         inputs = (3 << (2 * self.finest), *self.widths)
         return sum(9 * (inside + outside) * outside for inside, outside in zip(inputs, self.widths, strict=False))
 
     @property
     def stride(self) -> int:
-        """2^depth: images are padded to a multiple of it inside the network."""
+        """Images are padded to a multiple of this number of pixels inside the network."""
         return 1 << (self.finest + len(self.widths) - 1)
 
     @property
     def smallest_side(self) -> int:
-        """Pixels of an image whose coarsest feature map has one pixel."""
+        """The side, in pixels, of an image whose coarsest feature map has one pixel."""
         return 1 << (self.finest + self.levels - 1)

@@ -1,7 +1,7 @@
-"""Feature maps between their pixels: bilinear values and central differences of the same bilinear map.
+"""Feature maps sampled between their pixels: bilinear values, and central differences of the same bilinear map.
 
-Pixel (0, 0) is the centre of the first pixel. Maps are (..., D, H, W) and places (..., N, 2) as (u, v), with the same
-leading dimensions. Places off the map come back as not valid, with finite values that mean nothing.
+(0, 0) is the centre of the first pixel. Maps are (..., D, H, W) and positions (..., N, 2) as (u, v), with the same
+leading dimensions. Positions off the map are returned as not valid, with finite but meaningless values.
 """
 
 from __future__ import annotations
@@ -14,39 +14,39 @@ from torch import Tensor
 from torch.nn import functional
 
 _SMALLEST_MAP = 4
-"""pixels a side that a derivative's four taps need"""
+"""pixels; the side of a map that has room for a derivative's four samples"""
 
 
 class Sampled(NamedTuple):
-    """Values of a map at N places."""
+    """Values of a map at N positions."""
 
     values: Tensor
     """(..., N, D)"""
     valid: Tensor
-    """(..., N) bool: the place is on the map"""
+    """(..., N) bool: the position is on the map"""
 
 
 class SampledWithGradient(NamedTuple):
-    """Values and derivatives of a map at N places."""
+    """Values and derivatives of a map at N positions."""
 
     values: Tensor
     """(..., N, D)"""
     jacobian: Tensor
-    """(..., N, D, 2): derivatives along u and v, 1 / pixel of this map"""
+    """(..., N, D, 2): derivatives along u and v, per pixel of this map"""
     valid: Tensor
-    """(..., N) bool: the place is at least one pixel inside the map"""
+    """(..., N) bool: the position is at least one pixel inside the map"""
 
 
 def level_coordinates(u: Tensor, level: int) -> Tensor:
-    """Pixels of level 0 as pixels of ``level``: (u + 0.5) / 2^l - 0.5."""
+    """Pixels of level 0 in the coordinates of ``level``: (u + 0.5) / 2^l - 0.5."""
     return (u + 0.5) / float(1 << level) - 0.5
 
 
 def sample(features: Tensor, u: Tensor) -> Sampled:
-    """F(u), bilinear.
+    """Interpolate F(u) bilinearly.
 
     Args:
-        features: (..., D, H, W); half precision is raised to single after the look-up.
+        features: (..., D, H, W); half precision becomes single precision after the look-up.
         u: (..., N, 2) pixels of this map; valid from the first pixel's centre to the last one's.
     """
     corner, fraction, valid = _locate(features, u, margin=0)
@@ -57,10 +57,10 @@ def sample(features: Tensor, u: Tensor) -> Sampled:
 
 
 def sample_with_gradient(features: Tensor, u: Tensor) -> SampledWithGradient:
-    """F(u), bilinear, and dF/du = (F(u + 1) - F(u - 1)) / 2 of that same map, in each direction.
+    """Interpolate F(u) bilinearly, and dF/du = (F(u + 1) - F(u - 1)) / 2 of the same map along u and v.
 
     Args:
-        features: (..., D, H, W), at least 4 x 4; half precision is raised to single after the look-up.
+        features: (..., D, H, W), at least 4 x 4; half precision becomes single precision after the look-up.
         u: (..., N, 2) pixels of this map; valid one pixel or more from the border.
 
     Raises:
@@ -78,15 +78,15 @@ def sample_with_gradient(features: Tensor, u: Tensor) -> SampledWithGradient:
 
 
 def sample_grid_with_gradient(features: Tensor, along_u: Tensor, along_v: Tensor, span: float) -> SampledWithGradient:
-    """As ``sample_with_gradient``, at a grid of places for each point; pixels that its places share are read once.
+    """As :func:`sample_with_gradient`, at a grid of positions for each point; shared pixels are read once.
 
-    Bilinear values are sums of hats, F(u, v) = sum_k sum_l hat(u - k) hat(v - l) F[l, k], so that a grid of places is a
+    With the hat function, F(u, v) = sum_k sum_l hat(u - k) hat(v - l) F[l, k], so that the values at a grid are a
     product of small matrices.
 
     Args:
-        features: (..., D, H, W), at least 4 x 4; half precision is raised to single after the look-up.
-        along_u, along_v: (..., N, M) pixels of this map, ascending; place (j, i) is (along_u[i], along_v[j]).
-        span: pixels; the most that a point's places reach from first to last, in either direction.
+        features: (..., D, H, W), at least 4 x 4; half precision becomes single precision after the look-up.
+        along_u, along_v: (..., N, M) pixels of this map, ascending; position (j, i) is (along_u[i], along_v[j]).
+        span: pixels; the largest distance from the first to the last position of a point, in either direction.
 
     Returns:
         Values (..., N, M, M, D), derivatives (..., N, M, M, D, 2), valid (..., N, M, M).
@@ -116,7 +116,7 @@ def sample_grid_with_gradient(features: Tensor, along_u: Tensor, along_v: Tensor
 
 
 def _hats(t: Tensor, taps: Tensor) -> Tensor:
-    """Weights (..., 2 M, K) of K taps at t (..., M), counted from the first tap: in the values, then in the slopes."""
+    """Weights (..., 2 M, K) of K samples at t (..., M), counted from the first: for values, then for derivatives."""
     steps = torch.arange(taps.shape[-2], device=t.device)
     distance = torch.nan_to_num(t)[..., None] - steps
 
@@ -132,32 +132,32 @@ def _require_room(features: Tensor) -> None:
 
 
 def _between(taps: Tensor, a: Tensor) -> Tensor:
-    """Linear between the middle two of four taps along the dimension before the last."""
+    """Interpolate linearly between the middle two of four samples along the dimension before the last."""
     _, left, right, _ = taps.unbind(-2)
     return (1 - a) * left + a * right
 
 
 def _difference(taps: Tensor, a: Tensor) -> Tensor:
-    """Half of what the linear map differs by between one pixel on and one pixel back."""
+    """The central difference over one pixel to either side of the piecewise linear map."""
     before, left, right, beyond = taps.unbind(-2)
     return 0.5 * ((1 - a) * (right - before) + a * (beyond - left))
 
 
 def _locate(features: Tensor, u: Tensor, margin: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Upper left pixel (..., N, 2) int64, what u is beyond it (..., N, 2), and where u is valid (..., N)."""
+    """The upper left pixel (..., N, 2) int64, the offset of u from it (..., N, 2), and whether u is valid (..., N)."""
     height, width = features.shape[-2:]
     last = torch.tensor([width - 1 - margin, height - 1 - margin], dtype=u.dtype, device=u.device)
-    valid = torch.all((u >= margin) & (u <= last), dim=-1)  # false for NaN too
+    valid = torch.all((u >= margin) & (u <= last), dim=-1)  # also false for NaN
     safe = torch.where(valid[..., None], u, torch.full_like(u, margin))
-    # The last pixel is the end of the cell before it.
+    # A position on the last pixel belongs to the cell before it.
     corner = torch.minimum(safe.detach().floor(), last - 1).clamp(min=0)
     return corner.long(), safe - corner, valid
 
 
 def _gather(features: Tensor, corner: Tensor, size: int) -> Tensor:
-    """Blocks of size x size pixels: (..., N, size, size, D).
+    """Gather blocks of size x size pixels: (..., N, size, size, D).
 
-    An embedding is a look-up of rows whose derivative is summed in a fixed order, on a GPU too.
+    The derivative of an embedding is summed in a fixed order, also on a GPU.
     """
     *batch, channels, height, width = features.shape
     steps = torch.arange(size, device=corner.device)

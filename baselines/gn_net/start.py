@@ -1,8 +1,8 @@
-"""A first guess of the pose from the features themselves: where the query shows the reference's points, then PnP.
+"""The initial pose of an alignment from matches of the features that are aligned, by PnP.
 
-Direct alignment only finds what lies within a few pixels of its coarsest level. LM-Reloc (von Stumberg et al., 3DV
-2020) trains a second network on the correlation of coarse features for the first guess; here the features that are
-aligned are matched, and the matches go through robust PnP. Nothing is trained for it.
+Direct alignment converges only from within a few pixels of its coarsest level. LM-Reloc (von Stumberg et al., 3DV 2020)
+trains a second network on the correlation of coarse features for the initial pose. Here the features that are aligned
+are matched and the pose is found by robust PnP, which needs no training of its own.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from relocbench.geometry import Camera, apply
 Array = NDArray[np.float64]
 
 SMALLEST_SAMPLE = 4
-"""matches that one pose follows from, and no other"""
+"""the number of matches that determine a pose uniquely"""
 
 
 @dataclass(frozen=True)
 class StartSettings:
-    """How the first guess is searched for.
+    """How the initial pose is searched for.
 
     Raises:
-        ConfigError: a number that makes no sense.
+        ConfigError: a value is out of range.
     """
 
     points: int = 400
-    """at most so many of the reference's are matched"""
+    """largest number of the reference's points that are matched"""
     level: int = 2
-    """of the feature maps, counted from the finest, on which the whole query is searched"""
+    """the level, counted from the finest feature map, on which the whole query is searched"""
     windows: tuple[int, ...] = (3, 2)
-    """half-widths of the windows on the levels below, coarser first, pixels of the level"""
+    """half-widths, in pixels of the level, of the windows on the finer levels, coarser ones first"""
     threshold: float = 2.0
-    """pixels of the finest map; what RANSAC, and the confidence of an answer, hold for agreement"""
+    """pixels of the finest map; the inlier threshold of RANSAC and of an answer's confidence"""
     iterations: int = 2000
-    """of RANSAC, at most"""
+    """largest number of RANSAC iterations"""
     confidence: float = 0.999
-    """at which RANSAC stops earlier"""
+    """the probability of success at which RANSAC stops early"""
 
     def __post_init__(self) -> None:
         if self.level < 0 or min(self.points, self.iterations) < SMALLEST_SAMPLE or self.threshold <= 0:
@@ -55,20 +55,20 @@ class StartSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class SeenLandmarks:
-    """Where a query shows a reference's landmarks."""
+class MatchedLandmarks:
+    """The landmarks of a reference that were matched in a query."""
 
     matches: Matches2D3D
-    """of those that were found; pixels of the query's finest map; nearest features first"""
+    """with pixels of the query's finest map; nearest features first"""
     sought: int
-    """landmarks of the reference"""
+    """number of landmarks of the reference"""
     camera: Camera
     """of the query's finest map"""
     settings: StartSettings
-    """they were looked for with"""
+    """that they were matched with"""
 
     def pose(self, seed: int) -> Array | None:
-        """T_query_ref (4, 4) that agrees best with them; None where there is none. ``seed`` is RANSAC's."""
+        """The T_query_ref (4, 4) that RANSAC with this seed finds; None if it finds none."""
         return ransac_pose(
             self.matches,
             self.camera,
@@ -80,26 +80,23 @@ class SeenLandmarks:
         )
 
     def agreement(self, T_query_ref: Array) -> float:
-        """Share of all landmarks sought that are seen within the threshold of where a pose puts them.
+        """The share of all landmarks that are matched within the threshold of where a pose projects them.
 
-        It compares between references. Residuals do not: a wrong pose can bring all points into view, where their
-        features are much alike.
+        It can be compared between references, which residuals cannot: a wrong pose may project all points onto a part
+        of the query with similar features.
         """
         if not self.sought:
             return 0.0
-        put, _ = self.camera.project(apply(T_query_ref, self.matches.points))
-        agree = np.linalg.norm(put - self.matches.pixels, axis=1) <= self.settings.threshold
+        projected, _ = self.camera.project(apply(T_query_ref, self.matches.points))
+        agree = np.linalg.norm(projected - self.matches.pixels, axis=1) <= self.settings.threshold
         return float(np.count_nonzero(agree) / self.sought)
 
 
-def find_landmarks(landmarks: Landmarks, query: FeaturePyramid, settings: StartSettings) -> SeenLandmarks:
-    """Look for landmarks in the query's maps, level by level.
-
-    Fewer landmarks than a pose follows from are not looked for.
-    """
+def find_landmarks(landmarks: Landmarks, query: FeaturePyramid, settings: StartSettings) -> MatchedLandmarks:
+    """Match landmarks in the query's maps, level by level; none if they are too few to determine a pose."""
     rows, pixels = np.zeros(0, dtype=np.intp), np.zeros((0, 2))
     if len(landmarks) >= SMALLEST_SAMPLE:
         rows, pixels = match_landmarks(landmarks, query, min(settings.level, len(query) - 1), settings.windows)
     points = landmarks.points[rows]
     matches = Matches2D3D(points, pixels, np.ones(len(points)), np.zeros_like(points))
-    return SeenLandmarks(matches, len(landmarks), query.levels[0].camera, settings)
+    return MatchedLandmarks(matches, len(landmarks), query.levels[0].camera, settings)

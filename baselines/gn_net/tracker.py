@@ -35,9 +35,10 @@ from baselines.alignment import (
     small_rotations,
 )
 from baselines.alignment.features.pyramid import level_coordinates
+from baselines.device import to_device
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.network import FeatureNet, image_tensor
-from baselines.gn_net.start import SeenLandmarks, StartSettings, find_landmarks
+from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks
 from baselines.gn_net.weights import load_weights
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
@@ -48,49 +49,48 @@ Array = NDArray[np.float64]
 SHIPPED = Path(__file__).parent / "shipped"
 """weights that come with the package, as NAME.safetensors"""
 SELECTION_LEVELS = 3
-"""of the intensity pyramid, which points are chosen on"""
+"""levels of the intensity pyramid on which points are chosen"""
 MIN_VALID_SHARE = 0.1
-"""of the reference's points must project into the query for an answer"""
+"""share of the reference's points that must project into the query"""
 
 
 @dataclass(frozen=True, eq=False)
 class GnNetReference:
-    """A prepared keyframe: the network is not asked about it again, however many queries follow."""
+    """A prepared keyframe, for any number of queries."""
 
     features: ReferenceFeatures
     pyramid: FeaturePyramid
-    """its maps, for matching single pixels"""
+    """feature maps, for the matching of single pixels"""
     selected: int
-    """points with depth that were chosen"""
+    """number of points with depth that were chosen"""
     landmarks: Landmarks | None
-    """some of them, to start from; None where no start is searched for"""
+    """for the matched start; None without it"""
 
 
 class GnNet:
     """Direct alignment of learned features from the prior, or from the identity without one.
 
-    Confidence, 0 to 1: the share of the landmarks that the matched start looked for and that the query shows within two
-    pixels (of the finest map) of where the answer puts them. Without ``matched_start``, the share of the reference's
-    points that are in view and within the cutoff, which does not compare between keyframes.
+    The confidence, 0 to 1, is the share of the landmarks of the matched start that the query shows within two pixels
+    (of the finest map) of where the answer projects them. Without ``matched_start`` it is the share of the reference's
+    points that are in view and within the cutoff, which cannot be compared between keyframes.
 
     Args:
-        weights: a file of ``relocbench train``; default: those that come with the package.
-        points: about so many pixels are chosen from a dense depth; points of a sparse map are all used.
-        huber: in units of the reference features' spread on the level; larger residuals weigh less.
-        cutoff: in the same units; larger residuals are held for outliers.
-        cutoff_levels: on so many of the finest levels; coarser ones only have the Huber loss.
-        per_channel: robust loss on each channel, else on the norm over all.
-        damping: schedule of Levenberg-Marquardt, of DSO's tracker or for features trained by LM-Reloc's loss; default:
-            what the method of this name is trained for.
-        matched_start: start also from the pose that agrees with the nearest features, matched coarse to fine; the
-            lowest final energy wins.
-        multistart: start also from 26 small rotations; the lowest final energy wins.
-        min_points: fewer points with depth are a stated failure.
-        device: where the network runs; the alignment is on the CPU.
-        seed: of the choice of points.
+        weights: a file of ``relocbench train``; by default the weights that come with the package.
+        points: approximate number of pixels chosen from a dense depth image; all points of a sparse map are used.
+        huber: in units of the spread of the reference's features on the level; larger residuals are downweighted.
+        cutoff: in the same units; larger residuals are treated as outliers.
+        cutoff_levels: number of the finest levels on which the cutoff applies; coarser ones only have the Huber loss.
+        per_channel: apply the robust loss to each channel instead of the norm over all channels.
+        damping: the Levenberg-Marquardt schedule, that of DSO's tracker or one for features trained by LM-Reloc's loss;
+            by default the one that the weights of this method are trained for.
+        matched_start: also start from a pose found by matching features, coarse to fine; the lowest final energy wins.
+        multistart: also start from 26 small rotations; the lowest final energy wins.
+        min_points: with fewer points that have depth, tracking fails.
+        device: where the network runs; the alignment runs on the CPU.
+        seed: of the random choices.
 
     Raises:
-        MethodError: there are no weights, or the file is not one of weights.
+        MethodError: there are no weights, or the file cannot be used.
     """
 
     uses_prior = True
@@ -126,17 +126,16 @@ class GnNet:
         self.device = device
         self.seed = seed
         self._last: tuple[Query, FeaturePyramid] | None = None
-        self.net = self._to_device(
-            weights if isinstance(weights, FeatureNet) else load_weights(weights or self._shipped())
-        )
+        net = weights if isinstance(weights, FeatureNet) else load_weights(weights or self._shipped())
+        self.net = to_device(net.for_tracking(), device)
 
     @classmethod
     def files(cls, weights: Path | None = None, **_: Any) -> dict[str, Path]:
-        """What decides the answers besides parameters, so that results of other weights are not gone on with."""
+        """The files that decide the answers besides parameters; with other weights, results are not continued."""
         return {"weights": Path(weights) if weights else cls._shipped_path()}
 
     def prepare(self, reference: Reference) -> GnNetReference:
-        """Choose points and look up their features on all levels.
+        """Choose points and sample their features on all levels.
 
         Raises:
             MethodError: the camera is not pinhole, or the image is too small for the network.
@@ -165,22 +164,25 @@ class GnNet:
         starts = [Start(first)]
         if self.multistart:
             starts += [Start(turn @ first) for turn in small_rotations()]
-        seen = None
+        matched = None
         if self.start is not None and reference.landmarks is not None:
-            seen = find_landmarks(reference.landmarks, features, self.start)
-            matched = seen.pose(self.seed)
-            # First, as it mostly wins: what others cannot reach any more they give up early.
-            starts = starts if matched is None else [Start(matched, self.start.level), *starts]
-        return self._answer(align_features_best(reference.features, features, starts, self.settings), seen)
+            matched = find_landmarks(reference.landmarks, features, self.start)
+            pose = matched.pose(self.seed)
+            # This start goes first, as it usually wins; the others are then given up early.
+            starts = starts if pose is None else [Start(pose, self.start.level), *starts]
+        return self._answer(align_features_best(reference.features, features, starts, self.settings), matched)
 
     def match(self, reference: GnNetReference, query: Query, uv_ref: Array, uv_start: Array) -> Array:
-        """Where single pixels of the keyframe are in the query, by Gauss-Newton on features from given starts.
+        """Find single pixels of the keyframe in the query, by Gauss-Newton on features from given starts.
 
         Args:
-            uv_ref, uv_start: (N, 2) pixels of the keyframe, and of the query to start from.
+            reference: the prepared keyframe.
+            query: the image to search.
+            uv_ref: (N, 2) pixels of the keyframe.
+            uv_start: (N, 2) pixels of the query to start from.
 
         Returns:
-            (N, 2) pixels of the query; NaN where the derivative leaves the map or says nothing.
+            (N, 2) pixels of the query; NaN where the pixel leaves the map or its normal equations are singular.
         """
         maps: list[Level] = self._query_features(query).with_gradients()
         uv = self._on_finest(uv_ref), self._on_finest(uv_start)
@@ -188,7 +190,7 @@ class GnNet:
         return self._of_image(found)
 
     def match_levels(self, reference: GnNetReference, query: Query, uv_ref: Array, uv_start: Array) -> list[Array]:
-        """As :meth:`match` on each level alone, the image's own first; NaN on levels that the network has no map of."""
+        """As :meth:`match`, on each level alone, the image's first; NaN on levels that the network has no map for."""
         maps: list[Level] = self._query_features(query).with_gradients()
         uv = self._on_finest(uv_ref), self._on_finest(uv_start)
         found = match_pixels_by_level(reference.pyramid.with_gradients(), maps, *uv, MatchSettings(SINGLE_PIXEL))
@@ -197,7 +199,7 @@ class GnNet:
 
     @torch.inference_mode()
     def features(self, image: NDArray[np.uint8], camera: Camera) -> FeaturePyramid:
-        """Feature maps of an (H, W) or (H, W, 3) image; the first is that of level ``finest``, with its camera.
+        """The feature maps of an image (H, W) or (H, W, 3); the first is that of level ``finest``, with its camera.
 
         Raises:
             MethodError: the camera is not pinhole, or the image is too small for the network.
@@ -211,31 +213,31 @@ class GnNet:
         return FeaturePyramid.from_maps([m[0].permute(1, 2, 0).float().cpu().numpy() for m in maps], of_finest)
 
     def _query_features(self, query: Query) -> FeaturePyramid:
-        """Features of a query. The last are kept: a query is often asked about from several priors or keyframes."""
+        """The features of a query, of which the last are kept: a query often comes with several priors or keyframes."""
         if self._last is None or self._last[0] is not query:
             self._last = query, self.features(query.image, query.camera)
         return self._last[1]
 
     def _on_finest(self, uv: Array) -> Array:
-        """Pixels (N, 2) of the image as pixels of the finest map."""
+        """Pixels (N, 2) of the image in the coordinates of the finest map."""
         return level_coordinates(uv, self.net.options.finest)
 
     def _of_image(self, uv: Array) -> Array:
         """The inverse of :meth:`_on_finest`."""
         return (uv + 0.5) * float(1 << self.net.options.finest) - 0.5
 
-    def _answer(self, found: FeatureAlignment, seen: SeenLandmarks | None) -> TrackResult:
+    def _answer(self, found: FeatureAlignment, matched: MatchedLandmarks | None) -> TrackResult:
         info = self._info(found)
-        if found.trouble:
-            return TrackResult.failure(found.trouble, **info)
+        if found.failure:
+            return TrackResult.failure(found.failure, **info)
         if found.final.valid < max(self.min_points, MIN_VALID_SHARE * found.residuals):
             return TrackResult.failure(
                 f"only {found.final.valid} of {found.residuals} residuals project into the query", **info
             )
-        if seen is None:
+        if matched is None:
             return TrackResult(found.T_query_ref, confidence=float(found.inlier_share), info=info)
-        info["matches"] = len(seen.matches)
-        return TrackResult(found.T_query_ref, confidence=seen.agreement(found.T_query_ref), info=info)
+        info["matches"] = len(matched.matches)
+        return TrackResult(found.T_query_ref, confidence=matched.agreement(found.T_query_ref), info=info)
 
     def _info(self, found: FeatureAlignment) -> dict[str, Any]:
         return {
@@ -260,15 +262,9 @@ class GnNet:
             )
         return path
 
-    def _to_device(self, net: FeatureNet) -> FeatureNet:
-        try:
-            return net.for_tracking().to(self.device)
-        except (RuntimeError, AssertionError) as bad:  # torch says which: no such device, or no driver
-            raise MethodError(f"device '{self.device}' cannot be used: {str(bad).splitlines()[0]}") from bad
-
 
 class GnNetContrastive(GnNet):
-    """As :class:`GnNet`, with weights trained without the Gauss-Newton loss: what that loss is worth."""
+    """As :class:`GnNet`, with weights trained without the Gauss-Newton loss, to show what that loss contributes."""
 
     name = "gn-net-contrastive"
 

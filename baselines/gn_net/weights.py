@@ -1,4 +1,4 @@
-"""The feature network's weights as a file, with its options and its card."""
+"""The weights file of the feature network, with its options and its card."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ _KIND = "gn-net"
 
 
 def save_weights(path: Path, net: FeatureNet, card: Mapping[str, str]) -> None:
-    """Write weights, options and card, whole or not at all; the same network and card give the same bytes.
+    """Write weights, options and card, whole or not at all; equal networks and cards give equal bytes.
 
     Args:
-        path: a file that ends in ``.safetensors``; an existing one is replaced.
-        net: as it is trained, not its copy ``for_tracking``.
-        card: what a reader should know: data, seed, command, scores.
+        path: must end in ``.safetensors``; an existing file is replaced.
+        net: as it is trained, not a copy ``for_tracking``.
+        card: what a reader should know, such as data, seed and scores.
 
     Raises:
-        MethodError: the card holds something else than text.
+        MethodError: an entry of the card is not text.
     """
     wrong = [key for key, value in card.items() if not isinstance(key, str) or not isinstance(value, str)]
     if wrong:
-        raise MethodError(f"the model card's entries are text, {wrong[0]!r} is not", path)
+        raise MethodError(f"the model card's entries must be text, {wrong[0]!r} is not", path)
     write_network(path, _KIND, net, {"options": options_to_dict(net.options), "card": dict(card)})
 
 
 def load_weights(path: Path) -> FeatureNet:
-    """The network of a file, on the CPU, in evaluation mode.
+    """The network of a weights file, on the CPU, in evaluation mode.
 
     Raises:
-        MethodError: the file is missing, damaged, of something else, or does not fit the network it names.
+        MethodError: the file is missing, damaged, of another kind, or does not fit the network that it describes.
     """
     about, tensors = _read(path)
     try:
@@ -52,10 +52,10 @@ def load_weights(path: Path) -> FeatureNet:
 
 
 def read_card(path: Path) -> dict[str, str]:
-    """The model card of a file of weights.
+    """The card in a weights file.
 
     Raises:
-        MethodError: the file is missing, damaged or of something else.
+        MethodError: the file is missing, damaged or of another kind.
     """
     return {str(key): str(value) for key, value in _read(path)[0]["card"].items()}
 

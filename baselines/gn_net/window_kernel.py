@@ -1,4 +1,4 @@
-"""Distances of features to the pixels of small windows, compiled: what a search from level to level asks most."""
+"""Distances of features to the pixels of small windows, compiled."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from relocbench.kernels import njit
 def add_window_distances(
     values: NDArray[Any], level_map: NDArray[Any], coarser: int, corners: NDArray[Any], distances: NDArray[Any]
 ) -> None:
-    """Add ``||F(u) - f_m||^2`` for each pixel u of each window, F read bilinearly.
+    """Add ``||F(u) - f_m||^2`` for each pixel u of each window, with F interpolated bilinearly.
 
     Args:
         values: (M, D) float32 features f.
         level_map: (H, W, D) float32, F.
-        coarser: how many pixels of the windows' level one of the map covers along a side: 1, 2, 4, ...
-        corners: (M, 2) int64 first column and row of each window; what lies beyond the map is its border.
+        coarser: the side, in pixels of the windows' level, of a pixel of the map: 1, 2, 4, ...
+        corners: (M, 2) int64 first column and row of each window; pixels beyond the border are moved onto it.
         distances: (M, K, K) float32, added to.
     """
     height, width, channels = level_map.shape

@@ -1,4 +1,4 @@
-"""The floor that every other number is read against: the query camera is where the keyframe was."""
+"""The identity pose, a baseline for all other methods: the query camera is where the keyframe was."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from relocbench.tracking import Array, Query, Reference, TrackResult
 
 
 class Identity:
-    """Answers the identity pose, whatever it is shown; the prior is not looked at either."""
+    """Answers the identity pose, whatever the images and the prior are."""
 
     def track(self, reference: Reference, query: Query, prior: Array | None = None) -> TrackResult:
         return TrackResult(np.eye(4))

@@ -1,1 +1,1 @@
-"""LPN (Local Pattern Network) and its variants: places retrieved by parts of an image, across views."""
+"""LPN (Local Pattern Network) and its variants: cross-view retrieval of places by parts of an image."""

@@ -1,10 +1,10 @@
-"""Local attention: how much of each number of a feature map is kept, decided by its surroundings.
+"""Local attention: each value of a feature map is weighted by a function of its surroundings.
 
     A = sigmoid(pointwise(BatchNorm(depthwise_k(X))))      X' = X * A      or      X' = X + X * A
 
 The depth-wise convolution sees k x k pixels of one channel, the point-wise one all channels of a pixel, so that A(u)
-depends on the k x k pixels about u and on nothing else. With 16 x 16 maps and four rings, rings are two pixels wide: k
-= 5 reaches two pixels, k = 7 three, and so into the ring after the next.
+depends only on the k x k pixels around u. On 16 x 16 maps with four rings, each ring is two pixels wide; k = 5 reaches
+two pixels to each side and k = 7 three, which is into the ring after the next.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Literal, cast
 import torch
 from torch import Tensor, nn
 
-from baselines.lpn.drawing import convolution, draw_weights
+from baselines.initialisation import convolution, draw_weights
 from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
@@ -24,16 +24,16 @@ Stage = Literal["layer3", "layer4"]
 
 @dataclass(frozen=True)
 class AttentionOptions:
-    """Where there is attention, and of which kind.
+    """Where attention is applied, and its form.
 
     Raises:
-        ConfigError: a value that makes no sense.
+        ConfigError: a value is out of range.
     """
 
     after: tuple[Stage, ...] = ()
-    """stages of the backbone whose output it acts on; what comes after ``layer3`` goes into ``layer4``"""
+    """stages of the backbone whose output it weights; attention after ``layer3`` is in front of ``layer4``"""
     kernel: int = 5
-    """k, pixels of the stage's map; odd"""
+    """k, an odd number of pixels of the stage's map"""
     residual: bool = True
     """X + X * A instead of X * A"""
 
@@ -47,10 +47,13 @@ class AttentionOptions:
 
 
 class LocalAttention(nn.Module):
-    """Local attention on maps of ``channels`` channels.
+    """Local attention.
 
     Args:
-        generator: where the first weights are drawn from (He et al. 2015).
+        channels: of the map.
+        kernel: k, pixels.
+        residual: X + X * A instead of X * A.
+        generator: source of the initial weights (He et al., 2015).
     """
 
     def __init__(self, channels: int, kernel: int, residual: bool, generator: torch.Generator) -> None:
@@ -62,10 +65,10 @@ class LocalAttention(nn.Module):
         draw_weights(self, generator, "fan_in")
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, C, H, W) of the same."""
+        """The weighted map (B, C, H, W) of a map (B, C, H, W)."""
         kept = x * self.weights(x)
         return x + kept if self.residual else kept
 
     def weights(self, x: Tensor) -> Tensor:
-        """A: (B, C, H, W), between 0 and 1."""
+        """The weights A (B, C, H, W), between 0 and 1."""
         return torch.sigmoid(cast(Tensor, self.pointwise(self.norm(self.depthwise(x)))))

@@ -1,7 +1,7 @@
-"""The backbone: torchvision's ResNet without its classifier, with what comes after stage 3 and stage 4 at hand.
+"""The backbone: torchvision's ResNet without its classifier, with the outputs of stages 3 and 4.
 
-He et al., CVPR 2016. With ``last_stride`` 1 the first block of stage 4 does not halve the map, as in LPN (and PCB
-before it); the weights are the same as for stride 2. Tensors have torchvision's names.
+He et al., CVPR 2016. With ``last_stride`` 1 the first block of stage 4 does not halve the map, as in LPN and PCB; the
+shapes of the weights do not depend on it. Tensors have torchvision's names.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torchvision.models import ResNet, resnet18, resnet50  # type: ignore[import-untyped]
 from torchvision.models.resnet import Bottleneck  # type: ignore[import-untyped]
 
-from baselines.lpn.drawing import draw_weights
+from baselines.initialisation import draw_weights
 from baselines.lpn.options import BackboneName
 
 _KEPT = ("conv1", "bn1", "layer1", "layer2", "layer3", "layer4")
@@ -25,25 +25,26 @@ class Backbone(nn.Module):
     Args:
         name: which ResNet.
         last_stride: of stage 4.
-        generator: where the first weights are drawn from, as torchvision draws them (He et al. 2015, fan-out); torch's
-            global state is not touched.
+        generator: source of the initial weights, distributed as torchvision's (He et al., 2015, fan-out). Torch's
+            global
+            generator is not used.
     """
 
     def __init__(self, name: BackboneName, last_stride: Literal[1, 2], generator: torch.Generator) -> None:
         super().__init__()
-        with torch.device("meta"):  # sizes only: no number is drawn
+        with torch.device("meta"):  # shapes only: no number is drawn
             net: ResNet = resnet50(weights=None) if name == "resnet50" else resnet18(weights=None)
         for part in _KEPT:
             self.add_module(part, getattr(net, part))
         if last_stride == 1:
             _keep_size(net.layer4)
         self.channels: dict[str, int] = {"layer3": net.fc.in_features // 2, "layer4": net.fc.in_features}
-        """of the maps after each stage"""
+        """number of channels after each stage"""
         self.to_empty(device="cpu")
         draw_weights(self, generator, "fan_out")
 
     def to_layer3(self, images: Tensor) -> Tensor:
-        """(B, C / 2, H / 16, W / 16) of normalised images (B, 3, H, W)."""
+        """The map (B, C / 2, H / 16, W / 16) after stage 3 of normalised images (B, 3, H, W)."""
         x = nn.functional.relu(self._stage("bn1", self._stage("conv1", images)))
         x = nn.functional.max_pool2d(x, 3, stride=2, padding=1)
         for stage in ("layer1", "layer2", "layer3"):
@@ -51,11 +52,11 @@ class Backbone(nn.Module):
         return x
 
     def to_layer4(self, x: Tensor) -> Tensor:
-        """(B, C, H / 16, W / 16), or half that size with ``last_stride`` 2, of what ``to_layer3`` gives."""
+        """The map (B, C, H / 16, W / 16) after stage 4 of one after stage 3; half that size with ``last_stride`` 2."""
         return self._stage("layer4", x)
 
     def forward(self, images: Tensor) -> Tensor:
-        """The last map."""
+        """The map after stage 4 of normalised images."""
         return self.to_layer4(self.to_layer3(images))
 
     def _stage(self, name: str, x: Tensor) -> Tensor:
@@ -63,7 +64,7 @@ class Backbone(nn.Module):
 
 
 def _keep_size(layer4: nn.Sequential) -> None:
-    """Stride 1 in the first block: in its 3x3 convolution that strides, and in the shortcut."""
+    """Set the stride of the first block to 1, in its strided 3x3 convolution and in the shortcut."""
     block = layer4[0]
     striding = block.conv2 if isinstance(block, Bottleneck) else block.conv1
     for convolution in (striding, cast(nn.Sequential, block.downsample)[0]):

@@ -1,4 +1,4 @@
-"""Weights of a backbone from a user's file, such as those that torchvision publishes for ImageNet."""
+"""Backbone weights from a user's file, such as the ImageNet weights that torchvision publishes."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from relocbench.errors import MethodError
 
 _CLASSIFIER = ("fc.weight", "fc.bias")
 _COUNTER = ".num_batches_tracked"
-"""older files lack it, and nothing depends on it"""
+"""absent in older files and without influence"""
 
 
 def load_backbone(path: Path, backbone: Backbone) -> None:
-    """Replace the backbone's weights by those of a file; the file's own classifier is left out.
+    """Replace the backbone's weights with those of a file, except its classifier.
 
     Args:
-        path: a state dict of torchvision's ResNet of the same depth, as ``.safetensors`` or by ``torch.save``, or the
-            weights of another training of LPN, whose backbone (of the view from above) is taken. Nothing but tensors
-            is read: a file of pickled code is refused.
-        backbone: changed in place, and not at all if the file is refused.
+        path: a state dict of torchvision's ResNet of the same depth, as ``.safetensors`` or written by ``torch.save``,
+            or the weights of another LPN training, of which the backbone for drone and satellite is taken. Only tensors
+            are read; pickled code is refused.
+        backbone: changed in place, unless the file is refused.
 
     Raises:
-        MethodError: the file is missing, damaged, of something else, or of another network.
+        MethodError: the file is missing, damaged, of another kind, or of another network.
     """
     tensors = _read(path)
     expected = backbone.state_dict()
@@ -43,7 +43,7 @@ def load_backbone(path: Path, backbone: Backbone) -> None:
             shapes = f"{tuple(found[name].shape)}, expected {tuple(expected[name].shape)}"
             raise MethodError(f"weights of another network than this ResNet: '{name}' is {shapes}", path)
         if not found[name].is_floating_point() or not bool(found[name].isfinite().all()):
-            raise MethodError(f"'{name}' holds something else than finite numbers", path)
+            raise MethodError(f"'{name}' holds values that are not finite numbers", path)
     backbone.load_state_dict({name: found.get(name, tensor).to(tensor.dtype) for name, tensor in expected.items()})
 
 
@@ -64,5 +64,5 @@ def _read(path: Path) -> Mapping[str, Tensor]:
         or not all(isinstance(value, Tensor) for value in content.values())
         or not all(isinstance(name, str) for name in content)
     ):
-        raise MethodError("not a state dict: expected names and tensors, and nothing else", path)
+        raise MethodError("not a state dict: expected only names and tensors", path)
     return content

@@ -1,8 +1,7 @@
-"""The systems by name: those of the log that compares improvements of LPN, and what they are read against.
+"""The systems by name: those of a log of trials that improve on LPN, and their baselines.
 
-``logged`` is what the log reports (for ``lpn-dwdr``: what is published) for drone -> satellite on University-1652 with
-ResNet-50, R@1 and AP in percent. It is there to be compared with, and nothing here depends on it. Re-runs of LPN
-scatter by about 0.3 R@1.
+``logged`` holds R@1 and AP in percent that the log reports (for ``lpn-dwdr``: that are published) for drone ->
+satellite on University-1652 with ResNet-50. The numbers serve comparison only. Re-runs of LPN scatter by about 0.3 R@1.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from relocbench.errors import ConfigError
 
 
 class Logged(NamedTuple):
-    """Percent."""
+    """Reported metrics, percent."""
 
     r_at_1: float
     ap: float
@@ -28,28 +27,28 @@ class Logged(NamedTuple):
 
 @dataclass(frozen=True)
 class Configuration:
-    """One system: network, losses, order of training, what is done with its rankings."""
+    """One system: its network, losses, stages of training, and re-ranking."""
 
     name: str
     about: str
-    """one line for tables"""
+    """description in one line, for tables"""
     network: NetworkOptions = field(default_factory=NetworkOptions)
-    """of the last stage"""
+    """the network of the last stage"""
     loss: LossOptions = field(default_factory=LossOptions)
-    """of all stages; a stage whose partition has no masks leaves the partition loss out"""
+    """the losses of all stages; stages whose partition has no masks omit the partition loss"""
     stages: tuple[Stage, ...] = one_stage("rings")
     rerank_top: int = 0
-    """of each ranking, so many are sorted anew by aligned parts (``dmli``)"""
+    """number of candidates of each ranking that are re-ranked by aligned parts (``dmli``)"""
     paired: bool = False
-    """batches show the same buildings row by row in drone and satellite, half of them led by either"""
+    """whether each row of a batch shows the same building by drone and by satellite"""
     backbone_rate: float = 1e-4
     """learning rate of the backbone"""
     rate: float = 1e-3
-    """learning rate of all that is new"""
+    """learning rate of everything else"""
     logged: Logged | None = None
 
     def network_in(self, stage: Stage) -> NetworkOptions:
-        """The network's shape in a stage: its partition is the stage's."""
+        """The network's options in a stage, which has a partition of its own."""
         return replace(self.network, partition=stage.partition)
 
     def loss_in(self, stage: Stage) -> LossOptions:
@@ -60,10 +59,10 @@ class Configuration:
 
 
 def configuration(name: str) -> Configuration:
-    """The configuration of that name.
+    """The configuration of a name.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: there is no configuration of that name.
     """
     if name not in CONFIGURATIONS:
         raise ConfigError(f"no configuration '{name}', there are {', '.join(CONFIGURATIONS)}")
@@ -172,5 +171,5 @@ CONFIGURATIONS = {each.name: each for each in _ALL}
 """by name, in the order of the table"""
 
 REPLACED_PARTITION_LOSS = Logged(71.38, 75.29)
-"""what the log reports for its own replacement of the partition loss, whose formula is not public: to be set beside the
-reconstructions, and not the row of any one of them"""
+"""what the log reports for its replacement of the partition loss, whose formula is not public; it may be compared with
+the reconstructions, but belongs to none of them"""

@@ -1,17 +1,17 @@
-"""DWDR: channels of both views' features agree with their counterpart and with no other channel.
+"""DWDR: a channel of one view's features shall correlate with the same channel of the other view, and no other.
 
 Wang et al., "Learning Cross-view Geo-localization Embeddings via Dynamic Weighted Decorrelation Regularization", TGRS
-2024, after Barlow Twins (Zbontar et al., ICML 2021). For B pairs of images of the same places, features a and b (B, C)
-standardised channel by channel over the batch:
+2024, after Barlow Twins (Zbontar et al., ICML 2021). For B pairs of images of the same places, with features a and b
+(B, C) of which each channel is standardised over the batch:
 
     c_ij = mean over the batch of a_i b_j
     E = scale (sum_i ((1 - c_ii) / 2)^e1 (1 - c_ii)^2 + lambda sum_i sum_j!=i |c_ij|^e2 c_ij^2)
 
-The weights (1 - c_ii) / 2 and |c_ij|, the shares of their largest values, turn to channels that are still wrong; they
-are not detached. e1 = e2 = 0 is Barlow Twins. Formula and numbers are those of the authors' published code (its
-University-1652 run for LPN): scale 1/32, lambda 0.0013, e1 = e2 = 1, and a total of 0.9 times the instance loss plus
-0.1 times E. There the features are the maximum over the last map, not its mean, standardised by a batch normalisation
-without weights; the batches hold equally many pairs led by a satellite image and by a drone image ("symmetric
+The dynamic weights (1 - c_ii) / 2 and |c_ij| emphasise channels that are still wrong; gradients flow through them.
+e1 = e2 = 0 is Barlow Twins. Formula and constants are those of the authors' published code (its University-1652 run for
+LPN): scale 1/32, lambda 0.0013, e1 = e2 = 1, and a total of 0.9 times the instance loss plus 0.1 times E. There the
+features are the maximum over the last map instead of its mean, standardised by a batch normalisation without weights.
+Half of the pairs of a batch are drawn by their satellite image, the other half by their drone image ("symmetric
 sampling").
 """
 
@@ -29,16 +29,16 @@ from relocbench.errors import ConfigError
 
 @dataclass(frozen=True)
 class DecorrelationOptions:
-    """How much of the loss, and its numbers.
+    """Weight and constants of the loss.
 
     Raises:
-        ConfigError: a value that makes no sense.
+        ConfigError: a value is out of range.
     """
 
     weight: float = 0.0
-    """share of the total; the instance loss has the rest; 0 leaves the loss out, the authors have 0.1"""
+    """share of the total, of which the instance loss has the rest; 0 disables the loss, the authors use 0.1"""
     off_weight: float = 0.0013
-    """lambda, of what is off the diagonal"""
+    """lambda, the weight of the off-diagonal terms"""
     scale: float = 1.0 / 32.0
     on_power: float = 1.0
     """e1"""
@@ -55,10 +55,10 @@ class DecorrelationOptions:
 
 
 def correlations(a: Tensor, b: Tensor) -> Tensor:
-    """c: (C, C) of features (B, C), row b of both showing the same place.
+    """The correlations c (C, C) of features (B, C), of which each row shows the same place in both.
 
     Raises:
-        ValueError: the shapes differ, or there is a single pair.
+        ValueError: the shapes differ, or there is only one pair.
     """
     if a.shape != b.shape or a.ndim != 2 or len(a) < 2:
         raise ValueError(f"features are {tuple(a.shape)} and {tuple(b.shape)}, expected (B, C) twice, B at least 2")
@@ -67,7 +67,7 @@ def correlations(a: Tensor, b: Tensor) -> Tensor:
 
 
 def decorrelation_loss(a: Tensor, b: Tensor, options: DecorrelationOptions) -> Tensor:
-    """E of features (B, C), without ``options.weight``."""
+    """The loss E of features (B, C), without ``options.weight``."""
     c = correlations(a, b)
     missing = (1.0 - c.diagonal()).clamp(min=0)
     on = (missing ** (2.0 + options.on_power)).sum() / 2.0**options.on_power

@@ -1,10 +1,10 @@
-"""From embeddings of parts to one descriptor an image.
+"""One descriptor for each image from the embeddings of its parts.
 
     f = sum of embed(image) and embed(mirror image)          (P, D)
     descriptor = concatenation over p of f_p / (||f_p|| sqrt(P))
 
-as the authors of LPN test (Wang et al., TCSVT 2021). Its norm is 1, and the dot product of two descriptors is the mean
-of the cosines between corresponding parts.
+as in the evaluation of LPN's authors (Wang et al., TCSVT 2021). The norm of a descriptor is 1, and the dot product of
+two descriptors is the mean cosine of corresponding parts.
 """
 
 from __future__ import annotations
@@ -16,34 +16,34 @@ from torch import Tensor
 
 
 def with_mirror_image(embed: Callable[[Tensor], Tensor], images: Tensor) -> Tensor:
-    """f(image) + f(mirror image).
+    """The sum of the embeddings of images and of their mirror images.
 
     Args:
-        embed: from images to embeddings.
-        images: (B, 3, H, W); mirrored left to right.
+        embed: maps images to embeddings.
+        images: (B, 3, H, W), which are mirrored left to right.
     """
     return embed(images) + embed(images.flip(-1))
 
 
 def descriptors(embeddings: Tensor) -> Tensor:
-    """(..., P * D) part after part, of embeddings (..., P, D); a part that is zero stays zero."""
+    """The descriptors (..., P * D), part after part, of embeddings (..., P, D); a part that is zero stays zero."""
     parts = embeddings.shape[-2]
     return (unit_parts(embeddings) / parts**0.5).flatten(-2)
 
 
 def unit_parts(embeddings: Tensor) -> Tensor:
-    """(..., P, D): each part divided by its norm; a part that is zero stays zero."""
+    """Each part of embeddings (..., P, D) divided by its norm; a part that is zero stays zero."""
     norms = torch.linalg.vector_norm(embeddings, dim=-1, keepdim=True)
     return embeddings / norms.clamp(min=torch.finfo(embeddings.dtype).tiny)
 
 
 def parts_of(descriptor: Tensor, parts: int) -> Tensor:
-    """(..., P, D) of unit norm: the parts that a descriptor (..., P * D) is made of.
+    """The parts (..., P, D), of unit norm, of a descriptor (..., P * D).
 
     Raises:
         ValueError: the descriptor's size is no multiple of ``parts``.
     """
     size = descriptor.shape[-1]
     if parts < 1 or size % parts:
-        raise ValueError(f"a descriptor of {size} numbers is not made of {parts} parts")
+        raise ValueError(f"a descriptor of {size} numbers does not consist of {parts} parts")
     return descriptor.unflatten(-1, (parts, size // parts)) * parts**0.5

@@ -1,11 +1,11 @@
-"""Part heads: from the feature of a part to its embedding, and from there to the building.
+"""Part heads: the embedding of a part from its feature, and the building from the embedding.
 
     embedding = BatchNorm(Linear(x))      logits = Linear(Dropout(embedding))
 
-One head a part, shared by all views: views meet in the classifier's weights (Zheng et al., "instance loss"). At test
-the embedding is what is compared, and the last layer is dropped. First weights as in the authors' LPN and DWDR code,
-which have them from person re-identification: He et al. 2015 by the outputs (fan-out) for the first layer, batch
-normalisation N(1, 0.02), classifier N(0, 0.001), biases zero.
+Each part has a head, which all views share: the classifier's weights align the views (Zheng et al., "instance loss").
+For retrieval the embeddings are compared, and the classifier is not used. Initial weights are those of the authors' LPN
+and DWDR code: He et al., 2015, fan-out, for the first layer, N(1, 0.02) for the batch normalisation, N(0, 0.001) for
+the classifier, zero for biases.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _NORM_SPREAD, _CLASSIFIER_SPREAD = 0.02, 0.001
 
 
 class HeadOutput(NamedTuple):
-    """What the heads make of the parts."""
+    """The output of the heads."""
 
     embeddings: Tensor
     """(B, P, D), before dropout"""
@@ -34,10 +34,10 @@ class PartHead(nn.Module):
 
     Args:
         inputs: C, channels of the part's feature.
-        width: D, numbers of the embedding.
-        classes: buildings of the training set.
+        width: D, size of the embedding.
+        classes: number of buildings in the training set.
         dropout: share of the embedding that is dropped in training, by torch's global generator.
-        generator: where the first weights are drawn from.
+        generator: source of the initial weights.
     """
 
     def __init__(self, inputs: int, width: int, classes: int, dropout: float, generator: torch.Generator) -> None:
@@ -53,16 +53,16 @@ class PartHead(nn.Module):
         nn.init.zeros_(self.classifier.bias)
 
     def embed(self, x: Tensor) -> Tensor:
-        """(B, D) of (B, C)."""
+        """The embeddings (B, D) of features (B, C)."""
         return cast(Tensor, self.norm(self.reduce(x)))
 
     def classify(self, embedding: Tensor) -> Tensor:
-        """(B, classes) of (B, D)."""
+        """The logits (B, classes) of embeddings (B, D)."""
         return cast(Tensor, self.classifier(functional.dropout(embedding, self.dropout, self.training)))
 
 
 class PartHeads(nn.Module):
-    """One head a part; arguments as of ``PartHead``."""
+    """A head for each part; arguments are those of ``PartHead``."""
 
     def __init__(
         self, parts: int, inputs: int, width: int, classes: int, dropout: float, generator: torch.Generator
@@ -71,13 +71,13 @@ class PartHeads(nn.Module):
         self.heads = nn.ModuleList(PartHead(inputs, width, classes, dropout, generator) for _ in range(parts))
 
     def embed(self, features: Tensor) -> Tensor:
-        """(B, P, D) of (B, P, C)."""
+        """The embeddings (B, P, D) of features (B, P, C)."""
         return torch.stack([head.embed(features[:, p]) for p, head in enumerate(self._each())], dim=1)
 
     def forward(self, features: Tensor) -> HeadOutput:
-        """Embeddings and logits of the features (B, P, C) of one view's images.
+        """The embeddings and logits of features (B, P, C) of one view's images.
 
-        Batch normalisation takes its statistics from the images of one call: views are not mixed in a batch.
+        In training, the statistics of batch normalisation are those of one call, so that views are not mixed.
         """
         embeddings = self.embed(features)
         logits = [head.classify(embeddings[:, p]) for p, head in enumerate(self._each())]

@@ -1,11 +1,11 @@
-"""Masks from a heatmap: where a picture is lively decides which part a pixel belongs to.
+"""Partition by masks that are computed from a heatmap of activations.
 
     h(u) = sum over c of X_c(u)      M = softmax over P of conv(relu(conv(h)))      part p = mean over u of M_p(u) X(u)
 
-h has one channel, so that a mask knows how lively the surroundings are and, by the zeros outside the map, how near the
-border is. Width and sizes of both convolutions are not published; 16 channels and 3 x 3 pixels are our own choice. The
-sum over 2048 channels is 2048 times their mean, and makes the first softmax close to one-hot; ``heat = "mean"`` divides
-by the number of channels, which is our own alternative.
+h has one channel, so that a mask depends on the activation around a pixel and, by the zero padding, on its distance
+from the border. Width and kernel sizes of the two convolutions are not published; 16 channels and 3 x 3 pixels are our
+own choice. The sum over 2048 channels is 2048 times their mean, which makes the initial softmax nearly one-hot; ``heat
+= "mean"`` divides by the number of channels, which is our own alternative.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from baselines.lpn.drawing import convolution, draw_weights
+from baselines.initialisation import convolution, draw_weights
 from baselines.lpn.pooling import PartMean, Parts, masked_means
 from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
@@ -25,20 +25,20 @@ from relocbench.errors import ConfigError
 
 @dataclass(frozen=True)
 class HeatmapOptions:
-    """Shape of the masks' network.
+    """Options of the network that computes the masks.
 
     Raises:
-        ConfigError: a value that makes no sense.
+        ConfigError: a value is out of range.
     """
 
     heat: Literal["sum", "mean"] = "sum"
-    """h: sum over the channels, or their mean"""
+    """whether h is the sum of the channels or their mean"""
     hidden: int = 16
-    """channels between both convolutions"""
+    """number of channels between the two convolutions"""
     kernel: int = 3
-    """pixels of either convolution; odd"""
+    """size of both convolutions, an odd number of pixels"""
     mean: PartMean = "all"
-    """``all``: mean over all pixels; ``mask``: divided by the sum of the mask"""
+    """``all``: mean over all pixels; ``mask``: weighted mean, divided by the sum of the mask"""
 
     __pydantic_config__ = NO_OTHER_KEYS
 
@@ -54,12 +54,12 @@ class HeatmapOptions:
 
 
 class HeatmapPartition(nn.Module):
-    """The masks' network and its pooling.
+    """The network that computes the masks, and pooling by them.
 
     Args:
         parts: P.
         options: see there.
-        generator: where the first weights are drawn from (He et al. 2015).
+        generator: source of the initial weights (He et al., 2015).
     """
 
     def __init__(self, parts: int, options: HeatmapOptions, generator: torch.Generator) -> None:
@@ -70,16 +70,16 @@ class HeatmapPartition(nn.Module):
         draw_weights(self, generator, "fan_in")
 
     def masks(self, x: Tensor) -> Tensor:
-        """(B, P, H, W), sum over P is 1, of (B, C, H, W)."""
+        """The masks (B, P, H, W) of a map (B, C, H, W); they sum to 1 over P."""
         heat = heatmap(x) if self.options.heat == "sum" else heatmap(x) / x.shape[1]
         return cast(Tensor, self.second(functional.relu(self.first(heat)))).softmax(1)
 
     def forward(self, x: Tensor) -> Parts:
-        """(B, P, C) and the masks, of (B, C, H, W)."""
+        """The features (B, P, C) and masks of the parts of a map (B, C, H, W)."""
         masks = self.masks(x)
         return Parts(masked_means(x, masks, self.options.mean), masks)
 
 
 def heatmap(x: Tensor) -> Tensor:
-    """h: (B, 1, H, W), the sum over the channels of (B, C, H, W)."""
+    """The heatmap h (B, 1, H, W), the sum over the channels of a map (B, C, H, W)."""
     return x.sum(1, keepdim=True)

@@ -1,4 +1,4 @@
-"""Images as the network takes them: square, RGB, bytes; the same for training and test."""
+"""The network's input: square RGB images, prepared alike in training and evaluation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Image = NDArray[np.uint8]
 
 
 def resized(image: Image, size: int) -> Image:
-    """An image (H, W, 3) as (size, size, 3), bicubic, smoothed beforehand where it shrinks; its shape is not kept."""
+    """An image (H, W, 3) resized to (size, size, 3), bicubic with antialiasing; the aspect ratio is not kept."""
     if image.shape[:2] == (size, size):
         return image
     x = torch.from_numpy(np.ascontiguousarray(image).copy()).permute(2, 0, 1)[None].float()
@@ -24,11 +24,11 @@ def resized(image: Image, size: int) -> Image:
 
 
 def as_bytes(images: Sequence[Image]) -> Tensor:
-    """(B, 3, S, S) uint8 of square images."""
+    """Square images as one tensor (B, 3, S, S) uint8."""
     return torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).contiguous()
 
 
 def as_network_takes_them(images: Tensor, device: torch.device) -> Tensor:
-    """Bytes (B, 3, S, S) as float32 in [0, 1] on a device, channels last."""
+    """Images (B, 3, S, S) uint8 as float32 in [0, 1] on a device, channels last."""
     moved = images.to(device, non_blocking=True).float() / 255
     return moved.contiguous(memory_format=torch.channels_last)

@@ -1,10 +1,10 @@
-"""All losses of a batch as one number and as the parts it is made of.
+"""The total loss of a batch and its parts.
 
-    instance     sum over views and parts of the cross-entropy with the building's number (a mean over the images)
+    instance     sum over views and parts of the mean cross-entropy of the building's number
     total        (1 - g) instance + g decorrelation + w partition
 
-with g and w the weights of ``decorrelation`` and ``partition_loss``. The classifier is shared by the views (Zheng et
-al., instance loss): this is what brings views together.
+with g and w the weights of ``decorrelation`` and ``partition_loss``. All views share the classifier (Zheng et al.,
+instance loss), which aligns their embeddings.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from baselines.options import NO_OTHER_KEYS
 
 @dataclass(frozen=True)
 class LossOptions:
-    """Which losses beside the instance loss. A weight of 0 leaves a loss out."""
+    """The losses besides the instance loss; a weight of 0 disables a loss."""
 
     decorrelation: DecorrelationOptions = field(default_factory=DecorrelationOptions)
-    """between drone and satellite, whose batches must then show the same buildings row by row"""
+    """between drone and satellite, whose batches must then show the same building in each row"""
     partition: PartitionLossOptions = field(default_factory=PartitionLossOptions)
 
     __pydantic_config__ = NO_OTHER_KEYS
 
 
 class LossValue(NamedTuple):
-    """What to descend, and what to write into the log."""
+    """The loss to be minimised, and its parts for the log."""
 
     total: Tensor
     """scalar"""
     parts: dict[str, Tensor]
-    """scalars without derivatives, before weights: ``instance``, ``instance/VIEW``, ``right/VIEW`` (share of the images
-    whose building has the largest probability, summed over the parts), ``decorrelation``, ``partition``"""
+    """scalars without derivatives and before weighting: ``instance``, ``instance/VIEW``, ``right/VIEW`` (share of the
+    images whose building has the largest sum of probabilities over the parts), ``decorrelation``, ``partition``"""
 
 
 def instance_loss(logits: Tensor, labels: Tensor) -> Tensor:
-    """Sum over the parts of the mean cross-entropy, of logits (B, P, classes) and labels (B,) int64."""
+    """The sum over parts of the mean cross-entropy, from logits (B, P, classes) and labels (B,) int64."""
     parts = logits.shape[1]
     return parts * functional.cross_entropy(logits.flatten(0, 1), labels.repeat_interleave(parts))
 
@@ -56,12 +56,14 @@ def total_loss(
     """The loss of one batch.
 
     Args:
-        outputs: of the network in training, by view.
+        outputs: of the network in training mode, by view.
         labels: (B,) int64 buildings, by view.
-        options: what else to sum.
+        options: the other losses.
 
     Raises:
-        ValueError: no view, labels of other views, a partition loss without masks, or a decorrelation without pairs.
+        ValueError: there is no view, the labels are of other views, the partition loss has no masks, or the
+            decorrelation
+            no pairs.
     """
     options = options or LossOptions()
     if not outputs or outputs.keys() != labels.keys():
@@ -92,7 +94,7 @@ def _decorrelation(
 
 
 def _partition(outputs: Mapping[View, ViewOutput], options: PartitionLossOptions) -> Tensor:
-    """Mean over the views."""
+    """The mean over the views."""
     masks = [output.masks for output in outputs.values()]
     found = [mask for mask in masks if mask is not None]
     if len(found) < len(masks):

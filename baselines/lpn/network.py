@@ -2,8 +2,8 @@
 
     image -> stage 3 (-> attention) -> stage 4 (-> attention) -> P parts -> P heads -> embeddings (-> logits)
 
-Drone and satellite images go through the same branch, street images through one of their own or the same; the heads are
-shared by all views (Wang et al., TCSVT 2021).
+Drone and satellite images share a branch; street images use it too or have one of their own. All views share the heads
+(Wang et al., TCSVT 2021).
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ View = Literal["satellite", "drone", "street"]
 VIEWS: tuple[View, ...] = get_args(View)
 
 _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""of ImageNet's pictures, red, green and blue in [0, 1]; what published weights of backbones were trained with"""
+"""of ImageNet's red, green and blue in [0, 1], with which published backbones were trained"""
 
 
 class ViewOutput(NamedTuple):
-    """What the network makes of images of one view."""
+    """The network's output for images of one view."""
 
     embeddings: Tensor
     """(B, P, D)"""
     logits: Tensor
     """(B, P, classes)"""
     pooled: Tensor
-    """(B, C) largest value of each channel of the last map"""
+    """(B, C) maximum of each channel of the last map"""
     masks: Tensor | None
-    """(B, P, H, W) of a partition that depends on the image"""
+    """(B, P, H, W); None if the partition does not depend on the image"""
 
 
 class Branch(nn.Module):
-    """What views may have of their own: backbone, attention, partition."""
+    """The part of the network that a view may have of its own: backbone, attention and partition."""
 
     mean: Tensor
     deviation: Tensor
@@ -66,7 +66,7 @@ class Branch(nn.Module):
             self.register_buffer(name, torch.tensor(values)[:, None, None], persistent=False)
 
     def last_map(self, images: Tensor) -> Tensor:
-        """(B, C, h, w) of images (B, 3, H, W) RGB in [0, 1].
+        """The last map (B, C, h, w) of images (B, 3, H, W), RGB in [0, 1].
 
         Raises:
             ValueError: the images have another shape.
@@ -78,7 +78,7 @@ class Branch(nn.Module):
         return self._attend("layer4", x)
 
     def parts(self, last_map: Tensor) -> Parts:
-        """(B, P, C) and masks of the last map."""
+        """The features (B, P, C) and masks of the parts of the last map."""
         return cast(Parts, self.partition(last_map))
 
     def _attend(self, stage: str, x: Tensor) -> Tensor:
@@ -86,13 +86,13 @@ class Branch(nn.Module):
 
 
 class LpnNetwork(nn.Module):
-    """Embeddings and logits of images by view.
+    """Embeddings and logits of images of each view.
 
     Args:
-        classes: buildings of the training set.
+        classes: number of buildings in the training set.
         options: the network's shape.
-        generator: where all first weights are drawn from; default seed 0. Torch's global state is not touched.
-            Weights of a backbone file replace the backbone's (``backbone_weights.load_backbone``).
+        generator: source of all initial weights; by default of seed 0. Torch's global generator is not used.
+            ``backbone_weights.load_backbone`` replaces the weights of a backbone.
     """
 
     def __init__(
@@ -112,10 +112,10 @@ class LpnNetwork(nn.Module):
         )
 
     def forward(self, view: View, images: Tensor) -> ViewOutput:
-        """What training needs, of images (B, 3, H, W) RGB in [0, 1].
+        """The output for images (B, 3, H, W) of one view, RGB in [0, 1].
 
         Raises:
-            ValueError: a view that this network does not have, or no images.
+            ValueError: the network does not have the view, or the images have another shape.
         """
         branch = self.branch(view)
         last_map = branch.last_map(images)
@@ -124,26 +124,26 @@ class LpnNetwork(nn.Module):
         return ViewOutput(embeddings, logits, last_map.amax((-2, -1)), parts.masks)
 
     def embed(self, view: View, images: Tensor) -> Tensor:
-        """(B, P, D) of images as in ``forward``, without the last layer."""
+        """The embeddings (B, P, D) of images, without the classifier; arguments are those of ``forward``."""
         branch = self.branch(view)
         return self.heads.embed(branch.parts(branch.last_map(images)).features)
 
     @torch.no_grad()
     def describe(self, view: View, images: Tensor) -> Tensor:
-        """(B, P * D) of unit norm: descriptors of images and their mirror images (``descriptor``).
+        """The descriptors (B, P * D), of unit norm, of images together with their mirror images (``descriptor``).
 
         Raises:
-            RuntimeError: the network is in training mode, where an image's descriptor depends on its batch.
+            RuntimeError: the network is in training mode, in which a descriptor would depend on the batch.
         """
         if self.training:
-            raise RuntimeError("descriptors are taken in evaluation mode: call eval() first")
+            raise RuntimeError("descriptors need evaluation mode: call eval() first")
         return descriptors(with_mirror_image(lambda each: self.embed(view, each), images))
 
     def branch(self, view: View) -> Branch:
-        """The branch that images of a view go through.
+        """The branch of a view.
 
         Raises:
-            ValueError: this network does not have the view.
+            ValueError: the network does not have the view.
         """
         if view not in VIEWS or (view == "street" and self.options.street == "none"):
             raise ValueError(f"this network has no view '{view}'")
@@ -152,12 +152,12 @@ class LpnNetwork(nn.Module):
 
 
 def copy_weights(source: LpnNetwork, target: LpnNetwork) -> None:
-    """Start ``target`` from a trained network that may differ in its partition alone.
+    """Copy a network's weights into another one that may have a different partition.
 
-    What the target's partition has and the source's has not keeps its values.
+    Weights that only the target's partition has keep their values.
 
     Raises:
-        ValueError: something else differs.
+        ValueError: the networks differ in more than their partition.
     """
     given, wanted = source.state_dict(), target.state_dict()
     for name in sorted(given.keys() | wanted.keys()):

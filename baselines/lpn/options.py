@@ -1,4 +1,4 @@
-"""What a network can be told, checked once and stored with its weights."""
+"""The options of the network, which are stored with its weights."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BackboneName = Literal["resnet18", "resnet50"]
 Partition = Literal["rings", "soft", "heatmap"]
 
 _MOST_PARTS, _MOST_WIDTH = 256, 65536
-"""far beyond any network that is trained; a file of weights that asks for more is not what it says"""
+"""far beyond any network that is trained; a weights file that asks for more is not genuine"""
 
 
 @dataclass(frozen=True)
@@ -24,27 +24,27 @@ class NetworkOptions:
     """Shape of the network; the defaults are LPN's.
 
     Raises:
-        ConfigError: a combination that no network can have.
+        ConfigError: no network can have these options.
     """
 
     backbone: BackboneName = "resnet50"
-    """``resnet18`` for small sets"""
+    """``resnet18`` for small datasets"""
     last_stride: Literal[1, 2] = 1
-    """of the last stage; with 1 the last map has a sixteenth of the image's side, 16 x 16 at 256 pixels"""
+    """stride of the last stage; with 1 the last map of an image of 256 pixels has 16 x 16"""
     parts: int = 4
-    """P; 1 with rings is the mean over the whole map"""
+    """P; one ring is the whole map"""
     partition: Partition = "rings"
     ring_mean: RingMean = "square"
-    """``square``: as in the authors' LPN code; ``ring``: the true mean, as in their DWDR code"""
+    """``square``: as in the authors' LPN code (``rings``); ``ring``: the mean over the ring, as in their DWDR code"""
     soft: SoftPartitionOptions = field(default_factory=SoftPartitionOptions)
     heatmap: HeatmapOptions = field(default_factory=HeatmapOptions)
     attention: AttentionOptions = field(default_factory=AttentionOptions)
     street: Literal["none", "separate", "shared"] = "none"
-    """the street view has weights of its own before the heads, or those of drone and satellite, or there is none"""
+    """whether the street view has a branch of its own, shares that of drone and satellite, or is absent"""
     width: int = 512
-    """D: numbers of a part's embedding"""
+    """D, the size of a part's embedding"""
     dropout: float = 0.75
-    """share of the embedding that is dropped before the classifier in training"""
+    """share of the embedding that is dropped in front of the classifier in training"""
 
     __pydantic_config__ = NO_OTHER_KEYS
 
@@ -68,5 +68,5 @@ class NetworkOptions:
 
     @property
     def least_parameters(self) -> int:
-        """The parameters of the heads' first layers alone; the last map has 512 channels or more."""
+        """A lower bound of the number of parameters: those of the heads' first layers on 512 channels."""
         return self.parts * self.width * 512

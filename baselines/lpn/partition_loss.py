@@ -1,26 +1,26 @@
-"""A loss that asks the masks of a partition to differ.
+"""A loss that makes the masks of a partition differ.
 
-The variance v of the masks (B, K, H, W), sum over K is 1 at each pixel, is taken in one of two ways. Which of them was
-meant by "variance over the K masks" is not public; both are population variances, means over the rest:
+The masks (B, K, H, W) sum to 1 over K at each pixel. Their variance v is computed in one of two ways; which of them the
+"variance over the K masks" of the log means is not public. Both are population variances, averaged over the other axes:
 
-    parts     at each pixel over the K masks: 0 where all are 1/K, largest where one is 1 and the others 0
-    pixels    of each mask over the pixels: 0 where it is the same everywhere
+    parts     over the K masks at each pixel: 0 if all are 1/K, largest if one is 1 and the others 0
+    pixels    over the pixels of each mask: 0 if it is constant
 
     s = v, or with ``relative`` v / mean (over the same axis)      q = s / s_max, between 0 and 1
 
-s_max = (K - 1) / K^2 for v and (K - 1) / K for v / mean, in both ways: one-hot masks reach it, by ``pixels`` only if
-all K are equally large. By ``parts`` a single mask that takes all pixels is as good as any; by ``pixels`` it is worth
-nothing. By ``parts`` the mean is 1 / K, and ``relative`` changes s by the constant factor K.
+In both cases s_max is (K - 1) / K^2 for v and (K - 1) / K for v / mean. One-hot masks reach it, with ``pixels`` only if
+all K are equally large. With ``parts``, a single mask that covers all pixels is as good as any; with ``pixels`` it has
+s = 0. With ``parts``, the mean is 1 / K and ``relative`` only multiplies s by K.
 
     original       log(1 + K / s)          the log's loss
     power          (1 - q)^n               a reconstruction
     exponential    exp(-q / tau)           a reconstruction
 
-The original's derivative is -K / (s (s + K)): about -1 / s near s = 0. Masks start almost equal, and there their logits
-z, for which s grows as z^2, feel a pull of 2 / |z| that grows without bound just where nothing is known yet and a pull
-should vanish. It was replaced, with better results; the replacement's formula is not public. Power and exponential are
-RECONSTRUCTIONS of ours from its description as a power or exponential of variance or variance / mean. Their derivative
-with respect to s is bounded, so that the pull on equal masks vanishes with z.
+The derivative of the original is -K / (s (s + K)), about -1 / s near s = 0. Masks start almost equal, where s grows as
+z^2 with their logits z, so that the gradient is about 2 / |z|: it is unbounded exactly where the masks know nothing yet
+and it should vanish. The log replaced this loss, with better results, by one whose formula is not public. Power and
+exponential are RECONSTRUCTIONS of ours from its description as a power or exponential of variance or variance / mean.
+Their derivatives with respect to s are bounded, so that the gradient at equal masks vanishes with z.
 """
 
 from __future__ import annotations
@@ -35,26 +35,26 @@ from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 _LEAST = 1e-12
-"""added to s in the original, and to a mask's mean: exactly equal masks give a finite loss"""
+"""added to s in the original and to the mean of a mask, so that the loss of equal masks is finite"""
 
 
 @dataclass(frozen=True)
 class PartitionLossOptions:
-    """Which form of the loss, and how much of it.
+    """Weight and form of the loss.
 
     Raises:
-        ConfigError: a value that makes no sense.
+        ConfigError: a value is out of range.
     """
 
     weight: float = 0.0
-    """against the cross-entropy of one part and view; 0 leaves the loss out"""
+    """weight relative to the cross-entropy of one part and view; 0 disables the loss"""
     form: Literal["original", "power", "exponential"] = "original"
     over: Literal["parts", "pixels"] = "parts"
-    """what the variance is taken over"""
+    """the axis of the variance"""
     relative: bool = False
     """variance / mean instead of variance"""
     power: float = 2.0
-    """n of ``power``; above 1 the pull also vanishes where masks are one-hot"""
+    """n of ``power``; above 1 the gradient also vanishes at one-hot masks"""
     tau: float = 0.25
     """of ``exponential``"""
 
@@ -70,7 +70,7 @@ class PartitionLossOptions:
 
 
 def spread(masks: Tensor, over: Literal["parts", "pixels"], relative: bool) -> Tensor:
-    """s: (B,) of masks (B, K, H, W).
+    """s (B,) of masks (B, K, H, W).
 
     Raises:
         ValueError: fewer than two masks.
@@ -85,15 +85,15 @@ def spread(masks: Tensor, over: Literal["parts", "pixels"], relative: bool) -> T
 
 
 def largest_spread(masks: int, relative: bool) -> float:
-    """s_max of ``masks`` = K masks."""
+    """s_max of K = ``masks`` masks."""
     return (masks - 1) / masks if relative else (masks - 1) / masks**2
 
 
 def partition_loss(masks: Tensor, options: PartitionLossOptions) -> Tensor:
-    """Mean over the images, without ``options.weight``.
+    """The mean loss over the images, without ``options.weight``.
 
     Args:
-        masks: (B, K, H, W), sum over K is 1 at each pixel.
+        masks: (B, K, H, W) that sum to 1 over K.
         options: see there.
     """
     k = masks.shape[1]

@@ -1,4 +1,4 @@
-"""Features of parts: columns of a feature map, averaged by one mask a part."""
+"""Features of parts: weighted means of a feature map, with one mask for each part."""
 
 from __future__ import annotations
 
@@ -8,35 +8,35 @@ import torch
 from torch import Tensor
 
 PartMean = Literal["all", "mask"]
-"""by what a masked sum is divided: ``all`` pixels of the map, or the sum of the ``mask``"""
+"""the divisor of a masked sum: the number of ``all`` pixels of the map, or the sum of the ``mask``"""
 
 
 class Parts(NamedTuple):
-    """What a partition makes of a feature map."""
+    """The parts of a feature map."""
 
     features: Tensor
     """(B, P, C)"""
     masks: Tensor | None
-    """(B, P, H, W), sum over P is 1 at each pixel; None where the partition does not depend on the image"""
+    """(B, P, H, W) that sum to 1 over P; None if the partition does not depend on the image"""
 
 
 def weighted_sums(x: Tensor, weights: Tensor) -> Tensor:
-    """(B, P, C) sums over the pixels u of weights_p(u) X(u).
+    """The sums (B, P, C) of weights_p(u) X(u) over the pixels u.
 
     Args:
         x: (B, C, H, W).
-        weights: (P, H, W), or (B, P, H, W) where they depend on the image.
+        weights: (P, H, W), or (B, P, H, W) if they depend on the image.
     """
     return torch.matmul(weights.flatten(-2), x.flatten(-2).transpose(-2, -1))
 
 
 def masked_means(x: Tensor, masks: Tensor, mean: PartMean) -> Tensor:
-    """(B, P, C): sum_u M_p(u) X(u), divided by the number of pixels or by sum_u M_p(u).
+    """The means (B, P, C): sum_u M_p(u) X(u), divided by the number of pixels or by sum_u M_p(u).
 
     Args:
         x: (B, C, H, W).
-        masks: (B, P, H, W), 0 or more.
-        mean: what to divide by; an empty mask gives zeros either way.
+        masks: (B, P, H, W), not negative.
+        mean: the divisor; an empty mask gives zeros in either case.
     """
     sums = weighted_sums(x, masks)
     if mean == "all":

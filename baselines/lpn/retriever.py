@@ -1,8 +1,8 @@
-"""LPN and its variants as retrievers: one descriptor an image, parts side by side.
+"""LPN and its variants as retrievers: one descriptor for each image, the concatenation of its parts.
 
-Wang et al., "Each Part Matters", TCSVT 2021. As its authors test: image resized to the size trained with (bicubic, no
-crop), f(image) + f(mirror image), each part divided by its norm and by the square root of the number of parts, so that
-a dot product is the mean of the parts' cosines.
+Wang et al., "Each Part Matters", TCSVT 2021. As in the authors' evaluation, an image is resized to the training size
+(bicubic, no crop), f(image) + f(mirror image) is computed, and each part is divided by its norm and by the square root
+of the number of parts, so that a dot product is the mean cosine of the parts.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from pydantic import Field
 
+from baselines.device import to_device
 from baselines.lpn.configurations import configuration
 from baselines.lpn.descriptor import parts_of
 from baselines.lpn.dmli import aligned_distance
@@ -28,22 +29,23 @@ from relocbench.retrieval import ImageView
 
 Descriptors = NDArray[np.floating]
 _TRAINED_ALIKE = ("partition", "parts", "attention", "ring_mean")
-"""of the network's options: what tells one system's weights from another's"""
+"""the network's options that distinguish the weights of one system from another's"""
 
 
 class Lpn:
-    """Any system of ``relocbench train lpn``; the file of weights says which.
+    """Any system of ``relocbench train lpn``; the weights file says which.
 
     Args:
         weights: a file of ``relocbench train lpn``.
-        config: a configuration's name: the weights must fit it, and rankings are sorted anew if it does so
-            (``lpn-dmli`` takes the weights of ``lpn``); default: the one that was trained.
-        batch: images that go through the network together.
-        rerank: of each ranking, so many are sorted anew by aligned parts; default: as the configuration says.
+        config: the name of a configuration that the weights must fit and whose re-ranking is used (``lpn-dmli`` takes
+            the weights of ``lpn``); by default the configuration that was trained.
+        batch: number of images that pass the network together.
+        rerank: number of candidates of each ranking that are re-ranked by aligned parts; by default as the
+            configuration says.
         device: where the network runs.
 
     Raises:
-        MethodError: there are no weights, the file is not one of weights, or it holds another system.
+        MethodError: there are no weights, or the file cannot be used or holds another system.
         ConfigError: no configuration has that name.
     """
 
@@ -66,7 +68,7 @@ class Lpn:
         asked = configuration(config) if config else None
         if asked is not None:
             _check_fits(network.options, asked.network, f"'{self.about.configuration}'", asked.name, Path(weights))
-        self._network = _to_device(network, device)
+        self._network = to_device(network, device).to(memory_format=torch.channels_last)
         self._device = torch.device(device)
         self._batch = batch
         top = asked.rerank_top if asked is not None else self.about.rerank_top
@@ -74,12 +76,12 @@ class Lpn:
 
     @property
     def network(self) -> LpnNetwork:
-        """In evaluation mode."""
+        """The network, in evaluation mode."""
         return self._network
 
     @property
     def info(self) -> Mapping[str, Any]:
-        """What a reader of results should know: the system, what it was trained on, and where it started."""
+        """What a reader of results should know: the system, its training data, and what its training started from."""
         options = self._network.options
         return {
             "configuration": self.about.configuration,
@@ -92,10 +94,10 @@ class Lpn:
         }
 
     def describe(self, images: Sequence[ImageView]) -> Descriptors:
-        """(N, P * D) float32, norm 1.
+        """The descriptors (N, P * D) of images, float32 of norm 1.
 
         Raises:
-            MethodError: an image of a view that the network has no branch for.
+            MethodError: the network has no branch for the view of an image.
         """
         options = self._network.options
         rows = np.full((len(images), options.parts * options.width), np.nan, dtype=np.float32)
@@ -110,7 +112,7 @@ class Lpn:
         return rows
 
     def rerank(self, query: Descriptors, candidates: Descriptors) -> Descriptors:
-        """Minus the aligned distance (``dmli``) of each candidate (K, P * D) from the query (P * D,)."""
+        """The negative aligned distance (``dmli``) of each candidate (K, P * D) from the query (P * D,)."""
         parts = self._network.options.parts
         one, others = (parts_of(torch.from_numpy(np.ascontiguousarray(x)), parts) for x in (query, candidates))
         return cast(Descriptors, -aligned_distance(one, others).numpy())
@@ -124,9 +126,9 @@ class Lpn:
 
 
 class GlobalAverage(Lpn):
-    """The floor of LPN: the same network and training with the mean over the whole map as its one part.
+    """The baseline of LPN: the same network and training, with the mean over the whole map as its only part.
 
-    Arguments as of ``lpn``; trained by ``relocbench train lpn --config global-average``.
+    Arguments are those of ``lpn``; the weights are trained by ``relocbench train lpn --config global-average``.
     """
 
     name: ClassVar[str] = "global-average"
@@ -144,10 +146,3 @@ def _check_fits(found: NetworkOptions, asked: NetworkOptions, holds: str, name: 
     different = [key for key in _TRAINED_ALIKE if getattr(found, key) != getattr(asked, key)]
     if different:
         raise MethodError(f"weights of {holds}, which differs from '{name}' in its {' and '.join(different)}", path)
-
-
-def _to_device(network: LpnNetwork, device: str) -> LpnNetwork:
-    try:
-        return network.to(device).to(memory_format=torch.channels_last)
-    except (RuntimeError, AssertionError) as bad:  # torch says which: no such device, or no driver
-        raise MethodError(f"device '{device}' cannot be used: {str(bad).splitlines()[0]}") from bad

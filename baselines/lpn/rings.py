@@ -1,19 +1,19 @@
-"""LPN's square rings: nested squares about the middle of a feature map, each without the one inside it.
+"""LPN's square rings: nested squares around the middle of a feature map, each without the one inside it.
 
 Wang et al., "Each Part Matters", TCSVT 2021. For a map of H x W and P parts let s = floor(H / 2P), c = floor(H / 2) and
-likewise across. Square i of 1 .. P-1 holds the rows c - i s .. c + i s - 1; square P is the whole map; ring i is square
-i without square i - 1. The first ring is the middle one.
+likewise for columns. Square i of 1 .. P-1 holds the rows c - i s .. c + i s - 1; square P is the whole map; ring i is
+square i without square i - 1. The first ring is the innermost.
 
-Sizes that 2P does not divide (as the authors' code has it):
-    what is left over belongs to the outermost ring, which is then wider than the others;
-    on an odd side the squares lie half a pixel nearer to the first row or column than the middle of the map, and the
-    mirror image is cut elsewhere;
-    a side below 2P is first stretched, bilinearly and corners on corners, to 2P (even side) or 2P + 1 (odd side).
+Sides that are not a multiple of 2P are treated as in the authors' code:
+    the remainder belongs to the outermost ring, which is then wider than the others;
+    on an odd side the squares are half a pixel closer to the first row or column than to the last, so that the rings of
+    a mirror image differ;
+    a side below 2P is first stretched, bilinearly with aligned corners, to 2P (even side) or 2P + 1 (odd side).
 
-The mean over a ring exists twice. ``square``: the sum over the ring divided by the area of its whole square, zeros
-inside included, as in the authors' LPN code; for P = 4 on 16 x 16 that is 1, 0.75, 0.5556 and 0.4375 times the mean.
-``ring``: the mean, as in their later DWDR code. A part head (linear layer, then batch normalisation) takes a constant
-factor out again but for the normalisation's epsilon, so that one table may hold both.
+There are two kinds of mean over a ring. ``square`` is the sum over the ring divided by the area of its whole square, as
+in the authors' LPN code; for P = 4 on 16 x 16 this is 1, 0.75, 0.5556 and 0.4375 times the mean. ``ring`` is the mean
+over the ring, as in their later DWDR code. The batch normalisation of a part head cancels constant factors, except for
+its epsilon, so that results of both can be compared.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ RingMean = Literal["square", "ring"]
 
 
 class Rings(nn.Module):
-    """The partition of LPN; one part is the plain mean over the map.
+    """The partition of LPN; with one part it is the mean over the map.
 
     Args:
         parts: P.
@@ -43,17 +43,17 @@ class Rings(nn.Module):
         self.mean: RingMean = mean
 
     def forward(self, x: Tensor) -> Parts:
-        """(B, P, C) of (B, C, H, W); no masks, since they are the same for all images."""
+        """The features (B, P, C) of the rings of a map (B, C, H, W), without masks."""
         x = stretched(x, self.parts)
         height, width = x.shape[-2:]
         return Parts(weighted_sums(x, ring_weights(height, width, self.parts, self.mean).to(x)), None)
 
 
 def ring_index(height: int, width: int, parts: int) -> Tensor:
-    """(H, W) int64: the ring of each pixel, 0 in the middle, ``parts`` - 1 outside.
+    """The ring (H, W) int64 of each pixel, from 0 in the middle to ``parts`` - 1 outside.
 
     Raises:
-        ValueError: no parts, or a side below 2 ``parts``.
+        ValueError: there are no parts, or a side is below 2 ``parts``.
     """
     if parts < 1 or min(height, width) < 2 * parts:
         raise ValueError(f"a map of {height}x{width} has no {parts} rings, each side needs {2 * max(parts, 1)}")
@@ -62,7 +62,7 @@ def ring_index(height: int, width: int, parts: int) -> Tensor:
 
 
 def ring_weights(height: int, width: int, parts: int, mean: RingMean) -> Tensor:
-    """(P, H, W) float64: 0 outside the ring, inside 1 / (pixels of its square) or 1 / (pixels of the ring).
+    """Weights (P, H, W) float64: 0 outside the ring, and inside 1 / (pixels of its square) or 1 / (pixels of the ring).
 
     Raises:
         ValueError: see ``ring_index``.
@@ -75,7 +75,7 @@ def ring_weights(height: int, width: int, parts: int, mean: RingMean) -> Tensor:
 
 
 def stretched(x: Tensor, parts: int) -> Tensor:
-    """(B, C, H', W'): the map itself, or where a side is below 2 ``parts`` stretched as the module says."""
+    """The map itself, or where a side is below 2 ``parts``, stretched as described in the module: (B, C, H', W')."""
     height, width = x.shape[-2:]
     size = tuple(2 * parts + side % 2 if side < 2 * parts else side for side in (height, width))
     if size == (height, width):
@@ -84,7 +84,7 @@ def stretched(x: Tensor, parts: int) -> Tensor:
 
 
 def _square_of(side: int, parts: int) -> Tensor:
-    """(side,) int64: the smallest square, from 0, that reaches each row; P or more where rows are left over."""
+    """The smallest square (side,) int64, counted from 0, that contains each row; P or more for the remainder."""
     step, middle = side // (2 * parts), side // 2
     offset = torch.arange(side) - middle
     return torch.where(offset >= 0, offset, -offset - 1) // step

@@ -1,16 +1,15 @@
-"""Refined part pooling: each column of the map belongs to each part with some probability.
+"""Refined part pooling: each pixel's feature vector belongs to each part with some probability.
 
-Sun et al., "Beyond Part Models" (PCB + RPP), ECCV 2018, for a column f(u) of C numbers:
+Sun et al., "Beyond Part Models" (PCB + RPP), ECCV 2018, for the feature vector f(u) of C channels at pixel u:
 
     p(part i | f(u)) = softmax over i of W_i . f(u)      part i = mean over u of p(i | f(u)) f(u)
 
-The W_i are learnt by induction: the uniform parts (here the rings) train the heads first, then the W_i alone learn to
-give each head the columns that it knows, then all is trained (``stages.INDUCED``). The softmax runs over parts at each
-pixel: regions are shared out, not channels.
+The W_i are learnt by induction: first the heads are trained on uniform parts (here the rings), then the W_i alone learn
+to assign to each head the features that it knows, then everything is trained (``stages.INDUCED``).
 
-The authors' code multiplies the mean by the number of parts, which the heads' normalisation takes out again; and it
-lets W see columns that were averaged over groups of channels and freed of their mean, which neither paper nor this
-does. First weights N(0, 0.001), as classifiers have in the field: a start close to equal shares.
+The authors' code multiplies the mean by the number of parts, which the heads' normalisation cancels. It also applies W
+to features that were averaged over groups of channels and centred, which neither the paper nor this module does.
+Initial weights are N(0, 0.001), as usual for classifiers, so that the shares start almost equal.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from baselines.lpn.drawing import convolution
+from baselines.initialisation import convolution
 from baselines.lpn.pooling import PartMean, Parts, masked_means
 from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
@@ -31,14 +30,14 @@ _SPREAD = 0.001
 
 @dataclass(frozen=True)
 class SoftPartitionOptions:
-    """How columns are pooled.
+    """How features are pooled.
 
     Raises:
-        ConfigError: a value that makes no sense.
+        ConfigError: a value is out of range.
     """
 
     mean: PartMean = "all"
-    """``all``: mean over all pixels, as in the paper; ``mask``: divided by the sum of the probabilities"""
+    """``all``: mean over all pixels, as in the paper; ``mask``: weighted mean, divided by the sum of probabilities"""
 
     __pydantic_config__ = NO_OTHER_KEYS
 
@@ -48,13 +47,13 @@ class SoftPartitionOptions:
 
 
 class SoftPartition(nn.Module):
-    """The part classifier and its pooling.
+    """The part classifier, and pooling by it.
 
     Args:
         channels: C.
         parts: P.
         options: see there.
-        generator: where the first weights are drawn from.
+        generator: source of the initial weights.
     """
 
     def __init__(self, channels: int, parts: int, options: SoftPartitionOptions, generator: torch.Generator) -> None:
@@ -64,10 +63,10 @@ class SoftPartition(nn.Module):
         nn.init.normal_(self.classifier.weight, 0.0, _SPREAD, generator=generator)
 
     def probabilities(self, x: Tensor) -> Tensor:
-        """(B, P, H, W), sum over P is 1, of (B, C, H, W)."""
+        """The probabilities (B, P, H, W) of a map (B, C, H, W); they sum to 1 over P."""
         return cast(Tensor, self.classifier(x)).softmax(1)
 
     def forward(self, x: Tensor) -> Parts:
-        """(B, P, C) and the probabilities, of (B, C, H, W)."""
+        """The features (B, P, C) and probabilities of the parts of a map (B, C, H, W)."""
         masks = self.probabilities(x)
         return Parts(masked_means(x, masks, self.mean), masks)

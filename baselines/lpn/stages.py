@@ -1,8 +1,8 @@
-"""Which weights are trained when.
+"""The stages of a training, and which weights each of them trains.
 
-Most systems are trained in one go. PCB + RPP (Sun et al., ECCV 2018) is trained by induction: uniform parts first, then
-the part classifier alone, then all; lengths of the last two stages as in the log. A later stage starts from the weights
-of the one before (``network.copy_weights``), which may have another partition.
+Most systems are trained in one stage. PCB + RPP (Sun et al., ECCV 2018) is trained by induction: uniform parts first,
+then the part classifier alone, then everything; the lengths of the last two stages are those of the log. A stage starts
+from the weights of the one before (``network.copy_weights``), whose partition may differ.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from torch import nn
 from baselines.lpn.options import Partition
 
 Group = Literal["backbone", "attention", "partition", "heads"]
-"""weights that are trained together; a weight's group stands in its name"""
+"""groups of weights that are trained together; the name of a weight contains its group"""
 ALL: tuple[Group, ...] = get_args(Group)
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One stretch of a training."""
+    """One stage of a training."""
 
     name: str
     epochs: int
@@ -31,7 +31,7 @@ class Stage:
 
 
 def one_stage(partition: Partition) -> tuple[Stage, ...]:
-    """All weights, LPN's 120 epochs."""
+    """A single stage of LPN's 120 epochs that trains all weights."""
     return (Stage("all", 120, partition),)
 
 
@@ -43,14 +43,14 @@ INDUCED = (
 """PCB + RPP"""
 
 FROM_LPN = (Stage("uniform", 120, "rings"), Stage("heatmap", 120, "heatmap"))
-"""the heatmap's masks on a trained LPN; the length of the second stage is not published, 120 is our own choice"""
+"""masks from a heatmap on a trained LPN; the length of the second stage is not published, 120 is our own choice"""
 
 
 def group_of(name: str) -> Group:
-    """The group of a parameter or module by its full name, such as ``branches.air.backbone.conv1.weight``.
+    """The group of a parameter or module with a full name such as ``branches.air.backbone.conv1.weight``.
 
     Raises:
-        ValueError: the name is of no group.
+        ValueError: the name belongs to no group.
     """
     group = _group_or_none(name)
     if group is None:
@@ -59,13 +59,13 @@ def group_of(name: str) -> Group:
 
 
 def enter(network: nn.Module, stage: Stage) -> dict[Group, list[nn.Parameter]]:
-    """Set what is trained in a stage; to be called again after ``network.train()``.
+    """Prepare a network for a stage; call it after ``network.train()``.
 
-    What is not trained stands still altogether: no derivatives, batch normalisation keeps its statistics and uses them,
-    nothing is dropped.
+    Groups that are not trained are frozen: they have no derivatives, batch normalisation uses and keeps its statistics,
+    and there is no dropout.
 
     Returns:
-        The parameters to be trained, by group; a group without any is left out.
+        The parameters to be trained, by group; groups without parameters are omitted.
     """
     trained: dict[Group, list[nn.Parameter]] = {}
     for name, module in network.named_modules():

@@ -1,4 +1,4 @@
-"""A trained network as one safetensors file that also says which system it is and how it came about."""
+"""The weights file of a trained network, which also says which system it is and how it was trained."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from relocbench.errors import ConfigError, MethodError
 
 _KIND = "lpn"
 _MOST_SIDE = 4096
-"""pixels; networks of this kind are trained at 256 to 512"""
+"""pixels; such networks are trained at 256 to 512"""
 
 
 @dataclass(frozen=True)
 class About:
-    """What a file of weights says of itself beside the network's shape."""
+    """What a weights file says besides the network's options."""
 
     configuration: str
     """the system's name (``configurations``)"""
     size: int
-    """pixels; images had this side in training and have it at test"""
+    """pixels; side of the images in training and evaluation"""
     backbone_start: str
-    """where the backbone's first weights came from, in words"""
+    """where the backbone's initial weights came from, in words"""
     views: tuple[str, ...]
-    """it was trained on"""
+    """views that it was trained on"""
     rerank_top: int = 0
-    """of each ranking, so many are sorted anew by aligned parts"""
+    """number of candidates of each ranking that are re-ranked by aligned parts"""
     card: Mapping[str, str] = field(default_factory=dict)
     """data, seed, steps, scores, versions"""
 
@@ -40,11 +40,11 @@ class About:
 
 
 def save_weights(path: Path, network: LpnNetwork, about: About) -> None:
-    """Write weights, options and what is known, whole or not at all; the same network gives the same bytes.
+    """Write weights, options and description, whole or not at all; equal networks give equal bytes.
 
     Args:
-        path: a file that ends in ``.safetensors``; an existing one is replaced.
-        network: classifiers are kept, so that a training can start from it.
+        path: must end in ``.safetensors``; an existing file is replaced.
+        network: with its classifiers, so that a training can start from it.
         about: see there.
     """
     told = {**options_to_dict(about), "views": list(about.views), "card": dict(about.card)}
@@ -53,22 +53,22 @@ def save_weights(path: Path, network: LpnNetwork, about: About) -> None:
 
 
 def are_weights(path: Path) -> bool:
-    """Whether a file is one of :func:`save_weights`."""
+    """Whether a file was written by :func:`save_weights`."""
     return holds_network(path, _KIND)
 
 
 def load_weights(path: Path) -> tuple[LpnNetwork, About]:
-    """The network of a file, on the CPU, in evaluation mode, and what the file says of itself.
+    """The network of a weights file, on the CPU and in evaluation mode, and what the file says of it.
 
     Raises:
-        MethodError: the file is missing, damaged, of something else, or does not fit the network it names.
+        MethodError: the file is missing, damaged, of another kind, or does not fit the network that it describes.
     """
     told, tensors = read_network(path, _KIND)
     try:
         options = options_from_dict(NetworkOptions, told.pop("network"))
         classes = told.pop("classes")
         if type(classes) is not int or classes < 1:
-            raise ConfigError("its number of classes is none")
+            raise ConfigError("its number of classes is not a positive whole number")
         about = options_from_dict(About, told)
     except (ConfigError, KeyError, ValueError, TypeError) as bad:
         told_of = " ".join(str(bad).split())[:200]

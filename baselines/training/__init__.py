@@ -1,1 +1,1 @@
-"""What the trainings of this repository share: log, checkpoint, batches in order, a step, where they ran."""
+"""What all trainers of this package share: the training loop, its log, checkpoints, curves and model cards."""

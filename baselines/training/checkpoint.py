@@ -1,6 +1,6 @@
-"""All that a training needs to go on after a kill, as one file that appears whole or not at all.
+"""Checkpoints: one file with everything that a training needs to resume after it was killed.
 
-Nothing random is kept: what a step draws is a function of the step and the seed.
+No random state is stored, since the random choices of a step are functions of the step and the seed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ StateDict = dict[str, Tensor]
 
 @dataclass
 class Best:
-    """The weights that are kept, and what they scored."""
+    """The best weights so far, and their scores."""
 
     step: int
     score: float
@@ -37,42 +37,42 @@ class Best:
 
     @classmethod
     def of(cls, step: int, score: float, network: nn.Module, scores: ValidationScores | None) -> Best:
-        """A copy of a network's weights as they are now, on the CPU."""
+        """The current weights of a network, copied to the CPU."""
         weights = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
         if scores is None:
             return cls(step, score, weights, {})
         by_conditions = {name: dict(values) for name, values in scores.by_conditions.items()}
-        told = {"together": dict(scores.together), "by_conditions": by_conditions, "pairs": dict(scores.pairs)}
-        return cls(step, score, weights, told)
+        values = {"together": dict(scores.together), "by_conditions": by_conditions, "pairs": dict(scores.pairs)}
+        return cls(step, score, weights, values)
 
     @property
     def validation(self) -> ValidationScores | None:
-        """What they scored."""
+        """The scores, or None without validation."""
         return ValidationScores(**self.scores) if self.scores else None
 
 
 @dataclass
 class Checkpoint:
-    """Where a training stands after ``step`` steps."""
+    """The state of a training after ``step`` steps."""
 
     identity: dict[str, Any]
-    """options and data, as plain values: another training does not go on from here"""
+    """options and data as plain values; another training must not resume from here"""
     step: int
     net: StateDict
     optimiser: dict[str, Any]
     mean_net: StateDict | None
-    """the running mean of the weights, where there is one"""
+    """the averaged weights, if there are any"""
     window: dict[str, float]
-    """sums of what the log's next row is the mean of"""
+    """sums of the values whose means are the next row of the log"""
     window_steps: int
     seconds: float
-    """so far, over all sittings"""
+    """spent so far, over all runs"""
     best: Best | None = None
     messages: list[str] = field(default_factory=list)
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
-    """Write it, whole or not at all."""
+    """Write a checkpoint, whole or not at all."""
     values = {**vars(checkpoint), "version": _VERSION}
     values["best"] = None if checkpoint.best is None else vars(checkpoint.best)
     buffer = io.BytesIO()
@@ -81,15 +81,15 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
 
 
 def load_checkpoint(path: Path, identity: Mapping[str, Any]) -> Checkpoint | None:
-    """The checkpoint, its tensors on the CPU, or None where there is none.
+    """The checkpoint at a path, with tensors on the CPU, or None if there is none.
 
     Raises:
-        MethodError: the file is damaged, or of a training with other options or data; both are named.
+        MethodError: the file is damaged, or of a training with other options or data, which are named.
     """
     if not path.exists():
         return None
     if not path.is_file():
-        raise MethodError("is no file; expected a checkpoint", path)
+        raise MethodError("is not a regular file; expected a checkpoint", path)
     try:
         values = load_torch_file(path)
     except ValueError as bad:

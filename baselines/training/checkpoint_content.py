@@ -1,4 +1,4 @@
-"""Whether what a checkpoint holds fits the training that goes on from it; checked before anything is changed."""
+"""Checks that a checkpoint fits the training that resumes from it, before anything is changed."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from baselines.weights_file import difference
 from relocbench.errors import MethodError
 
 
 def fault_of(values: Mapping[str, Any]) -> str | None:
-    """What is wrong with a checkpoint's entries, in words."""
+    """What is wrong with a checkpoint's entries, in words; None if nothing is."""
     for key, kinds in _KINDS.items():
         if key not in values:
             return f"it has no '{key}'"
@@ -23,9 +24,9 @@ def fault_of(values: Mapping[str, Any]) -> str | None:
     if others:
         return f"it has '{others[0][:40]}'"
     if min(values["step"], values["window_steps"], values["seconds"]) < 0:
-        return "a count of it is negative"
+        return "one of its counts is negative"
     if not all(isinstance(value, int | float) for value in values["window"].values()):
-        return "its 'window' holds no numbers"
+        return "its 'window' holds values that are not numbers"
     states = [values["net"], values["mean_net"] or {}]
     if values["best"] is not None:
         if values["best"].keys() != {"step", "score", "weights", "scores"}:
@@ -36,7 +37,7 @@ def fault_of(values: Mapping[str, Any]) -> str | None:
             return "its 'best' has other entries"
         states.append(values["best"]["weights"])
     if not all(isinstance(tensor, Tensor) for state in states for tensor in state.values()):
-        return "its weights are no tensors"
+        return "its weights are not all tensors"
     return None
 
 
@@ -52,26 +53,32 @@ def _are_scores(scores: Any) -> bool:
 
 
 def restore_network(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
-    """Give a network the weights of a checkpoint. Raises MethodError where they are another network's."""
+    """Load the weights of a checkpoint.
+
+    Raises:
+        MethodError: they are of another network.
+    """
     check_state(network, state, path)
     network.load_state_dict(dict(state))
 
 
 def check_state(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
-    """Raises MethodError where weights are not this network's, by name, shape and type."""
-    expected = network.state_dict()
-    for name in sorted(expected.keys() | set(map(str, state))):
-        if name not in state or name not in expected:
-            what = "is missing" if name in expected else "is not part of it"
-            raise MethodError(f"a checkpoint of another network: '{name[:80]}' {what}", path)
-        found, wanted = state[name], expected[name]
-        if found.shape != wanted.shape or found.dtype != wanted.dtype:
-            told = f"{tuple(found.shape)} {found.dtype}, expected {tuple(wanted.shape)} {wanted.dtype}"
-            raise MethodError(f"a checkpoint of another network: '{name}' is {told}", path)
+    """Check that weights have the names, shapes and types of a network's.
+
+    Raises:
+        MethodError: they are of another network.
+    """
+    different = difference(network.state_dict(), state)
+    if different:
+        raise MethodError(f"a checkpoint of another network: {different}", path)
 
 
 def restore_optimiser(optimiser: torch.optim.Optimizer, state: Mapping[str, Any], path: Path) -> None:
-    """Give an optimiser the state of a checkpoint. Raises MethodError where it is another optimiser's."""
+    """Load the optimiser's state of a checkpoint.
+
+    Raises:
+        MethodError: it is of another optimiser.
+    """
     fault = MethodError("a checkpoint of another optimiser; remove it to train from the start", path)
     now = optimiser.state_dict()
     groups, of_parameters = state.get("param_groups"), state.get("state")

@@ -1,4 +1,4 @@
-"""Batches of the steps of a training, read ahead by background processes; the same whatever their number."""
+"""The batches of a training, read ahead by background processes; the same whatever their number."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ _PREFETCH = 2
 
 
 def batches_in_order(batches: Dataset[Batch], first: int, last: int, workers: int, pin_memory: bool) -> Iterator[Batch]:
-    """Batches of the steps from ``first`` up to ``last``, without it, in order.
+    """The batches of the steps from ``first`` to ``last``, excluding it, in order.
 
     Args:
         batches: the batch of each step.
-        workers: background processes; 0 reads in this one.
-        pin_memory: ready for a GPU to fetch.
+        first: a step, counted from 0.
+        last: the first step that is left out.
+        workers: number of background processes; 0: read in this process.
+        pin_memory: whether to place batches in page-locked memory, for a GPU.
     """
     loader = DataLoader(
         batches,
@@ -37,5 +39,5 @@ def batches_in_order(batches: Dataset[Batch], first: int, last: int, workers: in
 
 
 def _one_thread(_: int) -> None:
-    """The cores belong to the training; the loader does the same for torch."""
+    """Leave the cores to the training; the loader limits torch's threads in the same way."""
     cv2.setNumThreads(1)

@@ -1,4 +1,4 @@
-"""The log of a training: rows of ``log.csv`` and ``validation.csv``, which a person can plot."""
+"""The log of a training: ``log.csv`` and ``validation.csv``."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from relocbench.errors import MethodError, quoted
 
 _STEP = "step"
 _MOST_DIGITS = 18
-TIMED = "seconds"
-"""the one column that differs from one run to the next"""
+SECONDS = "seconds"
+"""the only column that differs from one run to the next"""
 
 Row = dict[str, str]
 
 
 class Table:
-    """A CSV file whose rows begin with a step; it is written whole at each row.
+    """A CSV file whose rows begin with a step; it is rewritten at each row.
 
     Args:
         path: of the file.
         upto: rows of later steps, left by a training that was killed, are dropped.
 
     Raises:
-        MethodError: with file and line: what lies there is no such table.
+        MethodError: the existing file is not such a table; file and line are named.
     """
 
     def __init__(self, path: Path, upto: int) -> None:
@@ -36,7 +36,7 @@ class Table:
             self.rows = [row for row in _rows_of(path) if int(row[_STEP]) <= upto]
 
     def add(self, *rows: Mapping[str, float | int | str]) -> None:
-        """Append rows; a column that is new stays empty in the rows before."""
+        """Append rows; a new column stays empty in earlier rows."""
         self.rows += [{key: _text(value) for key, value in row.items()} for row in rows]
         columns = list(dict.fromkeys(key for row in self.rows for key in row))
         text = io.StringIO()
@@ -47,11 +47,13 @@ class Table:
 
 
 def _rows_of(path: Path) -> Iterator[Row]:
-    """The rows of a log, each with a step."""
+    """The rows of a table."""
     lines = _lines_of(path)
     columns = lines[0][1] if lines else []
     if _STEP not in columns or len(set(columns)) != len(columns):
-        raise MethodError(f"expected a header with '{_STEP}', no column twice; remove it to begin a log anew", path, 1)
+        raise MethodError(
+            f"expected a header with '{_STEP}' and no column twice; remove the file to begin a new log", path, 1
+        )
     for line, fields in lines[1:]:
         if len(fields) != len(columns):
             raise MethodError(f"expected {len(columns)} columns, found {len(fields)}", path, line)
@@ -62,21 +64,21 @@ def _rows_of(path: Path) -> Iterator[Row]:
 
 
 def _lines_of(path: Path) -> list[tuple[int, list[str]]]:
-    """1-based line and fields of each row."""
-    if not path.is_file():  # a pipe would never end
-        raise MethodError("is no file; expected the log of a training", path)
+    """The line, counted from 1, and the fields of each row."""
+    if not path.is_file():  # reading a pipe might never end
+        raise MethodError("is not a regular file; expected the log of a training", path)
     try:
         rows = csv.reader(io.StringIO(path.read_bytes().decode("utf-8"), newline=""), strict=True)
         return [(rows.line_num, row) for row in rows]
     except (UnicodeDecodeError, csv.Error) as bad:
-        raise MethodError(f"no CSV table ({bad}); expected the log of a training", path) from None
+        raise MethodError(f"not a CSV table ({bad}); expected the log of a training", path) from None
 
 
 class Window:
-    """Means over the steps since the last row.
+    """Means of values over the steps since the last row of the log.
 
     Args:
-        sums, steps: as they stood in a checkpoint.
+        sums, steps: the state in a checkpoint.
     """
 
     def __init__(self, sums: Mapping[str, float] | None = None, steps: int = 0) -> None:
@@ -84,13 +86,13 @@ class Window:
         self.steps = steps
 
     def add(self, values: Mapping[str, float]) -> None:
-        """The values of one step."""
+        """Add the values of one step."""
         for name, value in values.items():
             self.sums[name] = self.sums.get(name, 0.0) + value
         self.steps += 1
 
     def take(self) -> dict[str, float]:
-        """The means; the window is empty afterwards."""
+        """The means; afterwards the window is empty."""
         means = {name: value / self.steps for name, value in self.sums.items()}
         self.sums, self.steps = {}, 0
         return means

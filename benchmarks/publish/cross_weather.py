@@ -1,22 +1,19 @@
-"""Is GN-Net ahead of direct alignment on intensities and of ORB across weathers? The proof, from nothing but a seed.
+"""Compare GN-Net across weathers with direct alignment on intensities and with ORB, on datasets rendered from seeds.
 
 In each of three districts that no training saw (test split, ``--seeds``) two datasets are rendered: the three weathers
-of CARLA's half of the GN-Net benchmark, each asking each (nine combinations), and six more conditions that all ask a
-``WetNoon`` map. Six cameras, 512x512 pixels, pairs about 1.6 m apart. ``relocbench evaluate`` runs every method; what
-is claimed of its errors is printed here and written to ``--out``:
+of the CARLA part of the GN-Net benchmark in all nine combinations, and six more conditions of queries against a
+``WetNoon`` map. They have six cameras of 512x512 pixels, and pairs about 1.6 m apart. ``relocbench evaluate`` runs
+every method. The differences to each other method with their 95 % intervals are printed and written to ``--out``:
+across conditions, for each combination, and within a condition.
 
-- across conditions together, for each combination, and within a condition: the difference to each other method with
-  its 95 % interval.
+The intervals are those of a paired bootstrap over blocks of neighbouring steps of the drives. The pairs of a step, from
+its six cameras and all combinations of the group, are at one place and resampled together, as one observation.
 
-The interval is that of a paired bootstrap over blocks of neighbouring steps of the drives. The pairs of a step, which
-are those of its six cameras in all combinations of the group, stand in one place and are resampled as one: they count
-as one observation, not as many.
-
-Datasets and results in ``--scratch`` are taken up where they are; run again, it does what is missing.
+Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made.
 
     python benchmarks/publish/cross_weather.py --scratch S [--out leaderboard/weather] [--workers N] [-m METHOD ...]
 
-JSON on the last line.
+The last line is JSON.
 """
 
 from __future__ import annotations
@@ -35,7 +32,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from relocbench.evaluation.common.results import all_results, read_errors
+from relocbench.evaluation.common.error_table import read_errors
+from relocbench.evaluation.common.results import all_results
 from relocbench.metrics import Difference, PoseErrors, metric_named, paired_difference
 
 Array = NDArray[np.float64]
@@ -46,7 +44,7 @@ METRICS = ("t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)")
 METHODS = ("identity", "dso", "orb-pnp", "gn-net-contrastive", "lm-net", "gn-net")
 SUBJECT = "gn-net"
 RIVALS = ("dso", "orb-pnp")
-"""the subject is to be ahead of both"""
+"""methods that the subject should be ahead of"""
 _HEAD = """# Across weathers
 
 Printed by `python benchmarks/publish/cross_weather.py`; what is asked and how intervals are made stands there. Shares
@@ -56,27 +54,27 @@ are in percent, failures count as infinite errors. A difference whose interval e
 
 @dataclass(frozen=True)
 class Group:
-    """Pairs that are judged together."""
+    """A group of pairs that are evaluated together."""
 
     name: str
     rows: pd.DataFrame
-    """one a method and pair: method, district, step, pair_set and a column for each metric's per-pair value"""
+    """one row for each method and pair, with its district, step, pair_set and the per-pair value of each metric"""
 
     @property
     def pairs(self) -> int:
         return len(self.rows) // self.rows["method"].nunique()
 
     def mean(self, method: str, metric: str) -> float:
-        """Over all pairs."""
+        """The mean over all pairs."""
         return float(self.rows.loc[self.rows["method"] == method, metric].mean())
 
     def ahead(self, method: str, other: str, metric: str) -> Difference:
-        """``method`` less ``other``, over the steps of the drives."""
+        """The difference of ``method`` to ``other``, over the steps of the drives."""
         a, b = self._by_step(method, metric), self._by_step(other, metric)
         return paired_difference(a, b, np.random.default_rng(0))
 
     def _by_step(self, method: str, metric: str) -> list[Array]:
-        """One series a district: the mean over the pairs of each step."""
+        """One series for each district: the mean over the pairs of each step."""
         rows = self.rows[self.rows["method"] == method]
         return [of[metric].groupby(of["step"]).mean().to_numpy() for _, of in rows.groupby("district")]
 
@@ -104,11 +102,13 @@ def main() -> None:
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scratch", type=Path, help="keeps datasets and results; default: a folder that goes again")
-    parser.add_argument("--out", type=Path, help="folder that gets cross_weather.md")
+    parser.add_argument("--scratch", type=Path, help="folder that keeps datasets and results; default: a temporary one")
+    parser.add_argument("--out", type=Path, help="folder for cross_weather.md")
     parser.add_argument("--split", default="test")
-    parser.add_argument("--seeds", default="100,101,102", help="of the districts")
-    parser.add_argument("--steps", type=int, default=20, help="of each drive, with six pairs a combination each")
+    parser.add_argument("--seeds", default="100,101,102", help="seeds of the districts")
+    parser.add_argument(
+        "--steps", type=int, default=20, help="steps of each drive, each with six pairs for each combination"
+    )
     parser.add_argument("--workers", "-j", type=int, default=2)
     parser.add_argument("-m", dest="methods", action="append", help=f"default: {', '.join(METHODS)}")
     parser.add_argument("--set", dest="settings", action="append", default=[], help="method.key=value")
@@ -135,12 +135,12 @@ def _build(scratch: Path, options: argparse.Namespace) -> list[Path]:
 
 
 def _run(*words: object) -> None:
-    """A command of relocbench; what it complains about goes through."""
+    """Run a relocbench command; its messages go to standard error."""
     subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True)
 
 
 def _errors(results: Path, methods: Sequence[str]) -> pd.DataFrame:
-    """One row a dataset, pair set, method and pair."""
+    """One row for each dataset, pair set, method and pair."""
     rows = []
     for folder in all_results(results):
         for method in folder.methods():
@@ -164,9 +164,9 @@ def _errors(results: Path, methods: Sequence[str]) -> pd.DataFrame:
 
 
 def _scored(errors: pd.DataFrame) -> pd.DataFrame:
-    """Conditions, district, step and per-pair values of every metric, of every answer.
+    """Conditions, district, step and per-pair values of every metric, for every answer.
 
-    ``WetNoon`` asked by itself is in both datasets of a district: it counts once.
+    ``WetNoon`` against itself is in both datasets of a district and is counted once.
     """
     named = errors["pair_set"].str.extract(r"^[a-z]+-(?P<reference>\w+)-\d+__[a-z]+-(?P<query>\w+)-\d+__")
     district = errors["dataset"].str.extract(r"-(?P<district>\d+)$")
@@ -188,7 +188,7 @@ def _scored(errors: pd.DataFrame) -> pd.DataFrame:
 
 
 def _groups(rows: pd.DataFrame) -> tuple[list[Group], list[Group]]:
-    """Across and within conditions together, and each combination of conditions."""
+    """The groups: all pairs across conditions, all within a condition, and each combination of conditions."""
     across = rows["reference"] != rows["query"]
     together = [Group("across conditions", rows[across]), Group("within a condition", rows[~across])]
     order = {name: number for number, name in enumerate((*CARLA, *OTHERS))}
@@ -230,7 +230,7 @@ def _told(difference: Difference) -> str:
 
 
 def _claims(together: list[Group], single: list[Group], methods: Sequence[str]) -> dict[str, Any]:
-    """What is asked of the subject, for each other method."""
+    """The differences of the subject to each other method."""
     claims: dict[str, Any] = {"pairs_a_combination": min(group.pairs for group in single)}
     crossing = [group for group in single if len(set(group.name.split(" -> "))) == 2]
     for other in methods:

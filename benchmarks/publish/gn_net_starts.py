@@ -1,14 +1,14 @@
-"""Which first guesses does ``gn-net``'s alignment converge from? Validation pairs, one start beside another.
+"""From which starts the alignment of ``gn-net`` converges, on validation pairs.
 
-For every pair the alignment begins at the identity, at the truth (what is lost from there no start can save), and at
-the poses that ``StartSettings`` of several kinds lead to: with and without the windows that move matches to the
-finest level, with fewer points, with fewer samples of RANSAC. Printed for each: how near the start is to the truth, how
-many pairs end within 0.25 m and 2 degrees from it, how many if the identity is tried too and the lower energy
-wins, and processor time of matching and PnP.
+For every pair the alignment starts at the identity, at the truth (which bounds what any start can achieve), and at the
+poses found with several ``StartSettings``: with and without the windows that refine matches to the finest level, with
+fewer points, and with fewer RANSAC samples. For each it prints how close the start is to the truth, how many pairs end
+within 0.25 m and 2 degrees, how many do so if the identity is also tried and the lower energy wins, and the processor
+time of matching and PnP.
 
     python benchmarks/publish/gn_net_starts.py [-d DATASET] [--pairs N] [--weights FILE]
 
-``-d`` has a validation split; without one a district is rendered. JSON on the last line.
+``-d`` must have a validation split; without it a district is rendered. The last line is JSON.
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)
@@ -59,40 +59,40 @@ KINDS = {
 
 @dataclass
 class Tally:
-    """What came of one kind of start."""
+    """The results of one kind of start."""
 
     near: list[bool] = field(default_factory=list)
-    """within 0.5 m and 2 degrees before anything is aligned"""
+    """pairs whose start is within 0.5 m and 2 degrees"""
     found: list[bool] = field(default_factory=list)
     with_identity: list[bool] = field(default_factory=list)
     milliseconds: list[float] = field(default_factory=list)
 
 
 def off(T_query_ref: Array, truth: Array) -> tuple[float, float]:
-    """Metres and degrees."""
+    """Translation error in metres and rotation error in degrees."""
     difference = np.linalg.inv(T_query_ref) @ truth
     return float(np.linalg.norm(difference[:3, 3])), float(np.degrees(rotation_angle(difference[:3, :3])))
 
 
 def right(found: FeatureAlignment, truth: Array) -> bool:
     metres, degrees = off(found.T_query_ref, truth)
-    return not found.trouble and metres <= 0.25 and degrees <= 2.0
+    return not found.failure and metres <= 0.25 and degrees <= 2.0
 
 
 def better(one: FeatureAlignment, other: FeatureAlignment) -> FeatureAlignment:
-    if one.trouble or other.trouble:
-        return other if one.trouble else one
+    if one.failure or other.failure:
+        return other if one.failure else one
     return one if one.final.energy <= other.final.energy else other
 
 
 def some(landmarks: Landmarks, count: int) -> Landmarks:
-    """At most so many of them, drawn with seed 0."""
+    """At most ``count`` of them, drawn with seed 0."""
     rows = np.sort(np.random.default_rng(0).permutation(len(landmarks))[:count])
     return Landmarks(landmarks.points[rows], tuple(values[rows] for values in landmarks.values))
 
 
 def tally_pairs(dataset: Dataset, pairs: list[tuple[PairSet, Pair]], weights: Path | None) -> dict[str, Tally]:
-    """Every start on every pair."""
+    """Align every pair from every start."""
     tallies = {name: Tally() for name in ("identity", "truth", *KINDS)}
     tracker = GnNet(weights)
     tracker.start = replace(USUAL, points=max(kind.points for kind in KINDS.values()))
@@ -135,7 +135,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-d", "--dataset", type=Path)
     parser.add_argument("--pairs", type=int, default=100)
-    parser.add_argument("--weights", type=Path, help="default: those that come with the package")
+    parser.add_argument("--weights", type=Path, help="weights file; default: the weights that come with the package")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as folder:

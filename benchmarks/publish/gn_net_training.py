@@ -1,9 +1,8 @@
-"""What a step of GN-Net's training costs with the usual options: reading and changing a batch, forward, backward.
+"""The time of a step of GN-Net's training with default options: making a batch, forward and backward pass.
 
-Images are smooth noise of 512x512 pixels in memory, the query's shifted by whole pixels, with 4000 correspondences a
-pair; files are not read. Seconds are the median over the steps, wall clock, of this process alone, in which the batch
-is made too (a training makes it in the background); processor seconds stand beside them, for other work on the machine
-makes the first longer.
+Images are smooth noise of 512x512 pixels in memory, the query's shifted by whole pixels, with 4000 correspondences for
+each pair; no files are read. Times are medians over the steps, in wall-clock seconds and, since other programs lengthen
+these, in processor seconds. The batch is made in the same process, whereas a training makes it in the background.
 
     python benchmarks/publish/gn_net_training.py [--steps N] [--set key=value ...] [--trainer gn-net]
 """
@@ -66,17 +65,17 @@ def main() -> None:
     given = parser.parse_args()
     usual = trainer_named(given.trainer).default_options()
     options = options_from_dict(TrainOptions, trainer_options(usual, None, given.settings))
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    device = "cuda" if torch.cuda.is_available() else "cpu"
     rows: dict[str, list[float]] = {"batch": [], "batch, processor": [], "step": [], "step, processor": []}
     with TemporaryDirectory() as folder:
-        training = Training(Made(), None, options, TrainingRun(Path(folder)), GnNet, device)
+        training = Training(Made(), None, options, TrainingRun(Path(folder), device=device), GnNet)
         for number in range(given.steps + 1):
             start = time.perf_counter(), time.process_time()
             batch = training.batches[number]
             middle = time.perf_counter(), time.process_time()
             training.one_step(batch)
             end = time.perf_counter(), time.process_time()
-            if number:  # the first step allocates
+            if number:  # the first step allocates memory memory
                 rows["batch"].append(middle[0] - start[0])
                 rows["batch, processor"].append(middle[1] - start[1])
                 rows["step"].append(end[0] - middle[0])
@@ -86,7 +85,7 @@ def main() -> None:
     print(f"{given.trainer}: {words}, {torch.get_num_threads()} threads")
     for name, seconds in medians.items():
         print(f"  {name:<18} {seconds:7.3f} s")
-    print(json.dumps({"benchmark": "gn_net_training", "device": device.type, **medians}))
+    print(json.dumps({"benchmark": "gn_net_training", "device": device, **medians}))
 
 
 if __name__ == "__main__":

@@ -1,20 +1,20 @@
-"""LPN and its variants side by side: trained on one cross-view set, asked on others, several seeds each.
+"""Compare LPN and its variants, trained on one cross-view set and evaluated on others with several seeds.
 
-Each configuration is trained with each seed by `relocbench train lpn --no-validation` (all train places are learnt from
-and the last weights are kept, as the papers do it) and asked by the code of `relocbench evaluate-retrieval` in
-both directions between drone and satellite. Systems that start from LPN's weights (soft partition, masks) start from
-those of `lpn` with the same seed, which are trained once; `lpn-dmli` is `lpn` with its rankings sorted anew. Retrievers
-that learn nothing stand below. The table has mean +- standard deviation over the seeds.
+Each configuration is trained with each seed by `relocbench train lpn --no-validation` (on all train places, keeping the
+last weights, as in the papers) and evaluated by the code of `relocbench evaluate-retrieval` in both directions
+between drone and satellite. Systems that start from LPN's weights (soft partition, masks) start from those of `lpn`
+with the same seed, which are trained once; `lpn-dmli` is `lpn` with re-ranking. Baselines that learn nothing are listed
+below them. The table shows mean +- standard deviation over the seeds.
 
-Beside it stands what the log of trials reports for test places of University-1652: ANOTHER data set, with a backbone
-trained on ImageNet. Only the order of systems can be compared with it, and differences of its first block are noise.
+Beside these are the numbers that the log of trials reports for test places of University-1652: ANOTHER data set, with a
+backbone trained on ImageNet. Only the order of systems can be compared, and differences in its first block are noise.
 
-Trainings and answers in --scratch are taken up where they are; run again, it does what is missing.
+Trainings and results are kept in --scratch; when it is run again, only what is missing is done.
 
     python benchmarks/publish/lpn_configurations.py --train TRAIN --test TEST [TEST ...] --scratch S [--config NAME ...]
         [--seed N ...] [--set key=value ...] [--out leaderboard/retrieval [FOLDER ...]] [--device cpu] [--jobs N]
 
-JSON on the last line.
+The last line is JSON.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ import numpy as np
 
 from baselines.lpn.configurations import CONFIGURATIONS, REPLACED_PARTITION_LOSS, configuration
 from baselines.lpn.training.card import differences
-from baselines.lpn.training.first_weights import start_of
+from baselines.lpn.training.initial_weights import start_of
 from baselines.lpn.training.options import TrainOptions
 from baselines.options import options_from_dict
 from relocbench.cli.console import reporter
@@ -50,15 +50,15 @@ FLOORS = ("random", "colour-histogram", "orb-bow")
 DIRECTIONS = ("drone-satellite", "satellite-drone")
 METRICS = ("R@1", "R@5", "AP")
 FIRST = "lpn"
-"""what others start from"""
+"""the configuration that others start from"""
 
 Values = dict[str, dict[str, float]]
-"""direction -> metric -> 0..1"""
+"""by direction and metric, 0 to 1"""
 
 
 @dataclass(frozen=True)
 class Row:
-    """A system over its seeds."""
+    """The results of a system with all seeds."""
 
     name: str
     about: str
@@ -68,13 +68,13 @@ class Row:
     """R@1 and AP of the log, percent, on University-1652"""
 
     def mean_and_deviation(self, direction: str, metric: str) -> tuple[float, float]:
-        """Percent; NaN deviation of a single run."""
+        """Mean and standard deviation in percent; the deviation of a single run is NaN."""
         values = 100 * np.array([run[direction][metric] for run in self.runs])
         return float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else float("nan")
 
 
 def trained_by(name: str) -> str:
-    """The configuration whose weights a system takes: its own, but for what only ranks otherwise."""
+    """The configuration whose weights a system uses: its own, unless it only re-ranks."""
     system = configuration(name)
     plain_one = configuration(FIRST)
     same = replace(system, name=FIRST, about=plain_one.about, rerank_top=0, logged=plain_one.logged)
@@ -82,13 +82,13 @@ def trained_by(name: str) -> str:
 
 
 def starts_from_first(name: str) -> bool:
-    """Whether its first stage is the whole of ``lpn``, so that the weights of ``lpn`` can stand for it."""
+    """Whether the first stage of a configuration is a training of ``lpn``, so that its weights can be used."""
     system = configuration(name)
     return len(system.stages) > 1 and system.network_in(system.stages[0]) == configuration(FIRST).network
 
 
 def train(name: str, seed: int, given: argparse.Namespace) -> Path:
-    """The weights of a configuration and seed; what was trained before is not trained again."""
+    """The weights of a configuration and seed, which are trained if they are missing."""
     out = Path(given.scratch) / f"{name}-seed{seed}"
     words = [f"--set={setting}" for setting in (*settings_of(name, given.settings), f"seed={seed}")]
     if given.backbone_weights:
@@ -118,7 +118,7 @@ def train(name: str, seed: int, given: argparse.Namespace) -> Path:
 
 
 def trained(wanted: Sequence[tuple[str, int]], given: argparse.Namespace) -> dict[tuple[str, int], Path]:
-    """The weights of configurations and seeds, several trained side by side; first those that others start from."""
+    """The weights of configurations and seeds, several trained at a time, first those that others start from."""
     firsts = [each for each in wanted if each[0] == FIRST]
     others = [each for each in wanted if each[0] != FIRST]
     with ThreadPoolExecutor(given.jobs) as pool:
@@ -130,7 +130,7 @@ def trained(wanted: Sequence[tuple[str, int]], given: argparse.Namespace) -> dic
 
 
 def settings_of(name: str, settings: Sequence[str]) -> list[str]:
-    """Those that mean something to a configuration: epochs of stages that it does not have are left out."""
+    """The settings that apply to a configuration, without epochs of stages that it does not have."""
     stages = {stage.name for stage in configuration(name).stages}
     keys = {setting: setting.partition("=")[0] for setting in settings}
     return [s for s in settings if not keys[s].startswith("epochs.") or keys[s].removeprefix("epochs.") in stages]
@@ -139,7 +139,7 @@ def settings_of(name: str, settings: Sequence[str]) -> list[str]:
 def ask(
     given: argparse.Namespace, test: Path, methods: dict[str, str], settings: Sequence[str] = ()
 ) -> RetrievalReport:
-    """Answers of several labelled retrievers on a test set."""
+    """Evaluate several labelled retrievers on a test set."""
     options = RetrievalOptions(
         dataset=test,
         methods=tuple(f"{label}={target}" for label, target in methods.items()),
@@ -151,7 +151,7 @@ def ask(
 
 
 def answers(report: RetrievalReport) -> dict[str, Values]:
-    """By label."""
+    """The scores of a report by label."""
     out: dict[str, Values] = {}
     for folder in report.folders:
         scores = report.scores(folder)
@@ -160,7 +160,7 @@ def answers(report: RetrievalReport) -> dict[str, Values]:
 
 
 def weights_of(given: argparse.Namespace) -> dict[tuple[str, int], Path]:
-    """By configuration and seed; what is missing is trained."""
+    """All weights by configuration and seed, which are trained if they are missing."""
     names, seeds = given.config, given.seed
     first = any(starts_from_first(name) or trained_by(name) == FIRST for name in names)
     order = ([FIRST] if first else []) + [name for name in names if trained_by(name) == name and name != FIRST]
@@ -168,7 +168,7 @@ def weights_of(given: argparse.Namespace) -> dict[tuple[str, int], Path]:
 
 
 def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], test: Path) -> list[Row]:
-    """A row for every system on one test set; what is missing is asked."""
+    """A row for every system on one test set, which is evaluated if it is missing."""
     rows, seeds = [], given.seed
     for name in given.config:
         labels = {f"{name}-seed{seed}": "lpn" for seed in seeds}
@@ -185,7 +185,7 @@ def rows_of(given: argparse.Namespace, weights: dict[tuple[str, int], Path], tes
 
 
 def page(rows: Sequence[Row], given: argparse.Namespace, folder: Path, chance: dict[str, float]) -> str:
-    """``lpn_configurations.md`` of a test set."""
+    """The text of ``lpn_configurations.md`` for a test set."""
     trainer = trainer_named("lpn")
     options = options_from_dict(
         TrainOptions, chosen_options(trainer, FIRST, settings_of(FIRST, given.settings))
@@ -232,7 +232,7 @@ def page(rows: Sequence[Row], given: argparse.Namespace, folder: Path, chance: d
 
 
 def table(rows: Sequence[Row]) -> str:
-    """``lpn_configurations.csv``: one line a system, seed, direction."""
+    """The text of ``lpn_configurations.csv``: one line for each system, seed and direction."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     out.writerow(["system", "seed", "direction", *METRICS])
@@ -248,7 +248,7 @@ def _cell(mean: float, deviation: float) -> str:
 
 
 def summary(rows: Sequence[Row]) -> dict[str, Any]:
-    """The figures of one test set, for the last line."""
+    """The results on one test set, for the last line."""
     return {
         row.name: {d: {m: round(row.mean_and_deviation(d, m)[0], 2) for m in METRICS} for d in DIRECTIONS}
         for row in rows
@@ -259,7 +259,7 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--train", nargs="+", required=True, help="cross-view folders with train/")
     parser.add_argument("--test", nargs="+", required=True, help="cross-view folders with test/, or two sheets")
-    parser.add_argument("--scratch", required=True, help="trainings and answers, taken up again")
+    parser.add_argument("--scratch", required=True, help="folder that keeps trainings and results")
     parser.add_argument("--config", nargs="+", default=list(CONFIGURATIONS), help="configurations [default: all]")
     parser.add_argument("--seed", nargs="+", type=int, default=[0, 1, 2], help="[default: 0 1 2]")
     parser.add_argument(
@@ -267,13 +267,13 @@ def arguments() -> argparse.Namespace:
         action="append",
         default=[],
         dest="settings",
-        help="key=value of the trainer; epochs.STAGE goes to those that have the stage",
+        help="key=value of the trainer; epochs.STAGE applies to configurations with that stage",
     )
-    parser.add_argument("--backbone-weights", help="torchvision's ResNet")
+    parser.add_argument("--backbone-weights", help="file of torchvision's ResNet, or of another training")
     parser.add_argument("--out", nargs="+", default=["leaderboard/retrieval"], help="a folder for each test set's page")
     parser.add_argument("--device")
     parser.add_argument("--workers", type=int)
-    parser.add_argument("--jobs", type=int, default=1, help="trainings side by side, that share the cores")
+    parser.add_argument("--jobs", type=int, default=1, help="trainings at a time, which share the cores")
     parser.add_argument("--quiet", action="store_true")
     return parser.parse_args()
 

@@ -1,17 +1,17 @@
-"""Where is a query lost: by the retriever, the tracker, or the choice among the K? Both in a row on test districts.
+"""Where relocalization fails: at the retriever, the tracker, or the choice among K keyframes, on test districts.
 
-In each district that no training saw (test split, ``--seeds``) drives in several conditions are rendered; all ask the
-map of the first one, with the front camera. ``relocbench evaluate-relocalization`` runs every retriever with
-every tracker: retrievers that need no training, the oracle that knows the nearest keyframes, and a random order.
-``relocbench leaderboard`` writes the page. What is printed here are means over all tasks, and what the oracle's chain
-is ahead of each retriever's: the share that better retrieval could win for that tracker.
+In each district that no training saw (test split, ``--seeds``) drives in several conditions are rendered; all are
+localized in the map of the first one, with the front camera. ``relocbench evaluate-relocalization`` runs every
+retriever with every tracker: retrievers that need no training, the oracle that knows the nearest keyframes, and a
+random order. ``relocbench leaderboard`` writes the page. Printed are means over all tasks, and by how much the chain
+with the oracle is ahead of that with each retriever, which is what better retrieval could gain for the tracker.
 
-Datasets and results in ``--scratch`` are taken up where they are; run again, it does what is missing.
+Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made.
 
     python benchmarks/publish/relocalization.py --scratch S [--out leaderboard/relocalization] [--workers N]
         [-r RETRIEVER ...] [-m TRACKER ...]
 
-JSON on the last line.
+The last line is JSON.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, load_
 from relocbench.metrics import Difference, paired_difference
 
 CONDITIONS = ("WetNoon", "SoftRainNoon", "Overcast", "Night")
-"""the map's first"""
+"""the condition of the map first"""
 RETRIEVERS = (ORACLE, "colour-histogram", "orb-bow", "random")
 TRACKERS = ("dso", "orb-pnp", "gn-net")
 SHARES = (RANKING, "recall@(1m,5deg)", "basin_recall@1", "hit", "right_given_hit", "right_without_hit", *FAILURES)
@@ -59,15 +59,17 @@ def main() -> None:
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scratch", type=Path, help="keeps datasets and results; default: a folder that goes again")
-    parser.add_argument("--out", type=Path, help="folder that gets relocalization.md and relocalization.csv")
+    parser.add_argument("--scratch", type=Path, help="folder that keeps datasets and results; default: a temporary one")
+    parser.add_argument("--out", type=Path, help="folder for relocalization.md and relocalization.csv")
     parser.add_argument("--split", default="test")
-    parser.add_argument("--seeds", default="100", help="of the districts")
-    parser.add_argument("--steps", type=int, default=120, help="of each drive: so many queries in each condition")
+    parser.add_argument("--seeds", default="100", help="seeds of the districts")
+    parser.add_argument(
+        "--steps", type=int, default=120, help="steps of each drive, which is the number of queries in each condition"
+    )
     parser.add_argument("--speed", type=float, default=15.0, help="m/s; a step is a tenth of a second")
     parser.add_argument("--size", default="512x512", help="pixels")
-    parser.add_argument("--conditions", default=",".join(CONDITIONS), help="the map's first")
-    parser.add_argument("--top", type=int, default=3, help="keyframes that a tracker is asked against")
+    parser.add_argument("--conditions", default=",".join(CONDITIONS), help="the condition of the map first")
+    parser.add_argument("--top", type=int, default=3, help="number of keyframes that a tracker is run against")
     parser.add_argument("--workers", "-j", type=int, default=2)
     parser.add_argument("-r", dest="retrievers", action="append", help=f"default: {', '.join(RETRIEVERS)}")
     parser.add_argument("-m", dest="trackers", action="append", help=f"default: {', '.join(TRACKERS)}")
@@ -99,12 +101,12 @@ def _evaluate(dataset: Path, results: Path, options: argparse.Namespace) -> None
 
 
 def _run(*words: object) -> None:
-    """A command of relocbench; what it complains about goes through."""
+    """Run a relocbench command; its messages go to standard error."""
     subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True)
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
-    """A chain each: means over all single tasks of all districts, every task counting the same."""
+    """For each chain, the means over all single tasks of all districts, with equal weights."""
     with path.open(encoding="utf-8") as stream:
         single = [row for row in csv.DictReader(stream) if " " not in row["tasks"] and not row["missing"]]
     chains: dict[tuple[str, str, str], list[dict[str, str]]] = {}
@@ -125,7 +127,7 @@ def _mean(values: list[str]) -> float | None:
 
 
 def _ahead(board: ChainBoard) -> dict[tuple[str, str], Difference]:
-    """What the oracle's chain is ahead of the same tracker's behind each retriever, by (tracker, retriever)."""
+    """By how much the oracle's chain is ahead of each retriever's, by (tracker, retriever)."""
     out = {}
     labels = dict.fromkeys((c.run.tracker, c.run.retriever) for of in board.sets for c in of.chains)
     for tracker, retriever in labels:

@@ -1,8 +1,9 @@
-"""How long one direct alignment takes on one core, compiled and in plain NumPy.
+"""The time of one direct alignment on one core, compiled and in plain NumPy.
 
 A textured corridor (floor, ceiling, two walls and a back wall, ray-cast analytically) is seen by a 512x512 camera that
-then drives one metre on. The reference is prepared beforehand; what is timed is everything a query costs: its pyramid
-and the coarse-to-fine solve from the identity. Both implementations see the same arrays and must find the same pose.
+then moves forward by one metre. The reference is prepared beforehand; timed is all work for a query, which is its
+pyramid and the coarse-to-fine alignment from the identity. Both implementations get the same arrays and must find the
+same pose.
 
     python benchmarks/speed/alignment.py [--repeats N]
 """
@@ -36,13 +37,13 @@ from relocbench.tracking import Reference
 Array = NDArray[np.float64]
 
 CAMERA = Camera("pinhole", 512, 512, 380.0, 380.0, 255.5, 255.5)
-STEP = 1.0  # metres driven between reference and query
+STEP = 1.0  # metres between reference and query
 WALLS = ((0, -3.0), (0, 4.0), (1, 1.6), (1, -2.5), (2, 24.0))  # (axis, coordinate): a corridor, metres
 WAVES = 48
 
 
 def render(T_cam_world: Array, rng_seed: int = 7) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Image and depth of the corridor; each wall has a texture of its own, a sum of seeded waves."""
+    """Image and depth of the corridor, of which each wall has a texture of its own, a sum of seeded waves."""
     rng = np.random.default_rng(rng_seed)
     T_world_cam = invert(T_cam_world)
     v, u = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width].astype(np.float64)
@@ -51,7 +52,7 @@ def render(T_cam_world: Array, rng_seed: int = 7) -> tuple[NDArray[np.uint8], ND
     depth = np.full(u.shape, np.inf)
     image = np.zeros(u.shape)
     for axis, coordinate in WALLS:
-        # Wavelengths from 0.25 m to 8 m: something to see on every pyramid level.
+        # Wavelengths from 0.25 m to 8 m give texture on every pyramid level.
         wavelengths = np.exp(rng.uniform(np.log(0.25), np.log(8.0), WAVES))
         angles, phases = rng.uniform(0, 2 * np.pi, (2, WAVES))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -69,7 +70,7 @@ def render(T_cam_world: Array, rng_seed: int = 7) -> tuple[NDArray[np.uint8], ND
 
 
 def median_ms(work: Callable[[], object], repeats: int) -> float:
-    """Median wall time of one call, milliseconds, after one call that warms up (and compiles)."""
+    """The median wall time of one call in milliseconds, after one call that compiles."""
     work()
     times = []
     for _ in range(repeats):
@@ -80,7 +81,7 @@ def median_ms(work: Callable[[], object], repeats: int) -> float:
 
 
 def evaluation_ms(repeats: int, points: int = 2000) -> float:
-    """One residual + Jacobian + accumulation of 2000 points on a 512x512 map."""
+    """The time of one evaluation of the normal equations with 2000 points on a 512x512 map, milliseconds."""
     rng = np.random.default_rng(0)
     image = rng.uniform(0, 1, (CAMERA.height, CAMERA.width, 1)).astype(np.float32)
     level_map = with_gradients(image)
@@ -88,15 +89,17 @@ def evaluation_ms(repeats: int, points: int = 2000) -> float:
     v, u = np.divmod(pixels, CAMERA.width)
     x, y = (u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy
     geometry = np.stack([x, y, rng.uniform(0.05, 0.3, points)]).astype(np.float32)
-    H, g, light, intrinsics = np.zeros((8, 8)), np.zeros(8), np.array([1.0, 0.0]), camera_intrinsics(CAMERA)
+    H, g, gain_offset, intrinsics = np.zeros((8, 8)), np.zeros(8), np.array([1.0, 0.0]), camera_intrinsics(CAMERA)
     T = np.eye(4)
     T[0, 3] = 0.05
     values = image[v, u]
-    return median_ms(lambda: linearize(level_map, geometry, values, intrinsics, T, light, 0.3, 2.0, H, g), repeats)
+    return median_ms(
+        lambda: linearize(level_map, geometry, values, intrinsics, T, gain_offset, 0.3, 2.0, H, g), repeats
+    )
 
 
 def corridor() -> tuple[tuple[LevelPoints, ...], NDArray[np.uint8], Array, Settings]:
-    """Prepared reference, query image, true T_query_ref, settings."""
+    """The prepared reference, the query image, the true T_query_ref and the settings."""
     T_query_ref = np.eye(4)
     T_query_ref[2, 3] = -STEP
     image, depth = render(np.eye(4))
@@ -104,12 +107,12 @@ def corridor() -> tuple[tuple[LevelPoints, ...], NDArray[np.uint8], Array, Setti
     dso = Dso(points=2000)
     prepared = dso.prepare(Reference("corridor", 0, image, CAMERA, depth=depth))
     if prepared.selected < 1900:
-        raise RuntimeError(f"the scene gives {prepared.selected} points, about 2000 are wanted")
+        raise RuntimeError(f"the scene gives {prepared.selected} points, expected about 2000")
     return prepared.levels, query, T_query_ref, dso.settings
 
 
 def error(T: Array, truth: Array) -> tuple[float, float]:
-    """Metres between camera centres and degrees."""
+    """The distance of the camera centres in metres, and the rotation in degrees."""
     delta = T @ invert(truth)
     centre = invert(T)[:3, 3] - invert(truth)[:3, 3]
     return float(np.linalg.norm(centre)), float(np.rad2deg(rotation_angle(delta[:3, :3])))

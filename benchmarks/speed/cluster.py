@@ -1,8 +1,7 @@
-"""What a unit of work costs on a Dask cluster on loopback beyond the work itself, as a ratio to local processes.
+"""The overhead of a unit of work on a local Dask cluster, relative to local processes.
 
-Units do nothing, so that all that is measured is handing them out and taking their results back, between the first
-result and the last: processes that start cost seconds on either side, once. Of some rounds, which alternate, the least
-disturbed counts. Prints one JSON line last.
+Units do nothing, so that only their distribution and the return of results is measured, from the first result to the
+last, which excludes the start of processes. Rounds alternate, and the fastest counts. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from relocbench.execution import Run, Scheduler, kept_workers, run_units
 
 
 def seconds_a_unit(count: int, workers: int, scheduler: Scheduler | None) -> float:
-    """Seconds for each of ``count`` units that do nothing, after the first result."""
+    """Seconds for each of ``count`` empty units, after the first result."""
     results = run_units(abs, range(count), Run(workers, scheduler))
     next(results)
     start = time.perf_counter()
@@ -40,7 +39,7 @@ def main() -> None:
             scheduler = Scheduler(address=cluster.scheduler_address)
             spent: dict[str, list[float]] = {"local": [], "cluster": []}
             for _ in range(asked.rounds):
-                # One local worker would be this process itself, which hands nothing out.
+                # One local worker would be this process itself, which distributes nothing.
                 spent["local"].append(seconds_a_unit(asked.units, max(workers, 2), None))
                 spent["cluster"].append(seconds_a_unit(asked.units, workers, scheduler))
         local, apart = min(spent["local"]), min(spent["cluster"])

@@ -1,17 +1,17 @@
-"""What a rendered cross-view set costs, and whether its places can be told apart.
+"""The time to render a cross-view set, and whether its places can be distinguished.
 
-One town is laid out and made ready in two conditions; then places are photographed from all views. Seconds are of the
-processor (one core), so that other work on the machine does not count. Compiled code is loaded before.
+One town is laid out and prepared in two conditions; then places are rendered from all views. Times are processor
+seconds on one core, so that other programs do not count. Compiled code is loaded before.
 
-Apart: the satellite images of all places in one condition are looked for among those in the other by the zero-mean
-normalised cross-correlation of their grey levels at 32 x 32 pixels, the plainest comparison there is. The share that
-finds its own place says whether an eye could; the pairs of places that are nearest to each other are named.
+To see whether places can be distinguished, the satellite images of all places in one condition are searched for among
+those in the other by the zero-mean normalised cross-correlation of their grey levels at 32 x 32 pixels. It prints the
+share that finds its own place, and the pairs of places that are most alike.
 
     python benchmarks/speed/cross_view_rendering.py [--size 256] [--extent 250] [--places 24] [--seed 0]
         [--sheet FILE.png]
 
-``--sheet`` writes the picture of docs/cross-view.md: some places by satellite, from the drone's rounds, and the street.
-JSON on the last line.
+``--sheet`` writes the picture of docs/cross-view.md: some places seen by satellite, by drone and from the street.
+The last line is JSON.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from relocbench.datasets.cross_view.rendered import work
 from relocbench.datasets.cross_view.rendered.flight import Optics
 from relocbench.datasets.cross_view.rendered.plan import Photo, Views, choose_places, photos_of
 from relocbench.datasets.synthetic.conditions.condition import condition_named
-from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.progress import Silent
 
 CONDITIONS = ("Sunny", "Overcast")
@@ -43,27 +43,27 @@ Picture = np.ndarray
 
 
 def timed(call: Callable[..., Value], *arguments: Any) -> tuple[Value, float]:
-    """A result and the processor seconds it took."""
+    """A result, and the processor seconds that it took."""
     start = time.process_time()
     return call(*arguments), time.process_time() - start
 
 
 def photograph(photo: Photo, views: Views) -> Picture:
-    """(H, W, 3) as the build renders it."""
+    """An image (H, W, 3) as the build renders it."""
     condition = condition_named(photo.condition).factors
     renderer = work.renderer_of(photo.town, condition, work.seen_by(photo.view, condition, views))
     return renderer.render(views.optics.camera(photo.view), photo.T_world_cam, photo.seed).rgb
 
 
 def vector(picture: Picture) -> np.ndarray:
-    """(1024,) grey levels with zero mean and norm 1."""
+    """The grey levels (1024,) of an image at 32 x 32 pixels, with zero mean and norm 1."""
     grey = cv2.resize(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), (_LEVELS, _LEVELS), interpolation=cv2.INTER_AREA)
     values = grey.astype(np.float64).ravel() - grey.mean()
     return values / np.linalg.norm(values)
 
 
 def apart(first: list[Picture], second: list[Picture], labels: list[str]) -> dict[str, Any]:
-    """How the satellite images of places in one condition find theirs in another."""
+    """How well satellite images in one condition find their places in another."""
     scores = np.stack([vector(p) for p in first]) @ np.stack([vector(p) for p in second]).T
     own = np.diag(scores).copy()
     np.fill_diagonal(scores, -np.inf)
@@ -82,7 +82,7 @@ def views_of(size: int, drone: int, conditions: tuple[str, ...]) -> Views:
 
 
 def sheet(path: Path, places: list[Any], split: str, seed: int) -> None:
-    """Rows of places: satellite, three heights of the drone in other conditions, street."""
+    """A sheet with a row for each place: satellite, drone from three heights in other conditions, street."""
     views = views_of(192, 7, _SHEET_CONDITIONS)
     wanted = [p for place, network in places[:_SHEET_PLACES] for p in photos_of(place, network, views, split, seed)]
     chosen = [p for p in wanted if p.view != "drone" or p.keys[0].endswith(("-01.png", "-05.png", "-06.png"))]
@@ -105,15 +105,15 @@ def main() -> int:
     options = parser.parse_args()
     split = "test"
     views = views_of(options.size, 3, CONDITIONS)
-    town = stage.Place(options.seed * 1000, split, options.extent)
-    warm_up = stage.Place(options.seed * 1000, "train", 190.0)
+    town = scenes.DistrictSpec(options.seed * 1000, split, options.extent)
+    warm_up = scenes.DistrictSpec(options.seed * 1000, "train", 190.0)
     factors = condition_named(CONDITIONS[0]).factors
     work.renderer_of(warm_up, factors, work.seen_by("drone", factors, views))
-    _, layout_s = timed(stage.district, town)
+    _, layout_s = timed(scenes.district, town)
     places = choose_places(split, options.places, 0, 1, 25.0, options.extent, options.seed, Silent())
     photos = [p for place, network in places for p in photos_of(place, network, views, split, options.seed)]
     above = [p for p in photos if p.view == "satellite"]
-    first = photograph(above[0], views)  # compiles, for the kind of view
+    first = photograph(above[0], views)  # compiles for this kind of view
 
     ready = {}
     seconds: dict[str, list[float]] = {"satellite": [], "drone": [], "street": []}

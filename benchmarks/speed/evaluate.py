@@ -1,8 +1,8 @@
-"""Pairs per second of an evaluation end to end, how it scales to two workers, and what it holds in memory.
+"""The throughput of an evaluation in pairs per second, its scaling to two workers, and its memory.
 
-Reference of the ratios: the same evaluation with one worker, in the same run. Throughput is taken from the work
-itself, after the workers have started and compiled (a pool's start-up of some seconds would hide the scaling of any
-short run, and is printed beside). Prints one JSON line last.
+Ratios are to the same evaluation with one worker in the same run. The throughput excludes the start of the workers and
+compilation, which take seconds, would hide the scaling of a short run, and are printed separately. The last line is
+JSON.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from relocbench.progress import Silent
 
 
 def many_pairs(source: Dataset, out: Path, count: int) -> Dataset:
-    """A dataset of ``count`` pairs on the images of ``source``: frames are linked under new timestamps."""
+    """Make a dataset of ``count`` pairs from the images of ``source``, which are linked under new timestamps."""
     writer = DatasetWriter(out, f"{source.name}-{count}", {"kind": "many-pairs", "count": count})
     pair_set = next(s for s in source.pair_sets() if s.reference == s.query)
     traversal = source.traversal(pair_set.reference)
@@ -59,7 +59,7 @@ def link(source: Path, path: Path) -> None:
 
 
 def measure(dataset: Dataset, method: str, workers: int, out: Path) -> dict[str, float]:
-    """Wall seconds of a run, and of the tracker alone summed over pairs."""
+    """The wall-clock seconds of a run, and those of the tracker alone, summed over the pairs."""
     shutil.rmtree(out, ignore_errors=True)
     start = time.perf_counter()
     options = EvaluateOptions(dataset=dataset.root, methods=(method,), out=out, workers=workers)
@@ -70,7 +70,7 @@ def measure(dataset: Dataset, method: str, workers: int, out: Path) -> dict[str,
 
 
 def throughput(small: Dataset, large: Dataset, method: str, workers: int, out: Path) -> dict[str, float]:
-    """Pairs per second between a small and a large run: start-up cancels. Of three runs the least disturbed counts."""
+    """Pairs per second from the difference of a large and a small run, without start-up; the best of three runs."""
     a, b = (
         min((measure(dataset, method, workers, out) for _ in range(3)), key=lambda run: run["wall_s"])
         for dataset in (small, large)
@@ -85,7 +85,7 @@ def throughput(small: Dataset, large: Dataset, method: str, workers: int, out: P
 
 
 def peak_mib(dataset: Path, method: str, out: Path) -> dict[str, float]:
-    """Peak resident memory of the main process and of the largest worker, in a process of its own."""
+    """The peak resident memory of the main process and of the largest worker, measured in a new process."""
     code = (
         "import resource\n"
         "from pathlib import Path\n"
@@ -94,7 +94,7 @@ def peak_mib(dataset: Path, method: str, out: Path) -> dict[str, float]:
         "if __name__ == '__main__':\n"
         f"    evaluate_methods(EvaluateOptions(dataset=Path({str(dataset)!r}), methods=({method!r},), "
         f"out=Path({str(out)!r}), workers=2), Silent())\n"
-        # VmHWM is this program's own; ru_maxrss of a process counts what its parent held when it was forked.
+        # VmHWM is that of this program; ru_maxrss includes what the parent held when it forked.
         "    own = [line.split()[1] for line in open('/proc/self/status') if line.startswith('VmHWM')]\n"
         "    print(*own, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)\n"
     )
@@ -108,7 +108,9 @@ def peak_mib(dataset: Path, method: str, out: Path) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--method", default="dso")
-    parser.add_argument("--pairs", type=int, nargs=2, default=(400, 4000), help="pairs of the two timed runs")
+    parser.add_argument(
+        "--pairs", type=int, nargs=2, default=(400, 4000), help="numbers of pairs of the two timed runs"
+    )
     parser.add_argument("--memory-pairs", type=int, nargs=2, default=(20, 2000))
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="relocbench-bench-") as scratch:

@@ -1,11 +1,11 @@
-"""How long alignment on feature maps takes on one core, compiled and in plain NumPy.
+"""The time of one alignment on feature maps on one core, compiled and in plain NumPy.
 
 The corridor of ``benchmarks/speed/alignment.py`` carries D = 16 smooth features on its surfaces, on each of four levels
 from 512x512 down with waves twice as long. 2000 pixels of the reference have depth. The query stands 1 m ahead and is
-turned; its maps carry smooth noise, and a part of them shows something else. What is timed is the tracking alone: maps
-of both sides exist (a network makes them), the query is solved for from the identity. Both implementations see the same
-arrays and must find the same pose. Beside it: one evaluation, which takes gradients where
-the map is sampled, and what storing the gradients of a query would cost.
+turned; its maps carry smooth noise, and a part of them shows something else. Only the tracking is timed: the maps of
+both images are given, and the pose is solved for from the identity. Both implementations see the same arrays and must
+find the same pose. Also timed are one evaluation, which takes gradients where the map is sampled, and what it would
+cost to store the gradients of a query.
 
     python benchmarks/speed/feature_alignment.py [--repeats N]
 """
@@ -31,10 +31,11 @@ from alignment import CAMERA, STEP, WALLS, error, median_ms
 from numpy.typing import NDArray
 
 from baselines.alignment import Start, align_features, align_features_best
-from baselines.alignment.features.kernel import STATISTICS, linearize_features, working_room
+from baselines.alignment.features.kernel import linearize_features, workspace_for
 from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.alignment.features.reference import ReferenceFeatures
 from baselines.alignment.features.settings import FeatureSettings
+from baselines.alignment.shared.levenberg import STATISTICS
 from baselines.alignment.shared.pyramid import camera_intrinsics, level_camera, with_gradients
 from baselines.dso.tracker import small_rotations
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
@@ -50,15 +51,15 @@ SHORTEST = 0.7
 """m; the shortest wave of the finest level"""
 TURN_DEG = (1.0, -2.0, 0.5)
 NOISE = 0.3
-"""standard deviation on each channel of the query, whose features have a mean square of 1/2"""
+"""standard deviation of the noise in each channel of the query, whose features have a mean square of 1/2"""
 NOISE_GRID = 8
 """pixels"""
 HIDDEN = (0.1, 0.5, 0.4, 0.9)
-"""top, bottom, left, right of the part of the query that shows something else, as shares of its sides"""
+"""top, bottom, left and right of the part of the query that shows something else, as shares of its sides"""
 
 
 def surface(T_cam_world: Array, camera: Camera) -> tuple[Array, Array]:
-    """World point (H, W, 3) and depth (H, W) that each pixel of the corridor shows, metres."""
+    """The world point (H, W, 3) and the depth (H, W) of each pixel of the corridor, metres."""
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
     rays, _ = camera.unproject(np.stack([u, v], axis=-1))
     T_world_cam = invert(T_cam_world)
@@ -72,7 +73,7 @@ def surface(T_cam_world: Array, camera: Camera) -> tuple[Array, Array]:
 
 
 def features(points: Array, level: int) -> NDArray[np.float32]:
-    """D smooth functions of world points (H, W, 3), each a sum of seeded waves, with mean square 1/2 -> (H, W, D)."""
+    """D smooth functions (H, W, D) of world points (H, W, 3), each a sum of seeded waves with mean square 1/2."""
     rng = np.random.default_rng(100 + level)
     lengths = SHORTEST * 2.0**level * np.exp(rng.uniform(0, np.log(4), (CHANNELS, WAVES)))
     directions = rng.normal(size=(CHANNELS, WAVES, 3))
@@ -87,7 +88,7 @@ def features(points: Array, level: int) -> NDArray[np.float32]:
 
 
 def pyramid(T_cam_world: Array, changed: bool) -> FeaturePyramid:
-    """All levels of what a camera at this pose sees, each rendered by the level's own camera."""
+    """The features that a camera at this pose sees, each level rendered with its own camera."""
     rng = np.random.default_rng(11)
     maps = []
     for level in range(LEVELS):
@@ -95,7 +96,7 @@ def pyramid(T_cam_world: Array, changed: bool) -> FeaturePyramid:
         points, _ = surface(T_cam_world, camera)
         if changed:
             rows, columns = slice(*_span(HIDDEN[:2], camera.height)), slice(*_span(HIDDEN[2:], camera.width))
-            points[rows, columns] += 50.0  # elsewhere in the world: as smooth, unrelated
+            points[rows, columns] += 50.0  # equally smooth, but unrelated
         values = features(points, level)
         if changed:
             values += NOISE * smooth_noise(values.shape, rng)
@@ -104,7 +105,7 @@ def pyramid(T_cam_world: Array, changed: bool) -> FeaturePyramid:
 
 
 def smooth_noise(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Noise of variance one, drawn every eighth pixel and interpolated: a network errs smoothly. (H, W, D)."""
+    """Noise (H, W, D) of variance 1, interpolated from every eighth pixel, as the errors of a network are smooth."""
     coarse = rng.standard_normal((shape[0] // NOISE_GRID, shape[1] // NOISE_GRID, shape[2]), dtype=np.float32)
     fine = cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
     return np.asarray(fine / fine.std(), dtype=np.float32)
@@ -115,7 +116,7 @@ def _span(shares: tuple[float, ...], side: int) -> tuple[int, int]:
 
 
 def keyframe_points() -> KeyframePoints:
-    """2000 pixels drawn at random over the image, with their exact inverse depth."""
+    """2000 random pixels of the image with their exact inverse depth."""
     rng = np.random.default_rng(3)
     uv = np.rint(rng.uniform(4, [CAMERA.width - 5, CAMERA.height - 5], (POINTS, 2)))
     depth = surface(np.eye(4), CAMERA)[1][uv[:, 1].astype(int), uv[:, 0].astype(int)]
@@ -123,11 +124,25 @@ def keyframe_points() -> KeyframePoints:
 
 
 def evaluation_ms(reference: ReferenceFeatures, query: FeaturePyramid, repeats: int) -> float:
-    """One residual + Jacobian + accumulation of all points on level 0."""
+    """The time of one evaluation of the normal equations with all points on level 0, milliseconds."""
     points, level = reference.levels[0], query.levels[0]
-    K, T, room = camera_intrinsics(level.camera), np.eye(4), working_room(points.points)
+    K, T, workspace = camera_intrinsics(level.camera), np.eye(4), workspace_for(points.points)
     H, g, statistics = np.zeros((6, 6)), np.zeros(6), np.zeros(STATISTICS)
-    given = (level.map, points.points, points.values, points.weights, K, T, 0.3, 2.0, False, room, H, g, statistics)
+    given = (
+        level.map,
+        points.points,
+        points.values,
+        points.weights,
+        K,
+        T,
+        0.3,
+        2.0,
+        False,
+        workspace,
+        H,
+        g,
+        statistics,
+    )
     return median_ms(lambda: linearize_features(*given), repeats)
 
 
@@ -140,13 +155,12 @@ def main() -> None:
     keyframe, query = pyramid(np.eye(4), changed=False), pyramid(truth, changed=True)
     points = keyframe_points()
     reference = ReferenceFeatures.at_points(points, keyframe)
-    dilated = ReferenceFeatures.on_coarse_depth(points, keyframe)
     settings, start = FeatureSettings(), np.eye(4)
 
     found = align_features(reference, query, start, settings)
     T_plain, plain_iterations = plain.align(reference, query, start, settings)
-    if found.trouble:
-        raise RuntimeError(found.trouble)
+    if found.failure:
+        raise RuntimeError(found.failure)
     metres, degrees = error(found.T_query_ref, truth)
     apart_m, apart_deg = error(found.T_query_ref, T_plain)
     if apart_m > 1e-3 or apart_deg > 1e-2:
@@ -154,7 +168,6 @@ def main() -> None:
     iterations = [outcome.iterations for outcome in found.outcomes]
 
     compiled_ms = median_ms(lambda: align_features(reference, query, start, settings), repeats)
-    dilated_ms = median_ms(lambda: align_features(dilated, query, start, settings), repeats)
     starts = [Start(start), *(Start(rotation @ start) for rotation in small_rotations())]
     starts_ms = median_ms(lambda: align_features_best(reference, query, starts, settings), max(3, repeats // 5))
     numpy_ms = median_ms(lambda: plain.align(reference, query, start, settings), max(3, repeats // 5))
@@ -166,7 +179,6 @@ def main() -> None:
     print(f"error against the truth       {metres:.4f} m, {degrees:.4f} deg")
     print(f"compiled against numpy        {apart_m:.2g} m, {apart_deg:.2g} deg")
     print(f"one alignment                 compiled {compiled_ms:.2f} ms, numpy {numpy_ms:.0f} ms")
-    print(f"  on coarse depth             {dilated_ms:.2f} ms for {[len(level) for level in dilated.levels]} points")
     print(f"  from {len(starts)} starts              {starts_ms:.1f} ms")
     print(f"one evaluation, D = {CHANNELS}        {one_ms:.3f} ms")
     print(f"storing gradients of a query  {storing_ms:.1f} ms")
@@ -175,7 +187,6 @@ def main() -> None:
         "alignment_ms": round(compiled_ms, 3),
         "numpy_ms": round(numpy_ms, 1),
         "ratio": round(numpy_ms / compiled_ms, 2),
-        "coarse_depth_ms": round(dilated_ms, 3),
         "starts_27_ms": round(starts_ms, 2),
         "iterations": sum(iterations),
         "numpy_iterations": sum(plain_iterations),

@@ -1,9 +1,10 @@
-"""How long GN-Net's network takes for an image, against ResNet-18, and how long its losses take for a pair.
+"""The time of GN-Net's network for an image, compared with ResNet-18, and the time of its losses for a pair, on the
+CPU.
 
-On the CPU. The reference is what torchvision's ResNet-18 needs for its features of the same 512x512 image (without
-pooling and classifier), in channels-last layout with batch normalisation folded, as the network itself. Both are run in
-turn, so that whatever else the machine does falls on both: on two threads by the clock, and on one thread in processor
-time, which waits for nobody. The weights are as drawn: time does not depend on them.
+The reference is the time of torchvision's ResNet-18 for its features of the same 512x512 image (without pooling and
+classifier), in channels-last layout and with batch normalisation folded like the network's. The two run alternately, so
+that other programs affect both: on two threads in wall-clock time, and on one thread in processor time. The weights are
+random, since the time does not depend on them.
 
     python benchmarks/speed/gn_net.py [--repeats N]
 """
@@ -52,19 +53,19 @@ def plain_reference() -> nn.Module:
 def medians_ms(
     works: dict[str, Callable[[], object]], repeats: int, clock: Callable[[], float] = time.perf_counter
 ) -> dict[str, float]:
-    """Median milliseconds of each, run in turn."""
+    """The median milliseconds of each function, called alternately."""
     times: dict[str, list[float]] = {name: [] for name in works}
     for round_number in range(repeats + 1):
         for name, work in works.items():
             start = clock()
             work()
-            if round_number:  # the first is warming up
+            if round_number:  # the first round warms up
                 times[name].append(1e3 * (clock() - start))
     return {name: float(np.median(each)) for name, each in times.items()}
 
 
 def loss_work(net: FeatureNet, options: LossOptions) -> Callable[[], object]:
-    """All losses of one pair forward and backward to its maps, features given."""
+    """The time of all losses of one pair, forward and backward to given feature maps."""
     generator = torch.Generator().manual_seed(0)
     images = torch.rand((2, 3, SIZE, SIZE), generator=generator)
     with torch.no_grad():

@@ -1,13 +1,13 @@
-"""How long ``gn-net`` tracks a pair on one core once the features of both images are there, beside ``dso``.
+"""The time of ``gn-net`` to track a pair on one core, given the features of both images, compared with ``dso``.
 
-Pairs of a small drive through the procedural town, 512x512 pixels, ``WetNoon`` asked by itself and by ``SoftRainNoon``.
-The keyframe is prepared and the query's features are made beforehand; what is timed is the rest: the search for a start
-among matched features (``matched_start``), and the alignment from both starts. ``dso`` makes its query's pyramid within
-its time.
+The pairs are of a short drive through the procedural town, 512x512 pixels, with queries in ``WetNoon`` and
+``SoftRainNoon`` against a ``WetNoon`` map. The keyframe is prepared and the query's features are computed beforehand.
+Timed are the search for the matched start and the alignment from both starts; the time of ``dso`` includes the query's
+pyramid.
 
     python benchmarks/speed/gn_net_tracking.py [--repeats N] [--weights FILE]
 
-JSON on the last line.
+The last line is JSON.
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)
@@ -37,7 +37,7 @@ from relocbench.tracking import Query, Reference
 
 
 def views(root: Path) -> list[tuple[Reference, Query]]:
-    """Keyframe and query of every pair of a dataset."""
+    """The keyframe and the query of every pair of a dataset."""
     dataset = Dataset(root)
     return [
         (dataset.reference(pair_set, pair), dataset.query(pair_set, pair))
@@ -47,7 +47,7 @@ def views(root: Path) -> list[tuple[Reference, Query]]:
 
 
 def milliseconds(tracker: Any, pairs: list[tuple[Reference, Query]], repeats: int) -> list[float]:
-    """Processor time of each pair, the median of its repeats; the first call of each is not timed."""
+    """The median processor time of each pair over the repeats; the first call is not timed."""
     times = []
     for reference, query in pairs:
         prepared = tracker.prepare(reference)
@@ -64,7 +64,7 @@ def milliseconds(tracker: Any, pairs: list[tuple[Reference, Query]], repeats: in
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--weights", type=Path, help="default: those that come with the package")
+    parser.add_argument("--weights", type=Path, help="weights file; default: the weights that come with the package")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as folder:

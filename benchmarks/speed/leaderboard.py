@@ -1,14 +1,14 @@
-"""Seconds and peak memory of ``relocbench leaderboard`` on many pair sets and many pairs, and of taking in answers.
+"""Seconds and peak memory of ``relocbench leaderboard`` on many pair sets and pairs, and of scoring predictions.
 
-Three cases: 200 pair sets x 10 methods, one pair set of 100,000 pairs x 2 methods, and ``relocbench evaluate
---predictions`` of 100,000 pairs. Results are made up: errors that wander along a drive, a share of failures. Every
-command runs in a process of its own, from its start to its end; its peak memory is what the system reports of that
-process and those that it waited for. The reference of each leaderboard's seconds is a plain ``pandas.read_csv`` of the
-same results' tables (``PAIRSET.csv`` and ``PAIRSET.errors.csv``) in the same run.
+There are three cases: 200 pair sets x 10 methods, one pair set of 100,000 pairs x 2 methods, and ``relocbench evaluate
+--predictions`` with 100,000 pairs. Results are artificial: errors follow a random walk along a drive, and a share of
+pairs fails. Every command runs in a new process and is timed from start to end; its peak memory is that of the process
+and of its children. The reference for a leaderboard's time is that of ``pandas.read_csv`` on the same tables
+(``PAIRSET.csv`` and ``PAIRSET.errors.csv``) in the same run.
 
     python benchmarks/speed/leaderboard.py [--sets N] [--methods N] [--pairs N] [--no-plots]
 
-Prints one JSON line last.
+The last line is JSON.
 """
 
 from __future__ import annotations
@@ -31,16 +31,15 @@ from numpy.typing import NDArray
 from relocbench.datasets.core.pairfile import Pair, PoseLine, write_pose_lines
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.evaluation.common.error_table import PairErrors, write_errors
 from relocbench.evaluation.common.results import (
     Answer,
     DatasetRecord,
     MethodResults,
-    PairErrors,
     PairSetRecord,
     RunRecord,
     ScoreRecord,
     write_answers,
-    write_errors,
     write_record,
 )
 from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows
@@ -50,21 +49,21 @@ Array = NDArray[np.float64]
 FINGERPRINT = "ab" * 32
 START_NS, STEP_NS = 1_600_000_000_000_000_000, 100_000_000
 PER_SET = 50
-"""pairs of each of the many pair sets"""
+"""number of pairs of each of the many pair sets"""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """One command."""
+    """The resources that a command used."""
 
     seconds: float
     cpu_seconds: float
-    """of the processor, with those of worker processes"""
+    """processor time, including that of worker processes"""
     peak_mib: float
 
 
 def make_results(root: Path, sets: int, methods: int, pairs: int, seed: int = 0) -> Path:
-    """A results folder of one dataset with ``sets`` pair sets of ``pairs`` pairs, answered by ``methods`` methods."""
+    """Make a results folder of one dataset with ``sets`` pair sets of ``pairs`` pairs and ``methods`` methods."""
     folder = root / f"made@{FINGERPRINT[:12]}"
     names = [f"summer__drive-{index:03d}__cam0" for index in range(sets)]
     write_record(
@@ -102,7 +101,7 @@ def _write_method(folder: MethodResults, names: list[str], pairs: int, rng: np.r
 
 
 def _rows(rng: np.random.Generator, pairs: int, scale: float) -> list[PairErrors]:
-    """Errors whose logarithm wanders along the drive; a tenth fails."""
+    """Errors whose logarithm is a random walk along the drive; a tenth of the pairs fails."""
     wander = np.zeros(pairs)
     for index, step in enumerate(rng.normal(scale=0.3, size=pairs - 1)):
         wander[index + 1] = 0.9 * wander[index] + step
@@ -150,11 +149,11 @@ def _record(name: str, pairs: int) -> PairSetRecord:
 
 
 def make_dataset(root: Path, pairs: int) -> Path:
-    """A dataset of one pair set of ``pairs`` pairs and no images, for predictions made elsewhere."""
+    """Make a dataset of one pair set with ``pairs`` pairs and no images, for existing predictions."""
     writer = DatasetWriter(root, "many", {"kind": "many-pairs", "count": pairs})
     entry = CameraEntry.of(Camera("pinhole", 64, 48, 50.0, 50.0, 31.5, 23.5))
     pose = make_transform(so3_exp([0.0, 0.02, 0.0]), [0.5, 0.0, 0.4])
-    for name in ("summer", "winter"):  # no image is needed to score
+    for name in ("summer", "winter"):  # scoring needs no images
         writer.traversal(TraversalFile(name=name, cameras={"cam0": entry}, source="made"), {})
     made = [Pair(START_NS + STEP_NS * i, START_NS + 10**17 + STEP_NS * i, pose) for i in range(pairs)]
     writer.pairs("summer", "winter", "cam0", made)
@@ -163,7 +162,7 @@ def make_dataset(root: Path, pairs: int) -> Path:
 
 
 def make_predictions(folder: Path, dataset: Path) -> Path:
-    """The pairs of the dataset, answered by its ground truth."""
+    """Predictions for the pairs of the dataset: its ground truth."""
     for pair_file in (dataset / "pairs").glob("*.txt"):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / pair_file.name).write_bytes(pair_file.read_bytes())
@@ -171,7 +170,7 @@ def make_predictions(folder: Path, dataset: Path) -> Path:
 
 
 def run(*words: str) -> Measured:
-    """Run ``relocbench`` in a process of its own."""
+    """Run ``relocbench`` in a new process."""
     start = time.perf_counter()
     process = subprocess.Popen([sys.executable, "-m", "relocbench", *words], stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
@@ -182,7 +181,7 @@ def run(*words: str) -> Measured:
 
 
 def pandas_seconds(results: Path) -> float:
-    """A plain read of every table of a results folder."""
+    """The time to read every table of a results folder."""
     start = time.perf_counter()
     for path in sorted(results.rglob("*.csv")):
         pd.read_csv(path)
@@ -190,7 +189,7 @@ def pandas_seconds(results: Path) -> float:
 
 
 def board(scratch: Path, name: str, sets: int, methods: int, pairs: int, plots: bool) -> dict[str, Any]:
-    """One leaderboard beside the plain read."""
+    """Measure one leaderboard and the reading of its tables."""
     results = make_results(scratch / name, sets, methods, pairs)
     plain = pandas_seconds(results)
     words = ["leaderboard", str(results), "--out", str(scratch / f"{name}-board"), "--quiet"]
@@ -215,7 +214,7 @@ def board(scratch: Path, name: str, sets: int, methods: int, pairs: int, plots: 
 
 
 def predictions(scratch: Path, pairs: int) -> dict[str, Any]:
-    """``evaluate --predictions``."""
+    """Measure ``evaluate --predictions``."""
     dataset = make_dataset(scratch / "many", pairs)
     answers = make_predictions(scratch / "answers", dataset)
     words = ["evaluate", "--dataset", str(dataset), "--predictions", str(answers), "--out", str(scratch / "taken")]

@@ -1,25 +1,27 @@
-"""Images per second of the procedural renderer on two cores, beside bare ray casting and beside Mitsuba 3.
+"""The speed of the procedural renderer on two cores, compared with bare ray casting and with Mitsuba 3.
 
-Two worker processes render 512x512 frames along a drive as a build does (`render_unit`: RGB and depth, encoded and on
-disk), `Sunny` first, then `WetNoon`; each is timed after its first images, when district, ray tree and compiled code
-are there. Three references:
+Two worker processes render 512x512 frames along a drive as a build does (`render_unit`: RGB and depth, encoded and
+written to disk), first in `Sunny`, then in `WetNoon`. Times exclude the first images, for which the district, the ray
+tree and compiled code are loaded. It is compared with:
 
-- *bare rays*: in the same two processes, Embree's time for one primary ray a pixel and one shadow ray for every
-  surface that faces the sun, of the same frames, and nothing else: no edges, mirrors, colours, files.
-- *Mitsuba 3*: the same triangles, the same cameras, the sun and a constant sky, direct light (`direct`), one grey
-  diffuse material instead of textures, no mirrors, no files. Both cores work on one frame. Its light is sampled, ours
-  is not: the sample count is the least at which the median over all surface pixels of its noise, after our own
-  exposure and tone curve, is down to the noise of our camera model, which hides it from then on. That favours Mitsuba:
-  edges, where its noise is largest, do not move the median, and sampling noise as large as the camera's is allowed.
-  The ratio at 16 samples, far too few, stands beside it, to show how far the conclusion hangs on the count.
-- *memory*: the peak of each worker over all of this, set-up included.
+- *bare rays*: in the same two processes, the time of Embree for one primary ray per pixel and one shadow ray for every
+  surface that faces the sun, of the same frames, without edges, mirrors, colours and files.
+- *Mitsuba 3*: the same triangles and cameras, the sun and a constant sky, direct illumination (`direct`), one grey
+diffuse
+  material instead of textures, no mirrors and no files. Both cores work on one frame. Mitsuba samples illumination,
+  which
+  our renderer does not: the number of samples is the smallest for which the median noise over all surface pixels, after
+  our exposure and tone curve, is no larger than the noise of our camera model. This favours Mitsuba: edges, where its
+  noise is largest, do not change the median, and sampling noise as large as the camera's is accepted. The ratio at 16
+  samples, which are far too few, is also given, to show how much the conclusion depends on the number.
 
-Ratios are of processor seconds, which other programs on the machine hardly change; images per second are by the clock,
-and beside them stands what two cores make of the processor seconds when nothing else runs.
+The peak memory of each worker, including set-up, is measured too. Ratios are of processor seconds, which other programs
+hardly affect. Images per second are by wall-clock time; the number that two undisturbed cores would reach is also
+given.
 
     python benchmarks/speed/rendering.py [--frames N]
 
-Prints one JSON line last.
+The last line is JSON.
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)
@@ -28,7 +30,7 @@ from __future__ import annotations
 import os
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ[variable] = "1"  # in each worker; Mitsuba has a pool of its own
+    os.environ[variable] = "1"  # in each worker; Mitsuba has its own thread pool
 
 import argparse
 import json
@@ -48,9 +50,9 @@ from numpy.typing import NDArray
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import previewed
 from relocbench.datasets.synthetic.drives.rig import rig_named
-from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, render_unit
-from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.renderer import samples as sampling
 from relocbench.datasets.synthetic.renderer import shadows
 from relocbench.datasets.synthetic.renderer.response import exposure_gain, tone_curve
@@ -63,7 +65,7 @@ Floats = NDArray[np.float32]
 
 WORKERS = 2
 SIZE = 512
-PLACE = Place(0, "test", 400.0)
+PLACE = DistrictSpec(0, "test", 400.0)
 ROUTE_M = 100.0
 CAMERA = Camera("pinhole", SIZE, SIZE, 0.6 * SIZE, 0.6 * SIZE, (SIZE - 1) / 2, (SIZE - 1) / 2)
 CONDITIONS = ("Sunny", "WetNoon")
@@ -74,23 +76,23 @@ GREY = 0.3
 
 def poses(count: int) -> list[Array]:
     """``T_world_cam`` of frames spread along the drive."""
-    path = stage.district(PLACE).network.drive(ROUTE_M, PLACE.seed)
+    path = scenes.district(PLACE).network.drive(ROUTE_M, PLACE.seed)
     _, T_rig_cam = rig_named("front").cameras(SIZE, SIZE)["front"]
     return [path.pose(at) @ T_rig_cam for at in np.linspace(5, ROUTE_M - 5, count)]
 
 
 def unit_of(factors: Factors, shown: list[Array], folder: Path) -> RenderUnit:
-    """What a build hands to a worker, for these frames."""
+    """The unit of work for these frames, as a build makes it."""
     steps = []
     for i, T_world_cam in enumerate(shown):
         missing = {"image": folder / f"image-{i}.png", "depth": folder / f"depth-{i}.png"}
-        steps.append(StepWork((), (FrameWork(CAMERA, T_world_cam, stage.frame_seed(0, 0, i, 0), missing),)))
+        steps.append(StepWork((), (FrameWork(CAMERA, T_world_cam, scenes.frame_seed(0, 0, i, 0), missing),)))
     return RenderUnit(PLACE, factors, factors, tuple(steps))
 
 
 def bare_seconds(factors: Factors, shown: list[Array]) -> float:
-    """Embree's own processor time for primary and shadow rays of the frames; what prepares the rays is not counted."""
-    renderer = stage.renderer(PLACE, factors)
+    """Embree's processor time for primary and shadow rays of the frames, without the preparation of the rays."""
+    renderer = scenes.renderer(PLACE, factors)
     v, u = np.mgrid[:SIZE, :SIZE].astype(np.float32)
     asked = np.ones(SIZE * SIZE, dtype=np.bool_)
     spent = 0.0
@@ -110,13 +112,13 @@ def bare_seconds(factors: Factors, shown: list[Array]) -> float:
 
 
 def peak_mib() -> float:
-    """VmHWM is this program's own; ru_maxrss of a process counts what its parent held when it was forked."""
+    """The peak memory of this program. ru_maxrss would include what the parent held when it forked."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
 
 
 def work(number: int, frames: int, folder: Path, together: Barrier, answers: Queue[dict[str, Any]]) -> None:
-    """One worker: its own frames, at the same time as the other's."""
+    """One worker, which renders its frames while the other renders its own."""
     pin_threads()
     shown = poses(WORKERS * frames)[number::WORKERS]
     told: dict[str, Any] = {}
@@ -145,7 +147,7 @@ def work(number: int, frames: int, folder: Path, together: Barrier, answers: Que
 
 
 def measure(frames: int, folder: Path) -> list[dict[str, Any]]:
-    """What each worker tells."""
+    """The measurements of each worker."""
     context = get_context("spawn")
     together, answers = context.Barrier(WORKERS), context.Queue()
     workers = [context.Process(target=work, args=(k, frames, folder, together, answers)) for k in range(WORKERS)]
@@ -158,20 +160,20 @@ def measure(frames: int, folder: Path) -> list[dict[str, Any]]:
 
 
 class Mitsuba:
-    """The district in Mitsuba."""
+    """The district as a Mitsuba scene."""
 
     def __init__(self, factors: Factors, variant: str) -> None:
         import mitsuba as mi
 
         self._mi = mi
         self._factors = factors
-        self._renderer = stage.renderer(PLACE, factors)
+        self._renderer = scenes.renderer(PLACE, factors)
         mi.set_variant(variant)
         self._scene = self._load()
 
     def _load(self) -> Any:
         mi = self._mi
-        mesh = compose(stage.district(PLACE), self._factors)
+        mesh = compose(scenes.district(PLACE), self._factors)
         grey = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": {"type": "rgb", "value": GREY}}}
         properties = mi.Properties()
         properties["material"] = mi.load_dict(grey)
@@ -190,14 +192,14 @@ class Mitsuba:
                 "sun": {
                     "type": "directional",
                     "direction": (-sky.to_sun).tolist(),
-                    # Our unit of sunlight is the radiance of white paper that faces it.
+                    # The unit of sunlight is the radiance of white paper that faces the sun.
                     "irradiance": {"type": "rgb", "value": (np.pi * sky.sun).tolist()},
                 },
             }
         )
 
     def linear(self, T_world_cam: Array, spp: int, seed: int) -> Floats:
-        """(H, W, 3) light of one frame."""
+        """The radiance (H, W, 3) of one frame."""
         mi = self._mi
         # Mitsuba's cameras have x to the left and y up.
         to_world = mi.ScalarTransform4f((T_world_cam @ np.diag([-1.0, -1.0, 1.0, 1.0])).tolist())
@@ -215,7 +217,7 @@ class Mitsuba:
         return np.array(mi.render(self._scene, sensor=sensor, spp=spp, seed=seed))[..., :3]
 
     def comparable_spp(self, T_world_cam: Array) -> tuple[int, float, float]:
-        """Samples a pixel, and the median noise at :data:`TRIAL_SPP` and of our camera, in grey levels."""
+        """The number of samples per pixel, and the median noise of Mitsuba and of our camera in grey levels."""
         frame = self._renderer.render(CAMERA, T_world_cam, 0)
         seen = frame.depth > 0
         level = frame.rgb.astype(np.float64).mean(axis=-1)[seen]
@@ -230,7 +232,7 @@ class Mitsuba:
         return max(1, math.ceil(TRIAL_SPP * (noise / camera) ** 2)), noise, camera
 
     def seconds(self, spp: int) -> tuple[float, float]:
-        """An image by the clock and of the processor, along the drive, after one image that compiles."""
+        """Wall-clock and processor seconds of an image along the drive, after one image that compiles."""
         shown = poses(2 + MITSUBA_FRAMES)[1:-1]
         self.linear(shown[0], 1, 0)
         start, cpu = time.perf_counter(), time.process_time()
@@ -241,7 +243,7 @@ class Mitsuba:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=20, help="images a worker and condition")
+    parser.add_argument("--frames", type=int, default=20, help="images for each worker and condition")
     parser.add_argument(
         "--mitsuba-variant", default="scalar_rgb", help="llvm_ad_rgb where Mitsuba's LLVM backend works"
     )

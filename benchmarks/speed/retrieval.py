@@ -1,20 +1,20 @@
-"""How long University-1652's two evaluations take at full size, beside a plain NumPy argsort in the same run.
+"""The time of the two evaluations of University-1652 at full size, compared with NumPy's argsort in the same run.
 
-Labels are those of the test set in number: 701 buildings are asked for among 951, 54 drone images of each and one more
-of the first. Descriptors are made: each building has a vector of its own, each image that and noise (``--noise`` times
-as long), divided by its norm, float32. What is timed begins with descriptors and labels and ends with every metric of
-every query.
+The numbers of labels are those of the test set: 701 of 951 buildings are queries, with 54 drone images of each and one
+more of the first. Descriptors are artificial: each image has the vector of its building plus noise (of ``--noise``
+times the length), divided by its norm, float32. Timed is the work from descriptors and labels to every metric of every
+query.
 
-The plain reference does what published evaluation code does in Python: one float32 product, one ``argsort`` a query,
-the places of the positives by ``flatnonzero``, the same formulas. It runs on ``--reference-queries`` of the queries,
-evenly spread, and its seconds are scaled to all of them (all of them by default: nothing is scaled then). Both must
-find the same metrics, but for near ties that float32 products cannot tell apart.
+The reference does what published Python evaluation code does: one float32 product, one ``argsort`` for each query, the
+ranks of the positives by ``flatnonzero``, and the same formulas. It runs on ``--reference-queries`` evenly spread
+queries, and its time is scaled to all of them (by default it runs on all). Both must find the same metrics, except for
+near ties that float32 products cannot distinguish.
 
-Peak memory is what NumPy holds at most beyond the descriptors, in a run of its own.
+Peak memory is the most that NumPy holds besides the descriptors, in a separate run.
 
     python benchmarks/speed/retrieval.py [--size D] [--noise N] [--reference-queries N]
 
-Seconds are by the clock (least of ``--repeats`` runs) and of the processor. JSON on the last line.
+Times are wall-clock seconds (the least of ``--repeats`` runs) and processor seconds. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Labels = NDArray[np.int64]
 
 BUILDINGS, ASKED, VIEWS = 951, 701, 54
 APART = 0.05
-"""percentage points by which near ties may part the two implementations"""
+"""percentage points by which the two implementations may differ because of near ties"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +55,13 @@ class Case:
     gallery_labels: Labels
 
     def thinned(self, queries: int) -> Case:
-        """So many queries, evenly spread."""
+        """``count`` evenly spread queries."""
         rows = np.linspace(0, len(self.query) - 1, min(queries, len(self.query))).round().astype(int)
         return Case(self.name, self.query[rows], self.query_labels[rows], self.gallery, self.gallery_labels)
 
 
 def made_cases(size: int, noise: float, seed: int = 0) -> list[Case]:
-    """Drone to satellite and back, with the same buildings."""
+    """Drone to satellite and satellite to drone, with the same buildings."""
     rng = np.random.default_rng(seed)
     prototypes = rng.standard_normal((BUILDINGS, size), dtype=np.float32)
 
@@ -85,14 +85,14 @@ def made_cases(size: int, noise: float, seed: int = 0) -> list[Case]:
 
 
 def ours(case: Case) -> dict[str, float]:
-    """Percent by metric."""
+    """The metrics in percent, by name."""
     relevance = relevance_from_labels(case.query_labels, case.gallery_labels)
     scores = score_retrieval(rank_descriptors(case.query, case.gallery, relevance))
     return {name: 100 * value for name, value in summarize_retrieval(scores).values.items()}
 
 
 def plain(case: Case) -> dict[str, float]:
-    """The same by one argsort a query."""
+    """The same with one argsort for each query."""
     products = case.query @ case.gallery.T
     total = dict.fromkeys(RETRIEVAL_METRICS, 0.0)
     top1 = round(0.01 * len(case.gallery))
@@ -114,7 +114,7 @@ def plain(case: Case) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Timed:
-    """The least of several runs."""
+    """The fastest of several runs."""
 
     wall: float
     cpu: float
@@ -178,9 +178,9 @@ def printed(name: str, size: int, result: dict[str, Any]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--size", type=int, default=2048, help="numbers of a descriptor")
-    parser.add_argument("--noise", type=float, default=4.0, help="in units of a building's own vector")
-    parser.add_argument("--reference-queries", type=int, default=0, help="of the plain reference; 0 for all")
+    parser.add_argument("--size", type=int, default=2048, help="size of a descriptor")
+    parser.add_argument("--noise", type=float, default=4.0, help="length of the noise, relative to a building's vector")
+    parser.add_argument("--reference-queries", type=int, default=0, help="number of queries of the reference; 0: all")
     parser.add_argument("--repeats", type=int, default=2)
     options = parser.parse_args()
     results = {}

@@ -1,9 +1,9 @@
-"""How long relocbench takes to start: imported, asked for help, and given a path that is not there.
+"""The time that relocbench takes to start: when imported, asked for help, and given a path that does not exist.
 
     python benchmarks/speed/startup.py [--repeats N]
 
-Each is a process of its own. The reference is a process in the same run that starts Python and does nothing; of
-repeats, which alternate, the least counts. Prints a table and one JSON line last.
+Each is measured in a new process. The reference is a process that starts Python and does nothing. Repeats alternate,
+and the fastest counts. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ NOTHING = "python that does nothing"
 
 
 def calls(out: str) -> dict[str, list[str]]:
-    """What is timed -> arguments of Python."""
+    """Arguments of Python, by what is timed."""
     missing = f"{out}/missing"
     command = ["-m", "relocbench"]
     return {
@@ -36,7 +36,7 @@ def calls(out: str) -> dict[str, list[str]]:
 
 
 def seconds(arguments: list[str], expected: int) -> float:
-    """Seconds that a process takes from start to end, by the clock."""
+    """The wall-clock seconds of a process from start to end."""
     start = time.perf_counter()
     done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False)
     spent = time.perf_counter() - start

@@ -1,20 +1,22 @@
-"""How right, how sure and how fast the ground truth from lidar is, against the exact truth of simulated drives.
+"""Errors, calibration and speed of the ground truth from lidar, measured on simulated drives with exact truth.
 
-Drives by lidar alone through one district are recorded in the layout of the RobotCar dataset (odometry drifts, GNSS is
-off by metres, another way each day), read and registered as real ones: Sunny as reference against Overcast, Rain, Snow
-and Night on one route, along a street of repeating facades, through a crossing another way, and on a route that parts
-and comes back. Each query image (one a metre, a camera that looks ahead) is paired with the nearest keyframe. A pair is
-``overlapping`` if in truth a keyframe lies within ``max_distance`` and ``max_angle``, ``elsewhere`` if none does;
-within 5 cm and half a degree of a limit it is neither. ``wrong`` is an accepted pair that is off by more than 0.3 m or
-1 deg. The normalised error squared is the mean of ``e^T C^-1 e / 6`` over accepted pairs, 1 if covariances are right.
+Lidar drives through one district are recorded in the layout of the RobotCar dataset, with odometry that drifts and GNSS
+that is off by metres, differently for each drive. They are read and registered like real ones: a Sunny reference
+against Overcast, Rain, Snow and Night on the same route, along a street of repeating facades, through a crossing in
+another direction, and on a route that leaves the reference and returns. Each query image (one per metre, of a camera
+that looks ahead) is paired with the nearest keyframe. A pair is ``overlapping`` if in truth a keyframe is within
+``max_distance`` and ``max_angle``, ``elsewhere`` if none is, and neither within 5 cm or half a degree of a limit. An
+accepted pair is ``wrong`` if its error exceeds 0.3 m or 1 deg. The normalised error squared is the mean of ``e^T C^-1 e
+/ 6`` over accepted pairs, which is 1 if covariances are correct.
 
     python benchmarks/truth/ground_truth.py [--split train] [--work DIR] [--parts pairs,starts,ablation,speed] [--long]
 
-Parts: ``pairs`` the tables above; ``starts`` the first pair without any prior, and with right and wrong ones by hand;
-``ablation`` pairs on their own, then with one stage of the builder after the other; ``speed`` processor seconds a pair
-beside the plain recipe with Open3D on the same pieces of road. ``--long`` alone measures cost and memory on 1 km and
-4 km of road. Recordings, blocks and registrations stay in ``--work`` and are not made again: remove ``blocks`` or
-``registrations`` there after a change of what makes them. Tables go to standard error; one JSON line comes last.
+The parts are ``pairs``, the tables above; ``starts``, the beginning of a registration without a prior, and with correct
+and wrong ones given by hand; ``ablation``, single pairs, then with one stage of the builder after the other; and
+``speed``, processor seconds for each pair, compared with the plain recipe with Open3D on the same road. ``--long``
+measures only time and memory on 1 km and 4 km of road. Recordings, blocks and registrations are kept in ``--work`` and
+reused; remove ``blocks`` or ``registrations`` there after changing the code that makes them. Tables go to standard
+error; the last line of standard output is JSON.
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)
@@ -50,7 +52,7 @@ PARTS = ("pairs", "starts", "ablation", "speed")
 
 
 def all_pairs(world: World, pairs: Sequence[DrivePair]) -> tuple[dict[DrivePair, Registered], dict[DrivePair, Decided]]:
-    """The builder on every pair of drives."""
+    """Run the builder on every pair of drives."""
     found = world.all_of(register_drive, [world.register_unit(*p) for p in pairs], "drives to register")
     registered = dict(zip(pairs, found, strict=True))
     units = [world.decide_unit(*p, registered[p].registrations) for p in pairs]
@@ -60,7 +62,7 @@ def all_pairs(world: World, pairs: Sequence[DrivePair]) -> tuple[dict[DrivePair,
 def tell_pairs(
     world: World, registered: dict[DrivePair, Registered], rows: dict[DrivePair, list[Judged]]
 ) -> dict[str, Any]:
-    """Tables of all pairs, and whether what is promised of them holds."""
+    """Print tables of all pairs, and whether the promises about them hold."""
     groups = [(judged[0].query, figures(judged)) for judged in rows.values()]
     everything = [row for judged in rows.values() for row in judged]
     total = figures(everything)
@@ -93,15 +95,15 @@ def tell_pairs(
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--work", type=Path, default=Path("ground-truth-benchmark"), help="everything made is kept here"
+        "--work", type=Path, default=Path("ground-truth-benchmark"), help="folder that keeps all intermediate files"
     )
     parser.add_argument("--split", choices=("train", "validation", "test"), default="test")
-    parser.add_argument("--seed", type=int, default=0, help="of the district and the drives")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the district and the drives")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--parts", default=",".join(PARTS), help="which tables to make")
     numbers = ",".join(str(query) for _, query in PAIRS)
-    parser.add_argument("--queries", default=numbers, help="numbers of the query drives of the tables, for development")
-    parser.add_argument("--long", action="store_true", help="1 km and 4 km of road instead")
+    parser.add_argument("--queries", default=numbers, help="numbers of the query drives in the tables, for development")
+    parser.add_argument("--long", action="store_true", help="measure 1 km and 4 km of road instead")
     a = parser.parse_args()
     parts = a.parts.split(",")
     if unknown := set(parts) - set(PARTS):

@@ -1,4 +1,4 @@
-"""Simulated drives for ``ground_truth.py``: recorded by lidar alone, read as real ones are, with the exact truth."""
+"""Simulated lidar drives for ``ground_truth.py``, which are read like real ones, with their exact truth."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import yaml
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
-from relocbench.datasets.groundtruth.jobs.frames import chosen_images
+from relocbench.datasets.groundtruth.jobs.frames import select_images
 from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.datasets.synthetic.conditions.condition import condition_named
@@ -34,16 +34,16 @@ Times = NDArray[np.int64]
 
 EXTENT_M = 400.0
 FRAMES = 720
-"""16 a second, at 8 m/s: 360 m, the least on which the test district has a detour"""
+"""16 per second at 8 m/s, 360 m: the shortest route on which the test district has a detour"""
 T_RIG_CAM = make_transform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), [0, 0, 0])
-"""a camera that looks ahead, at the rig's origin, 1.55 m above the road; there are no images, since only poses are
-judged, but a time for each"""
+"""a camera that looks ahead, at the rig's origin, 1.55 m above the road; it has times but no images, since only poses
+are evaluated"""
 _CAMERA = Camera("pinhole", 640, 480, 491.5, 491.5, 319.5, 239.5)
 
 
 @dataclass(frozen=True)
 class Leg:
-    """One drive; its number makes its day, its line in the lane and all its errors."""
+    """One drive; its number determines the day, its position in the lane and all errors."""
 
     number: int
     condition: str
@@ -66,7 +66,7 @@ LEGS = (
     Leg(8, "Overcast", "detour"),
 )
 PAIRS = ((0, 1), (0, 2), (0, 3), (0, 4), (5, 6), (0, 7), (0, 8))
-"""(reference, query), numbers of legs"""
+"""(reference, query), indices of drives"""
 
 
 class Spoken:
@@ -95,7 +95,7 @@ class Spoken:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The exact motion of the reader's rig."""
+    """The exact motion of the rig, as the reader defines it."""
 
     times_ns: Times
     T_world_rig: Array
@@ -108,7 +108,7 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Ticks:
-    """A camera of which only the times are asked."""
+    """A camera that has only times."""
 
     times_ns: Times
     name: str = "front"
@@ -127,19 +127,19 @@ class Ticks:
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """A drive as the builder gets it, and what it does not get."""
+    """A drive as the builder gets it, and its truth, which the builder does not get."""
 
     leg: Leg
     recording: FieldRecording
     truth: Truth
     image_ns: tuple[int, ...]
-    """of images 1 m of road apart"""
+    """times of images 1 m of road apart"""
 
 
 def record_legs(
     legs: Sequence[Leg], out: Path, split: str, seed: int, frames: int, extent_m: float, spoken: Spoken, workers: int
 ) -> dict[int, Path]:
-    """Folder of each leg by its number; what was recorded before is kept."""
+    """The folder of each drive by its number; existing recordings are kept."""
     index = out / "legs.csv"
     if index.exists():
         with index.open(encoding="utf-8", newline="") as stream:
@@ -164,19 +164,19 @@ def record_legs(
 
 
 def read_legs(legs: Sequence[Leg], folders: dict[int, Path]) -> dict[int, Taken]:
-    """The drives by number, their priors on one map."""
+    """The drives by number, with priors on one map."""
     recordings = read_robotcar_drives([folders[leg.number] for leg in legs])
     return {leg.number: _taken(leg, recording) for leg, recording in zip(legs, recordings, strict=True)}
 
 
 def _taken(leg: Leg, recording: FieldRecording) -> Taken:
     stream = Ticks(recording.odometry.times_ns)
-    chosen = chosen_images(recording, stream, make_nodes(recording), 1.0)
+    chosen = select_images(recording, stream, make_nodes(recording), 1.0)
     return Taken(leg, recording, read_truth(recording), tuple(int(stream.times_ns[i]) for i in chosen))
 
 
 def read_truth(recording: FieldRecording) -> Truth:
-    """The reader's rig is the RobotCar vehicle's, the truth's is the town's car: a lidar tells how they lie."""
+    """The transform between the RobotCar rig of the reader and the town's car, from a lidar's poses in both."""
     folder = recording.folder.parent / "truth" / recording.folder.name
     times = np.loadtxt(folder / "poses.csv", delimiter=",", skiprows=1, usecols=0, dtype=np.int64)
     values = np.loadtxt(folder / "poses.csv", delimiter=",", skiprows=1, usecols=range(1, 8))
@@ -189,7 +189,7 @@ def read_truth(recording: FieldRecording) -> Truth:
 
 
 def facade_period_m(folder: Path, split: str, seed: int, extent_m: float) -> float:
-    """After which the facades of the periodic street repeat; kept beside the recording."""
+    """The period of the facades of the repeating street, which is kept beside the recording."""
     kept = folder / "period.txt"
     if not kept.exists():
         write_text(kept, f"{make_district(seed, split, extent_m).periodic.fronts[0].period_m!r}\n")

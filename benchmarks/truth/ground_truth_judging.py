@@ -1,4 +1,4 @@
-"""Pairs against the exact truth for ``ground_truth.py``: errors, calibration, tables."""
+"""Evaluation of pairs against the exact truth for ``ground_truth.py``: errors, calibration and tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 WRONG_M, WRONG_DEG = 0.3, 1.0
 _NEAR_LIMIT_M, _NEAR_LIMIT_DEG = 0.05, 0.5
-"""pairs this near to a limit are neither overlapping nor not: centimetres decide on which side they fall"""
+"""pairs this close to a limit count neither as overlapping nor as elsewhere"""
 
 
 @dataclass(frozen=True)
@@ -29,31 +29,31 @@ class Judged:
     """One pair."""
 
     query: str
-    """title of its drive"""
+    """title of the query's drive"""
     ref_ns: int
     query_ns: int
     distance_m: float
-    """true, to the true nearest keyframe that looks about the same way; inf if none does"""
+    """true distance to the nearest keyframe that looks in about the same direction; inf if none does"""
     kind: str
     """overlapping, elsewhere, or borderline"""
     accepted: bool
     reason: str
     error_m: float
-    """between true and stated place of the query camera; nan if nothing is stated"""
+    """distance of the true and the stated position of the query camera; nan if none is stated"""
     error_deg: float
     along_m: float
-    """the same by axes of the query rig"""
+    """the same along the axes of the query rig"""
     across_m: float
     height_m: float
     sigma_along_m: float
     normalised: float
     """e^T C^-1 e / 6"""
     way_m: float
-    """along the query's drive"""
+    """distance along the query's drive"""
     to_end_m: float
-    """to the nearer end of the drive"""
+    """distance to the nearer end of the drive"""
     turn_deg: float
-    """by which the road turns over 10 m to both sides"""
+    """angle by which the road turns over 10 m to both sides"""
 
     @property
     def wrong(self) -> bool:
@@ -61,7 +61,7 @@ class Judged:
 
 
 class Exact:
-    """What is true of two drives' images."""
+    """The truth about the images of two drives."""
 
     def __init__(self, reference: Taken, query: Taken, max_distance_m: float, max_angle_deg: float) -> None:
         self.reference, self.query = reference, query
@@ -80,7 +80,7 @@ class Exact:
         return np.asarray(invert(T_world_query) @ T_world_ref)
 
     def overlap(self, query_ns: int) -> tuple[float, str, int]:
-        """Distance to the nearest keyframe that looks about the same way, the kind of pair, that keyframe's time."""
+        """Distance and time of the nearest keyframe that looks in about the same direction, and the kind of pair."""
         most_m, most_deg = self._limits
         T = self.query.truth.at(np.array([query_ns]))[0] @ T_RIG_CAM
         apart = np.linalg.norm(self._T_world_refcam[:, :3, 3] - T[:3, 3], axis=1)
@@ -96,7 +96,7 @@ class Exact:
         return float(fit.min()), kind, self.reference.image_ns[int(np.argmin(fit))]
 
     def judge(self, outcome: PairOutcome) -> Judged:
-        """One answer of the builder."""
+        """Evaluate one answer of the builder."""
         ref_ns, query_ns = outcome.ref_timestamp_ns, outcome.query_timestamp_ns
         distance, kind, _ = self.overlap(query_ns)
         metres = degrees = normalised = float("nan")
@@ -122,16 +122,16 @@ class Exact:
 
 
 def errors(T_query_ref: Array, true: Array) -> tuple[float, float, Array, Array]:
-    """Metres, degrees, error of the query camera's centre by the query rig's axes, and xi of the covariance."""
-    E = T_query_ref @ invert(true)  # from where the query camera is to where it is said to be
-    xi = se3_log(E)  # T_ref_query_said @ se3_exp(xi) is the truth
+    """The error in metres and degrees, that of the query camera along the query rig's axes, and as a twist xi."""
+    E = T_query_ref @ invert(true)  # from the true to the stated query camera
+    xi = se3_log(E)  # the truth is T_ref_query_said @ se3_exp(xi)
     degrees = float(np.degrees(rotation_angle(E[:3, :3])))
     off = T_RIG_CAM[:3, :3] @ invert(E)[:3, 3]
     return float(np.linalg.norm(off)), degrees, off, np.asarray(xi)
 
 
 def figures(rows: Sequence[Judged]) -> dict[str, float]:
-    """The figures of a set of pairs; shares in percent, nan where there is nothing to tell."""
+    """The statistics of a set of pairs; shares are in percent, and nan if there are no pairs."""
     overlapping = [r for r in rows if r.kind == "overlapping"]
     elsewhere = [r for r in rows if r.kind == "elsewhere"]
     accepted = [r for r in rows if r.accepted]
@@ -167,7 +167,7 @@ _HEAD = (
 
 
 def table(first: str, groups: Iterable[tuple[str, dict[str, float]]]) -> str:
-    """Markdown."""
+    """The statistics as a Markdown table."""
     lines = [f"| {first} | " + " | ".join(_HEAD) + " |", "|---" * (len(_HEAD) + 1) + "|"]
     for name, f in groups:
         cells = [
@@ -188,7 +188,7 @@ def _told(value: float, form: str) -> str:
 
 
 def reasons(rows: Sequence[Judged]) -> str:
-    """Markdown: why pairs were rejected, numbers in the reasons left out."""
+    """The reasons for rejections as a Markdown table, without the numbers in them."""
     lines = ["| rejected because | overlapping | elsewhere | borderline |", "|---|---|---|---|"]
     kinds = ("overlapping", "elsewhere", "borderline")
     counted = {kind: Counter(_plain(r.reason) for r in rows if not r.accepted and r.kind == kind) for kind in kinds}
@@ -203,7 +203,7 @@ def _plain(reason: str) -> str:
 
 
 def worst(rows: Sequence[Judged], count: int = 12) -> str:
-    """Markdown: the accepted pairs that are furthest off, one in any 10 m of road."""
+    """The accepted pairs with the largest errors as a Markdown table, at most one in 10 m of road."""
     lines = [
         "| drive | at | to nearer end | road turns | error | along | across | height | sigma along | rotation | nes |",
         "|---" * 11 + "|",
@@ -222,7 +222,7 @@ def worst(rows: Sequence[Judged], count: int = 12) -> str:
 
 
 def write_rows(path: Path, rows: Sequence[Judged]) -> None:
-    """Every pair, as a table."""
+    """All pairs as a table."""
     with atomic_write(path) as stream:
         out = csv.DictWriter(stream, [f.name for f in fields(Judged)], lineterminator="\n")
         out.writeheader()

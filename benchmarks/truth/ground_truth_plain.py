@@ -1,9 +1,9 @@
-"""Pairs on their own for ``ground_truth.py``: nothing is shared by neighbours, nothing is verified.
+"""Registration of single pairs for ``ground_truth.py``, without neighbours and without verification.
 
-``open3d_pairs`` is the recipe that is commonly written with Open3D, everything anew for each pair: both clouds thinned
-to 0.5 m, normals, FPFH, RANSAC of 100 000 iterations; both thinned to 0.1 m, normals, point-to-plane ICP. ``own_pairs``
-is this package's search (three seeded runs of RANSAC) and refinement of the same submaps, the best fitting answer
-taken.
+``open3d_pairs`` is the usual recipe with Open3D, computed anew for each pair: both clouds are downsampled to 0.5 m,
+with normals and FPFH features, for RANSAC with 100 000 iterations, and to 0.1 m, with normals, for point-to-plane ICP.
+``own_pairs`` is this package's search (three seeded runs of RANSAC) and refinement on the same submaps, of which the
+best fit is taken.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions
 from relocbench.datasets.groundtruth.blocks.deskewing import BeamReader
 from relocbench.datasets.groundtruth.blocks.making import BlockOptions
-from relocbench.datasets.groundtruth.blocks.nodes import way_along
-from relocbench.datasets.groundtruth.icp.icp import refine
+from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along
+from relocbench.datasets.groundtruth.icp.icp import run_icp
 from relocbench.datasets.groundtruth.registration.global_registration import describe, guesses
 from relocbench.datasets.groundtruth.submaps.drive import Drive
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 
 Array = NDArray[np.float64]
 
@@ -38,11 +38,11 @@ class AloneUnit:
 
 
 Answers = list[tuple[Array, Spent, int]]
-"""``T_ref_query`` node to node, its cost, points of both submaps"""
+"""``T_ref_query`` from node to node, its cost, and the points of both submaps"""
 
 
 def open3d_pairs(unit: AloneUnit) -> Answers:
-    """The plain recipe; laying the raw points of the submaps together is not counted."""
+    """The plain recipe; the time to assemble the raw points of the submaps is not counted."""
     out = []
     for ref, query in unit.nodes:
         clouds = [raw_submap(d, n, unit.options.submap_m) for d, n in ((unit.reference, ref), (unit.query, query))]
@@ -52,12 +52,12 @@ def open3d_pairs(unit: AloneUnit) -> Answers:
 
 
 def raw_submap(drive: Drive, node: int, length_m: float) -> Array:
-    """(N, 3) every point measured along so much of the road, laid along the odometry, in the node's frame."""
+    """All points (N, 3) measured along a stretch of road, assembled by odometry, in the node's frame."""
     nodes, options = drive.nodes, BlockOptions()
     near = np.flatnonzero(np.abs(nodes.travelled_m - nodes.travelled_m[node]) <= length_m / 2)
     begin, end = nodes.begins_and_ends()
     reader = BeamReader(
-        drive.recording, way_along(drive.recording), options.min_range_m, options.max_range_m, options.min_step_m
+        drive.recording, arc_length_along(drive.recording), options.min_range_m, options.max_range_m, options.min_step_m
     )
     return reader.between(int(begin[near[0]]), int(end[near[-1]]), nodes.T_odom_node[node]).points
 
@@ -105,15 +105,15 @@ def own_pairs(unit: AloneUnit) -> Answers:
     windows = unit.reference.window(unit.options.submap_m), unit.query.window(unit.options.submap_m)
     for ref, query in unit.nodes:
         submaps = windows[0].at(ref), windows[1].at(query)
-        T, spent = timed(lambda: _own_pair(*map(Prepared, submaps), unit.options))  # noqa: B023
+        T, spent = timed(lambda: _own_pair(*map(PreparedSubmap, submaps), unit.options))  # noqa: B023
         out.append((T, spent, sum(map(len, submaps))))
     return out
 
 
-def _own_pair(ref: Prepared, query: Prepared, options: AlignmentOptions) -> Array:
-    search, refinement = options.tracking.search, options.tracking.register.refinement
+def _own_pair(ref: PreparedSubmap, query: PreparedSubmap, options: AlignmentOptions) -> Array:
+    search, icp = options.registration.search, options.registration.register.icp
     found = guesses(describe(ref.submap, search), describe(query.submap, search), None, search)
-    refined = [refine(ref.planes, query.planes, T, refinement) for T in found]
+    refined = [run_icp(ref.planes, query.planes, T, icp) for T in found]
     if not refined:
         return np.full((4, 4), np.nan)
     return max(refined, key=lambda r: r.count).T_ref_query

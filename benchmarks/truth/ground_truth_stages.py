@@ -1,4 +1,4 @@
-"""Parts of ``ground_truth.py`` that look at single stages: starts, ablation, speed, long roads."""
+"""Parts of ``ground_truth.py`` about single stages: starts, ablation, speed and long roads."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from ground_truth_work import (
 from ground_truth_world import OPTIONS, DrivePair, World, apart, judge, rounded, say
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose, TrackUnit
+from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose, RegistrationUnit
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.geometry import invert, make_transform, so3_exp
 
@@ -42,22 +42,22 @@ ABLATED: tuple[DrivePair, ...] = ((0, 3), (5, 6), (0, 8))
 START_PAIRS: tuple[DrivePair, DrivePair] = ((0, 3), (5, 6))
 """a common street, and repeating facades"""
 ALONE = 8
-"""pairs on their own of each drive of the ablation"""
+"""number of single pairs of each drive in the ablation"""
 PLAIN = 4
-"""pairs by the plain recipe, on the first drive of the ablation"""
+"""number of pairs of the plain recipe, on the first drive of the ablation"""
 LONG_M = (1000, 4000)
 _START_NODES = 50
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """One way to begin."""
+    """One kind of start."""
 
     title: str
     pair: DrivePair
     gnss: bool
     T_wrong: Array | None = None
-    """(4, 4) a pose is given by hand, off by so much in the reference's axes; the identity is right"""
+    """(4, 4) error, in the reference's axes, of a pose that is given by hand; the identity is a correct pose"""
 
     @property
     def is_wrong(self) -> bool:
@@ -65,7 +65,7 @@ class Start:
 
 
 def start_cases(period_m: float) -> list[Start]:
-    """Without help, and with help that is right or wrong."""
+    """The starts without a given pose, and with correct and wrong ones."""
     common, repeating = START_PAIRS
     turned = make_transform(so3_exp(np.array([0.0, 0.0, np.pi])), np.zeros(3))
     further, period = (make_transform(np.eye(3), [metres, 0.0, 0.0]) for metres in (15.0, period_m))
@@ -80,7 +80,7 @@ def start_cases(period_m: float) -> list[Start]:
 
 
 def _start_unit(world: World, case: Start) -> StartUnit:
-    """100 m of the query's drive about its middle, which is where its route has what it is for."""
+    """The middle 100 m of the query's drive, where its route differs from the others."""
     ref, query = case.pair
     a, b = world.drives[ref], world.drives[query]
     middle = len(b.nodes) // 2
@@ -94,7 +94,7 @@ def _start_unit(world: World, case: Start) -> StartUnit:
 
 
 def starts(world: World, period_m: float) -> list[dict[str, Any]]:
-    """The beginning of the registration: found alone, and not misled."""
+    """Print whether registrations begin at the right place, without and with given poses."""
     cases = start_cases(period_m)
     units = [_start_unit(world, case) for case in cases]
     rows = []
@@ -132,7 +132,7 @@ def ablation(
     decided: dict[DrivePair, Decided],
     plain: Sequence[Judged],
 ) -> dict[str, Any]:
-    """One stage after the other, on the same pairs."""
+    """Print the results of one stage after the other on the same pairs."""
     pairs = [p for p in ABLATED if p in decided]
     loose = world.all_of(register_drive, [world.register_unit(*p, verified=False) for p in pairs], "without verifying")
     units = [AloneUnit(world.drives[r], world.drives[q], tuple(world.node_pairs(r, q, ALONE)), OPTIONS.alignment)
@@ -162,7 +162,7 @@ def ablation(
 
 
 def at_nodes(unit: AloneUnit, poses: Sequence[Array]) -> list[PairOutcome]:
-    """Answers ``T_ref_query`` between nodes as pairs of cameras."""
+    """Answers ``T_ref_query`` between nodes, as pairs of cameras."""
     out = []
     for (ref, query), T in zip(unit.nodes, poses, strict=True):
         T_query_ref = invert(T @ T_RIG_CAM) @ T_RIG_CAM if np.isfinite(T).all() else None
@@ -176,7 +176,7 @@ def speed(
     world: World, registered: dict[DrivePair, Registered], decided: dict[DrivePair, Decided],
     rows: dict[DrivePair, list[Judged]],
 ) -> tuple[dict[str, Any], list[Judged]]:  # fmt: skip
-    """Processor seconds a pair: all stages of the builder over all its pairs, and the plain recipe."""
+    """Print the processor seconds per pair of all stages of the builder and of the plain recipe."""
     pair = next((p for p in ABLATED if p in decided), next(iter(decided)))
     nodes = world.node_pairs(*pair, PLAIN)
     units = [AloneUnit(world.drives[pair[0]], world.drives[pair[1]], (n,), OPTIONS.alignment) for n in nodes]
@@ -222,9 +222,9 @@ def cost_parts(ref: Spent, query: Spent, register: Spent, decide: Spent) -> tupl
 
 
 def long_road(work: Path, split: str, seed: int, workers: int, spoken: Spoken) -> list[dict[str, Any]]:
-    """Cost and memory as the road grows; every stage in a process of its own.
+    """Print time and memory for two lengths of road, with every stage in a new process.
 
-    The district has about 4 km of streets: the longer drive passes some of them more than once.
+    The district has about 4 km of streets, so that the longer drive passes some of them more than once.
     """
     rows: list[dict[str, Any]] = []
     legs = (Leg(0, "Sunny", "common"), Leg(1, "Snow", "common"))
@@ -238,7 +238,7 @@ def long_road(work: Path, split: str, seed: int, workers: int, spoken: Spoken) -
             (a, cut_a), (b, cut_b) = pool.map(cut, units)
             spoken.note(f"{metres} m: registering")
             path = at / "registrations" / f"{a.name}__{b.name}.csv"
-            found = pool.submit(register_drive, RegisterUnit(TrackUnit(a, b, OPTIONS.alignment), path)).result()
+            found = pool.submit(register_drive, RegisterUnit(RegistrationUnit(a, b, OPTIONS.alignment), path)).result()
             spoken.note(f"{metres} m: solving")
             unit = DecideUnit(a, b, found.registrations, taken[0].image_ns, taken[1].image_ns, OPTIONS.alignment,
                               OPTIONS.limits, OPTIONS.max_angle)  # fmt: skip

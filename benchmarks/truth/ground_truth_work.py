@@ -1,4 +1,4 @@
-"""What ``ground_truth.py`` hands to workers: the builder's stages, timed; priors by hand; variants to compare with."""
+"""Units of work of ``ground_truth.py``: timed stages of the builder, given priors, and variants for comparison."""
 
 from __future__ import annotations
 
@@ -14,7 +14,12 @@ import numpy as np
 from ground_truth_drives import T_RIG_CAM
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, FirstPose, TrackUnit, track_drive
+from relocbench.datasets.groundtruth.alignment.two_drives import (
+    AlignmentOptions,
+    FirstPose,
+    RegistrationUnit,
+    register_query,
+)
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
 from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome
@@ -34,27 +39,27 @@ Array = NDArray[np.float64]
 Result = TypeVar("Result")
 
 NO_THRESHOLDS = Thresholds(-1.0, -1.0, 2.0, -1.0, 1e9, 1e9, 1e9)
-"""every registration is trusted for which anything could be judged"""
+"""every registration is trusted for which there is any evidence"""
 
 
 @dataclass(frozen=True)
 class Spent:
-    """What a stage cost its worker."""
+    """The time and memory of a stage in its worker."""
 
     cpu_s: float
     wall_s: float
     peak_mib: float
-    """of the worker up to its end, whatever it did before"""
+    """peak of the worker up to the end of the stage"""
 
 
 def peak_mib() -> float:
-    """VmHWM is this program's own; ru_maxrss of a process counts what its parent held when it was forked."""
+    """The peak memory of this program. ru_maxrss would include what the parent held when it forked."""
     lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
 
 
 def timed(work: Callable[[], Result]) -> tuple[Result, Spent]:
-    """The result and what it cost."""
+    """A result with its time and memory."""
     cpu, wall = time.process_time(), time.perf_counter()
     result = work()
     return result, Spent(time.process_time() - cpu, time.perf_counter() - wall, peak_mib())
@@ -79,7 +84,7 @@ class CutUnit:
 
 
 def cut(unit: CutUnit) -> tuple[Drive, Spent]:
-    """Blocks; those of a run that was killed are made anew, so that their cost is known."""
+    """The blocks; those of a run that was killed are made anew, so that their cost is known."""
     path = unit.folder.parent / f"{unit.folder.name}.json"
     before = _kept(path)
     if before is None and unit.folder.exists():
@@ -94,13 +99,13 @@ def cut(unit: CutUnit) -> tuple[Drive, Spent]:
 class RegisterUnit:
     """One query drive against a reference."""
 
-    track: TrackUnit
+    track: RegistrationUnit
     path: Path
 
 
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """What came of it."""
+    """The result."""
 
     registrations: tuple[Registration, ...]
     messages: tuple[str, ...]
@@ -108,12 +113,12 @@ class Registered:
 
 
 def register_drive(unit: RegisterUnit) -> Registered:
-    """Registrations; those of an earlier run are read."""
+    """The registrations; those of an earlier run are read."""
     costs, said = unit.path.with_suffix(".json"), unit.path.with_suffix(".txt")
     before = _kept(costs)
     if before is None:
         messages: list[str] = []
-        found, spent = timed(lambda: track_drive(unit.track, messages.append))
+        found, spent = timed(lambda: register_query(unit.track, messages.append))
         track_files.write_registrations(unit.path, found, unit.track.reference.nodes, unit.track.query.nodes)
         write_text(said, "".join(f"{message}\n" for message in messages))
         before = _keep(costs, spent)
@@ -125,17 +130,17 @@ def register_drive(unit: RegisterUnit) -> Registered:
 
 
 def unverified(options: AlignmentOptions) -> AlignmentOptions:
-    """Options with which every registration is taken: nothing is asked of evidence, nor of both odometries, and of
-    several guesses of where a drive begins the one that fits best is taken, without a look at what it leads to."""
-    register = replace(options.tracking.register, thresholds=NO_THRESHOLDS)
-    tracking = replace(
-        options.tracking,
+    """Options that accept every registration: without tests of the evidence or the odometry, and with the best fitting
+    of several hypotheses for the start of a drive, without following them."""
+    register = replace(options.registration.register, thresholds=NO_THRESHOLDS)
+    registration = replace(
+        options.registration,
         register=register,
-        hypotheses=replace(options.tracking.hypotheses, tried=1, followed=1, share=0.0),
+        hypotheses=replace(options.registration.hypotheses, most_tried=1, most_followed=1, share=0.0),
         slack_m=1e9,
         slack_deg=1e9,
     )
-    return replace(options, tracking=tracking)
+    return replace(options, registration=registration)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,16 +159,16 @@ class DecideUnit:
 
 @dataclass(frozen=True, eq=False)
 class Decided:
-    """The builder's answers, and those that it would give without local edges."""
+    """The builder's answers, and those without local edges."""
 
     outcomes: list[PairOutcome]
     spent: Spent
     without_local: list[PairOutcome]
-    """of the same pairs"""
+    """for the same pairs"""
 
 
 def decide(unit: DecideUnit) -> Decided:
-    """Graph, local edges, outcomes; then the graph alone."""
+    """Solve the graph with local edges, then the graph alone."""
     frames = CameraFrames("front", T_RIG_CAM, T_RIG_CAM, unit.ref_ns, unit.query_ns)
     pairing = PairingUnit(
         unit.reference, unit.query, unit.registrations, (frames,), unit.options, unit.limits, unit.max_angle_deg
@@ -186,7 +191,7 @@ def by_registrations_alone(
     reference: Drive, query: Drive, registrations: Sequence[Registration], pairs: Sequence[tuple[int, int]],
     limits: OutcomeLimits, within_m: float = 4.0,
 ) -> list[PairOutcome]:  # fmt: skip
-    """Pairs by the nearest registration that is trusted, carried along both odometries; no covariance."""
+    """Pairs from the nearest trusted registration, transferred by both odometries, without covariances."""
     trusted = [r for r in registrations if r.trusted and r.ref >= 0]
     ways = np.array([query.nodes.travelled_m[r.query] for r in trusted])
     out = []
@@ -225,7 +230,7 @@ class _Shifted(BlockStore):
 
 @dataclass(frozen=True, eq=False)
 class PartOfDrive(Drive):
-    """Some nodes of a drive, as if nothing else had been recorded."""
+    """A part of a drive, as if nothing else had been recorded."""
 
     first: int = 0
 
@@ -234,24 +239,24 @@ class PartOfDrive(Drive):
 
 
 def part_of(drive: Drive, first: int, last: int) -> PartOfDrive:
-    """Nodes ``first`` up to ``last``, itself left out."""
+    """The nodes from ``first`` to ``last``, excluding it."""
     n = drive.nodes
     begin, end = n.begins_and_ends()
     here = slice(first, last)
     nodes = Nodes(
-        n.times_ns[here], n.T_odom_node[here], n.travelled_m[here], n.stretches()[here], begin[here], end[here]
+        n.times_ns[here], n.T_odom_node[here], n.travelled_m[here], n.segments()[here], begin[here], end[here]
     )
     return PartOfDrive(drive.recording, nodes, drive.blocks, first)
 
 
 def without_gnss(drive: Drive) -> Drive:
-    """The same drive with nothing known of where it is."""
+    """The same drive without a prior."""
     return replace(drive, recording=replace(drive.recording, prior=None))
 
 
 @dataclass(frozen=True, eq=False)
 class StartUnit:
-    """The beginning of a registration, with or without help."""
+    """The beginning of a registration, with or without a given pose."""
 
     title: str
     reference: Drive
@@ -261,8 +266,8 @@ class StartUnit:
 
 
 def start(unit: StartUnit) -> tuple[list[Registration], list[str], Spent]:
-    """Registrations of a short piece of road, and what was said."""
+    """The registrations of a short stretch of road, and the messages."""
     messages: list[str] = []
-    track = TrackUnit(unit.reference, unit.query, unit.options, unit.first)
-    found, spent = timed(lambda: track_drive(track, messages.append))
+    track = RegistrationUnit(unit.reference, unit.query, unit.options, unit.first)
+    found, spent = timed(lambda: register_query(track, messages.append))
     return found, messages, spent

@@ -1,4 +1,4 @@
-"""The drives of ``ground_truth.py``, cut into blocks, and what its parts share."""
+"""The drives of ``ground_truth.py`` and their blocks, which its parts share."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ground_truth_judging import Exact, Judged
 from ground_truth_work import CutUnit, DecideUnit, RegisterUnit, Spent, cut, unverified
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.alignment.two_drives import TrackUnit
+from relocbench.datasets.groundtruth.alignment.two_drives import RegistrationUnit
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.submaps.drive import Drive
@@ -23,14 +23,14 @@ from relocbench.geometry import invert, rotation_angle
 
 Array = NDArray[np.float64]
 DrivePair = tuple[int, int]
-"""numbers of the reference's and the query's leg"""
+"""indices of the reference's and the query's drive"""
 
 OPTIONS = FieldOptions()
 """the builder's defaults"""
 
 
 class World:
-    """Drives of one split, cut and registered as far as they were asked for."""
+    """The drives of one split, whose blocks and registrations are made when they are needed."""
 
     def __init__(self, taken: dict[int, Taken], work: Path, workers: int, spoken: Spoken) -> None:
         self.taken, self.work, self.workers, self.spoken = taken, work, workers, spoken
@@ -55,7 +55,7 @@ class World:
         options = OPTIONS.alignment if verified else unverified(OPTIONS.alignment)
         folder = self.work / ("registrations" if verified else "registrations-unverified")
         a, b = self.drives[ref], self.drives[query]
-        return RegisterUnit(TrackUnit(a, b, options), folder / f"{a.name}__{b.name}.csv")
+        return RegisterUnit(RegistrationUnit(a, b, options), folder / f"{a.name}__{b.name}.csv")
 
     def decide_unit(self, ref: int, query: int, registrations: tuple[Registration, ...]) -> DecideUnit:
         times = self.taken[ref].image_ns, self.taken[query].image_ns
@@ -70,7 +70,7 @@ class World:
         return np.asarray(invert(T[0]) @ T[1])
 
     def node_pairs(self, ref: int, query: int, count: int) -> list[tuple[int, int]]:
-        """Overlapping (reference node, query node), evenly along the query's drive, the nearest in truth."""
+        """Overlapping (reference node, query node), evenly along the query's drive; the reference is the nearest."""
         exact, nodes = self.exact(ref, query), self.drives[query].nodes
         there = self.taken[ref].truth.at(self.drives[ref].nodes.times_ns)[:, :3, 3]
         good = [q for q, t in enumerate(nodes.times_ns.tolist()) if exact.overlap(t)[1] == "overlapping"]
@@ -89,7 +89,7 @@ def judge(world: World, pair: DrivePair, outcomes: Sequence[PairOutcome]) -> lis
 
 
 def apart(T: Array, true: Array) -> tuple[float, float]:
-    """Metres and degrees."""
+    """Translation error in metres and rotation error in degrees."""
     E = invert(true) @ T
     return float(np.linalg.norm(E[:3, 3])), float(np.degrees(rotation_angle(E[:3, :3])))
 

@@ -1,10 +1,10 @@
-"""How right depth from lidar submaps is, against the exact depth of simulated drives.
+"""Errors of depth from lidar submaps, measured against the exact depth of simulated drives.
 
-Lidar-only drives in the layout of the RobotCar dataset are recorded through one district in several conditions, their
-submaps made as for any recording, and depth drawn for keyframes along the way; the renderer tells the true depth. A
-pixel is wrong if it is off by more than 10 cm and 3 % of its depth, ``at edge`` if the true depth jumps within
-two pixels. ``nes`` is the mean of (error / sigma)^2 over pixels with less than 5 sigma, ``model`` the same with the
-sigma that ``a + b z + c z^2`` gives.
+Lidar drives in the layout of the RobotCar dataset are recorded through one district in several conditions. Their
+submaps are made as for any recording, and the depth of keyframes is computed from them; the true depth is that of the
+renderer. A pixel is wrong if its error exceeds both 10 cm and 3 % of its depth, and ``at edge`` if the true depth jumps
+within two pixels. ``nes`` is the mean of (error / sigma)^2 over pixels with less than 5 sigma, and ``model`` the same
+with the sigma from ``a + b z + c z^2``.
 
     python benchmarks/truth/groundtruth_depth.py [--work DIR] [--conditions Sunny,Rain,Snow] [--pictures DIR]
 """
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
 from relocbench.datasets.groundtruth.blocks.store import build_blocks
-from relocbench.datasets.groundtruth.depth.depth import DepthImage, DepthOptions, fit_sigma, submap_depth
+from relocbench.datasets.groundtruth.depth.depth import DepthImage, DepthOptions, fit_sigma, make_scene, scene_depth
 from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
 from relocbench.datasets.importers.robotcar.recording import read_robotcar
 from relocbench.datasets.synthetic.conditions.condition import condition_named
@@ -67,7 +67,7 @@ class Shot:
 
 
 def drives(town: District, conditions: list[str], work: Path, frames: int) -> list[Path]:
-    """Lidar-only drives of one route."""
+    """Lidar drives along one route."""
     path = town.network.drive(path_length(frames, "robotcar", DriveStyle()) + 1, 0)
     folders = []
     for number, name in enumerate(conditions):
@@ -80,7 +80,7 @@ def drives(town: District, conditions: list[str], work: Path, frames: int) -> li
 
 
 def shoot(town: District, condition: str, folder: Path, blocks: Path, count: int, options: DepthOptions) -> list[Shot]:
-    """Keyframes spread over a drive, away from its ends."""
+    """Keyframes distributed over a drive, except its ends."""
     recording = read_robotcar(folder)
     nodes = make_nodes(recording)
     window = SubmapWindow(nodes, build_blocks(recording, nodes, blocks, Run(1)))
@@ -95,7 +95,7 @@ def shoot(town: District, condition: str, folder: Path, blocks: Path, count: int
     for node in inside[np.linspace(0, len(inside) - 1, count).astype(int)]:
         submap = window.at(int(node))
         begin = time.process_time()
-        found = submap_depth(submap, CAMERA, invert(T_RIG_CAM), options)
+        found = scene_depth(make_scene(submap, options), CAMERA, invert(T_RIG_CAM), options)
         seconds = time.process_time() - begin
         T_world_cam = (
             interpolate_trajectory(times, T_world_car, nodes.times_ns[node : node + 1])[0]
@@ -106,14 +106,14 @@ def shoot(town: District, condition: str, folder: Path, blocks: Path, count: int
 
 
 def at_jump(depth: NDArray[np.float32]) -> Mask:
-    """Pixels within two of a jump of the true depth by more than a tenth."""
+    """The pixels within two pixels of a jump of the true depth by more than a tenth."""
     filled = np.where(depth > 0, depth, np.float32(1e3))
     kernel = np.ones((5, 5), np.uint8)
     return np.asarray(cv2.dilate(filled, kernel) > 1.1 * cv2.erode(filled, kernel))
 
 
 def row(name: str, shots: list[Shot], model: tuple[float, float, float]) -> str:
-    """A line of the table."""
+    """A row of the table."""
     errors, scaled, modelled, jumps, chosen, sky = [], [], [], [], 0, 0
     for shot in shots:
         depth, truth = shot.found.depth, shot.frame.depth
@@ -146,7 +146,7 @@ HEAD = (
 
 
 def picture(shot: Shot) -> NDArray[np.uint8]:
-    """Image with the depth's edges, depth, true depth, error (red: too near, blue: too far)."""
+    """A picture of the image with the edges of the depth, the depth, the true depth and the error (red: too near)."""
     depth, truth = shot.found.depth, shot.frame.depth
 
     def coloured(values: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -173,11 +173,13 @@ def picture(shot: Shot) -> NDArray[np.uint8]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--work", type=Path, default=Path("depth-benchmark"), help="drives and blocks are kept here")
+    parser.add_argument(
+        "--work", type=Path, default=Path("depth-benchmark"), help="folder that keeps drives and blocks"
+    )
     parser.add_argument("--conditions", default="Sunny,Rain,Snow")
-    parser.add_argument("--frames", type=int, default=640, help="length of the drives, at 16 a second")
-    parser.add_argument("--keyframes", type=int, default=12, help="of each drive")
-    parser.add_argument("--pictures", type=Path, help="write pictures of keyframes here")
+    parser.add_argument("--frames", type=int, default=640, help="frames of each drive, at 16 per second")
+    parser.add_argument("--keyframes", type=int, default=12, help="keyframes of each drive")
+    parser.add_argument("--pictures", type=Path, help="folder for pictures of keyframes")
     arguments = parser.parse_args()
     town = make_district(0, "train", 400.0)
     conditions = arguments.conditions.split(",")

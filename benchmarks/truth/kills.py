@@ -1,10 +1,9 @@
-"""Kills in the middle of work: every resumed tree must equal an undisturbed one, byte for byte.
+"""Kill jobs at work and resume them: their files must equal those of an undisturbed run, byte for byte.
 
 Five kinds of job (a dataset of a recording, rendered drives, a training after its first checkpoint, an evaluation, a
-leaderboard) are each killed ``--kills`` times at points of their work that the jobs themselves report to have reached:
-the whole job with its workers, its first process alone, or a worker. Each is run again until it is done. Left out of
-the comparison are the seconds and hours that the documentation names. Prints a table and one JSON line last; exits
-with 1 when a tree differs.
+leaderboard) are each killed ``--kills`` times, at points that the jobs report to have reached: the whole job with its
+workers, its main process alone, or a worker. Each is run again until it is done. The comparison leaves out the times
+that the documentation names. It prints a table, and JSON on the last line; the exit status is 1 if files differ.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ SETTINGS = {**TINY, "steps": 10, "validate_every": 5, "checkpoint_every": 2, "lo
 
 
 def jobs(folder: Path) -> list[Job]:
-    """The jobs, and in ``folder`` what they work on."""
+    """The jobs; their input is made in ``folder``."""
     recording = write_kitti_recording(folder / "recording", range(14), 13)
     splits = {"train": [ACROSS, WITHIN], "validation": [ACROSS]}
     pairs = make_small_dataset(folder / "pairs", frames=5, correspondences=300, splits=splits, rejected=1).root
@@ -80,9 +79,9 @@ def table(outcomes: Sequence[Outcome]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=20, help="of each job")
+    parser.add_argument("--kills", type=int, default=20, help="kills of each job")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", default="", help="names with commas; default: all")
+    parser.add_argument("--jobs", default="", help="names of jobs, separated by commas; default: all")
     parser.add_argument("--scratch", type=Path, help="folder that is kept; default: a temporary one")
     chosen = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")

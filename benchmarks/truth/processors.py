@@ -1,12 +1,12 @@
-"""What depends on the processor: datasets built under settings that make libraries compute as on other processors.
+"""What depends on the processor: datasets built with libraries set to compute as on other processors.
 
-Each setting restricts one library to older instructions (or another number of threads). The published imported datasets
-and a small rendered one are built under each of them and compared, file by file, with those of the plain setting. A
-processor that has fewer instructions than a setting takes away shows nothing for it.
+Each setting restricts one library to older instructions, or to another number of threads. The published imported
+datasets and a small rendered one are built with each setting and compared, file by file, with those of the default. A
+setting has no effect on a processor that lacks the instructions in question.
 
     python benchmarks/truth/processors.py [--recordings FOLDER] [--only NAME,...]
 
-It prints a table, the files that differ, by how many grey levels images do, and one JSON line last.
+It prints a table, the files that differ, and by how many grey levels images do. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ SETTINGS: dict[str, dict[str, str]] = {
     "PyTorch default": {"ATEN_CPU_CAPABILITY": "default"},
     "two threads": {"OMP_NUM_THREADS": "2"},
 }
-"""setting -> environment"""
+"""environment variables by setting"""
 
 
 def builds(recordings: Path | None) -> dict[str, list[str]]:
-    """Name -> arguments of ``relocbench build-dataset``."""
+    """Arguments of ``relocbench build-dataset`` by name."""
     found = {
         "town_smoke": ["synthetic", "--preset", "smoke", "--name", "town_smoke"],
     }
@@ -52,7 +52,7 @@ def builds(recordings: Path | None) -> dict[str, list[str]]:
 
 
 def build(arguments: Sequence[str], out: Path, setting: dict[str, str], kernels: Path) -> Dataset:
-    """A dataset built in a process of that setting, its kernels compiled anew."""
+    """Build a dataset in a process with a setting, with newly compiled kernels."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_CACHE_DIR": str(kernels), **setting}
     command = [
         sys.executable,
@@ -71,13 +71,13 @@ def build(arguments: Sequence[str], out: Path, setting: dict[str, str], kernels:
 
 
 def manifest(dataset: Dataset) -> dict[str, str]:
-    """File -> SHA-256."""
+    """The SHA-256 of each file."""
     with dataset.layout.manifest.open(encoding="utf-8") as stream:
         return {row["path"]: row["sha256"] for row in csv.DictReader(stream)}
 
 
 def most_levels(name: str, one: Dataset, other: Dataset) -> int | None:
-    """By how many grey levels two images differ at most; None of what is no image."""
+    """The largest difference of two images in grey levels; None if the files are not images."""
     if "/images/" not in name:
         return None
     a, b = (read_image(d.root / name).astype(np.int16) for d in (one, other))
@@ -85,7 +85,7 @@ def most_levels(name: str, one: Dataset, other: Dataset) -> int | None:
 
 
 def compare(name: str, setting: str, plain: Dataset, other: Dataset) -> dict[str, object]:
-    """One row: what differs between two builds of a dataset."""
+    """A row with the differences between two builds of a dataset."""
     before, after = manifest(plain), manifest(other)
     differ = sorted(k for k in before.keys() | after.keys() if before.get(k) != after.get(k))
     levels = [most_levels(k, plain, other) for k in differ if k in before and k in after]
@@ -104,7 +104,9 @@ def compare(name: str, setting: str, plain: Dataset, other: Dataset) -> dict[str
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=Path, help="folder of kitti_odometry/ and tum_rgbd/")
-    parser.add_argument("--only", default="", help="settings whose name holds one of these words, by commas")
+    parser.add_argument(
+        "--only", default="", help="only settings whose name contains one of these words, separated by commas"
+    )
     asked = parser.parse_args()
     words = [word for word in asked.only.split(",") if word]
     recordings = None if asked.recordings is None else asked.recordings.resolve()

@@ -1,24 +1,26 @@
-"""What registration does on real clouds, and what limits it: ours, others', the graph's, and how each closes.
+"""Registration of real point clouds: our method and others, compared with a pose graph and by closing triangles.
 
-Two sets of five real scans come with poses of somebody else's graph: KITTI 07, 3 to 28 m apart and turned by up to 87
-degrees, and Newer College, 1 to 4 m apart. Every pair of a set overlaps and is registered. The beams of KITTI's lidar
-point too low; its scans are taken as they are and with the beams raised as ``--elevation`` of the importer does.
+Two sets of five real scans come with poses from a published pose graph: KITTI 07, 3 to 28 m apart and rotated by up to
+87 degrees, and Newer College, 1 to 4 m apart. All pairs of a set overlap and are registered. The beams of KITTI's lidar
+point too low; its scans are used as they are, and with the beams raised as by ``--elevation`` of the importer.
 
-``precision``: our refinement and others that share no code with it (Open3D's point-to-plane with a robust kernel,
-Open3D's generalised ICP, small_gicp where it is installed), all started from the graph's pose. If they agree with one
-another and leave the graph together, the graph is what is off. No method can close triangles a-b, b-c, a-c better than
-the scans allow; the graph closes them by construction. ``adjusted`` are the poses to which all ten registrations of a
-method fit best, without the graph. ``starts``: from the identity turned by up to 30 degrees about random axes, by
-refinement alone and with guesses by features that it allows as a prediction; and from no prior at all, by the
-builder's search alone and with coarser ones besides. ``right`` is the place within 0.3 m and 1 deg of the graph.
+``precision``: our refinement and others that share no code with it (Open3D's point-to-plane ICP with a robust kernel,
+Open3D's generalised ICP, and small_gicp if it is installed) all start from the graph's pose. If they agree with each
+other but not with the graph, the graph is inaccurate. No method can close the triangles a-b, b-c, a-c better than the
+scans allow, whereas the graph closes them by construction. ``adjusted`` are the poses that best fit all ten
+registrations of a method, without the graph.
 
-KITTI 00: along-track distances of odometry from scans against those of scan-to-scan registration, and depth of an
-image from the builder's submap against semi-global matching of the stereo pair, in pixels of disparity.
+``starts``: registration from the identity rotated by up to 30 degrees about random axes, by refinement alone and with
+feature matches that agree with this prediction; and without a prior, by the builder's search alone and with coarser
+searches in addition. A result within 0.3 m and 1 deg of the graph is ``right``.
+
+``kitti00``: along-track distances of odometry from scans against those of scan-to-scan registration, and the depth of
+an image from the builder's submap against semi-global matching of the stereo pair, in pixels of disparity.
 
     python benchmarks/truth/real_clouds.py [--data DIR] [--starts N] [--seed N] [--parts precision,starts,kitti00]
 
-Recordings are looked for in --data, by default $RELOCBENCH_REAL_DATA or ../shared/data; what is absent is skipped.
-Tables go to standard error; one JSON line comes last.
+Recordings are read from --data, by default $RELOCBENCH_REAL_DATA or ../shared/data; missing ones are skipped.
+Tables go to standard error; the last line of standard output is JSON.
 """
 
 # ruff: noqa: E402  (the number of threads must be set before numpy is imported)
@@ -27,7 +29,7 @@ from __future__ import annotations
 import os
 
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ[variable] = "1"  # sums in one order, whatever the machine
+    os.environ[variable] = "1"  # so that the order of sums does not depend on the machine
 
 import argparse
 import json
@@ -47,9 +49,9 @@ DATA = Path(os.environ.get("RELOCBENCH_REAL_DATA", Path(__file__).parents[2] / "
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA, help="folder of the real recordings")
-    parser.add_argument("--starts", type=int, default=5, help="turned identities a pair")
-    parser.add_argument("--seed", type=int, default=0, help="of the turns")
-    parser.add_argument("--parts", default=",".join(PARTS), help="which parts")
+    parser.add_argument("--starts", type=int, default=5, help="rotated starts for each pair")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the rotations")
+    parser.add_argument("--parts", default=",".join(PARTS), help="parts to run")
     arguments = parser.parse_args()
     parts = arguments.parts.split(",")
     if arguments.starts < 1 or not set(parts) <= set(PARTS):

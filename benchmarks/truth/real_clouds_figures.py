@@ -1,4 +1,4 @@
-"""Figures and tables of ``real_clouds.py``: how methods agree, how triangles close, what is found from where."""
+"""Statistics and tables of ``real_clouds.py``: agreement of methods, closure of triangles, and success by start."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from relocbench.geometry import invert
 Array = NDArray[np.float64]
 
 CLOSE = (0.03, 0.15)
-"""metres and degrees asked of a registration"""
+"""limits in metres and degrees that a registration should meet"""
 RIGHT = (0.3, 1.0)
-"""metres and degrees within which a place was found"""
+"""metres and degrees within which a registration is right"""
 
 
 def say(text: str) -> None:
@@ -49,7 +49,7 @@ def within(T: Array | None, other: Array, limits: tuple[float, float]) -> bool:
 
 
 def far(differences: Iterable[tuple[float, float]]) -> dict[str, float]:
-    """Root mean square and largest of metres and degrees."""
+    """The root mean square and the maximum of errors in metres and degrees."""
     values = np.array(list(differences))
     rms, most = np.sqrt(np.mean(np.square(values), axis=0)), values.max(axis=0)
     names = ("rms_cm", "rms_deg", "max_cm", "max_deg")
@@ -59,7 +59,7 @@ def far(differences: Iterable[tuple[float, float]]) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class Precision:
-    """What all methods answered of one set of scans."""
+    """The answers of all methods for one set of scans."""
 
     scans: Scans
     answers: dict[str, Answers]
@@ -69,7 +69,7 @@ class Precision:
         return apart(self.answers[name][pair], self.scans.by_graph(pair))
 
     def mutual(self, pair: Pair) -> tuple[float, float]:
-        """Largest metres and degrees between any two methods."""
+        """The largest differences between any two methods, metres and degrees."""
         poses = [found[pair] for found in self.answers.values()]
         pairs = np.array([apart(a, b) for k, a in enumerate(poses) for b in poses[:k]])
         return float(pairs[:, 0].max()), float(pairs[:, 1].max())
@@ -79,13 +79,13 @@ class Precision:
         return [apart(T[a, b] @ T[b, c], T[a, c]) for a, b, c in self.scans.triangles]
 
     def adjusted(self, name: str) -> Answers:
-        """Relative poses of the scans as one method's registrations adjust them."""
+        """The relative poses of the scans, adjusted to the registrations of one method."""
         T = adjusted(self.scans, self.answers[name])
         return {(a, b): np.asarray(invert(T[a]) @ T[b]) for a, b in self.scans.pairs}
 
 
 def register_all(scans: Scans) -> Precision:
-    """Every pair by every method, from the graph's pose."""
+    """Register every pair by every method, from the graph's pose."""
     found = {
         name: {pair: method(scans, pair, scans.by_graph(pair)) for pair in scans.pairs}
         for name, method in methods().items()
@@ -94,12 +94,12 @@ def register_all(scans: Scans) -> Precision:
 
 
 def mean_spread(scans: Scans, answers: Answers) -> float:
-    """Centimetres, mean over all pairs."""
+    """The mean over all pairs, centimetres."""
     return round(100 * float(np.mean([spread_m(scans, pair, answers[pair]) for pair in scans.pairs])), 3)
 
 
 def tell_precision(found: Precision) -> dict[str, Any]:
-    """Tables: pairs, then triangles and adjusted poses; and the figures."""
+    """Print tables of pairs, triangles and adjusted poses; return the statistics."""
     scans, names = found.scans, list(found.answers)
     say(f"\n{scans.source.title}: off the graph, and the largest difference between two methods (cm/deg)")
     say(f"{'pair':5s} {'m':>5s} {'overlap':>7s} " + " ".join(f"{n:>14s}" for n in [*names, "mutual"]))
@@ -148,7 +148,7 @@ def tell_precision(found: Precision) -> dict[str, Any]:
 
 
 def tell_starts(scans: Scans, count: int, seed: int) -> dict[str, Any]:
-    """Every pair from turned identities and from nothing; the figures."""
+    """Register every pair from rotated starts and without a prior; return the statistics."""
     search = Search(scans.sides)
     say(f"\n{scans.source.title}: right places from {count} turned identities a pair, and from no prior")
     say(f"{'pair':5s} {'refined alone':>13s} {'with guesses':>12s} {'off graph cm/deg':>17s} "
@@ -186,7 +186,7 @@ def tell_starts(scans: Scans, count: int, seed: int) -> dict[str, Any]:
 
 
 def tell_kitti_00(folder: Path, elevations_deg: Sequence[float] = (0.0, REAL_ELEVATION_DEG)) -> dict[str, Any]:
-    """Odometry and depth of the six scans, as they are and with the beams raised."""
+    """Evaluate odometry and depth of the six scans, as they are and with the beams raised."""
     out = {}
     for elevation in elevations_deg:
         found = kitti_00(folder, elevation)

@@ -1,4 +1,4 @@
-"""Six scans of KITTI 00 through the builder, for ``real_clouds.py``: odometry from scans, and depth beside stereo."""
+"""Six scans of KITTI 00 in the builder, for ``real_clouds.py``: odometry from scans, and depth compared with stereo."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from relocbench.execution import Run
 from relocbench.progress import Silent
 
 ALONG_M = (0.689, 1.382, 2.100, 2.832, 3.576)
-"""frame 0 to 1..5 along the lidar's x, by generalised ICP of each scan with the first; the data set's own poses are
-25 % wrong there"""
+"""metres from frame 0 to frames 1 to 5 along the lidar's x axis, by generalised ICP of each scan with the first; the
+poses of the data set are 25 % wrong there"""
 BLOCK_M = 0.5
-"""the piece is 3.6 m long: of blocks of 2 m only one would fit"""
+"""shorter than usual, since the stretch is 3.6 m long and only one block of 2 m would fit"""
 
 
 @dataclass(frozen=True, eq=False)
 class Kitti00:
-    """What the builder makes of the piece."""
+    """The builder's results."""
 
     elevation_deg: float
     along_m: NDArray[np.float64]
@@ -45,10 +45,10 @@ class Kitti00:
 
 
 def kitti_00(folder: Path, elevation_deg: float) -> Kitti00:
-    """Odometry from the scans, blocks, submap, and depth of the first left image against that of the stereo pair.
+    """Compute odometry, blocks, a submap and the depth of the first left image, and compare it with stereo depth.
 
     Raises:
-        DatasetError: with the file: something is missing or damaged.
+        DatasetError: a file, which is named, is missing or damaged.
     """
     recording = read_kitti(folder, "00", cameras=("image_0", "image_1"), elevation_deg=elevation_deg)
     left, pair = recording.cameras["image_0"], stereo_pair(recording.cameras, "image_0")

@@ -1,4 +1,4 @@
-"""Ways to register two real scans, for ``real_clouds.py``: this package's, and others that share nothing with it."""
+"""Methods to register two real scans for ``real_clouds.py``: that of this package, and independent ones."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from real_clouds_scans import Pair, Scans
 
-from relocbench.datasets.groundtruth.icp.icp import RefinementOptions, assess, refine
+from relocbench.datasets.groundtruth.icp.icp import IcpOptions, icp_result_at, run_icp
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
 from relocbench.datasets.groundtruth.pose_graph.least_squares import solve
 from relocbench.datasets.groundtruth.registration.global_registration import (
@@ -24,7 +24,7 @@ from relocbench.datasets.groundtruth.registration.global_registration import (
     guesses,
 )
 from relocbench.datasets.groundtruth.registration.hypotheses import plausibility
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.verification.verification import gather_evidence
 from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp
 
@@ -32,31 +32,31 @@ Array = NDArray[np.float64]
 Answers = dict[Pair, Array]
 """``T_ref_query`` of each pair"""
 Method = Callable[[Scans, Pair, Array], Array]
-"""from a prediction of a pair's ``T_ref_query`` to its pose"""
+"""maps a prediction of a pair's ``T_ref_query`` to its pose"""
 
 OWN = "own"
 SEARCHES = GlobalOptions().attempts()
-"""the builder's: coarser features follow where nothing holds, single scans far apart are too thin for the fine ones"""
+"""the builder's search; coarser ones follow where it fails, as distant single scans are too sparse for fine features"""
 PRIOR_SIGMA_M = 12.0
-"""of the identity as a prediction: scans lie up to 28 m apart"""
+"""uncertainty of the identity as a prediction, since scans are up to 28 m apart"""
 _SIGMA_M, _SIGMA_RAD = 0.01, 5e-4
-"""of each registration, when poses are adjusted to all of them"""
+"""standard deviations of each registration in the adjustment of poses"""
 _NEIGHBOURS = 15
 
 
 def apart(T: Array, other: Array) -> tuple[float, float]:
-    """Metres and degrees between two poses."""
+    """The difference of two poses in metres and degrees."""
     E = invert(other) @ T
     return float(np.linalg.norm(E[:3, 3])), float(np.degrees(rotation_angle(E[:3, :3])))
 
 
 def _refined(scans: Scans, pair: Pair, start: Array) -> Array:
-    return refine(scans.sides[pair[0]].planes, scans.sides[pair[1]].planes, start).T_ref_query
+    return run_icp(scans.sides[pair[0]].planes, scans.sides[pair[1]].planes, start).T_ref_query
 
 
 @lru_cache(maxsize=1)
 def _clouds(scans: Scans) -> list[Any]:
-    """Each scan with normals, for Open3D."""
+    """The scans with normals, for Open3D."""
     import open3d as o3d
 
     clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points)) for points in scans.points]
@@ -66,7 +66,7 @@ def _clouds(scans: Scans) -> list[Any]:
 
 
 def _point_to_plane(scans: Scans, pair: Pair, start: Array) -> Array:
-    """Open3D, all points, one way, with a robust kernel of 5 cm."""
+    """Open3D's point-to-plane ICP on all points, with a robust kernel of 5 cm."""
     import open3d as o3d
 
     registration = o3d.pipelines.registration
@@ -80,7 +80,7 @@ def _point_to_plane(scans: Scans, pair: Pair, start: Array) -> Array:
 
 
 def _generalised(scans: Scans, pair: Pair, start: Array) -> Array:
-    """Open3D's generalised ICP, all points, no kernel."""
+    """Open3D's generalised ICP on all points, without a robust kernel."""
     import open3d as o3d
 
     registration = o3d.pipelines.registration
@@ -94,7 +94,7 @@ def _generalised(scans: Scans, pair: Pair, start: Array) -> Array:
 
 
 def _small_gicp(scans: Scans, pair: Pair, start: Array) -> Array:
-    """small_gicp's generalised ICP, all points."""
+    """small_gicp's generalised ICP on all points."""
     small_gicp = importlib.import_module("small_gicp")
     target, source = (small_gicp.PointCloud(scans.points[k]) for k in pair)
     trees = [small_gicp.KdTree(cloud, num_threads=1) for cloud in (target, source)]
@@ -108,19 +108,19 @@ def _small_gicp(scans: Scans, pair: Pair, start: Array) -> Array:
 
 
 def methods() -> dict[str, Method]:
-    """By name, ours first; small_gicp where it is installed."""
+    """The methods by name, ours first; with small_gicp if it is installed."""
     found: dict[str, Method] = {OWN: _refined, "point-to-plane": _point_to_plane, "GICP": _generalised}
     return {**found, "small_gicp": _small_gicp} if importlib.util.find_spec("small_gicp") else found
 
 
 def spread_m(scans: Scans, pair: Pair, T_ref_query: Array) -> float:
-    """Robust standard deviation of distances between both scans' surfaces at a pose."""
+    """The robust standard deviation of the distances between the scans' surfaces at a pose."""
     ref, query = (scans.sides[k].planes for k in pair)
-    return assess(ref, query, T_ref_query, RefinementOptions(), 0).sigma_m
+    return icp_result_at(ref, query, T_ref_query, IcpOptions(), 0).sigma_m
 
 
 def adjusted(scans: Scans, answers: Answers) -> Array:
-    """(5, 4, 4) ``T_world_scan`` to which all registrations together fit best, all counting the same."""
+    """The poses ``T_world_scan`` (5, 4, 4) that best fit all registrations, with equal weights."""
     pairs = list(answers)
     information = np.diag(1 / np.square(np.repeat([_SIGMA_M, _SIGMA_RAD], 3)))
     edges = Edges(
@@ -135,7 +135,7 @@ def adjusted(scans: Scans, answers: Answers) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A guess, refined and judged."""
+    """A hypothesis, refined and evaluated."""
 
     guess: Array
     T_ref_query: Array
@@ -143,10 +143,10 @@ class Candidate:
 
 
 def judged(scans: Scans, pair: Pair, guess: Array) -> Candidate:
-    """Refined from a guess; how well it holds is told by what both see and by free space, not by fit alone."""
+    """Refine a hypothesis, and evaluate it by overlap and free space besides the fit."""
     ref, query = (scans.sides[k] for k in pair)
-    options = RefinementOptions()
-    found = refine(ref.planes, query.planes, guess, options)
+    options = IcpOptions()
+    found = run_icp(ref.planes, query.planes, guess, options)
     if found.count < options.least_matches:
         return Candidate(guess, found.T_ref_query, -1.0)
     evidence = gather_evidence(ref, query, found.T_ref_query, found.information)
@@ -154,25 +154,25 @@ def judged(scans: Scans, pair: Pair, guess: Array) -> Candidate:
 
 
 def best(candidates: Sequence[Candidate]) -> Array | None:
-    """The most plausible one."""
+    """The most plausible hypothesis."""
     return max(candidates, key=lambda c: c.plausibility).T_ref_query if candidates else None
 
 
 class Search:
-    """Guesses for any pair by features alone."""
+    """Hypotheses for pairs by features alone."""
 
-    def __init__(self, sides: Sequence[Prepared], options: Sequence[GlobalOptions] = SEARCHES) -> None:
+    def __init__(self, sides: Sequence[PreparedSubmap], options: Sequence[GlobalOptions] = SEARCHES) -> None:
         self._options = options
         self._features: list[list[Features]] = [[describe(side.submap, o) for side in sides] for o in options]
 
     def guesses(self, pair: Pair) -> list[list[Array]]:
-        """The guesses of each search."""
+        """The hypotheses of each search."""
         found = zip(self._features, self._options, strict=True)
         return [guesses(features[pair[0]], features[pair[1]], None, o) for features, o in found]
 
 
 def turned_identities(count: int, seed: int, most_deg: float = 30.0) -> list[Array]:
-    """The identity turned about random axes by up to ``most_deg``, one of them by all of it."""
+    """The identity rotated about random axes by up to ``most_deg``, one of them by exactly this angle."""
     rng = np.random.default_rng(seed)
     axes = rng.normal(size=(count, 3))
     angles = np.radians(most_deg) * np.append(1.0, rng.uniform(size=count - 1))
@@ -181,6 +181,6 @@ def turned_identities(count: int, seed: int, most_deg: float = 30.0) -> list[Arr
 
 
 def allowed(start: Array, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Those that came from guesses which a turned identity as a prediction allows."""
+    """The candidates whose hypotheses agree with a rotated identity as a prediction."""
     prior = Prior(start, PRIOR_SIGMA_M)
     return [c for c in candidates if prior.allows(c.guess)]

@@ -1,4 +1,4 @@
-"""Real scans with the poses of somebody else's graph, for ``real_clouds.py``."""
+"""Real scans with poses from a published pose graph, for ``real_clouds.py``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG, raised
 from relocbench.errors import DatasetError
@@ -23,7 +23,7 @@ Pair = tuple[int, int]
 
 _NEIGHBOURS = 15
 _NEAR_M = 0.3
-"""a point has a neighbour in the other scan if one lies so near"""
+"""the largest distance, in metres, of a neighbour in the other scan"""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Source:
     step: int
     """between the numbers of files"""
     elevation_deg: float = 0.0
-    """by which beams are turned up"""
+    """angle by which the beams are raised"""
 
 
 SOURCES = (
@@ -49,12 +49,12 @@ SOURCES = (
 
 @dataclass(frozen=True, eq=False)
 class Scans:
-    """Scans as they are registered, and where the graph puts them."""
+    """Scans as they are registered, with the graph's poses."""
 
     source: Source
     points: tuple[Array, ...]
     """(N, 3) each, in the lidar's frame"""
-    sides: tuple[Prepared, ...]
+    sides: tuple[PreparedSubmap, ...]
     T_graph_scan: Array
     """(5, 4, 4)"""
 
@@ -67,17 +67,21 @@ class Scans:
         return combinations(range(len(self.points)), 3)
 
     def by_graph(self, pair: Pair) -> Array:
-        """(4, 4) ``T_ref_query`` as the graph has it."""
+        """``T_ref_query`` (4, 4) of the graph."""
         return np.asarray(invert(self.T_graph_scan[pair[0]]) @ self.T_graph_scan[pair[1]])
 
     def overlap(self, pair: Pair) -> float:
-        """Share of the query's points that have a neighbour in the reference, at the graph's pose."""
+        """The share of the query's points that have a neighbour in the reference at the graph's pose."""
         there = apply(self.by_graph(pair), self.points[pair[1]])
         return float(np.mean(cKDTree(self.points[pair[0]]).query(there)[0] < _NEAR_M))
 
 
 def read_scans(folder: Path, source: Source) -> Scans:
-    """Raises DatasetError with the file that is missing or damaged."""
+    """Read the scans and poses of a set.
+
+    Raises:
+        DatasetError: a file, which is named, is missing or damaged.
+    """
     path = folder / source.folder / "graph.txt"
     try:
         rows = np.loadtxt(path, usecols=range(1, 8), ndmin=2)
@@ -86,13 +90,13 @@ def read_scans(folder: Path, source: Source) -> Scans:
     except (OSError, ValueError) as bad:
         raise DatasetError(f"expected a graph of poses and one file of points each ({bad})", path) from None
     points = [raised(cloud, source.elevation_deg) if source.elevation_deg else cloud for cloud in clouds]
-    sides = tuple(Prepared(submap(cloud)) for cloud in points)
+    sides = tuple(PreparedSubmap(submap(cloud)) for cloud in points)
     return Scans(source, tuple(points), sides, transform_from_tq(rows[:, :3], rows[:, 3:]))
 
 
 def submap(points: Array) -> Submap:
-    """A scan (N, 3) from its own origin. Planes are fitted to a number of neighbours, not to those within a radius:
-    single scans are thin."""
+    """A scan from points (N, 3) in its own frame. Planes are fitted to a fixed number of neighbours instead of those
+    within a radius, since single scans are sparse."""
     neighbours = points[cKDTree(points).query(points, k=_NEIGHBOURS)[1]]
     centred = neighbours - neighbours.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred) / _NEIGHBOURS)
@@ -100,7 +104,6 @@ def submap(points: Array) -> Submap:
     flat, level = values[:, 0] < 0.05 * values[:, 1], np.abs(normals[:, 2]) > 0.9
     surface = np.where(flat, np.where(level, Surface.GROUND, Surface.STRUCTURE), Surface.ROUGH)
     return Submap(
-        node=0,
         points=points.astype(np.float32),
         normals=np.where(flat[:, None], normals, 0.0).astype(np.float32),
         origins=np.zeros(points.shape, np.float32),

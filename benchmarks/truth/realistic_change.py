@@ -1,28 +1,28 @@
-"""How much conditions change: how alike the same patches look, and how many pairs trackers solve.
+"""How much conditions change the images: the correlation of corresponding patches, and the recall of trackers.
 
-The test district is driven twice in each condition, along one route. A pair across conditions is of the first drive in
-one and the second drive in the other; the control is the same with one condition, so that it differs in pose, noise,
-rain and snow as much as the others do, and has the same parked cars. Pairs are chosen by their distance and evenly
-along the road.
+The test district is driven twice in each condition, along one route. A pair across conditions has a frame of the first
+drive in one condition and a frame of the second drive in the other. The control is a pair of two drives in one
+condition, so that it differs as much in pose, noise, rain and snow, and has the same parked cars. Pairs are selected by
+their distance, evenly along the road.
 
-First table: the zero-mean normalised cross-correlation (ZNCC) of corresponding patches for each pair of conditions,
-frames 0.5 +- 0.15 m apart. A patch is 11 x 11 pixels of the reference; each of its pixels is carried to the query by
-its own depth and the true pose, so that neither motion nor perspective lowers the figure. Patches are on a grid of 8
-pixels; all their pixels must be seen in the query, and the grey levels of the reference's patch must vary (standard
-deviation of at least 8). Second table: recall@(0.25m,2deg) of trackers at 0.8 +- 0.2 m and turned by less than 2
-degrees, as on a straight road (in bends the picture moves by more than direct alignment reaches, whatever the weather):
-within one drive, in the same condition driven again, and from the first condition to each other. Third table: the same
-recall within a condition by how far the frames are turned, over all pairs of the two drives, bends and straight roads,
-so that the limit of 2 degrees can be judged.
+The first table is the zero-mean normalised cross-correlation (ZNCC) of corresponding patches for each pair of
+conditions, with frames 0.5 +- 0.15 m apart. A patch is 11 x 11 pixels of the reference, each of which is projected into
+the query by its own depth and the true pose, so that neither motion nor perspective lowers the correlation. Patches are
+on a grid of 8 pixels; all of their pixels must be visible in the query, and the grey levels of the reference's patch
+must have a standard deviation of at least 8. The second table is recall@(0.25m,2deg) of trackers at 0.8 +- 0.2 m and
+rotations below 2 degrees, as on a straight road (in bends the image moves beyond the basin of direct alignment in any
+weather): within one drive, between two drives in one condition, and from the first condition to each other. The third
+table is the same recall within a condition by rotation, over all pairs of the two drives, by which the limit of 2
+degrees can be assessed.
 
-``--vary`` adds conditions that differ from a named one in some factors, to find out which of them matters. All of its
-kind are driven along the same poses as the named one.
+``--vary`` adds conditions that differ from a named one in some factors, to find out which of them matter. They are
+driven along the same poses as the named one.
 
     python benchmarks/truth/realistic_change.py [--steps N] [--pairs N] [--split validation] [--seed N]
         [--conditions A,B]
     python benchmarks/truth/realistic_change.py --split train --conditions Night --vary Dark=Night:headlights=false
 
-JSON on the last line.
+The last line is JSON.
 """
 
 from __future__ import annotations
@@ -66,30 +66,30 @@ from relocbench.progress import Silent
 
 Array = NDArray[np.float64]
 Sets = dict[tuple[str, str], str]
-"""(reference, query) drive -> pair set"""
+"""pair set by (reference, query) drive"""
 
 CAMERA = "front"
 _EXTENT_M = 250.0
 _PATCH = 11
 _STRIDE = 8
 _LEAST_CONTRAST = 8.0
-"""standard deviation of a patch in grey levels, well above the noise of any condition"""
+"""smallest standard deviation of a patch in grey levels, well above the noise of all conditions"""
 _RECALL = "recall@(0.25m,2deg)"
 
 
 @dataclass(frozen=True)
 class Apart:
-    """How far the frames of a pair are apart."""
+    """A range of the rotation between the frames of a pair."""
 
     metres: float
     give: float
     most_deg: float
-    """turned by less than this"""
+    """upper limit of the angle"""
     least_deg: float = 0.0
 
     @property
     def turned(self) -> str:
-        """The angle, in words; the group of such pairs."""
+        """The range in words, which names the group of pairs."""
         return f"{self.least_deg:g} to {self.most_deg:g} deg"
 
 
@@ -109,7 +109,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Tracked:
-    """What trackers make of the pairs of one pair set, turned so far."""
+    """The recall of trackers on the pairs of one pair set in one range of rotation."""
 
     reference: str
     query: str
@@ -120,11 +120,11 @@ class Tracked:
     distance_m: float
     angle_deg: float
     recall: dict[str, float]
-    """method -> percent"""
+    """percent by method"""
 
 
 class Frames:
-    """Grey images, depth and poses of one traversal."""
+    """The grey images, depth and poses of one traversal."""
 
     def __init__(self, traversal: Traversal) -> None:
         self.camera: Camera = traversal.camera(CAMERA)
@@ -134,7 +134,7 @@ class Frames:
 
     @lru_cache(maxsize=64)  # noqa: B019  # a few drives, all of them kept to the end
     def read(self, row: int) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """Grey levels and depth (H, W) of a frame."""
+        """The grey levels and the depth (H, W) of a frame."""
         timestamp = self.posed.timestamps[row]
         depth = self._traversal.depth(CAMERA, timestamp)
         assert depth is not None
@@ -144,9 +144,9 @@ class Frames:
 def matches(
     reference: PosedFrames, query: PosedFrames, apart: Apart, count: int, *, same_drive: bool
 ) -> list[tuple[int, int]]:
-    """Up to ``count`` (reference row, query row), evenly along the drive, of those that are so far apart.
+    """Up to ``count`` pairs (reference row, query row) at a distance, evenly along the drive.
 
-    Each query goes with the frame whose distance comes nearest to the one asked for, and with none if it is outside.
+    Each query is paired with the frame whose distance is closest to the wanted one, or with none if it is out of range.
     """
     found = []
     for q, T_world_query in enumerate(query.T_world_cam):
@@ -163,7 +163,7 @@ def matches(
 
 
 def patch_correlations(reference: Frames, r: int, query: Frames, q: int) -> Array:
-    """ZNCC (N,) of all patches of a reference frame that the query sees whole."""
+    """The ZNCC (N,) of all patches of a reference frame that are entirely visible in the query."""
     camera = reference.camera
     half = _PATCH // 2
     v, u = np.meshgrid(
@@ -190,7 +190,7 @@ def patch_correlations(reference: Frames, r: int, query: Frames, q: int) -> Arra
     ).astype(np.float64)
     a, b = (k[whole] - k[whole].mean(axis=1, keepdims=True) for k in (here, there))
     scale = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
-    # A patch that is plain in the query correlates with nothing.
+    # A patch that is uniform in the query has no correlation.
     return np.asarray(np.where(scale > 0, np.sum(a * b, axis=1) / np.maximum(scale, 1e-12), 0.0))
 
 
@@ -200,7 +200,7 @@ def drive_name(split: str, condition: str, number: int) -> str:
 
 
 def correlate(dataset: Dataset, split: str, names: list[str], count: int) -> dict[str, dict[str, dict[str, float]]]:
-    """reference condition -> query condition -> median and mean ZNCC, numbers of patches and frame pairs."""
+    """Median and mean ZNCC and the numbers of patches and frame pairs, by reference and query condition."""
     first, second = (
         {name: Frames(dataset.traversal(drive_name(split, name, number))) for name in names} for number in (0, 1)
     )
@@ -219,7 +219,11 @@ def correlate(dataset: Dataset, split: str, names: list[str], count: int) -> dic
 
 
 def variant(text: str) -> Variant:
-    """The variant that ``NAME=CONDITION:factor=value,...`` describes. Raises ConfigError."""
+    """The variant described by ``NAME=CONDITION:factor=value,...``.
+
+    Raises:
+        ConfigError: the description is not understood.
+    """
     name, _, rest = text.partition("=")
     base, _, given = rest.partition(":")
     changed = {key: yaml.safe_load(value) for key, _, value in (item.partition("=") for item in given.split(","))}
@@ -231,7 +235,7 @@ def variant(text: str) -> Variant:
 
 
 def planned(given: argparse.Namespace, names: list[str], variants: list[Variant]) -> list[TraversalPlan]:
-    """Two drives in each condition; variants are driven as the condition that they vary."""
+    """Two drives in each condition; variants have the poses of the condition that they vary."""
     every = [*names, *(v.name for v in variants)]
     conditions = conditions_of(every, {v.name: v.factors for v in variants}, None, 2)
     style = DriveStyle(given.speed, given.lateral, given.heading)
@@ -249,7 +253,7 @@ def planned(given: argparse.Namespace, names: list[str], variants: list[Variant]
 
 
 def town(given: argparse.Namespace, names: list[str], plans: list[TraversalPlan], out: Path) -> tuple[Dataset, Sets]:
-    """The drives, rendered, and the pair sets that trackers are asked; ``names`` of their conditions."""
+    """Render the drives, and make the pair sets for trackers; ``names`` are the conditions."""
     width, height = map(int, given.size.split("x"))
     cameras = rig_named(CAMERA).cameras(width, height)
     settings = {k: v if isinstance(v, int | float) else str(v) for k, v in vars(given).items()}
@@ -279,14 +283,14 @@ def _pair(reference: PosedFrames, query: PosedFrames, r: int, q: int, group: str
 
 
 def recall_of(method: str, dataset: Path, sets: tuple[str, ...], out: Path) -> dict[tuple[str, str], float]:
-    """(pair set, group) -> recall in percent; one process, as workers would start anew for each of these small sets."""
+    """Recall in percent by (pair set, group), in this process, since starting workers takes longer for small sets."""
     options = EvaluateOptions(dataset=dataset, methods=(method,), pair_sets=sets, out=out, workers=1)
     scores = evaluate_methods(options, Silent()).folders[0].score_record().pair_sets
     return {(name, g): 100 * float(row[_RECALL] or 0.0) for name in sets for g, row in scores[name].items()}
 
 
 def track(dataset: Dataset, sets: Sets, methods: list[str], out: Path) -> list[Tracked]:
-    """Recall of each method for each pair set and angle between its frames."""
+    """The recall of each method for each pair set and range of rotation."""
     workers = default_workers()
     parts = [part for k in range(workers) if (part := tuple(sets.values())[k::workers])]
     recall: dict[str, dict[tuple[str, str], float]] = {m: {} for m in methods}
@@ -311,13 +315,13 @@ def track(dataset: Dataset, sets: Sets, methods: list[str], out: Path) -> list[T
 
 
 def by_condition(tracked: list[Tracked]) -> dict[str, dict[str, Any]]:
-    """label -> columns of pairs that are hardly turned."""
+    """Columns of pairs with small rotations, by label."""
     rows = [t for t in tracked if t.band == TRACKED]
     return {f"{t.reference} -> {t.query}" + (", one drive" if t.one_drive else ""): _columns([t]) for t in rows}
 
 
 def by_angle(tracked: list[Tracked]) -> dict[str, dict[str, Any]]:
-    """label -> columns of pairs within a condition, all conditions together."""
+    """Columns of pairs within a condition, over all conditions, by label."""
     table = {}
     for one_drive in (True, False):
         for band in TURNED:
@@ -328,7 +332,7 @@ def by_angle(tracked: list[Tracked]) -> dict[str, dict[str, Any]]:
 
 
 def _columns(rows: list[Tracked]) -> dict[str, Any]:
-    """Means over all pairs of the rows."""
+    """The means over all pairs of the rows."""
     pairs = np.array([t.pairs for t in rows])
     row: dict[str, Any] = {
         "pairs": int(pairs.sum()),
@@ -339,7 +343,7 @@ def _columns(rows: list[Tracked]) -> dict[str, Any]:
 
 
 def print_patches(patches: dict[str, dict[str, dict[str, float]]]) -> None:
-    """Median ZNCC as Markdown."""
+    """The median ZNCC as a Markdown table."""
     names = list(patches)
     print("median ZNCC, reference (row, first drive) against query (column, second drive)\n")
     print("| | " + " | ".join(names) + " |\n|" + "---|" * (len(names) + 1))
@@ -348,7 +352,7 @@ def print_patches(patches: dict[str, dict[str, dict[str, float]]]) -> None:
 
 
 def print_tracked(table: dict[str, dict[str, Any]], title: str) -> None:
-    """Recall as Markdown."""
+    """The recall as a Markdown table."""
     columns = list(next(iter(table.values())))
     print(f"\n{_RECALL} in percent, {title}\n")
     print("| | " + " | ".join(columns) + " |\n|" + "---|" * (len(columns) + 1))
@@ -360,19 +364,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--conditions", default=",".join(dict.fromkeys(("Sunny", *CONDITIONS))))
     parser.add_argument("--methods", default="orb-pnp,dso")
-    parser.add_argument("--steps", type=int, default=81, help="of each drive, ten a second")
-    parser.add_argument("--pairs", type=int, default=40, help="of each pair set, at most")
-    parser.add_argument("--frames", type=int, default=8, help="of each pair of conditions, whose patches are compared")
-    parser.add_argument("--size", default="320x240")
-    parser.add_argument("--speed", type=float, default=8.0, help="m/s on average: steps 0.8 m apart")
-    parser.add_argument("--lateral", type=float, default=0.3, help="metres off the lane's middle, at most")
-    parser.add_argument("--heading", type=float, default=2.0, help="degrees off the direction of travel, at most")
-    parser.add_argument("--split", default="test", help="whose district is driven in; tune on another")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--steps", type=int, default=81, help="frames of each drive, ten per second")
+    parser.add_argument("--pairs", type=int, default=40, help="largest number of pairs in each pair set")
     parser.add_argument(
-        "--vary", action="append", default=[], help="NAME=CONDITION:factor=value,...; repeat for several"
+        "--frames", type=int, default=8, help="frame pairs of each pair of conditions whose patches are compared"
     )
-    parser.add_argument("--keep", type=Path, help="folder for the dataset and predictions, kept")
+    parser.add_argument("--size", default="320x240")
+    parser.add_argument("--speed", type=float, default=8.0, help="mean speed in m/s")
+    parser.add_argument(
+        "--lateral", type=float, default=0.3, help="largest distance from the middle of the lane in metres"
+    )
+    parser.add_argument(
+        "--heading", type=float, default=2.0, help="largest angle to the direction of travel in degrees"
+    )
+    parser.add_argument("--split", default="test", help="split whose district is driven through")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--vary", action="append", default=[], help="NAME=CONDITION:factor=value,...; may be repeated")
+    parser.add_argument("--keep", type=Path, help="folder that keeps the dataset and predictions")
     given = parser.parse_args()
     named, variants = given.conditions.split(","), [variant(text) for text in given.vary]
     names = [*named, *(v.name for v in variants)]

@@ -1,12 +1,13 @@
-"""Whether the truth of the procedural town is exact: depth, correspondences and occlusion against rays of its own.
+"""Whether the truth of the procedural town is exact: depth, correspondences and occlusion against independent rays.
 
-Two datasets are built: all ready-made conditions, asked by the first one, with parked cars that differ; and three with
-moving cars. They are read back as any dataset is. Every ray is then cast once more, independently of the renderer
-and of its ray caster: Moeller and Trumbore (1997) in double precision, over all triangles whose outline lies near
-the ray. Prints a table and one JSON line last.
+Two datasets are built and read like any other: one with all predefined conditions against the first one, with different
+parked cars, and one with three conditions and moving cars. Every ray is then cast again, independently of the renderer
+and its ray caster, by the algorithm of Moeller and Trumbore (1997) in double precision over all triangles whose outline
+is near the ray. It prints a table; the last line is JSON.
 
-A ray that passes an edge within ``_SILHOUETTE_PX`` may end on either side of it. Disagreements there are counted like
-all others, and told apart: the answer also holds for a ray so far beside it.
+A ray that passes an edge within ``_SILHOUETTE_PX`` may end on either side of it. Such disagreements are counted like
+all
+others and also reported separately: the result holds for a ray within this distance.
 
     python benchmarks/truth/synthetic_truth.py [--steps N] [--correspondences N] [--seed N]
 """
@@ -35,9 +36,9 @@ from relocbench.datasets.pairs.correspondences import read_correspondences
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors
 from relocbench.datasets.synthetic.conditions.presets import conditions_of
 from relocbench.datasets.synthetic.drives.drive import DriveStyle
-from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.plan import TraversalPlan, make_plans
-from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
 from relocbench.datasets.synthetic.town.town import compose
 from relocbench.execution import Run, default_workers
@@ -50,22 +51,22 @@ Mask = NDArray[np.bool_]
 
 _TILE_PX = 16
 _SAME_POINT = 1e-6
-"""of the distance: two points so near are one, in double precision"""
+"""relative distance within which two points are the same in double precision"""
 _SILHOUETTE_PX = 0.01
 _GOOD_PX = 0.05
-"""what correspondences promise"""
+"""the promised accuracy of correspondences"""
 _WRITTEN_TO = 1e-8
-"""true poses of pairs have nine decimals; the entries of a rotation go with twice the quaternion's"""
+"""true poses of pairs have nine decimals; the entries of a rotation change by twice as much as the quaternion"""
 _BUSY = ("Sunny", "Rain", "Night")
 """conditions with moving cars"""
 
 
 @njit(cache=True)
 def _nearest(corners: Array, rays: Array, first: NDArray[np.int64], columns: int, rows: int, lens: Array) -> Any:
-    """Depth (N,) and triangle (N,) of the first hit of rays (x, y, 1) from the origin, sorted by tiles.
+    """Depth (N,) and triangle (N,) of the first hit of rays (x, y, 1) from the origin, which are sorted by tiles.
 
-    ``first[t]`` is the first ray of tile t; ``lens`` is fx, fy, cx, cy. A triangle is tried with the rays of all
-    tiles that the box around its outline meets; one that reaches behind the camera, with all rays.
+    ``first[t]`` is the first ray of tile t; ``lens`` is fx, fy, cx, cy. A triangle is intersected with the rays of all
+    tiles that its bounding box overlaps, or with all rays if it reaches behind the camera.
     """
     best = np.full(len(rays), np.inf)
     which = np.full(len(rays), -1, dtype=np.int64)
@@ -108,7 +109,7 @@ def _nearest(corners: Array, rays: Array, first: NDArray[np.int64], columns: int
 
 @dataclass(frozen=True, eq=False)
 class Eye:
-    """One camera at one moment, and all triangles that stand around it then."""
+    """A camera at one time, and all triangles around it at that time."""
 
     camera: Camera
     T_world_cam: Array
@@ -116,12 +117,12 @@ class Eye:
 
     @cached_property
     def _corners(self) -> Array:
-        """(T, 3, 3) in the camera's frame, of all triangles."""
+        """The corners of all triangles (T, 3, 3) in the camera's frame."""
         inside = (self.mesh.vertices.astype(np.float64) - self.T_world_cam[:3, 3]) @ self.T_world_cam[:3, :3]
         return np.asarray(inside[self.mesh.triangles])
 
     def cast(self, pixels: Array) -> tuple[Array, NDArray[np.int64]]:
-        """Depth along z (N,) of pixels (N, 2), inf where nothing is hit, and the triangle (N,), -1 there."""
+        """The depth along z (N,) of pixels (N, 2), inf without a hit, and the triangle (N,), -1 without a hit."""
         if len(pixels) == 0:
             return np.empty(0), np.empty(0, dtype=np.int64)
         c = self.camera
@@ -138,20 +139,20 @@ class Eye:
         return depth, which
 
     def lift(self, pixels: Array, depth: Array) -> Array:
-        """Points (N, 3) of the world."""
+        """The world points (N, 3) of pixels."""
         c = self.camera
         x, y = (pixels[:, 0] - c.cx) / c.fx * depth, (pixels[:, 1] - c.cy) / c.fy * depth
         return apply(self.T_world_cam, np.column_stack([x, y, depth]))
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Pixels (N, 2) and depths (N,) of points (N, 3) of the world."""
+        """The pixels (N, 2) and depths (N,) of world points (N, 3)."""
         c = self.camera
         p = (points - self.T_world_cam[:3, 3]) @ self.T_world_cam[:3, :3]
         return np.column_stack([c.fx * p[:, 0] / p[:, 2] + c.cx, c.fy * p[:, 1] / p[:, 2] + c.cy]), p[:, 2]
 
 
 class Scenes:
-    """What stood where while a dataset was rendered, by what the dataset says about its making."""
+    """The scene of a rendered dataset, reconstructed from the dataset's own description."""
 
     def __init__(self, dataset: Dataset) -> None:
         self._dataset = dataset
@@ -170,20 +171,21 @@ class Scenes:
         self._plans: dict[str, TraversalPlan] = {plan.name: plan for plan in plans}
 
     def eye(self, traversal: str, camera: str, timestamp_ns: int) -> Eye:
-        """A frame's camera by the dataset, its triangles by the plan."""
+        """The camera of a frame from the dataset, with the triangles from the town's plan."""
         plan = self._plans[traversal]
         cars = plan.moving[plan.times.index(timestamp_ns)]
-        mesh = compose(stage.district(Place(self._seed, plan.split, self._extent)), plan.condition.factors, cars)
+        spec = DistrictSpec(self._seed, plan.split, self._extent)
+        mesh = compose(scenes.district(spec), plan.condition.factors, cars)
         opened = self._dataset.traversal(traversal)
         return Eye(opened.camera(camera), opened.T_world_cam(camera, timestamp_ns), mesh)
 
 
 @dataclass
 class Tally:
-    """What was measured, ray by ray."""
+    """The measurements, ray by ray."""
 
     depth_units: list[Array] = field(default_factory=list)
-    """|stored - cast| in 1/256 m, inf where one has a surface and the other none"""
+    """|stored - cast| in 1/256 m; inf where only one of them has a surface"""
     depth_at_edge: list[Mask] = field(default_factory=list)
     forward_px: list[Array] = field(default_factory=list)
     forward_at_edge: list[Mask] = field(default_factory=list)
@@ -194,7 +196,7 @@ class Tally:
     visible: int = 0
     hidden: int = 0
     hidden_by_car: int = 0
-    """by one that moves"""
+    """by a moving one"""
     on_moving_cars: int = 0
     """correspondences whose reference pixel shows a moving car; there must be none"""
 
@@ -204,20 +206,20 @@ class Tally:
 
 
 def beside(pixels: Array) -> Iterator[Array]:
-    """The pixels (N, 2) moved by ``_SILHOUETTE_PX`` to eight sides."""
+    """The pixels (N, 2) moved by ``_SILHOUETTE_PX`` in eight directions."""
     for angle in np.arange(8) * np.pi / 4:
         yield pixels + _SILHOUETTE_PX * np.array([np.cos(angle), np.sin(angle)])
 
 
 def check_depth(tally: Tally, eye: Eye, stored: NDArray[np.float32], count: int, rng: np.random.Generator) -> None:
-    """Stored depth at random pixels."""
+    """Compare the stored depth at random pixels."""
     rows = rng.choice(stored.size, min(count, stored.size), replace=False)
     pixels = np.column_stack([rows % stored.shape[1], rows // stored.shape[1]]).astype(np.float64)
     known = stored.ravel()[rows].astype(np.float64)
 
     def units(at: Array, of: Array) -> Array:
         depth = eye.cast(at)[0]
-        # Depth beyond what sixteen bits hold is stored as none.
+        # Depth beyond the range of sixteen bits is stored as none.
         depth[depth * DEPTH_SCALE > 65535.5] = np.inf
         return np.where(np.isinf(depth) & (of == 0), 0.0, np.where(of == 0, np.inf, np.abs(depth - of) * DEPTH_SCALE))
 
@@ -225,13 +227,13 @@ def check_depth(tally: Tally, eye: Eye, stored: NDArray[np.float32], count: int,
     wrong = np.flatnonzero(error > 1.0)
     edge = np.zeros(len(error), dtype=np.bool_)
     for moved in beside(pixels[wrong]):
-        # Half a unit of rounding, and what a slanted surface changes over so little.
+        # Half a unit of rounding, and the change of a slanted surface within the tolerance.
         edge[wrong] |= units(moved, known[wrong]) <= 1.0 + 0.02 * known[wrong]
     tally.add("depth_units", error, edge)
 
 
 def check_pair(tally: Tally, dataset: Dataset, pair_set: PairSet, pair: Pair, ref: Eye, query: Eye) -> None:
-    """Stored correspondences forward, backward, and whether they are seen."""
+    """Compare stored correspondences forward, backward, and in their visibility."""
     rows = read_correspondences(dataset.layout.correspondence_file(pair_set.name), pair.key)
     T_query_ref = invert(query.T_world_cam) @ ref.T_world_cam
     if pair.T_query_ref is None or np.abs(pair.T_query_ref - T_query_ref).max() > _WRITTEN_TO:
@@ -283,7 +285,7 @@ def check_pair(tally: Tally, dataset: Dataset, pair_set: PairSet, pair: Pair, re
 
 
 def check(dataset: Dataset, pairs_a_set: int, depth_pixels: int, seed: int) -> Tally:
-    """Random pairs of every set, and random pixels of both of their depth images."""
+    """Check random pairs of every set, and random pixels of both depth images."""
     tally, scenes = Tally(), Scenes(dataset)
     for pair_set in dataset.pair_sets():
         print(f"{dataset.name}: {pair_set.name}", file=sys.stderr)
@@ -300,7 +302,7 @@ def check(dataset: Dataset, pairs_a_set: int, depth_pixels: int, seed: int) -> T
 
 
 def report(tally: Tally) -> dict[str, Any]:
-    """Plain figures; shares in percent."""
+    """The statistics; shares are in percent."""
     depth, forward, backward = map(np.concatenate, (tally.depth_units, tally.forward_px, tally.backward_px))
     flags = np.concatenate(tally.flag_wrong)
     parts = (tally.depth_at_edge, tally.forward_at_edge, tally.backward_at_edge, tally.flag_at_edge)
@@ -344,10 +346,10 @@ def build(out: Path, conditions: Sequence[str], **options: object) -> Dataset:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--steps", type=int, default=6, help="of each traversal")
-    parser.add_argument("--pairs", type=int, default=4, help="of each pair set, drawn at random")
-    parser.add_argument("--correspondences", type=int, default=2000, help="a pair")
-    parser.add_argument("--depth-pixels", type=int, default=5000, help="an image")
+    parser.add_argument("--steps", type=int, default=6, help="frames of each traversal")
+    parser.add_argument("--pairs", type=int, default=4, help="random pairs of each pair set")
+    parser.add_argument("--correspondences", type=int, default=2000, help="correspondences of each pair")
+    parser.add_argument("--depth-pixels", type=int, default=5000, help="pixels of each image")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     common = {"steps": given.steps, "correspondences": given.correspondences, "seed": given.seed, "heading": 8.0}

@@ -1,13 +1,14 @@
-"""Real drone and satellite images: retrievers on the 500 pairs of University-1652's contact sheets.
+"""Retrievers on real drone and satellite images: the 500 pairs of University-1652's contact sheets.
 
-The sheets come with the authors' repository (see docs/cross-view.md). The source note of the sample gives what a colour
-histogram in L*a*b* reached on it: drone to satellite R@1 6.6 %, R@5 17.2 %, R@10 22.2 %, satellite to drone R@1 9.6 %,
-where chance is 0.2 %. It does not say how many cells the histogram has nor how two are compared; ``as_noted`` in the
-last line tells whether all four come out. Other retrievers are asked in the same way.
+The sheets come with the authors' repository (see docs/cross-view.md). According to the source note of the sample, a
+colour histogram in L*a*b* reaches R@1 6.6 %, R@5 17.2 % and R@10 22.2 % from drone to satellite, and R@1 9.6 % from
+satellite to drone, where chance is 0.2 %. The note does not give the cells of the histogram or the distance;
+``as_noted`` in the last line says whether all four numbers are reproduced. Other retrievers are evaluated in the same
+way.
 
     python benchmarks/truth/university_sample.py SAMPLE [--method NAME] ... [--set NAME.key=value] ...
 
-A table on standard output, JSON on the last line.
+It prints a table; the last line is JSON.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ NOTED = {
     "drone-satellite": {"R@1": 0.066, "R@5": 0.172, "R@10": 0.222},
     "satellite-drone": {"R@1": 0.096},
 }
-"""of the source note, for ``colour-histogram``"""
+"""numbers of the source note for ``colour-histogram``"""
 _BATCH = 32
 
 
 def asked(task: RetrievalTask, spec: MethodSpec, seed: int) -> dict[str, float]:
-    """Metrics of a retriever on one task."""
+    """The metrics of a retriever on one task."""
     retriever = spec.create()
     if isinstance(retriever, FittingRetriever):
         retriever.fit(task.gallery, seed)
@@ -46,13 +47,13 @@ def asked(task: RetrievalTask, spec: MethodSpec, seed: int) -> dict[str, float]:
 
 
 def described(retriever: Retriever, images: tuple[ImageView, ...]) -> np.ndarray:
-    """(N, D), in batches."""
+    """The descriptors (N, D), computed in batches."""
     parts = [retriever.describe(images[k : k + _BATCH]) for k in range(0, len(images), _BATCH)]
     return np.concatenate(parts)
 
 
 def run(sample: Path, methods: list[str], settings: list[str], seed: int) -> dict[str, Any]:
-    """Every method on every direction; chance beside them, and whether the source note's figures come out."""
+    """Evaluate every method in both directions; print chance, and whether the source note's numbers are reproduced."""
     found = open_cross_view(sample)
     specs = parse_methods(methods, settings, seed, RETRIEVERS)
     rows: dict[str, Any] = {}
@@ -73,7 +74,7 @@ def run(sample: Path, methods: list[str], settings: list[str], seed: int) -> dic
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sample", type=Path, help="folder with sample_drone.jpg and sample_satellite.jpg")
-    parser.add_argument("--method", action="append", help="a retriever; repeat for several (default: colour-histogram)")
+    parser.add_argument("--method", action="append", help="a retriever; may be repeated (default: colour-histogram)")
     parser.add_argument("--set", action="append", default=[], help="NAME.key=value")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()

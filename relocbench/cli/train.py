@@ -157,14 +157,14 @@ def train(
 def _pairs(roots: Sequence[Path], split: str, validation_pairs: int) -> tuple[TrainingData, Validate | None]:
     """What a tracker learns from and is tried on; no validation at 0."""
     from relocbench.datasets.learning.training_pairs import DatasetPairs, without_only_validation
-    from relocbench.evaluation.tracking.trial import Trial
+    from relocbench.evaluation.tracking.training_validation import TrackerValidation
     from relocbench.progress import Silent
 
     if not validation_pairs:
         return DatasetPairs(roots, split), None
     data = DatasetPairs(without_only_validation(roots, split), split)
     # Two bars do not show at once: validation goes without.
-    return data, Trial(roots, validation_pairs, seed=0, reporter=Silent())
+    return data, TrackerValidation(roots, validation_pairs, seed=0, reporter=Silent())
 
 
 def _places(
@@ -173,7 +173,7 @@ def _places(
     """What a retriever learns from and is tried on; no validation at 0."""
     from relocbench.datasets.learning.training_places import training_places
     from relocbench.errors import ConfigError
-    from relocbench.evaluation.retrieval.trial import PlaceTrial, hold_out
+    from relocbench.evaluation.retrieval.training_validation import PlaceValidation, hold_out
 
     if split != "train":
         raise ConfigError(f"--split {split}: a retriever learns from the folder train/ alone")
@@ -181,7 +181,7 @@ def _places(
     if not held_out:
         return data, None
     learnt, held = hold_out(data, held_out, seed=0)
-    return learnt, PlaceTrial(held, options.get("views", data.views))
+    return learnt, PlaceValidation(held, options.get("views", data.views))
 
 
 def _device() -> str:

@@ -1,1 +1,1 @@
-"""The dataset in memory and on disk, its importers, its correspondences."""
+"""Datasets in memory and on disk, and everything that makes, checks and shows them."""

@@ -1,1 +1,1 @@
-"""Run methods, keep their predictions, score them."""
+"""Running methods, keeping their predictions, and scoring them."""

@@ -1,7 +1,7 @@
 """Where work runs: this process, local worker processes, or a Dask cluster.
 
-A unit of work is a call of one function on one picklable argument: independent, idempotent, its output written
-whole. Only a bounded number of units is in flight, so that memory does not grow with their number.
+A unit of work is a call of one function with one picklable argument. Units are independent and idempotent, and write
+their output whole. A bounded number of units is in progress at a time, so that memory does not grow with their number.
 """
 
 from __future__ import annotations
@@ -54,26 +54,26 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Run:
-    """Where units of work run, and what one may take."""
+    """Where units of work run, and their limits."""
 
     workers: int = 1
-    """local worker processes, each of which computes with one thread"""
+    """number of local worker processes, each of which uses a single thread"""
     scheduler: Scheduler | None = None
-    """a Dask scheduler, whose workers take the place of local ones"""
+    """a Dask scheduler, whose workers replace local ones"""
     limits: Limits = field(default_factory=Limits)
-    """of each call of code that is not ours (:func:`run_limited`); a scheduler's workers have limits of their own"""
+    """limits of each call of third-party code (:func:`run_limited`); a scheduler's workers have limits of their own"""
 
     def alone(self) -> Self:
-        """The same without worker processes, for work that ends before they have started."""
+        """The same without worker processes, for work that is shorter than their start."""
         return replace(self, workers=1)
 
     def sharing(self, writes: Path, *reads: Path | None) -> Self:
-        """The same for work that writes to one folder and reads others: a cluster's workers must see them."""
+        """The same for work that writes to one folder and reads others, all of which a cluster's workers must see."""
         return self if self.scheduler is None else replace(self, scheduler=self.scheduler.sharing(writes, *reads))
 
 
 def default_workers() -> int:
-    """The cores this process may use."""
+    """The number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -87,21 +87,18 @@ def run_units(
     """Run ``function`` on every unit and yield (index, result) as they finish.
 
     Args:
-        function: importable by name (a worker process imports it) and picklable, as are its arguments and results.
-        run: with no worker or one, this process does the work. Limits mean nothing here.
-        on_lost: makes the result of a unit on which a worker died twice; without it that is an error.
+        function: can be imported by name (worker processes import it) and pickled, as can its arguments and results.
+        run: with at most one worker, this process does the work. Limits are not enforced here.
+        on_lost: returns a result for a unit on which a worker died twice; without it that is an error.
 
     Raises:
         RelocbenchError: a worker died twice on the same unit, or no scheduler or worker is left.
-        Exception: what ``function`` raises, at once; units already finished have written their output.
+        Exception: whatever ``function`` raises, immediately; units that have finished have written their output.
     """
     if run.scheduler is not None:
         yield from run_on_cluster(function, units, run.scheduler, on_lost)
     elif run.workers <= 1 or len(units) <= 1:
-        for index, unit in enumerate(units):
-            with messages_to_stderr():
-                result = function(unit)
-            yield index, result
+        yield from _run_here(function, units)
     else:
         yield from run_on_processes(function, units, run.workers, on_lost)
 
@@ -113,36 +110,40 @@ def run_limited(
     *,
     on_loss: Callable[[Unit, Loss], Result],
 ) -> Iterator[tuple[int, Result]]:
-    """As :func:`run_units`, for units that call code which is not ours: always in another process, within limits.
+    """Run units that call third-party code as :func:`run_units` does, but always in another process, within limits.
 
-    ``function`` says by :func:`step` when it calls such code.
+    ``function`` marks such calls with :func:`step`.
 
     Args:
-        units: taken when a worker is free for them.
-        run: with no worker this process does the work, without limits, for a debugger.
-        on_loss: makes the result of a unit whose worker died or was ended.
+        units: consumed one by one, as workers become free.
+        run: with no worker, this process does the work, without limits, for use with a debugger.
+        on_loss: returns the result of a unit whose worker died or was ended.
 
     Raises:
-        ConfigError: a limit of memory on a system that does not tell what processes hold.
+        ConfigError: a memory limit on a system that does not report the memory of processes.
         RelocbenchError: worker processes cannot start, or no scheduler answers.
-        Exception: what ``function`` raises, at once.
+        Exception: whatever ``function`` raises, immediately.
     """
     if run.scheduler is not None:
         died = Loss(None, "death", "lost by two workers of the cluster", workers=2)
         yield from run_on_cluster(function, list(units), run.scheduler, lambda unit: on_loss(unit, died))
     elif run.workers <= 0:
-        for index, unit in enumerate(units):
-            with messages_to_stderr():
-                result = function(unit)
-            yield index, result
+        yield from _run_here(function, units)
     elif run.limits.memory_bytes is not None and not can_watch():
-        raise ConfigError("--memory-limit needs /proc, which tells what processes hold; this system has none")
+        raise ConfigError("--memory-limit needs /proc, which reports the memory of processes; this system has none")
     else:
         yield from run_with_limits(function, units, run.workers, run.limits, on_loss)
 
 
+def _run_here(function: Callable[[Unit], Result], units: Iterable[Unit]) -> Iterator[tuple[int, Result]]:
+    for index, unit in enumerate(units):
+        with messages_to_stderr():
+            result = function(unit)
+        yield index, result
+
+
 def chunks(items: Iterable[Unit], size: int) -> Iterator[list[Unit]]:
-    """Lists of at most ``size`` items, in order."""
+    """Yield lists of at most ``size`` items, in order."""
     chunk: list[Unit] = []
     for item in items:
         chunk.append(item)

@@ -1,4 +1,4 @@
-"""One call in a worker: its threads, and what it prints."""
+"""A call of a function in a worker: with one thread, and with its output redirected."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _THREAD_VARIABLES = (
 
 
 def pin_threads() -> None:
-    """One thread for each library that would start its own, so that N workers use N cores."""
+    """Limit each library that is loaded to one thread, so that N workers use N cores."""
     if "cv2" in sys.modules:
         sys.modules["cv2"].setNumThreads(1)
     if "torch" in sys.modules:
@@ -33,7 +33,7 @@ def pin_threads() -> None:
 
 @contextmanager
 def single_threaded_children() -> Iterator[None]:
-    """Thread counts are read from the environment when a library is loaded: set it before a child starts."""
+    """Set thread counts in the environment of child processes, where libraries read them when they are loaded."""
     before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     try:

@@ -1,7 +1,7 @@
-"""A Dask cluster: units are handed to its workers one by one, so that it is known which died on what.
+"""Running units on a Dask cluster: each is sent to a chosen worker, so that it is known which unit a worker died on.
 
-Dask would send a unit that kills its worker to four of them, and keep one that is waiting beside it from ever being
-run. Every unit is therefore bound to a worker here; one that vanishes costs the units it had in hand a try each.
+Left to itself, Dask would send a unit that kills its worker to four workers, and would give up other units that wait on
+those workers. Here every unit is bound to a worker; a worker that vanishes costs each of its units one try.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from typing import Any, Generic, TypeVar
 
 from relocbench.errors import ConfigError, RelocbenchError
 from relocbench.execution.calling import call
-from relocbench.execution.greeting import differences, greet, refuse, shown, versions_here
+from relocbench.execution.handshake import check_worker, differences, report, shared_paths, versions_here
 from relocbench.execution.scheduler import Scheduler, connected, scheduler_is_gone
 
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 
 WORKER_TIMEOUT_S = 30.0
-"""how long a run waits with no worker at all"""
+"""how long a run waits while there is no worker"""
 ANSWER_TIMEOUT_S = 30.0
-"""how long a scheduler that has answered once may be silent"""
+"""how long a scheduler that has answered before may be silent"""
 IN_FLIGHT_PER_WORKER = 2
 _TRIES = 2
 _POLL_S = 0.5
@@ -42,21 +42,21 @@ def run_on_cluster(
     """Run ``function`` on every unit and yield (index, result) as they finish.
 
     Args:
-        on_lost: makes, in this process, the result of a unit on which two workers died.
+        on_lost: returns, in this process, the result of a unit on which two workers died.
 
     Raises:
-        ConfigError: nothing answers, or a worker has other versions, several threads, or does not see the folders.
-        RelocbenchError: the scheduler went away, or no worker was left for :data:`WORKER_TIMEOUT_S`.
-        Exception: what ``function`` raises.
+        ConfigError: no scheduler answers, or a worker has other versions, several threads, or does not see the folders.
+        RelocbenchError: the scheduler is gone, or there was no worker for :data:`WORKER_TIMEOUT_S`.
+        Exception: whatever ``function`` raises.
     """
     if not units:
         return
-    with connected(scheduler) as client, shown(scheduler) as paths:
+    with connected(scheduler) as client, shared_paths(scheduler) as paths:
         yield from _Dispatch(client, scheduler, function, units, on_lost, paths).results()
 
 
 class _Dispatch(Generic[Unit, Result]):
-    """Which unit is with which worker."""
+    """Assigns units to workers and keeps track of both."""
 
     def __init__(
         self,
@@ -71,37 +71,37 @@ class _Dispatch(Generic[Unit, Result]):
         self.function, self.units, self.on_lost = function, units, on_lost
         self.waiting = deque(range(len(units)))
         self.suspects: deque[int] = deque()
-        """units whose worker died: they are tried again with a worker of their own, so that no other is blamed"""
+        """units whose worker died: each is tried again alone on a worker, so that no other unit can be blamed"""
         self.lost: list[int] = []
         self.deaths: Counter[int] = Counter()
         self.done = 0
-        self.hands: dict[str, dict[str, int]] = {}
+        self.assigned: dict[str, dict[str, int]] = {}
         """worker -> key -> unit"""
-        self.alone: set[str] = set()
+        self.testing_suspect: set[str] = set()
         """workers that try a suspect"""
-        self.greeting: dict[str, tuple[str, int]] = {}
-        """key -> worker that has not answered yet, and its threads"""
+        self.joining: dict[str, tuple[str, int]] = {}
+        """key -> worker that has not reported yet, and its threads"""
         self.futures: dict[str, Any] = {}
         self.ended: SimpleQueue[str] = SimpleQueue()
-        self.looked = -_POLL_S
+        self.refreshed = -_POLL_S
         self.worker_seen = time.monotonic()
 
     def results(self) -> Iterator[tuple[int, Result]]:
         self._compare_scheduler()
         while self.done < len(self.units):
-            self._look()
-            self._hand_out()
+            self._refresh_workers()
+            self._assign_units()
             ended = list(dict.fromkeys(self._wait()))
             for key in ended:
-                if key in self.greeting:
-                    self._welcome(key)
-            yield from self._take([key for key in ended if self._is_finished(key)])
-            while self.lost and self.hands:
-                yield self._give_up(self.lost.pop())
+                if key in self.joining:
+                    self._admit(key)
+            yield from self._collect_results([key for key in ended if self._is_finished(key)])
+            while self.lost and self.assigned:
+                yield self._give_up_unit(self.lost.pop())
 
     @property
     def progress(self) -> str:
-        return f"{self.done} of {len(self.units)} units are done, the same command goes on where it stopped"
+        return f"{self.done} of {len(self.units)} units are done; the same command resumes the work"
 
     def _compare_scheduler(self) -> None:
         there = self._ask(lambda: self.client.scheduler.versions)
@@ -110,20 +110,20 @@ class _Dispatch(Generic[Unit, Result]):
         if different:
             raise ConfigError(f"the scheduler at {self.scheduler} runs other versions: {different}")
 
-    def _look(self) -> None:
-        """See which workers have come and which have gone."""
+    def _refresh_workers(self) -> None:
+        """Find out which workers have joined and which have left."""
         now = time.monotonic()
-        if now - self.looked < _POLL_S:
+        if now - self.refreshed < _POLL_S:
             return
-        self.looked = now
+        self.refreshed = now
         threads = self._workers()
-        known = {*self.hands, *(worker for worker, _ in self.greeting.values())}
+        known = {*self.assigned, *(worker for worker, _ in self.joining.values())}
         for worker in known - threads.keys():
-            self._bury(worker)
+            self._drop_worker(worker)
         for worker in threads.keys() - known:
-            future = self.client.submit(greet, self.paths, workers=[worker], pure=False, retries=0)
-            self.greeting[future.key] = worker, threads[worker]
-            self._follow(future)
+            future = self.client.submit(report, self.paths, workers=[worker], pure=False, retries=0)
+            self.joining[future.key] = worker, threads[worker]
+            self._watch_future(future)
         if threads:
             self.worker_seen = now
         elif now - self.worker_seen > WORKER_TIMEOUT_S:
@@ -133,39 +133,39 @@ class _Dispatch(Generic[Unit, Result]):
             )
 
     def _workers(self) -> dict[str, int]:
-        """Threads by worker, as the scheduler knows them now."""
+        """The number of threads of each worker that the scheduler knows."""
         threads: dict[str, int] = self._ask(lambda: self.client.scheduler.ncores)
         return threads
 
     def _ask(self, question: Callable[[], Callable[[], Any]]) -> dict[str, Any]:
-        """The scheduler's answer. Raises RelocbenchError where it is gone."""
+        """Ask the scheduler. Raises RelocbenchError if it is gone."""
         try:
             if self.client.status == "running":
                 answer: dict[str, Any] = self.client.sync(question(), callback_timeout=ANSWER_TIMEOUT_S)
                 return answer
-        except (OSError, RuntimeError, AttributeError):  # the last two where the client closed itself meanwhile
+        except (OSError, RuntimeError, AttributeError):  # the latter two if the client closed itself meanwhile
             pass
         raise scheduler_is_gone(self.scheduler, self.progress)
 
-    def _follow(self, future: Any) -> None:
+    def _watch_future(self, future: Any) -> None:
         self.futures[future.key] = future
         future.add_done_callback(lambda ended: self.ended.put(ended.key))
 
-    def _hand_out(self) -> None:
-        for worker, hand in self.hands.items():
-            while self.waiting and len(hand) < IN_FLIGHT_PER_WORKER and worker not in self.alone:
+    def _assign_units(self) -> None:
+        for worker, held in self.assigned.items():
+            while self.waiting and len(held) < IN_FLIGHT_PER_WORKER and worker not in self.testing_suspect:
                 self._send(self.waiting.popleft(), worker)
-            if self.suspects and not hand:
-                self.alone.add(worker)
+            if self.suspects and not held:
+                self.testing_suspect.add(worker)
                 self._send(self.suspects.popleft(), worker)
 
     def _send(self, index: int, worker: str) -> None:
         future = self.client.submit(call, self.function, self.units[index], workers=[worker], pure=False, retries=0)
-        self.hands[worker][future.key] = index
-        self._follow(future)
+        self.assigned[worker][future.key] = index
+        self._watch_future(future)
 
     def _wait(self) -> list[str]:
-        """Keys that ended, after at most one interval."""
+        """Wait for at most one polling interval; returns the keys that ended."""
         keys = []
         with suppress(Empty):
             keys.append(self.ended.get(timeout=_POLL_S))
@@ -173,8 +173,8 @@ class _Dispatch(Generic[Unit, Result]):
                 keys.append(self.ended.get_nowait())
         return keys
 
-    def _welcome(self, key: str) -> None:
-        worker, threads = self.greeting[key]
+    def _admit(self, key: str) -> None:
+        worker, threads = self.joining[key]
         future = self.futures[key]
         if future.status == "cancelled":
             raise self._cancelled()
@@ -182,21 +182,21 @@ class _Dispatch(Generic[Unit, Result]):
             reason = " ".join(str(future.exception()).split())[:200]
             raise ConfigError(f"worker {worker} of {self.scheduler} cannot run relocbench ({reason})")
         try:
-            greeting = future.result(timeout=ANSWER_TIMEOUT_S)
+            worker_report = future.result(timeout=ANSWER_TIMEOUT_S)
         except OSError:
             self._ask_again(key)
             return
         except CancelledError:
             raise self._cancelled() from None
-        del self.greeting[key], self.futures[key]
-        refuse(worker, threads, greeting, self.scheduler)
-        self.hands[worker] = {}
+        del self.joining[key], self.futures[key]
+        check_worker(worker, threads, worker_report, self.scheduler)
+        self.assigned[worker] = {}
 
     def _is_finished(self, key: str) -> bool:
-        """Whether a unit ended with a result. Raises what it raised."""
+        """Whether a unit ended with a result. Raises whatever it raised."""
         from distributed.scheduler import KilledWorker
 
-        if key not in self.futures or key in self.greeting:
+        if key not in self.futures or key in self.joining:
             return False
         future = self.futures[key]
         if future.status == "cancelled":
@@ -205,29 +205,29 @@ class _Dispatch(Generic[Unit, Result]):
             return True
         if not isinstance(future.exception(), KilledWorker):
             future.result()  # raises what the unit raised
-        self._blame(self._release(key))  # a worker came back under its address before it was missed
+        self._count_death(self._release(key))  # a worker came back under the same address before it was missed
         return False
 
-    def _take(self, keys: list[str]) -> Iterator[tuple[int, Result]]:
-        """The results of units that finished, in one message: each by itself would cost the way there and back."""
+    def _collect_results(self, keys: list[str]) -> Iterator[tuple[int, Result]]:
+        """Fetch the results of finished units in one message: one message for each would cost a round trip each."""
         if not keys:
             return
         futures = [self.futures[key] for key in keys]
         try:
             results: list[Result] = self.client.sync(self._gather, futures, callback_timeout=ANSWER_TIMEOUT_S)
-        except OSError:  # a worker died with a result in hand, or the scheduler is gone
+        except OSError:  # a worker died before its result was fetched, or the scheduler is gone
             self._ask_again(*keys)
             return
         except CancelledError:
             raise self._cancelled() from None
         indices = [self._release(key) for key in keys]
-        self._hand_out()
+        self._assign_units()
         for index, result in zip(indices, results, strict=True):
             self.done += 1
             yield index, result
 
     async def _gather(self, futures: list[Any]) -> list[Result]:
-        """Their results. Raises TimeoutError where one went with its worker: Dask would wait until it is made anew."""
+        """Gather results. Raises TimeoutError if one is lost with its worker, which Dask would wait for."""
         fetching = asyncio.ensure_future(self.client.gather(futures, asynchronous=True))
         try:
             while not (await asyncio.wait([fetching], timeout=_POLL_S))[0]:
@@ -238,34 +238,34 @@ class _Dispatch(Generic[Unit, Result]):
             fetching.cancel()
 
     def _ask_again(self, *keys: str) -> None:
-        """Later: the next look tells whether workers and scheduler are there."""
+        """Look at keys again later: the next refresh tells whether workers and scheduler still exist."""
         time.sleep(_POLL_S / 10)
         for key in keys:
             self.ended.put(key)
 
     def _release(self, key: str) -> int:
-        worker = next(name for name, hand in self.hands.items() if key in hand)
+        worker = next(name for name, held in self.assigned.items() if key in held)
         self.futures.pop(key).release()
-        index = self.hands[worker].pop(key)
-        if not self.hands[worker]:
-            self.alone.discard(worker)
+        index = self.assigned[worker].pop(key)
+        if not self.assigned[worker]:
+            self.testing_suspect.discard(worker)
         return index
 
-    def _bury(self, worker: str) -> None:
-        """Take back what a worker that is gone had in hand."""
-        for key in [key for key, (name, _) in self.greeting.items() if name == worker]:
-            del self.greeting[key]
+    def _drop_worker(self, worker: str) -> None:
+        """Take back the units of a worker that is gone."""
+        for key in [key for key, (name, _) in self.joining.items() if name == worker]:
+            del self.joining[key]
             self.futures.pop(key).release()
-        for key in list(self.hands.get(worker, {})):
-            self._blame(self._release(key))
-        self.hands.pop(worker, None)
+        for key in list(self.assigned.get(worker, {})):
+            self._count_death(self._release(key))
+        self.assigned.pop(worker, None)
 
-    def _blame(self, index: int) -> None:
+    def _count_death(self, index: int) -> None:
         self.deaths[index] += 1
         (self.suspects if self.deaths[index] < _TRIES else self.lost).append(index)
 
-    def _give_up(self, index: int) -> tuple[int, Result]:
-        """Judged only where a worker lives: a cluster that is shut down blames no unit."""
+    def _give_up_unit(self, index: int) -> tuple[int, Result]:
+        """Give a unit up. Only called while a worker lives: when a cluster is shut down, no unit is to blame."""
         unit = self.units[index]
         if self.on_lost is None:
             raise RelocbenchError(
@@ -276,5 +276,5 @@ class _Dispatch(Generic[Unit, Result]):
         return index, self.on_lost(unit)
 
     def _cancelled(self) -> RelocbenchError:
-        self._workers()  # says so where the scheduler is gone
+        self._workers()  # raises where the scheduler is gone
         return RelocbenchError(f"the work was cancelled at {self.scheduler}, by a restart perhaps; {self.progress}")

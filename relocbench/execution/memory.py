@@ -1,4 +1,4 @@
-"""Resident memory of a process with its children, from ``/proc``."""
+"""Measuring and watching the resident memory of a process with its children, from ``/proc``."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import Protocol
 
 INTERVAL_S = 0.05
-"""between two looks at the memory; what is taken and given back in between is not seen"""
+"""between two measurements; memory that is taken and returned in between is not noticed"""
 _PROC = Path("/proc")
 
 
 def can_watch() -> bool:
-    """Whether this system tells what processes hold; macOS does not."""
+    """Whether this system reports the memory of processes; macOS does not."""
     return (_PROC / "self" / "statm").exists()
 
 
 def descendants(pid: int) -> list[int]:
-    """Children of a process, their children, and so on; those that have ended are left out."""
+    """The children of a process, their children, and so on, without those that have ended."""
     found: list[int] = []
     left = [pid]
     while left:
@@ -35,9 +35,10 @@ def descendants(pid: int) -> list[int]:
 
 
 def resident_bytes(pid: int) -> int:
-    """What a process and its descendants hold in memory, pages that they share counted once.
+    """The resident memory of a process and its descendants, with shared pages counted once.
 
-    Where there are children the kernel's proportional count is taken (``smaps_rollup``), which takes milliseconds.
+    If there are descendants, it is the sum of the kernel's proportional counts (``smaps_rollup``), which take
+    milliseconds.
     """
     children = descendants(pid)
     if not children:
@@ -61,14 +62,14 @@ def _proportional(pid: int) -> int:
 
 
 class Watched(Protocol):
-    """A worker as the watch sees it."""
+    """A worker whose memory is watched."""
 
     def check_memory(self, limit_bytes: int) -> None: ...
 
 
 @contextmanager
 def memory_watched(workers: Callable[[], Sequence[Watched]], limit_bytes: int | None) -> Iterator[None]:
-    """Within it a thread looks at workers' memory, while the program that waits for them may do something else."""
+    """Watch workers' memory in a thread, so that the program that waits for them may do something else."""
     if limit_bytes is None:
         yield
         return

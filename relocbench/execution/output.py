@@ -1,4 +1,4 @@
-"""What code that is not ours prints: messages on standard error."""
+"""Redirecting what third-party code prints to standard error."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from contextlib import contextmanager, redirect_stdout
 
 @contextmanager
 def messages_to_stderr() -> Iterator[None]:
-    """What code that is not ours prints is a message; standard output holds a command's result alone (``--json``).
+    """Redirect standard output to standard error while third-party code runs: only a command's result belongs on it.
 
-    The descriptor itself is turned round, so that libraries and child processes obey too.
+    The file descriptor itself is redirected, so that native libraries and child processes are included.
     """
     sys.stdout.flush()
     kept = os.dup(1)

@@ -1,4 +1,4 @@
-"""Local worker processes."""
+"""Local worker processes, and a pool that gives them units of work."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ Result = TypeVar("Result")
 
 _TRIES = 2
 _LOOK_S = 0.25
-"""how often workers are looked at of which nothing is heard"""
+"""interval at which silent workers are checked"""
 _GRACE_S = 1.0
-"""for workers to end by themselves"""
+"""time for workers to end by themselves"""
 
 
 @contextmanager
 def kept_workers() -> Iterator[None]:
-    """Within it, worker processes are kept from one call of :func:`run_units` to the next, unless one died.
+    """Keep worker processes from one call of :func:`run_units` to the next, unless one died.
 
-    A process that has imported what it works with and built its method goes on at once; a fresh one takes seconds.
+    A process that has imported its libraries and constructed its method continues at once; a fresh one takes seconds.
     """
     if _kept.get() is not None:
         yield
@@ -53,7 +53,7 @@ def run_on_processes(
     workers: int,
     on_lost: Callable[[Unit], Result] | None,
 ) -> Iterator[tuple[int, Result]]:
-    """A worker that dies (it was killed, or crashed) costs the unit in hand one of its two tries."""
+    """Run units without limits; a worker that dies (killed, or crashed) costs its unit one of two tries."""
     tries: dict[int, int] = {}
 
     def again(index: int, unit: Unit, loss: Loss) -> Iterator[Result]:
@@ -77,7 +77,7 @@ def run_with_limits(
     limits: Limits,
     on_loss: Callable[[Unit, Loss], Result],
 ) -> Iterator[tuple[int, Result]]:
-    """A worker that dies, or is ended for what it takes, costs the unit in hand: ``on_loss`` makes its result."""
+    """Run units within limits; if a worker dies or is ended, ``on_loss`` returns the result of its unit."""
 
     def lost(index: int, unit: Unit, loss: Loss) -> Iterator[Result]:
         yield on_loss(unit, loss)
@@ -87,7 +87,7 @@ def run_with_limits(
 
 
 class Pool:
-    """Worker processes; each has one unit in hand, so that it is known what a death costs."""
+    """Worker processes; each has one unit at a time, so that it is known what a death costs."""
 
     def __init__(self) -> None:
         self.workers: list[WorkerProcess] = []
@@ -102,15 +102,15 @@ class Pool:
     ) -> Iterator[tuple[int, Any]]:
         """Yield (index, result) as units are done.
 
-        Units are taken when a worker is free for them, and one for which ``on_loss`` has no result is tried again.
+        Units are consumed as workers become free; a unit for which ``on_loss`` yields no result is tried again.
         """
-        self._let_go_of_what_was_dropped()
+        self._drain_abandoned_units()
         source = enumerate(units)
         again: deque[tuple[int, Any]] = deque()
-        stillborn = 0
+        failed_starts = 0
         with memory_watched(lambda: list(self.workers), None if limits is None else limits.memory_bytes):
-            while busy := self._hand_out(function, source, again, workers):
-                for worker, index, unit, told in self._listen(busy, limits):
+            while busy := self._assign_units(function, source, again, workers):
+                for worker, index, unit, told in self._poll_workers(busy, limits):
                     if isinstance(told, Raised):
                         raise told.exception from RemoteTraceback(told.traceback)
                     if not isinstance(told, Loss):
@@ -118,8 +118,8 @@ class Pool:
                         continue
                     self.workers.remove(worker)
                     if not worker.ready:
-                        stillborn += 1
-                        if stillborn >= _TRIES:
+                        failed_starts += 1
+                        if failed_starts >= _TRIES:
                             raise RelocbenchError(f"worker processes end while they start ({told.words})")
                         again.append((index, unit))
                         continue
@@ -130,19 +130,19 @@ class Pool:
                         yield index, result
 
     def close(self) -> None:
-        """Free workers end by themselves; what the others do is lost."""
+        """End all workers: idle ones by themselves, and the others at once, with the loss of their work."""
         for worker in self.workers:
             if worker.work is None:
-                worker.dismiss()
+                worker.release()
         until = time.monotonic() + _GRACE_S
         while self.workers:
             worker = self.workers.pop()
-            worker.bury(until - time.monotonic() if worker.work is None else 0.0)
+            worker.end(until - time.monotonic() if worker.work is None else 0.0)
 
-    def _hand_out(
+    def _assign_units(
         self, function: Any, source: Iterator[tuple[int, Any]], again: deque[tuple[int, Any]], workers: int
     ) -> list[WorkerProcess]:
-        """Give every free worker a unit, as long as there are any; returns who has one."""
+        """Give every free worker a unit, while there are any; returns the workers that have one."""
         for slot in range(workers):
             if slot < len(self.workers) and self.workers[slot].work is not None:
                 continue
@@ -154,10 +154,10 @@ class Pool:
             self.workers[slot].give(function, *work)
         return [worker for worker in self.workers if worker.work is not None]
 
-    def _listen(
+    def _poll_workers(
         self, busy: list[WorkerProcess], limits: Limits | None
     ) -> Iterator[tuple[WorkerProcess, int, Any, Any]]:
-        """What has come of units."""
+        """Yield what the busy workers have reported about their units."""
         patience = max(0.0, min([_LOOK_S, *(worker.seconds_left() for worker in busy)]))
         wait_for([worker.connection for worker in busy], patience)
         for worker in busy:
@@ -166,21 +166,21 @@ class Pool:
             if (told := worker.listen(limits)) is not None:
                 yield worker, index, unit, told
 
-    def _let_go_of_what_was_dropped(self) -> None:
-        """An earlier run that ended early has left units in hand, which nobody waits for any more."""
+    def _drain_abandoned_units(self) -> None:
+        """Free workers of units that an earlier run, which ended early, has left: nobody waits for their results."""
         until = time.monotonic() + _GRACE_S
         for worker in list(self.workers):
             while worker.work is not None:
                 wait_for([worker.connection], max(0.0, until - time.monotonic()))
                 if isinstance(worker.listen(None), Loss) or (worker.work is not None and time.monotonic() > until):
-                    worker.bury()
+                    worker.end()
                     self.workers.remove(worker)
                     break
 
 
 @contextmanager
 def _pool_to_use() -> Iterator[Pool]:
-    """The one that is kept, or one for this call alone."""
+    """The pool that is being kept, or one for this call alone."""
     kept = _kept.get()
     if kept is not None:
         yield kept

@@ -1,4 +1,4 @@
-"""A Dask scheduler: its address, how the connection is secured, and what its workers must share with this process."""
+"""A Dask scheduler: its address, the security of the connection, and what its workers must share with this process."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ _TLS = "tls://"
 
 
 class Scheduler(BaseModel):
-    """Where a Dask scheduler listens. A configuration file may give the address alone, as a string."""
+    """The address of a Dask scheduler with its certificates. In a configuration file it may be the address alone."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     address: str
     """``tcp://host:port``, ``tls://host:port``, or the path of the JSON file that ``dask scheduler`` writes"""
     tls_ca: Path | None = None
-    """PEM file: certificate of the authority that signed the scheduler's and the workers' certificates"""
+    """PEM file with the certificate of the authority that signed the scheduler's and the workers' certificates"""
     tls_cert: Path | None = None
-    """PEM file: certificate of this client"""
+    """PEM file with the certificate of this client"""
     tls_key: Path | None = None
-    """PEM file: private key of ``tls_cert``, if it does not stand there itself"""
+    """PEM file with the private key of ``tls_cert``, unless that file holds it"""
     writes: Path | None = None
-    """folder that is written to; every worker must see the same one"""
+    """folder that is written to, and that every worker must see"""
     reads: tuple[Path, ...] = ()
-    """files and folders that every worker must find"""
+    """files and folders that every worker must see"""
 
     @model_validator(mode="before")
     @classmethod
@@ -57,7 +57,7 @@ class Scheduler(BaseModel):
 
 @contextmanager
 def connected(scheduler: Scheduler) -> Iterator[Any]:
-    """A ``distributed.Client``, closed at the end. What Dask logs meanwhile is told by errors instead.
+    """Connect a ``distributed.Client``, closed at the end. Dask's log is off meanwhile: errors say what it would.
 
     Raises:
         ConfigError: Dask is not installed, a file is missing or wrong, nothing answers.
@@ -85,7 +85,7 @@ def connected(scheduler: Scheduler) -> Iterator[Any]:
 
 
 def _address(scheduler: Scheduler) -> str:
-    """The address itself, read from a scheduler file if that is what was given."""
+    """The address itself, read from the scheduler's file if that was given."""
     path = Path(scheduler.address)
     if "://" in scheduler.address or not (path.suffix == ".json" or path.is_file()):
         return scheduler.address
@@ -99,12 +99,12 @@ def _address(scheduler: Scheduler) -> str:
     except (ValueError, KeyError, TypeError, RecursionError):
         raise ConfigError(f"holds no address; {expected}", path) from None
     if not isinstance(address, str):
-        raise ConfigError(f"holds an address that is no text; {expected}", path)
+        raise ConfigError(f"holds an address that is not a string; {expected}", path)
     return address
 
 
 def _security(scheduler: Scheduler, address: str) -> Any:
-    """``distributed.Security`` for a ``tls://`` address; what is not given comes from Dask's own configuration."""
+    """``distributed.Security`` for a ``tls://`` address; Dask's own configuration provides what is not given."""
     files = {"tls_ca": scheduler.tls_ca, "tls_cert": scheduler.tls_cert, "tls_key": scheduler.tls_key}
     if not address.startswith(_TLS):
         if any(files.values()):
@@ -122,7 +122,7 @@ def _security(scheduler: Scheduler, address: str) -> Any:
         security = Security(require_encryption=True, **given)
         context = security.get_connection_args("client").get("ssl_context")
     except (ssl.SSLError, OSError, ValueError) as bad:
-        raise ConfigError(f"TLS takes no such certificates ({bad}): {', '.join(given.values())}") from None
+        raise ConfigError(f"these certificates cannot be used for TLS ({bad}): {', '.join(given.values())}") from None
     if context is None:
         raise ConfigError(
             f"{address} needs --scheduler-tls-ca, --scheduler-tls-cert and --scheduler-tls-key, or the same in Dask's "
@@ -133,7 +133,7 @@ def _security(scheduler: Scheduler, address: str) -> Any:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without Dask's log: it prints tracebacks of what is told in one line here."""
+    """Turn off Dask's log, which would print tracebacks of faults that are reported in one line here."""
     names = [n for n in logging.root.manager.loggerDict if n.split(".")[0] in ("distributed", "tornado", "asyncio")]
     loggers = [logger for logger in map(logging.getLogger, names) if not logger.disabled]
     for logger in loggers:
@@ -141,11 +141,11 @@ def _quiet() -> Iterator[None]:
     try:
         yield
     finally:
-        gc.collect()  # tasks that the end of a connection broke complain when they are let go
+        gc.collect()  # tasks that the end of a connection broke log complaints when they are collected
         for logger in loggers:
             logger.disabled = False
 
 
 def scheduler_is_gone(scheduler: Scheduler, progress: str) -> RelocbenchError:
-    """The error of a run whose scheduler does not answer any more."""
+    """The error of a run whose scheduler no longer answers."""
     return RelocbenchError(f"the Dask scheduler at {scheduler} is gone; {progress}")

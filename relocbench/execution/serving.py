@@ -1,4 +1,4 @@
-"""What runs in a worker process: one unit after another, until nobody listens."""
+"""The main loop of a worker process: one unit after another, until the parent closes the connection."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ class Ready:
 
 @dataclass(frozen=True)
 class Done:
-    """A unit's result."""
+    """The result of a unit."""
 
     result: Any
 
 
 @dataclass(frozen=True)
 class Raised:
-    """What a unit raised, and where."""
+    """An exception that a unit raised, with its traceback."""
 
     exception: Exception
     traceback: str
 
 
 class RemoteTraceback(Exception):
-    """Stands behind an exception that comes from a worker, to say where it was raised."""
+    """The cause of an exception from a worker, which shows where it was raised."""
 
     def __str__(self) -> str:
         return f"\n{self.args[0]}"
 
 
 def serve(connection: Connection) -> None:
-    """Call functions on units as they come."""
+    """Call functions on units as they arrive."""
     os.setsid()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -80,7 +80,7 @@ def serve(connection: Connection) -> None:
 
 
 class _Speaker:
-    """Sends for this process alone: a child that a method has forked, and that returns from it, ends here."""
+    """Sends messages from this process alone: a child that a method forked and that returns from it ends here."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection, self._pid = connection, os.getpid()
@@ -103,19 +103,19 @@ def _raised(bad: BaseException) -> Raised:
 
 
 def _keep_what_it_starts() -> None:
-    """Processes whose parent ends become children of the worker, so that they are found (Linux alone)."""
+    """Make processes whose parent ends children of the worker, so that they can be found (Linux only)."""
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def _end_with_parent() -> None:
-    """A job that is killed takes its workers along: they would go on with what is queued, beside the job run again."""
+    """End this worker with its parent: otherwise it would go on with its unit while the same job is run again."""
     parent = parent_process()
     if parent is None:
         return
     if hasattr(fcntl, "F_SETSIG"):
-        # The kernel itself ends the whole group when the other end of the pipe closes, whatever the worker is doing.
+        # The kernel kills the whole group when the other end of the pipe closes, whatever the worker is doing.
         pipe = parent.sentinel
         fcntl.fcntl(pipe, fcntl.F_SETOWN, -os.getpid())
         fcntl.fcntl(pipe, fcntl.F_SETSIG, signal.SIGKILL)
@@ -124,6 +124,6 @@ def _end_with_parent() -> None:
 
 
 def _end_with(sentinel: int) -> None:
-    """Where the kernel does not, and where the parent had gone before it was asked to."""
+    """End the group where the kernel does not, or if the parent was gone before the kernel was asked to."""
     wait_for([sentinel])
     os.killpg(0, signal.SIGKILL)

@@ -1,6 +1,6 @@
-"""One worker process, as the process that started it sees it: what it is given, what it tells, how it is ended.
+"""A worker process as its parent sees it: what it is given, what it reports, and how it is ended.
 
-A worker is the leader of a session of its own. A terminal's Ctrl-C does not reach it, and all that it has started is
+A worker is the leader of a session of its own. A terminal's Ctrl-C does not reach it, and everything that it started is
 ended with it.
 """
 
@@ -22,7 +22,7 @@ from relocbench.execution.memory import descendants, resident_bytes
 from relocbench.execution.serving import Done, Raised, Ready, serve
 
 _EXIT_GRACE_S = 1.0
-"""after which a worker that was told to end, or that has closed its pipe, is killed"""
+"""time after which a worker that was told to end, or that has closed its pipe, is killed"""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -30,7 +30,7 @@ _live: set[WorkerProcess] = set()
 
 
 class WorkerProcess:
-    """A fresh interpreter: forking one that holds threads (OpenMP, Open3D, torch) can hang."""
+    """A worker in a fresh interpreter: forking a process that has threads (OpenMP, Open3D, torch) can hang."""
 
     def __init__(self) -> None:
         context = get_context("spawn")
@@ -38,14 +38,14 @@ class WorkerProcess:
         self.process = context.Process(target=serve, args=(theirs,))
         self.ready = False
         self.work: tuple[int, Any] | None = None
-        """index and unit in hand"""
+        """index and unit in progress"""
         self.step: Step | None = None
         self._deadline: float | None = None
-        self._verdict: Loss | None = None
-        self._gone = False
+        self._loss: Loss | None = None
+        self._reaped = False
         self._lock = threading.Lock()
         resource_tracker.ensure_running()  # it would unblock signals while it starts
-        # Last: an interruption comes when all is known that it takes to end the worker.
+        # This comes last: once an interruption can arrive, all that is needed to end the worker is known.
         with single_threaded_children(), _signals_held():
             self.process.start()
             _live.add(self)
@@ -57,90 +57,90 @@ class WorkerProcess:
         return self.process.pid
 
     def give(self, function: Any, index: int, unit: Any) -> None:
-        """Let it call ``function`` on ``unit``."""
+        """Send the worker a call of ``function`` on ``unit``."""
         self.work = (index, unit)
-        with suppress(OSError):  # it has died: that is told when it is listened to
+        with suppress(OSError):  # a death is reported by ``listen``
             self.connection.send((function, unit))
 
     def seconds_left(self) -> float:
-        """Until the step in hand must be over."""
+        """The time left for the step in progress."""
         return float("inf") if self._deadline is None else self._deadline - time.monotonic()
 
     def listen(self, limits: Limits | None) -> Done | Raised | Loss | None:
-        """What has come of the unit in hand, if anything; a worker whose step takes too long is ended here."""
+        """The outcome of the unit in progress, if there is one; a worker whose step takes too long is ended here."""
         try:
             while self.connection.poll():
-                told = self.connection.recv()
-                if isinstance(told, Done | Raised):
+                message = self.connection.recv()
+                if isinstance(message, Done | Raised):
                     self.work, self.step, self._deadline = None, None, None
-                    return told
-                if isinstance(told, Ready):
+                    return message
+                if isinstance(message, Ready):
                     self.ready = True
                 else:
-                    self._take_step(told, limits)
+                    self._take_step(message, limits)
         except (EOFError, OSError):
-            return self._obituary()
+            return self._loss_at_end()
         if limits is not None and self.seconds_left() <= 0:
-            self._end_for("time", _too_long(self.step, limits))
-        if self._verdict is not None or self._has_exited():
-            return self._obituary()
+            self._end_for("time", _time_message(self.step, limits))
+        if self._loss is not None or self._has_exited():
+            return self._loss_at_end()
         return None
 
     def check_memory(self, limit_bytes: int) -> None:
-        """End the worker if a method is being called and more memory is held; called from another thread too."""
+        """End the worker if a method is running and more memory is held; may be called from another thread."""
         with self._lock:
-            doing = self.step
-            if doing is None or self._gone or self._verdict is not None or resident_bytes(self.pid) <= limit_bytes:
+            current = self.step
+            if current is None or self._reaped or self._loss is not None or resident_bytes(self.pid) <= limit_bytes:
                 return
-            self._verdict = Loss(doing, "memory", f"took more memory than the limit of {size_text(limit_bytes)}")
+            self._loss = Loss(current, "memory", f"took more memory than the limit of {size_text(limit_bytes)}")
             self._kill()
 
-    def dismiss(self) -> None:
-        """Let it end by itself: without work it does so when nobody listens to it any more."""
+    def release(self) -> None:
+        """Let an idle worker end by itself, which it does when the connection is closed."""
         self.connection.close()
 
-    def bury(self, patience_s: float = 0.0) -> None:
-        """End the process and all that it has started."""
+    def end(self, patience_s: float = 0.0) -> None:
+        """End the process and everything that it started."""
         until = time.monotonic() + patience_s
         while time.monotonic() < until and not self._has_exited():
             time.sleep(0.005)
         with self._lock:
-            if not self._gone:
+            if not self._reaped:
                 self._kill()
-                self._gone = True
+                self._reaped = True
                 self.process.join()
         self.connection.close()
         _live.discard(self)
 
-    def _take_step(self, told: Step | None, limits: Limits | None) -> None:
-        before, self.step = self.step, told
+    def _take_step(self, message: Step | None, limits: Limits | None) -> None:
+        before, self.step = self.step, message
         self._deadline = None
-        if limits is not None and told is not None:
-            self._deadline = time.monotonic() + told.times * limits.time_s
-        if limits is not None and limits.memory_bytes is not None and told is None and before is not None:
-            # A short call may lie between two looks of the watch; one that keeps what it took is seen here.
+        if limits is not None and message is not None:
+            self._deadline = time.monotonic() + message.times * limits.time_s
+        if limits is not None and limits.memory_bytes is not None and message is None and before is not None:
+            # A short call may fall between two measurements; memory that it keeps is noticed here.
             self.step = before
             self.check_memory(limits.memory_bytes)
             self.step = None
 
     def _end_for(self, kind: Any, words: str) -> None:
         with self._lock:
-            if self._verdict is None and not self._gone:
-                self._verdict = Loss(self.step, kind, words)
+            if self._loss is None and not self._reaped:
+                self._loss = Loss(self.step, kind, words)
                 self._kill()
 
-    def _obituary(self) -> Loss:
-        """It has died, or has closed its pipe, which comes to the same."""
-        verdict, doing = self._verdict, self.step
-        self.bury(0.0 if verdict else _EXIT_GRACE_S)
-        return self._verdict or Loss(doing, "death", _how_it_ended(self.process.exitcode))
+    def _loss_at_end(self) -> Loss:
+        """The loss of a worker that has died, or that has closed its pipe, which is treated alike."""
+        verdict, current = self._loss, self.step
+        self.end(0.0 if verdict else _EXIT_GRACE_S)
+        return self._loss or Loss(current, "death", _exit_description(self.process.exitcode))
 
     def _has_exited(self) -> bool:
-        """Without fetching its exit status: until then its number belongs to nobody else.
+        """Whether the process has ended, without collecting its exit status: until then its id is not reused.
 
-        A pipe that children hold open does not tell that their parent has died.
+        End of file on the pipe is not enough, since children may hold it open after their parent has died.
         """
-        if self._gone:
+        if self._reaped:
             return True
         if not hasattr(os, "waitid"):
             return not self.process.is_alive()
@@ -155,7 +155,7 @@ class WorkerProcess:
         for child in descendants(self.pid):
             with suppress(OSError):
                 os.kill(child, signal.SIGKILL)
-        with suppress(OSError):  # before it has a session of its own there is no such group
+        with suppress(OSError):  # the group does not exist before the worker has a session of its own
             os.killpg(self.pid, signal.SIGKILL)
         with suppress(OSError):
             os.kill(self.pid, signal.SIGKILL)
@@ -165,18 +165,18 @@ def end_workers() -> None:
     """End every worker process that this process has started, at once."""
     for worker in list(_live):
         with suppress(OSError):
-            worker.bury()
+            worker.end()
 
 
-atexit.register(end_workers)  # before multiprocessing's own, which waits for processes without end
+atexit.register(end_workers)  # runs before multiprocessing's own handler, which waits for processes without a limit
 
 
 @contextmanager
 def _signals_held() -> Iterator[None]:
-    """A process that is started inherits that Ctrl-C is held back, until it has a session of its own; here it comes
-    later, when the worker is known and can be ended.
+    """Hold back Ctrl-C and termination while a worker starts; they act afterwards, when the worker can be ended.
 
-    A mask is a thread's own, and the system gives a signal to any other: what Python would do about it waits too.
+    The new process inherits the block until it has a session of its own. A mask belongs to a thread, and the system may
+    deliver a signal to any other thread: Python's handlers wait as well.
     """
     heard: list[int] = []
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
@@ -194,14 +194,14 @@ def _signals_held() -> Iterator[None]:
             signal.raise_signal(arrived)
 
 
-def _too_long(doing: Step | None, limits: Limits) -> str:
-    times = 1.0 if doing is None else doing.times
+def _time_message(current: Step | None, limits: Limits) -> str:
+    times = 1.0 if current is None else current.times
     if times == 1:
         return f"took longer than the time limit of {limits.time_s:g} s"
     return f"took longer than {times * limits.time_s:g} s, {times:g} times the time limit"
 
 
-def _how_it_ended(code: int | None) -> str:
+def _exit_description(code: int | None) -> str:
     if code is None or code >= 0:
         return f"exit status {code}"
     try:

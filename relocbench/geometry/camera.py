@@ -94,7 +94,7 @@ class Camera:
         inside = (u >= border) & (u <= self.width - 1 - border)
         return inside & (v >= border) & (v <= self.height - 1 - border)
 
-    @np.errstate(all="ignore")  # what is not finite comes out as not valid
+    @np.errstate(all="ignore")  # points that are not finite are reported as not valid
     def project(self, points: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
         """Pixels of points in the camera frame.
 
@@ -148,7 +148,7 @@ class Camera:
             rays = np.stack([x, y, np.ones_like(x)], axis=-1)
         else:
             theta_d = np.hypot(xd, yd)
-            theta, valid = _invert_growing(self._theta_d, theta_d, self._fold)
+            theta, valid = _invert_increasing(self._theta_d, theta_d, self._fold)
             direction = np.where(theta_d > 1e-12, np.sin(theta) / np.where(theta_d > 1e-12, theta_d, 1.0), 1.0)
             rays = np.stack([xd * direction, yd * direction, np.cos(theta)], axis=-1)
             forward = rays[..., 2] > 1e-6
@@ -165,8 +165,8 @@ class Camera:
         """For each pixel of ``target`` (default: :meth:`pinhole`) the pixel of this camera that it shows.
 
         Returns:
-            u, v: each (target.height, target.width) float32, as ``cv2.remap`` takes them; -1e4 where nothing is
-            seen.
+            u, v: each (target.height, target.width) float32, as ``cv2.remap`` takes them; -1e4 where this camera
+            sees nothing.
         """
         target = target or self.pinhole()
         grid = np.stack(np.meshgrid(np.arange(target.width), np.arange(target.height)), axis=-1)
@@ -188,7 +188,7 @@ class Camera:
         }
 
     def _radtan(self, x: Array, y: Array) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
-        """Distorted normalised coordinates and d(xd, yd)/d(x, y), row by row (Brown-Conrady, rational)."""
+        """Distorted normalised coordinates and their Jacobian, row by row (Brown-Conrady, rational model)."""
         k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, 0.0, 0.0, 0.0, 0.0)[:8]
         r2 = x * x + y * y
         top = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -212,7 +212,7 @@ class Camera:
         )
 
     def _radial(self, r: Array) -> tuple[Array, Array]:
-        """Distorted radius and its derivative, the tangential part left out."""
+        """Distorted radius and its derivative, without the tangential distortion."""
         zero = np.zeros_like(r)
         k1, k2, _, _, *higher = self.distortion
         untilted = replace(self, distortion=(k1, k2, 0.0, 0.0, *higher))
@@ -221,9 +221,10 @@ class Camera:
 
     @cached_property
     def _fold(self) -> float:
-        """Radius r (radtan) or angle theta (equidistant) up to which the distortion grows: beyond it lie the ghosts.
+        """Radius r (radtan) or angle theta (equidistant) up to which the distorted radius increases.
 
-        The first positive root of its derivative, a polynomial in the square; a pole of the rational model as well.
+        Beyond it the image folds back and two rays would share a pixel. It is the first positive root of the
+        derivative, a polynomial in the square of r or theta, or the first pole of the rational model.
         """
         if self.model == "equidistant":
             k1, k2, k3, k4 = self.distortion
@@ -234,12 +235,12 @@ class Camera:
         return min(_first_root(growth.coeffs), _first_root(bottom.coeffs))
 
     def _invert_radtan(self, xd: Array, yd: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Newton's method in two dimensions, from where the radial part alone puts the point."""
+        """Undistort by Newton's method in two dimensions, starting from the inverse of the radial part alone."""
         rd = np.hypot(xd, yd)
-        r, _ = _invert_growing(self._radial, rd, self._fold)
+        r, _ = _invert_increasing(self._radial, rd, self._fold)
         with np.errstate(all="ignore"):
             outward = np.where(rd > 0, r / np.where(rd > 0, rd, 1.0), 1.0)
-            # Just past the end of the radial part the tangential one may still reach: start at the distorted point.
+            # The full model may reach slightly past the fold of the radial part: start there at the distorted point.
             outward = np.where(np.isfinite(outward), outward, 1.0)
             x, y = xd * outward, yd * outward
             for _ in range(_NEWTON_STEPS):
@@ -264,23 +265,23 @@ class Camera:
 
 
 def _first_root(coefficients: ArrayLike) -> float:
-    """Square root of the smallest positive real root, infinite if there is none; highest power first."""
+    """Square root of a polynomial's smallest positive real root, infinite if it has none; highest power first."""
     roots = np.roots(np.asarray(coefficients))
     real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0)]
     return float(np.sqrt(real.min(initial=np.inf)))
 
 
-def _invert_growing(
+def _invert_increasing(
     function: Callable[[Array], tuple[Array, Array]], target: Array, end: float
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Solve ``function(x) = target`` for x in [0, end), where the function grows from 0; ``end`` may be infinite.
+    """Solve ``function(x) = target`` for x in [0, end), where the function increases from 0.
 
-    Newton's method kept in a bracket: next to a fold, where the function is nearly flat, it alone jumps beyond.
+    Newton's method within a bracket: alone it would overshoot next to a fold, where the function is nearly flat.
 
     Args:
-        function: value and derivative.
-        target: (...) at least 0; NaN is not valid.
-        end: of the interval.
+        function: returns value and derivative.
+        target: (...) at least 0; NaN gives an invalid result.
+        end: end of the interval, may be infinite.
 
     Returns:
         x (...), NaN where not valid, and valid (...).

@@ -1,4 +1,4 @@
-"""The spread of residuals among which some are wrong."""
+"""Robust spread of residuals with outliers."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_SIGMAS_A_MEDIAN = 1.4826
+_SIGMA_PER_MEDIAN = 1.4826
 """1 / 0.6745: half of a normal distribution lies within 0.6745 standard deviations"""
 
 
 def robust_sigma(residuals: Array, weights: Array) -> float:
-    """Standard deviation of the good ones of residuals (N,), whose weights are (N,); nan of none.
+    """Robust standard deviation of residuals (N,) with weights (N,); nan if there are none.
 
-    The weighted median of the absolute residuals, scaled to the standard deviation of a normal distribution (Hampel,
-    The influence curve and its role in robust estimation, JASA 1974).
+    It is the weighted median of the absolute residuals, scaled to the standard deviation of a normal distribution
+    (Hampel, The influence curve and its role in robust estimation, JASA 1974).
     """
-    return _SIGMAS_A_MEDIAN * _weighted_median(np.abs(residuals), weights)
+    return _SIGMA_PER_MEDIAN * _weighted_median(np.abs(residuals), weights)
 
 
 def _weighted_median(values: Array, weights: Array) -> float:
-    """The value (N,) with half of the weight (N,) below it; nan of none."""
+    """The value of (N,) below which half of the total weight (N,) lies; nan if there are none."""
     if not len(values):
         return float("nan")
     order = np.argsort(values)

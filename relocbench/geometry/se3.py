@@ -23,7 +23,7 @@ def _series(theta2: Array, coefficients: tuple[float, ...]) -> Array:
 
 
 def _sinc_terms(theta2: Array) -> tuple[Array, Array, Array]:
-    """sin(t)/t, (1-cos t)/t^2 and (t-sin t)/t^3, each by its series where the quotient would cancel."""
+    """sin(t)/t, (1-cos t)/t^2 and (t-sin t)/t^3, by power series at small angles, where the quotients lose digits."""
     small = theta2 < 0.0625
     safe2 = np.where(small, 1.0, theta2)
     theta = np.sqrt(safe2)
@@ -58,8 +58,8 @@ def so3_exp(phi: ArrayLike) -> Array:
 def so3_log(rotation: ArrayLike) -> Array:
     """Rotation vector of a rotation matrix, angle in [0, pi]. (..., 3, 3) -> (..., 3) rad.
 
-    Goes through the quaternion, ``phi = 2 atan2(|v|, w) v/|v|`` with w >= 0, which is accurate both next to the
-    identity and next to half a turn.
+    Computed from the quaternion, ``phi = 2 atan2(|v|, w) v/|v|`` with w >= 0, which is accurate both close to the
+    identity and close to half a turn.
     """
     q = quaternion_from_rotation(rotation)
     v, w = q[..., :3], q[..., 3]
@@ -71,9 +71,9 @@ def so3_log(rotation: ArrayLike) -> Array:
 
 
 def rotation_angle(rotation: ArrayLike) -> Array:
-    """Angle of a rotation in rad, in [0, pi], right at 1e-9 and at pi. (..., 3, 3) -> (...).
+    """Angle of a rotation in rad, in [0, pi], accurate at 1e-9 and at pi. (..., 3, 3) -> (...).
 
-    ``2 atan2(|v|, |w|)`` of the unit quaternion; ``arccos`` of the trace would lose half of the digits.
+    Computed as ``2 atan2(|v|, |w|)`` of the unit quaternion; ``arccos`` of the trace would lose half of the digits.
     """
     q = quaternion_from_rotation(rotation)
     return 2.0 * np.arctan2(np.linalg.norm(q[..., :3], axis=-1), np.abs(q[..., 3]))
@@ -113,7 +113,7 @@ def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
 
 
 def make_transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
-    """4x4 transform(s) of rotation (..., 3, 3) and translation (..., 3) in metres."""
+    """4x4 transform(s) from rotation (..., 3, 3) and translation (..., 3) in metres."""
     r = np.asarray(rotation, dtype=np.float64)
     t = np.asarray(translation, dtype=np.float64)
     out = np.zeros((*np.broadcast_shapes(r.shape[:-2], t.shape[:-1]), 4, 4))
@@ -122,7 +122,7 @@ def make_transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
 
 
 def transform_from_tq(translation: ArrayLike, quaternion: ArrayLike) -> Array:
-    """4x4 transform(s) of translation (tx, ty, tz) and quaternion (qx, qy, qz, qw)."""
+    """4x4 transform(s) from translation (tx, ty, tz) and quaternion (qx, qy, qz, qw)."""
     return make_transform(rotation_from_quaternion(quaternion), translation)
 
 
@@ -143,7 +143,7 @@ def se3_exp(xi: ArrayLike) -> Array:
 
 
 def adjoint(transform: ArrayLike) -> Array:
-    """(..., 6, 6) with ``T @ se3_exp(xi) = se3_exp(adjoint(T) @ xi) @ T`` for ``xi = (rho, phi)``. (..., 4, 4).
+    """Adjoint: ``T @ se3_exp(xi) = se3_exp(adjoint(T) @ xi) @ T``, ``xi = (rho, phi)``. (..., 4, 4) -> (..., 6, 6).
 
     Barfoot, State Estimation for Robotics, section 7.1.4.
     """
@@ -187,7 +187,7 @@ def invert(transform: ArrayLike) -> Array:
 def compose(*transforms: ArrayLike) -> Array:
     """Product of transforms, left to right: ``compose(T_c_b, T_b_a) == T_c_a``.
 
-    The rotation is put back onto SO(3), so that long chains do not drift off it.
+    The rotation is projected back onto SO(3), so that long chains do not drift off it.
     """
     if not transforms:
         return np.eye(4)
@@ -207,7 +207,7 @@ def apply(transform: ArrayLike, points: ArrayLike) -> Array:
 def interpolate(transform_0: ArrayLike, transform_1: ArrayLike, fraction: ArrayLike) -> Array:
     """Pose between two poses: translation linear, rotation by slerp. fraction (...) in [0, 1] -> (..., 4, 4).
 
-    Both are ``T_world_body``; slerp follows the shorter arc (Shoemake 1985), as ``R0 exp(f log(R0^T R1))``.
+    Both poses are ``T_world_body``; slerp follows the shorter arc (Shoemake 1985), as ``R0 exp(f log(R0^T R1))``.
     """
     t0 = np.asarray(transform_0, dtype=np.float64)
     t1 = np.asarray(transform_1, dtype=np.float64)
@@ -230,8 +230,8 @@ def interpolate_trajectory(timestamps_ns: ArrayLike, transforms: ArrayLike, quer
         (M, 4, 4) ``T_world_body``.
 
     Raises:
-        ValueError: times not integers or not increasing, another number of poses than times, or a query outside
-            the span (nothing is ever extrapolated).
+        ValueError: the times are not integers or do not increase, there are not as many poses as times, or a query
+            lies outside the span (poses are never extrapolated).
     """
     times = _integer_times(timestamps_ns)
     poses = np.asarray(transforms, dtype=np.float64)
@@ -253,7 +253,7 @@ def interpolate_trajectory(timestamps_ns: ArrayLike, transforms: ArrayLike, quer
 
 
 def _integer_times(times_ns: ArrayLike) -> NDArray[np.int64]:
-    """(N,) int64; seconds as floats would lose their digits without a word."""
+    """Times as (N,) int64. Float seconds are refused: they would silently lose digits."""
     times = np.atleast_1d(np.asarray(times_ns))
     if times.size and times.dtype.kind not in "iu":
         raise ValueError(f"times must be integer nanoseconds, got {times.dtype}")
@@ -261,7 +261,7 @@ def _integer_times(times_ns: ArrayLike) -> NDArray[np.int64]:
 
 
 def is_rotation(rotation: ArrayLike, tolerance: float = 1e-6) -> bool:
-    """Whether (3, 3) is a proper rotation to the tolerance."""
+    """Whether (3, 3) is a proper rotation within the tolerance."""
     m = np.asarray(rotation, dtype=np.float64)
     return bool(np.all(np.isfinite(m)) and np.abs(m @ m.T - np.eye(3)).max() <= tolerance and np.linalg.det(m) > 0)
 

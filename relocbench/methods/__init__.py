@@ -1,4 +1,4 @@
-"""Finding, configuring and speaking to methods."""
+"""Finding and configuring methods, and talking to methods that are programs."""
 
 from relocbench.methods.discovery import (
     ENTRY_POINT_GROUP,

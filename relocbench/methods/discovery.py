@@ -1,13 +1,13 @@
-"""Finding and configuring methods: installed ones, anybody's class, anybody's program.
+"""Finding and configuring methods: installed ones, any class, any program.
 
 A method is named by
 
-- an entry point (``orb-pnp``): of the group ``relocbench.methods`` where trackers are asked for, of
-  ``relocbench.retrievers`` where retrievers are,
+- an entry point (``orb-pnp``) of the group ``relocbench.methods`` for trackers, or ``relocbench.retrievers`` for
+  retrievers,
 - a dotted path to a class (``mypackage.trackers:MyTracker``),
 - for trackers, a command line that speaks the line protocol (``subprocess:./my_tracker --fast``),
 
-each with an optional label in front that results are kept under (``dso-fast=dso``).
+each optionally preceded by the label that its results are kept under (``dso-fast=dso``).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from relocbench.errors import MethodError, cut, quoted
 from relocbench.files import YamlFault, check_distinct, check_name, first_fault, parse_yaml_setting, sha256_file
-from relocbench.methods.lookup import hint, load_dotted, of_theirs, offered
+from relocbench.methods.lookup import call_third_party, entry_points_of, hint, load_dotted
 
 ENTRY_POINT_GROUP = "relocbench.methods"
 SUBPROCESS = "subprocess:"
@@ -32,12 +32,12 @@ SUBPROCESS = "subprocess:"
 
 @dataclass(frozen=True)
 class MethodKind:
-    """What is asked of a method: trackers and retrievers are found and configured alike."""
+    """A kind of method, tracker or retriever; both are found and configured alike."""
 
     noun: str
-    """as messages call it"""
+    """what messages call it"""
     made: str
-    """what it makes, with its article"""
+    """what it is, with an article"""
     group: str
     """entry-point group"""
     call: str
@@ -47,7 +47,7 @@ class MethodKind:
     command: str
     """that evaluates it"""
     programs: bool
-    """whether a program of its own can be one"""
+    """whether it can be a program"""
 
 
 TRACKERS = MethodKind("method", "a tracker", ENTRY_POINT_GROUP, "track", "tracking", "evaluate", programs=True)
@@ -59,41 +59,41 @@ KINDS = (TRACKERS, RETRIEVERS)
 
 @dataclass(frozen=True)
 class MethodSpec:
-    """A method with its label and parameters: picklable, so that a worker can build it itself."""
+    """A method with its label and parameters. It can be pickled, so that a worker can construct the method itself."""
 
     label: str
     target: str
     """entry point, dotted path or ``subprocess:COMMAND``"""
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """all of them, defaults included, as plain values"""
+    """all parameters, with defaults filled in, as plain values"""
     kind: MethodKind = TRACKERS
 
     def create(self) -> Any:
-        """The tracker or retriever, constructed. Raises MethodError."""
+        """Construct the tracker or retriever. Raises MethodError."""
         factory = method_class(self.target, self.kind)
-        return of_theirs(f"{self.kind.noun} '{self.label}' cannot be made", lambda: factory(**self.parameters))
+        return call_third_party(f"{self.kind.noun} '{self.label}' cannot be made", lambda: factory(**self.parameters))
 
     def files(self) -> dict[str, str]:
-        """SHA-256 of each file that decides the answers, by name: a file may change while its path does not.
+        """The SHA-256 of each file that affects the answers, by name: a file may change while its path does not.
 
-        They are those that parameters name as a ``Path``, and those that the class tells by its ``files``, if it has
-        one (weights that come with the package). Files that are not there are left out. Raises MethodError.
+        These are the files that parameters name as a ``Path``, and those that the class reports by its ``files``, if it
+        has one (such as weights that come with the package). Missing files are left out. Raises MethodError.
         """
         named = {name: value for name, value in self.parameters.items() if isinstance(value, Path)}
         tell = getattr(method_class(self.target, self.kind), "files", None)
         if callable(tell):
-            named |= of_theirs(f"the files of '{self.label}' are not known", lambda: tell(**self.parameters))
+            named |= call_third_party(f"the files of '{self.label}' cannot be listed", lambda: tell(**self.parameters))
         return {name: sha256_file(path) for name, path in sorted(named.items()) if path.is_file()}
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One keyword argument of a method's constructor."""
+    """A keyword argument of a method's constructor."""
 
     name: str
     annotation: Any
     default: Any
-    """``inspect.Parameter.empty`` where it must be given"""
+    """``inspect.Parameter.empty`` if it is required"""
 
     @property
     def required(self) -> bool:
@@ -105,18 +105,18 @@ class Parameter:
 
 
 def installed_methods(kind: MethodKind = TRACKERS) -> dict[str, metadata.EntryPoint]:
-    """Name -> entry point of every installed method of a kind, sorted by name; nothing is imported."""
-    return offered(kind.group, kind.noun)
+    """The entry points of all installed methods of a kind, sorted by name; nothing is imported."""
+    return entry_points_of(kind.group, kind.noun)
 
 
 def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0, kind: MethodKind = TRACKERS) -> MethodSpec:
-    """A method from ``[LABEL=]TARGET`` and ``key=value`` or ``LABEL.key=value`` settings.
+    """Parse a method from ``[LABEL=]TARGET`` and settings ``key=value`` or ``LABEL.key=value``.
 
-    Settings meant for another label are passed over. A parameter called ``seed`` gets ``seed`` unless it is set.
+    Settings for other labels are ignored. A parameter called ``seed`` gets ``seed`` unless it is set.
 
     Raises:
-        MethodError: unknown method, one of another kind, unknown parameter, a value of the wrong type, a parameter
-            that must be given.
+        MethodError: an unknown method, one of another kind, an unknown parameter, a value of the wrong type, or a
+            required parameter that is missing.
     """
     label, target = _split_label(text, kind)
     known = {p.name: p for p in parameters_of(target, kind)}
@@ -150,11 +150,11 @@ def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0, kind: M
 def parse_methods(
     texts: Sequence[str], settings: Sequence[str] = (), seed: int = 0, kind: MethodKind = TRACKERS
 ) -> list[MethodSpec]:
-    """Several methods with one list of settings.
+    """Parse several methods with one list of settings.
 
     Raises:
-        MethodError: as :func:`parse_method`; also two methods of one label, or a setting for a label that is not
-            among them.
+        MethodError: as :func:`parse_method`; also a label that two methods share, or a setting for a label that no
+            method has.
     """
     specs = [parse_method(text, settings, seed, kind) for text in texts]
     labels = [spec.label for spec in specs]
@@ -166,16 +166,22 @@ def parse_methods(
     except ValueError as bad:
         raise MethodError(str(bad)) from None
     for setting in settings:
-        prefix, dot, _ = setting.partition("=")[0].rpartition(".")
-        if dot and prefix not in labels:
+        wanted = setting_label(setting)
+        if wanted is not None and wanted not in labels:
             raise MethodError(
-                f"--set {cut(setting)}: no {kind.noun} '{prefix}' in this run; there is {', '.join(labels)}"
+                f"--set {cut(setting)}: no {kind.noun} '{wanted}' in this run; there is {', '.join(labels)}"
             )
     return specs
 
 
+def setting_label(setting: str) -> str | None:
+    """The ``LABEL`` of ``LABEL.key=value``; None if the setting has none."""
+    label, dot, _ = setting.partition("=")[0].rpartition(".")
+    return label if dot else None
+
+
 def method_class(target: str, kind: MethodKind = TRACKERS) -> Any:
-    """What is called with the parameters to get a tracker or retriever. Raises MethodError."""
+    """The class or factory that is called with the parameters to construct a method. Raises MethodError."""
     if target.startswith(SUBPROCESS):
         if not kind.programs:
             raise MethodError(f"'{target}': a program cannot be {kind.made}; score what it wrote with --predictions")
@@ -200,12 +206,12 @@ def method_class(target: str, kind: MethodKind = TRACKERS) -> Any:
 
 
 def target_of(text: str) -> str:
-    """``TARGET`` of ``[LABEL=]TARGET``. Raises MethodError."""
+    """The ``TARGET`` of ``[LABEL=]TARGET``. Raises MethodError."""
     return _split_label(text, TRACKERS)[1]
 
 
 def kind_of(target: str) -> MethodKind:
-    """Whether a target is a tracker or a retriever; a tracker where both go by the name, or neither.
+    """Whether a target is a tracker or a retriever; a tracker if it is both or neither.
 
     Raises:
         MethodError: a class cannot be imported.
@@ -236,7 +242,7 @@ def parameters_of(target: str, kind: MethodKind = TRACKERS) -> list[Parameter]:
 
 
 def distribution_version(target: str, kind: MethodKind = TRACKERS) -> str:
-    """``name version`` of the package that offers the method, as far as it can be known."""
+    """``name version`` of the package that provides the method, or ``unknown``."""
     point = installed_methods(kind).get(target)
     if point is not None and point.dist is not None:
         return f"{point.dist.name} {point.dist.version}"
@@ -247,7 +253,7 @@ def distribution_version(target: str, kind: MethodKind = TRACKERS) -> str:
 
 @cache
 def _distributions() -> Mapping[str, list[str]]:
-    """Module -> packages that hold it; reading what is installed takes a good part of a second."""
+    """The packages that provide each module; reading what is installed takes a good part of a second."""
     return metadata.packages_distributions()
 
 
@@ -293,7 +299,7 @@ def _validated(named: str, parameter: Parameter, value: Any, text: str) -> Any:
         return adapter.validate_python(value)
     except ValidationError as bad:
         try:
-            return adapter.validate_python(text)  # YAML reads 1e-3 and 007 as words, the type may know better
+            return adapter.validate_python(text)  # YAML reads 1e-3 and 007 as strings, but the type may accept them
         except ValidationError:
             message, _ = first_fault(bad)
             raise MethodError(f"{named}: parameter {quoted(f'{parameter.name}={text}')}: {message}") from None

@@ -1,10 +1,10 @@
-"""Keeps a program that is run as a method: when it, or who asked for it, ends, all that it started ends too.
+"""A supervisor of a program that is run as a method: when either it or its caller ends, all its descendants are ended.
 
-It is run as a script of its own, ``python keeper.py CONTROL PARENT COMMAND...``, and imports nothing but the standard
-library. ``CONTROL`` is the read end of a pipe that nobody writes to: it is at its end once the asking process has
-closed it or is gone, however that came about. The keeper is the subreaper of what the program starts (``prctl``,
-Linux): processes that were forked off become its children when their parents end, also those with a session of their
-own, and are killed. It ends as the program ended: with the same status, or by the same signal.
+It is run as a script, ``python keeper.py CONTROL PARENT COMMAND...``, and imports only the standard library.
+``CONTROL`` is the read end of a pipe that nobody writes to: it reaches its end once the calling process has closed it
+or is gone, for whatever reason. The keeper is the subreaper of the program's descendants (``prctl``, Linux): processes
+that were forked off become its children when their parents end, even those with a session of their own, and are
+killed. It ends as the program ended: with the same status, or by the same signal.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _KILLING_S = 5.0
 def main(control: int, parent: int, command: list[str]) -> None:
     os.set_inheritable(control, False)
     _prctl(_SET_CHILD_SUBREAPER, 1)
-    # A signal of a child wakes the wait below; its handler need not do anything.
+    # The signal of a child wakes the wait below; its handler need not do anything.
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
     signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
@@ -35,7 +35,7 @@ def main(control: int, parent: int, command: list[str]) -> None:
     program = os.fork()
     if program == 0:
         _become(command)
-    # The program alone holds its streams, so that they end when it does.
+    # Only the program holds its streams, so that they end when it does.
     nothing = os.open(os.devnull, os.O_RDWR)
     for stream in range(3):
         os.dup2(nothing, stream)
@@ -58,7 +58,7 @@ def main(control: int, parent: int, command: list[str]) -> None:
 
 
 def _become(command: list[str]) -> None:
-    """Turn into the program; it dies with the keeper, and signals act as they do on any program."""
+    """Replace this process by the program, which dies with the keeper and has default signal handlers."""
     signal.set_wakeup_fd(-1)
     for number in (signal.SIGCHLD, signal.SIGINT, signal.SIGPIPE, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)
@@ -71,7 +71,7 @@ def _become(command: list[str]) -> None:
 
 
 def _reap() -> dict[int, int]:
-    """Process and status of all children that have ended."""
+    """Collect all children that have ended; returns their statuses by process id."""
     ended = {}
     with suppress(ChildProcessError):
         while True:
@@ -83,7 +83,7 @@ def _reap() -> dict[int, int]:
 
 
 def _end_all() -> None:
-    """Kill all children until there is none: a child's own children become ours when it is gone."""
+    """Kill all children until there is none: when a child is gone, its own children become ours."""
     until = time.monotonic() + _KILLING_S
     while (children := _children()) and time.monotonic() < until:
         for process in children:
@@ -94,11 +94,11 @@ def _end_all() -> None:
 
 
 def _children() -> list[int]:
-    """Processes whose parent this one is, those that have ended but are not waited for included."""
+    """The ids of this process's children, including those that have ended but were not waited for."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
-            # The name of the program stands in parentheses and may hold anything.
+            # The program's name is in parentheses and may contain anything.
             fields = stat.read_bytes().rpartition(b")")[2].split()
             if int(fields[1]) == os.getpid():
                 found.append(int(stat.parent.name))

@@ -1,4 +1,4 @@
-"""Code that is not ours: found by entry point or dotted path, imported and called, its faults told in one line."""
+"""Finding third-party code by entry point or dotted path, and calling it with its faults reported in one line."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ OUR_METHODS = "baselines"
 """The package of the methods that come with relocbench, installed beside it."""
 
 
-def offered(group: str, kind: str) -> dict[str, metadata.EntryPoint]:
-    """Name -> entry point of everything installed in a group, sorted by name; nothing is imported.
+def entry_points_of(group: str, kind: str) -> dict[str, metadata.EntryPoint]:
+    """The entry points of a group, sorted by name; nothing is imported.
 
     Args:
-        kind: what the group offers, for the message.
+        kind: what the group provides, for messages.
 
     Raises:
-        MethodError: two packages offer different things by one name.
+        MethodError: two packages provide different things by the same name.
     """
     found: dict[str, metadata.EntryPoint] = {}
     for point in metadata.entry_points(group=group):
         if point.name in found and found[point.name].value != point.value:
             raise MethodError(
-                f"{kind} '{point.name}' is offered twice ({found[point.name].value} and {point.value}); "
+                f"{kind} '{point.name}' is provided twice ({found[point.name].value} and {point.value}); "
                 "uninstall one, or name the class by its dotted path"
             )
         found[point.name] = point
@@ -39,16 +39,16 @@ def offered(group: str, kind: str) -> dict[str, metadata.EntryPoint]:
 
 
 def load_dotted(target: str, kind: str) -> Any:
-    """What ``package.module:Name`` names, also from a module in the current folder.
+    """Import what ``package.module:Name`` names, also from a module in the current folder.
 
     Raises:
         MethodError: it cannot be imported, or there is no such name.
     """
     module_name, _, attribute = target.partition(":")
-    # A class beside the user's data, without installing anything, as `python -m` would find it.
+    # As with `python -m`, a class in the user's current folder is found without installing it.
     if "" not in sys.path and str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))
-    found = of_theirs(f"{kind} '{target}' cannot be imported", lambda: _import(module_name, target, kind))
+    found = call_third_party(f"{kind} '{target}' cannot be imported", lambda: _import(module_name, target, kind))
     for part in attribute.split("."):
         found = getattr(found, part, None)
     if found is None:
@@ -77,8 +77,8 @@ def _refuse_stranger(target: str, kind: str) -> None:
         )
 
 
-def of_theirs(failed: str, call: Callable[[], Any]) -> Any:
-    """What code that is not ours returns. Raises MethodError with what it raised, and where."""
+def call_third_party(failed: str, call: Callable[[], Any]) -> Any:
+    """Call third-party code. Raises MethodError with what it raised, and where."""
     try:
         with messages_to_stderr():
             return call()
@@ -93,6 +93,6 @@ def of_theirs(failed: str, call: Callable[[], Any]) -> Any:
 
 
 def hint(name: str, known: Iterable[str], prefix: str = "") -> str:
-    """What a mistyped name was probably meant to be, in parentheses; empty if nothing is near."""
+    """A suggestion for a mistyped name, in parentheses; empty if no known name is similar."""
     close = difflib.get_close_matches(name, known, n=1)
     return f" (did you mean '{prefix}{close[0]}'?)" if close else ""

@@ -1,7 +1,7 @@
-"""A program that is asked in JSON lines: started, asked with a time limit, ended with all that it started.
+"""A program that is asked in JSON lines: it is started, asked within a time limit, and ended with its descendants.
 
-Nothing that it writes makes memory grow: a line has a limit, of its messages the end is kept, and what it writes when
-it is not asked stays in the pipe.
+Nothing that it writes makes memory grow: a line has a limit, only the end of its messages is kept, and what it writes
+without being asked stays in the pipe.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from relocbench.errors import one_line
 from relocbench.methods import keeper
 
 LINE_BYTES = 2**20
-"""the longest answer"""
+"""length of the longest answer that is read"""
 _STDERR_BYTES = 4096
 _STDERR_TAIL = 300
 _QUOTED = 80
@@ -30,8 +30,8 @@ _STOP_GRACE_S = 2.0
 _ENDING_S = 10.0
 
 
-class Broken(Exception):
-    """The program ended, was too slow, or spoke nonsense; what it says next means nothing, and the message says why."""
+class ProgramFault(Exception):
+    """The program ended, was too slow or broke the protocol, as the message says; its further output is meaningless."""
 
 
 class Program:
@@ -67,39 +67,39 @@ class Program:
         os.set_blocking(self._in, False)
         self._open = {self._out, self._err}
         self._answers = bytearray()
-        self._complaints = b""
+        self._stderr_tail = b""
         self._asked = 0
         self._finalizer = weakref.finalize(self, _end, self._process, control)
 
     def ask(self, message: dict[str, Any], expected: str, limit_s: float) -> dict[str, Any]:
-        """Send one line, with an ``id`` of its own, and wait for the answer that carries the same.
+        """Send one line with a new ``id``, and wait for the answer with the same id.
 
         Raises:
-            Broken: no such answer within ``limit_s`` seconds.
+            ProgramFault: no valid answer arrived within ``limit_s`` seconds.
         """
         self._asked += 1
         question = str(message["type"])
         line = self._answer_line({**message, "id": self._asked}, question, limit_s)
         answer = _parsed(line, question)
         if answer.get("type") != expected:
-            raise Broken(f"answered '{question}' with {_quoted(line)}, expected an object of type '{expected}'")
+            raise ProgramFault(f"answered '{question}' with {_quoted(line)}, expected an object of type '{expected}'")
         token = answer.get("id")
         if type(token) is not int or token != self._asked:
             said = f"with the id {one_line(json.dumps(token), 40)}" if "id" in answer else "without an id"
-            raise Broken(f"answered '{question}' {said}, expected the id of the question, {self._asked}")
+            raise ProgramFault(f"answered '{question}' {said}, expected the id of the question, {self._asked}")
         return answer
 
     def stop(self) -> None:
-        """Ask the program to end, and see that it does."""
+        """Ask the program to end, and make sure that it does."""
         try:
             self._send(json.dumps({"type": "stop"}).encode() + b"\n", time.monotonic() + _STOP_GRACE_S)
             self._wait_for_end(time.monotonic() + _STOP_GRACE_S)
-        except (OSError, Broken):
-            pass  # it has ended, or does not listen
+        except (OSError, ProgramFault):
+            pass  # it has ended, or does not read its input
         self.kill()
 
     def kill(self) -> None:
-        """End it, and every process that it started."""
+        """End the program, and every process that it started."""
         self._finalizer()
 
     def _answer_line(self, message: dict[str, Any], question: str, limit_s: float) -> bytes:
@@ -108,38 +108,40 @@ class Program:
             self._send(json.dumps(message).encode() + b"\n", until)
             while b"\n" not in self._answers:
                 if len(self._answers) > LINE_BYTES:
-                    raise Broken(f"answered '{question}' with more than {LINE_BYTES} bytes without an end of line")
+                    raise ProgramFault(
+                        f"answered '{question}' with more than {LINE_BYTES} bytes without an end of line"
+                    )
                 if self._out not in self._open:
                     raise BrokenPipeError
-                if not self._turn(until):
-                    raise Broken(f"no answer to '{question}' within {limit_s:g} s")
+                if not self._wait_for_output(until):
+                    raise ProgramFault(f"no answer to '{question}' within {limit_s:g} s")
         except BlockingIOError:
-            raise Broken(f"does not read '{question}' within {limit_s:g} s") from None
+            raise ProgramFault(f"does not read '{question}' within {limit_s:g} s") from None
         except OSError:
-            raise Broken(self._obituary(question)) from None
+            raise ProgramFault(self._end_message(question)) from None
         line, _, rest = bytes(self._answers).partition(b"\n")
         if len(line) > LINE_BYTES:
-            raise Broken(f"answered '{question}' with {len(line)} bytes in a line, at most {LINE_BYTES} are read")
+            raise ProgramFault(f"answered '{question}' with {len(line)} bytes in a line, at most {LINE_BYTES} are read")
         self._answers = bytearray(rest)
         return line
 
     def _send(self, data: bytes, until: float) -> None:
-        """Raises BlockingIOError where the program does not read it in time, BrokenPipeError where it is gone."""
+        """Write all data. Raises BlockingIOError if it is not read in time, BrokenPipeError if the program is gone."""
         while data:
             try:
                 data = data[os.write(self._in, data) :]
             except BlockingIOError:
-                if not self._turn(until, writing=True):
+                if not self._wait_for_output(until, writing=True):
                     raise
 
     def _wait_for_end(self, until: float) -> None:
         assert self._process.stdin is not None
         self._process.stdin.close()
-        while self._open and self._turn(until):
+        while self._open and self._wait_for_output(until):
             self._answers.clear()
 
-    def _turn(self, until: float, writing: bool = False) -> bool:
-        """Read what there is, or wait for it; False when the time is over."""
+    def _wait_for_output(self, until: float, writing: bool = False) -> bool:
+        """Read available output, or wait for it; False when the time is over."""
         left = until - time.monotonic()
         if left <= 0:
             return False
@@ -158,24 +160,24 @@ class Program:
             elif stream == self._out:
                 self._answers += data
             else:
-                self._complaints = (self._complaints + data)[-_STDERR_BYTES:]
+                self._stderr_tail = (self._stderr_tail + data)[-_STDERR_BYTES:]
         return bool(ready)
 
-    def _obituary(self, question: str) -> str:
-        """How the program ended, with the end of what it said on standard error."""
+    def _end_message(self, question: str) -> str:
+        """The message for a program that ended, with the end of its standard error."""
         until = time.monotonic() + _STOP_GRACE_S
-        while self._open and self._turn(until):
+        while self._open and self._wait_for_output(until):
             self._answers.clear()
         try:
             code: object = self._process.wait(max(until - time.monotonic(), 0.1))
         except subprocess.TimeoutExpired:
             code = "unknown"
-        words = one_line(self._complaints.decode("utf-8", "replace"), _STDERR_BYTES)[-_STDERR_TAIL:]
+        words = one_line(self._stderr_tail.decode("utf-8", "replace"), _STDERR_BYTES)[-_STDERR_TAIL:]
         return f"the program ended (exit status {code}) when asked '{question}'" + (f": {words}" if words else "")
 
 
 def _parsed(line: bytes, question: str) -> dict[str, Any]:
-    """The JSON object of a line. Raises Broken with what is wrong with it."""
+    """The JSON object in a line. Raises ProgramFault with what is wrong with it."""
     try:
         answer = json.loads(
             line.decode("utf-8"),
@@ -184,15 +186,17 @@ def _parsed(line: bytes, question: str) -> dict[str, Any]:
             parse_int=_integer,
         )
     except UnicodeDecodeError as bad:
-        raise Broken(f"answered '{question}' with text that is not UTF-8 (byte {bad.start} of the line)") from None
+        raise ProgramFault(
+            f"answered '{question}' with text that is not UTF-8 (byte {bad.start} of the line)"
+        ) from None
     except json.JSONDecodeError:
-        raise Broken(f"answered '{question}' with '{_quoted(line)}', expected a JSON object") from None
+        raise ProgramFault(f"answered '{question}' with '{_quoted(line)}', expected a JSON object") from None
     except RecursionError:
-        raise Broken(f"answered '{question}' with JSON that is nested too deep") from None
+        raise ProgramFault(f"answered '{question}' with JSON that is nested too deep") from None
     except ValueError as bad:
-        raise Broken(f"answered '{question}' with {bad}") from None
+        raise ProgramFault(f"answered '{question}' with {bad}") from None
     if not isinstance(answer, dict):
-        raise Broken(f"answered '{question}' with {_quoted(line)}, expected a JSON object")
+        raise ProgramFault(f"answered '{question}' with {_quoted(line)}, expected a JSON object")
     return answer
 
 
@@ -220,7 +224,7 @@ def _quoted(line: bytes) -> str:
 
 
 def _end(process: subprocess.Popen[bytes], control: int) -> None:
-    """The keeper ends all that there is once its pipe is closed; without the keeper, the group is killed."""
+    """Close the keeper's pipe, upon which it ends all processes; if it does not end, kill its group."""
     os.close(control)
     try:
         process.wait(_ENDING_S)

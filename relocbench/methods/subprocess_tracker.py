@@ -1,4 +1,4 @@
-"""The second door: a tracker that is a program of its own, in any language, under any licence.
+"""A tracker that is a program, in any language and under any licence.
 
 The program reads one JSON object a line on standard input and answers each with one on standard output:
 
@@ -11,7 +11,7 @@ relocbench writes                                                          the p
 ``{"type": "stop"}``                                                       (ends)
 ========================================================================= =======================================
 
-An answer carries the ``id`` of its question, so that one that comes too late is never taken for another's.
+An answer carries the ``id`` of its question, so that a late one is never taken for the answer to another question.
 ``docs/add-a-method.md`` describes the fields. Images and depth are files in a scratch folder that holds nothing
 else: the program sees no ground truth.
 """
@@ -34,7 +34,7 @@ from relocbench.datasets.core.images import write_depth, write_image, write_poin
 from relocbench.datasets.core.pairfile import QUATERNION_TOLERANCE
 from relocbench.errors import MethodError, one_line
 from relocbench.geometry import transform_from_tq, transform_to_tq
-from relocbench.methods.program import Broken, Program
+from relocbench.methods.program import Program, ProgramFault
 from relocbench.tracking import Query, Reference, TrackResult
 
 PROTOCOL = 2
@@ -42,22 +42,22 @@ PROTOCOL = 2
 
 @dataclass(frozen=True)
 class _Sent:
-    """A reference as the program is told of it."""
+    """A reference as it was sent to the program."""
 
     message: dict[str, Any]
     scratch: tempfile.TemporaryDirectory[str]
 
 
 class SubprocessTracker:
-    """Speaks the line protocol with one program, started again after it broke.
+    """Speaks the line protocol with a program, which is started again after it broke.
 
     Args:
         command: the program and its arguments.
-        time_limit_s: the longest that one answer may take; then the program is killed and the pair has failed.
-        start_limit_s: the longest that the program may take until it is ready.
+        time_limit_s: time for one answer, after which the program is killed and the pair has failed.
+        start_limit_s: time for the program to become ready.
 
     Raises:
-        MethodError: the program cannot be started at all.
+        MethodError: the program does not exist.
     """
 
     def __init__(self, command: str, time_limit_s: float = 60.0, start_limit_s: float = 120.0) -> None:
@@ -67,10 +67,10 @@ class SubprocessTracker:
         self.time_limit_s = time_limit_s
         self.start_limit_s = start_limit_s
         self._program: Program | None = None
-        self._told: _Sent | None = None
+        self._sent: _Sent | None = None
 
     def prepare(self, reference: Reference) -> _Sent:
-        """Write the keyframe where the program can read it."""
+        """Write the keyframe to files that the program can read."""
         scratch = tempfile.TemporaryDirectory(prefix="relocbench-")
         folder = Path(scratch.name)
         write_image(folder / "reference.png", reference.image)
@@ -92,7 +92,7 @@ class SubprocessTracker:
         return _Sent(message, scratch)
 
     def track(self, reference: _Sent, query: Query, prior: NDArray[np.float64] | None = None) -> TrackResult:
-        """One question, one answer; a program that breaks costs this pair alone."""
+        """Ask the program about one query; if it breaks, only this pair is lost."""
         image = Path(reference.scratch.name) / "query.png"
         write_image(image, query.image)
         message = {
@@ -105,36 +105,36 @@ class SubprocessTracker:
         try:
             program = self._ready_program(reference)
             return _result(program.ask(message, "result", self.time_limit_s))
-        except Broken as bad:
-            self._forget()
+        except ProgramFault as bad:
+            self._drop_program()
             return TrackResult.failure(str(bad), status="error")
 
     def close(self) -> None:
         """End the program."""
         if self._program is not None:
             self._program.stop()
-        self._forget()
+        self._drop_program()
 
     def _ready_program(self, reference: _Sent) -> Program:
         if self._program is None:
             try:
                 self._program = Program(self.words)
             except OSError as bad:
-                raise Broken(f"cannot start '{self.words[0]}' ({bad.strerror})") from None
+                raise ProgramFault(f"cannot start '{self.words[0]}' ({bad.strerror})") from None
             self._program.ask({"type": "start", "protocol": PROTOCOL}, "ready", self.start_limit_s)
-        if self._told is not reference:
+        if self._sent is not reference:
             self._program.ask(reference.message, "ready", self.time_limit_s)
-            self._told = reference
+            self._sent = reference
         return self._program
 
-    def _forget(self) -> None:
+    def _drop_program(self) -> None:
         if self._program is not None:
             self._program.kill()
-        self._program, self._told = None, None
+        self._program, self._sent = None, None
 
 
 def subprocess_tracker(command: str) -> Callable[..., SubprocessTracker]:
-    """What makes trackers of a command line; its keyword arguments are the method's parameters."""
+    """A factory of trackers that run a command line; its keyword arguments are the method's parameters."""
 
     def create(
         time_limit_s: Annotated[float, Field(gt=0)] = 60.0, start_limit_s: Annotated[float, Field(gt=0)] = 120.0
@@ -145,20 +145,22 @@ def subprocess_tracker(command: str) -> Callable[..., SubprocessTracker]:
 
 
 def _result(answer: dict[str, Any]) -> TrackResult:
-    """The pose of a ``result`` line. Raises Broken where it is none."""
+    """The content of a ``result`` line. Raises ProgramFault if it is not valid."""
     pose, confidence = answer.get("pose"), answer.get("confidence")
     info = answer.get("info") or {}
     if not isinstance(info, dict) or not (confidence is None or _is_number(confidence)):
-        raise Broken("'info' must be an object and 'confidence' a number or null")
+        raise ProgramFault("'info' must be an object and 'confidence' a number or null")
     said = answer.get("message")
     message = "" if said is None else one_line(said)
     if pose is None:
         return TrackResult(None, confidence, message or "the program reports a failure", info)
     values = np.array(pose, dtype=np.float64) if _is_numbers(pose) else np.zeros(0)
     if values.shape != (7,) or not np.all(np.isfinite(values)):
-        raise Broken(f"'pose' is {one_line(pose, 80)}, expected seven finite numbers tx ty tz qx qy qz qw, or null")
+        raise ProgramFault(
+            f"'pose' is {one_line(pose, 80)}, expected seven finite numbers tx ty tz qx qy qz qw, or null"
+        )
     if abs(np.linalg.norm(values[3:]) - 1.0) > QUATERNION_TOLERANCE:
-        raise Broken(f"quaternion qx qy qz qw has norm {np.linalg.norm(values[3:]):.6g}, expected 1")
+        raise ProgramFault(f"quaternion qx qy qz qw has norm {np.linalg.norm(values[3:]):.6g}, expected 1")
     return TrackResult(transform_from_tq(values[:3], values[3:]), confidence, message, info)
 
 
@@ -167,5 +169,5 @@ def _is_numbers(values: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    """JSON's true and false are none, though Python counts with them."""
+    """Whether a JSON value is a number; true and false are not, though Python's ``bool`` is an ``int``."""
     return isinstance(value, int | float) and not isinstance(value, bool)

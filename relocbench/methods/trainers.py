@@ -1,4 +1,4 @@
-"""Finding trainers, and reading what they are told: installed ones by entry point, anybody's by dotted path."""
+"""Finding trainers, by entry point or dotted path, and reading their options."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from relocbench.errors import ConfigError, MethodError, cut, quoted
 from relocbench.files import YamlFault, load_yaml_values, parse_yaml_setting
-from relocbench.methods.lookup import hint, load_dotted, of_theirs, offered
+from relocbench.methods.lookup import call_third_party, entry_points_of, hint, load_dotted
 from relocbench.training import ConfiguredTrainer, PlaceTrainer, Trainer
 
 TRAINER_GROUP = "relocbench.trainers"
@@ -18,8 +18,8 @@ _OPTIONS = "a trainer's options with their values"
 
 
 def installed_trainers() -> dict[str, metadata.EntryPoint]:
-    """Name -> entry point of every installed trainer, sorted by name; nothing is imported."""
-    return offered(TRAINER_GROUP, "trainer")
+    """The entry points of all installed trainers, sorted by name; nothing is imported."""
+    return entry_points_of(TRAINER_GROUP, "trainer")
 
 
 def trainer_named(name: str) -> Trainer | PlaceTrainer:
@@ -35,21 +35,21 @@ def trainer_named(name: str) -> Trainer | PlaceTrainer:
             f"no trainer '{name}'{hint(name, installed)}; installed: {', '.join(installed) or 'none'} "
             "(or package.module:Class)"
         )
-    made = of_theirs(f"trainer '{name}' cannot be made from {target}", load_dotted(target, "trainer"))
+    made = call_third_party(f"trainer '{name}' cannot be made from {target}", load_dotted(target, "trainer"))
     if not isinstance(made, Trainer | PlaceTrainer):
         raise MethodError(f"trainer '{name}': {target} has no train() or train_places(), or no default_options()")
     return made
 
 
 def chosen_options(trainer: Trainer | PlaceTrainer, config: str | None, settings: Sequence[str]) -> dict[str, Any]:
-    """A trainer's options, nested: its defaults, then a file's or a configuration's, then ``key=value`` settings.
+    """A trainer's options, nested: its defaults, overridden by a file or configuration, then by ``key=value`` settings.
 
     Args:
-        config: a YAML file, or the name of a configuration that the trainer has. A file's key ``configuration`` says
-            whose defaults the file is laid upon.
+        config: a YAML file, or the name of one of the trainer's configurations. The key ``configuration`` of a file
+            names the configuration whose defaults it overrides.
 
     Raises:
-        ConfigError: neither of them, an unknown key, named with its file, or a setting without a value.
+        ConfigError: ``config`` is neither, a key is unknown, or a setting has no value.
     """
     if not isinstance(trainer, ConfiguredTrainer):
         return trainer_options(trainer.default_options(), Path(config) if config else None, settings)
@@ -77,10 +77,10 @@ def _listed(trainer: ConfiguredTrainer) -> str:
 
 
 def trainer_options(defaults: Mapping[str, Any], config: Path | None, settings: Sequence[str]) -> dict[str, Any]:
-    """A trainer's options, nested: its defaults, then those of a YAML file, then ``some.key=value`` settings.
+    """A trainer's options, nested: its defaults, overridden by a YAML file, then by ``some.key=value`` settings.
 
     Raises:
-        ConfigError: an unknown key, named with its file, or a setting without a value.
+        ConfigError: an unknown key, with the file, or a setting without a value.
     """
     chosen = _copy(defaults)
     if config is not None:
@@ -112,7 +112,7 @@ def _merge(into: dict[str, Any], values: Mapping[str, Any], path: Path | None, p
 
 
 def _value(setting: str, text: str) -> Any:
-    """As YAML; it reads 1e-3 as a word, a number is meant."""
+    """The value of a setting: YAML, except that a string such as 1e-3 becomes a number."""
     try:
         value = parse_yaml_setting(text)
     except YamlFault as bad:

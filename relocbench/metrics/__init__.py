@@ -1,4 +1,4 @@
-"""Pose errors, retrieval, curves, summaries and significance. Knows geometry alone and does no I/O."""
+"""Metrics of poses and of retrieval, with curves, summaries and significance. They use geometry alone and do no I/O."""
 
 from relocbench.metrics.pose.confidence import PrecisionRecall, precision_recall
 from relocbench.metrics.pose.curves import CumulativeCurve, area_shares, cumulative_curve
@@ -53,6 +53,7 @@ from relocbench.metrics.statistics.significance import (
     Interval,
     bootstrap_interval,
     common_block_length,
+    generator,
     paired_difference,
     rank_with_ties,
 )
@@ -93,6 +94,7 @@ __all__ = [
     "count_at_least",
     "cumulative_curve",
     "exact_scores",
+    "generator",
     "infinite_where_failed",
     "matching_quality",
     "mean_over_pair_sets",

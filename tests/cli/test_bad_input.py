@@ -134,7 +134,7 @@ CASES: list[tuple[Damage, str]] = [
     (unknown_method, r"no method 'orb-pmp' \(did you mean 'orb-pnp'\?\)"),
     (unknown_key_in_yaml, r"run\.yaml:4: unknown key 'worker'"),
     (predictions_for_another_fingerprint, r"identity/run\.yaml: predictions are for small@\w{12}, the dataset is"),
-    (results_of_another_configuration, r"orb-pnp/run\.yaml: holds predictions made otherwise \(features: 3000 there"),
+    (results_of_another_configuration, r"orb-pnp/run\.yaml: holds predictions made differently \(features: 3000 there"),
 ]
 
 

@@ -103,7 +103,7 @@ def test_a_configuration_file_can_ask_for_chains(dataset: Dataset, tmp_path: Pat
         (("-r", "orb-pnp"), "'orb-pnp' is a tracker, not a retriever"),
         (("-r", "oracle", "-m", "lpn"), "'lpn' is a retriever, not a tracker"),
         (("-r", "nowhere"), "no retriever 'nowhere'"),
-        (("-r", "predictions:somewhere"), "lists made elsewhere need a label"),
+        (("-r", "predictions:somewhere"), "rankings made elsewhere need a label"),
         (("-r", "n=predictions:nowhere"), "no such file or folder"),
         (("-r", "oracle", "-r", "oracle"), "two methods are called 'oracle'"),
         (("-r", THUMBNAIL, "-m", f"thumb={KNOWS}"), "two methods are called 'thumb'"),

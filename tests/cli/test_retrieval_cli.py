@@ -90,8 +90,11 @@ def test_lists_made_elsewhere_are_scored(street: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("{q} {g}\n{q} nowhere.png\n", r":2: image 'nowhere.png' is not in the gallery; its are named as 'traversals/"),
-        ("nobody.png {g}\n", r":1: unknown query 'nobody.png'; they are named as 'traversals/"),
+        (
+            "{q} {g}\n{q} nowhere.png\n",
+            r":2: image 'nowhere.png' is not in the gallery, whose images have names such as 'traversals/",
+        ),
+        ("nobody.png {g}\n", r":1: unknown query 'nobody.png'; queries have names such as 'traversals/"),
         ("{q} {g}\n\n{q} {g}\n", r":3: image '{g}' occurs again for the query '{q}'"),
         ("{q} {g} 0.5\n", r":1: expected 'query db', found 3 words"),
     ],

@@ -26,7 +26,8 @@ from baselines.training.checkpoint import Checkpoint, save_checkpoint
 from relocbench.datasets.core import images
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.pairs.correspondences import read_correspondences, write_correspondences
-from relocbench.datasets.synthetic.jobs.rendering import Spent, estimate
+from relocbench.datasets.synthetic.jobs.estimates import Spent
+from relocbench.datasets.synthetic.jobs.rendering import estimate
 from relocbench.errors import DatasetError
 from relocbench.evaluation.common.worker import journal_entries, open_journal
 from relocbench.files import plain_file, read_text, sha256_file, write_text

@@ -16,7 +16,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.learning.training_pairs import DatasetPairs, without_only_validation
 from relocbench.datasets.pairs.correspondences import read_correspondences
 from relocbench.errors import ConfigError, DatasetError, MethodError
-from relocbench.evaluation.tracking.trial import Trial
+from relocbench.evaluation.tracking.training_validation import TrackerValidation
 from relocbench.methods.trainers import installed_trainers, trainer_named, trainer_options
 from relocbench.progress import Silent
 from relocbench.tracking import Query, Reference, TrackResult
@@ -77,9 +77,9 @@ def test_pairs_of_a_split_hold_what_both_images_see(dataset: Dataset) -> None:
 
 def test_the_test_split_is_never_learnt_from(tmp_path: Path) -> None:
     both = make_small_dataset(tmp_path / "d", correspondences=50, splits={"train": [WITHIN], "test": [ACROSS]})
-    with pytest.raises(ConfigError, match="the test split is for scores"):
+    with pytest.raises(ConfigError, match="the test split must not be learnt from"):
         DatasetPairs([both.root], "test")
-    with pytest.raises(ConfigError, match="split 'train' holds 'summer' that the test split holds too"):
+    with pytest.raises(ConfigError, match="split 'train' shares traversal 'summer' with the test split"):
         DatasetPairs([both.root])
     for split in ("test", "train"):
         told = train(both.root, tmp_path / "out", "--split", split)
@@ -116,7 +116,7 @@ def test_a_dataset_with_a_validation_split_alone_serves_for_validation(tmp_path:
     both = [learnt.root, checked.root]
     assert without_only_validation(both, "train") == [learnt.root]
     assert without_only_validation([checked.root], "train") == [checked.root]  # refused later, in words
-    assert len(Trial(both, 4, 0, Silent())) == 4
+    assert len(TrackerValidation(both, 4, 0, Silent())) == 4
 
 
 class Truth:
@@ -134,16 +134,16 @@ class Truth:
 
 def test_a_trial_asks_evenly_and_scores_as_evaluate_does(tmp_path: Path) -> None:
     data = make_small_dataset(tmp_path / "d", frames=6, splits={"validation": [ACROSS, WITHIN]})
-    trial = Trial([data.root], pairs=8, seed=0, reporter=Silent())
+    trial = TrackerValidation([data.root], pairs=8, seed=0, reporter=Silent())
     scores = trial(Truth(data))
     assert scores.together == {"t_auc@0.5m": 1.0, "r_auc@0.5deg": 1.0, "recall@(0.25m,2deg)": 1.0}
     assert scores.pairs == {"sunny, summer, day -> snow, winter, day": 4, "sunny, summer, day -> sunny, summer, day": 4}
     broken = trial(Truth(data, broken="no luck"))
     assert set(broken.together.values()) == {0.0}
     assert broken.messages == ("ValueError: no luck",)
-    whole = Trial([data.root], pairs=1000, seed=0, reporter=Silent())
+    whole = TrackerValidation([data.root], pairs=1000, seed=0, reporter=Silent())
     assert len(whole) == sum(len(data.pair_set(name).pairs) for name in (ACROSS, WITHIN))
-    again = Trial([data.root], pairs=8, seed=0, reporter=Silent())
+    again = TrackerValidation([data.root], pairs=8, seed=0, reporter=Silent())
     assert [a.pair.key for a in trial._asked] == [a.pair.key for a in again._asked]
 
 

@@ -90,7 +90,7 @@ def test_a_worker_that_dies_with_a_result_that_nobody_fetched_costs_a_retry(
 ) -> None:
     """Dask itself would wait for such a result without end."""
     monkeypatch.setattr(cluster, "ANSWER_TIMEOUT_S", 3600.0)
-    take = cluster._Dispatch._take
+    take = cluster._Dispatch._collect_results
     deaths: list[list[str]] = []
 
     def die_before(self: cluster._Dispatch[int, int], keys: list[str]) -> Iterator[tuple[int, int]]:
@@ -100,7 +100,7 @@ def test_a_worker_that_dies_with_a_result_that_nobody_fetched_costs_a_retry(
             dask.add_workers(1)
         yield from take(self, keys)
 
-    monkeypatch.setattr(cluster._Dispatch, "_take", die_before)
+    monkeypatch.setattr(cluster._Dispatch, "_collect_results", die_before)
     dask.add_workers(1)
     assert dict(run_units(square, [1, 2, 3], Run(scheduler=where(dask)))) == {0: 1, 1: 4, 2: 9}
     assert deaths
@@ -127,7 +127,7 @@ def test_with_no_worker_left_the_run_ends_and_says_how_to_go_on(
 ) -> None:
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 0.2)
     with pytest.raises(
-        RelocbenchError, match=r"no worker of .* has joined within 0.2 s; 0 of 2 units are done, the same"
+        RelocbenchError, match=r"no worker of .* has joined within 0.2 s; 0 of 2 units are done; the same"
     ):
         list(run_units(square, [1, 2], Run(scheduler=where(dask))))
     monkeypatch.setattr(cluster, "WORKER_TIMEOUT_S", 120.0)
@@ -149,7 +149,7 @@ def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path, monkeypatch: pyt
         processes.add_workers(1)
         units = [(index, processes.scheduler, "") for index in range(8)]
         with pytest.raises(
-            RelocbenchError, match=r"the Dask scheduler at .* is gone; \d of 8 units are done, the same"
+            RelocbenchError, match=r"the Dask scheduler at .* is gone; \d of 8 units are done; the same"
         ):
             list(run_units(kill_once, units, Run(scheduler=where(processes))))
     finally:
@@ -159,7 +159,7 @@ def test_a_scheduler_that_goes_away_is_one_line(tmp_path: Path, monkeypatch: pyt
 def test_a_worker_that_does_not_see_the_folders_is_refused(dask: DaskProcesses, tmp_path: Path) -> None:
     """What a path below /proc/self means depends on the process, as a path of the same name on two machines."""
     hasty = tmp_path.with_name(f"{tmp_path.name}.py")
-    hasty.write_text("import relocbench.execution.greeting\nrelocbench.execution.greeting._LOOKS = 1\n")
+    hasty.write_text("import relocbench.execution.handshake\nrelocbench.execution.handshake._LOOKS = 1\n")
     dask.add_workers(1, cwd=tmp_path, preload=hasty)  # it does not look again for a file that may come later
     mine = Path(f"/proc/self/task/{os.getpid()}")
     with pytest.raises(ConfigError, match=rf"{mine}: not seen by worker .*; all workers must see the folders"):
@@ -262,7 +262,7 @@ def test_a_cluster_with_tls_takes_who_holds_a_certificate_and_no_other(
         ),
         (
             ["--scheduler", "tls://h:9", "--scheduler-tls-ca", "words", "--scheduler-tls-cert", "words"],
-            "TLS takes no such certificates",
+            "these certificates cannot be used for TLS",
         ),
         (["--scheduler", "words"], "words: holds no address; expected the JSON file"),
         (["--scheduler", "none.json"], "none.json: missing; expected the JSON file"),

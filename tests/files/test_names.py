@@ -159,7 +159,7 @@ def test_a_fingerprint_that_is_no_part_of_a_path_is_refused(fingerprint: str, tm
 
 def test_a_dataset_is_not_written_under_a_name_that_leads_out_of_it(tmp_path: Path) -> None:
     for name in ("../../escaped", "/escaped", "a\0b", "dataset.yaml", "x" * 201):
-        with pytest.raises(ConfigError, match=r"dataset name .* --name gives another"):
+        with pytest.raises(ConfigError, match=r"dataset name .* choose another with --name"):
             DatasetWriter(tmp_path / "out", name, {"kind": "test"})
     assert list(tmp_path.iterdir()) == []
 
@@ -176,7 +176,7 @@ def test_a_folder_of_results_whose_name_is_no_label_is_told(tmp_path: Path) -> N
     folder = tmp_path / "\x1b[31mred"
     folder.mkdir()
     (folder / "run.yaml").touch()
-    with pytest.raises(PredictionError, match="is no label") as raised:
+    with pytest.raises(PredictionError, match="is no valid label") as raised:
         DatasetResults(tmp_path).methods()
     assert str(raised.value).isprintable()
 

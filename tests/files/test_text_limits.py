@@ -22,12 +22,13 @@ from relocbench.datasets.groundtruth.pose_graph.files import read_graph
 from relocbench.datasets.groundtruth.registration.files import read_registrations
 from relocbench.datasets.importers.four_seasons import files as four_seasons_files
 from relocbench.datasets.importers.four_seasons.receiver import read_gga
-from relocbench.datasets.importers.kitti.files import Sequence
+from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.robotcar import files as robotcar_files
 from relocbench.datasets.sensors.trajectories import read_trajectory
 from relocbench.errors import DatasetError, RelocbenchError, quoted
+from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import read_matching
-from relocbench.evaluation.common.results import ANSWER_COLUMNS, read_errors
+from relocbench.evaluation.common.results import ANSWER_COLUMNS
 from relocbench.evaluation.common.results import read_answers as read_pair_answers
 from relocbench.evaluation.relocalization.answers import read_chain
 from relocbench.evaluation.relocalization.basin import read_basins
@@ -62,7 +63,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "a manifest": lambda path: fingerprint.read_manifest(DatasetLayout(path.parent)),
     "a pair set": lambda path: read_pairs(path.parent / "pairs.txt", path),
     "points": read_points,
-    "KITTI times": lambda path: Sequence(path.parent, "00").times(10.0, 1, Silent()),
+    "KITTI times": lambda path: KittiSequence(path.parent, "00").times(10.0, 1, Silent()),
     "a trajectory": read_trajectory,
     "4Seasons poses": four_seasons_files.read_poses,
     "GNSS poses": four_seasons_files.read_gnss_poses,
@@ -185,7 +186,7 @@ def test_a_sentence_of_a_receiver_with_wrong_fields_is_told_with_its_line(tmp_pa
         for byte in body.encode():
             checksum ^= byte
         path.write_text(f"$GPRMC\n${body}*{checksum:02X}\n")
-        with pytest.raises(DatasetError, match=r"track\.nmea:2: a GGA sentence with a right checksum and wrong fields"):
+        with pytest.raises(DatasetError, match=r"track\.nmea:2: a GGA sentence has a correct checksum"):
             read_gga(path)
 
 
@@ -194,7 +195,7 @@ def test_frames_of_kitti_are_named_by_ascii_digits(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     for name in ("000001.png", "²².png", "٣.png", "9" * 30 + ".png"):
         (folder / name).touch()
-    assert list(Sequence(tmp_path, "00").frames("image_2", ".png")) == [1]
+    assert list(KittiSequence(tmp_path, "00").frames("image_2", ".png")) == [1]
 
 
 @pytest.mark.parametrize(
@@ -270,7 +271,7 @@ def test_an_endless_path_in_a_manifest_is_cut(tmp_path: Path) -> None:
     (tmp_path / "manifest.csv").write_text(f"path,bytes,sha256\n{'a/' * 2000},1,{'0' * 64}\n")
     (fault,) = fingerprint.faults(DatasetLayout(tmp_path))
     assert str(fault).startswith(f"{tmp_path}/a/a/")
-    assert "missing; it stands in manifest.csv" in str(fault)
+    assert "missing; it is listed in manifest.csv" in str(fault)
     assert len(str(fault)) < len(str(tmp_path)) + 300
 
 

@@ -177,9 +177,9 @@ def write_generic(root: Path) -> None:
 
 def _kitti(read: Callable[[object], object]) -> Read:
     def run(place: Place) -> None:
-        from relocbench.datasets.importers.kitti.files import Sequence
+        from relocbench.datasets.importers.kitti.files import KittiSequence
 
-        read(Sequence(place.root / "kitti", "00"))
+        read(KittiSequence(place.root / "kitti", "00"))
 
     return run
 

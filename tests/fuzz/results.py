@@ -76,7 +76,7 @@ def _dataset_record(place: Place) -> None:
 
 
 def _errors(place: Place) -> None:
-    from relocbench.evaluation.common.results import read_errors
+    from relocbench.evaluation.common.error_table import read_errors
     from relocbench.evaluation.tracking.score import summarize_rows
 
     summarize_rows(read_errors(place.target), "all")

@@ -80,7 +80,7 @@ def write_kept(root: Path) -> None:
     from relocbench.datasets.groundtruth.blocks.store import write_block
     from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive, write_graph
     from relocbench.datasets.groundtruth.registration.files import write_registrations
-    from relocbench.datasets.groundtruth.registration.hypotheses import Outcome
+    from relocbench.datasets.groundtruth.registration.hypotheses import SearchResult
     from relocbench.datasets.groundtruth.registration.journal import Journal
     from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
 
@@ -102,7 +102,7 @@ def write_kept(root: Path) -> None:
     write_graph(folder / "graph.csv", drives[0], drives[1])
     journal = Journal(folder / "journal.jsonl")
     for i in range(2):
-        journal.remember(f"pair {i}", lambda i=i: Outcome(found[i]))  # type: ignore[misc]
+        journal.remember(f"pair {i}", lambda i=i: SearchResult(found[i]))  # type: ignore[misc]
     journal.close()
 
 

@@ -16,16 +16,15 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.common.error_table import PairErrors, write_errors
 from relocbench.evaluation.common.results import (
     Answer,
     DatasetRecord,
     MethodResults,
-    PairErrors,
     PairSetRecord,
     RunRecord,
     ScoreRecord,
     write_answers,
-    write_errors,
 )
 from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows
 from relocbench.files import dump_yaml, write_text

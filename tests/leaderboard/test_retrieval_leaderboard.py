@@ -17,7 +17,13 @@ from small_views import make_small_views
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.records import METRICS, TaskRecord, all_sets
-from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, load_retrieval, mean_tables, plausible
+from relocbench.leaderboard.retrieval.board import (
+    RetrievalBoard,
+    RetrievalRow,
+    check_plausible,
+    load_retrieval,
+    mean_tables,
+)
 from relocbench.leaderboard.retrieval.page import evaluate_command
 from relocbench.leaderboard.retrieval.write import write_retrieval_leaderboard
 from relocbench.progress import Silent
@@ -174,11 +180,11 @@ def test_answers_that_changed_since_they_were_scored_are_refused(tmp_path: Path)
 def test_an_average_precision_that_one_positive_does_not_allow_is_refused(results: Path) -> None:
     table = next(t for t in board_of(results).sets[0].tables if t.name == D2S)
     assert table.single_positive
-    plausible(table)
+    check_plausible(table)
     row = table.rows[0]
     wrong = RetrievalRow(row.method, {**row.values, "R@1": 0.5, "AP": 0.7}, {}, 1)
     with pytest.raises(PredictionError, match="good on drone-satellite: AP 70"):
-        plausible(type(table)(table.name, table.tasks, table.records, (wrong,), table.chance))
+        check_plausible(type(table)(table.name, table.tasks, table.records, (wrong,), table.chance))
 
 
 def test_a_folder_without_retrieval_has_no_board(tmp_path: Path) -> None:

@@ -158,7 +158,7 @@ def test_columns_can_be_named() -> None:
 
 def test_two_columns_of_one_name_are_refused() -> None:
     text = "\n| system | R@1 | AP | Recall@1 | AP |\n|---|---|---|---|---|\n| a | 1 | 2 | 3 | 4 |\n"
-    with pytest.raises(RelocbenchError, match=r"t\.md:2: columns 'R@1', 'Recall@1' are called alike"):
+    with pytest.raises(RelocbenchError, match=r"t\.md:2: columns 'R@1', 'Recall@1' have the same name"):
         check_single_positive_tables(text, "t.md")
 
 

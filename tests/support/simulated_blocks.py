@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from simulated_graph import NO_EVIDENCE, Drive
 
-from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalFit
+from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalFit, LocalOptions
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.geometry import adjoint, apply, invert, se3_exp
 
@@ -37,7 +37,10 @@ class Planes:
         m = normals @ T_ref_query[:3, :3]
         J = np.hstack([m, np.cross(points, m)])
         r = np.einsum("ni,ni->n", normals, apply(T_ref_query, points) - apply(true, points)) + noise
-        return LocalFit(J.T @ J, J.T @ r, self.sigma_m, self.count)
+        H, options = J.T @ J, LocalOptions()
+        # Independent distances, of which each takes part in one edge alone: the information is H / sigma_m^2.
+        scatter = (self.sigma_m**2 - options.least_sigma_m**2) / options.repeats * H
+        return LocalFit(H, J.T @ r, scatter, self.count)
 
 
 def submap_registrations(planes: Planes, half: int, every: int, rounds: int = 3) -> list[Registration]:

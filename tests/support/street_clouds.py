@@ -92,7 +92,6 @@ def submap(street: Street, seed: int, T_street_node: Array, half: float = 30.0, 
     normals = measured["normals"] @ T_node_street[:3, :3].T
     count = len(points)
     return Submap(
-        node,
         points.astype(np.float32),
         normals.astype(np.float32),
         origins.astype(np.float32),

@@ -1,1 +1,1 @@
-"""Direct image alignment on intensities, with an affine change of brightness (DSO)."""
+"""Direct image alignment on intensities, with affine brightness parameters (DSO)."""

@@ -1,13 +1,13 @@
 """Residuals, robust weights and normal equations of direct alignment, in one pass over the points.
 
-Per point, with p' where it falls in the query (:mod:`~baselines.alignment.shared.warp`; Engel, Koltun and Cremers,
+For each point, with p' its pixel in the query (:mod:`~baselines.alignment.shared.warp`; Engel, Koltun and Cremers,
 Direct Sparse Odometry, PAMI 2018):
 
-    r   = I'(p') - (gain I_ref + offset)      I' looked up bilinearly, as are its stored gradients g (1, 2)
-    J   = [g dp'/dxi, -gain I_ref, -1]        derivatives by xi, a = log gain and b = offset
+    r   = I'(p') - (gain I_ref + offset)      I' and its stored gradients g (1, 2) are interpolated bilinearly
+    J   = [g dp'/dxi, -gain I_ref, -1]        derivatives with respect to xi, a = log gain and b = offset
 
-Points are worked on in blocks: warp, look up, weigh, accumulate. None of these loops has a branch, so that the compiler
-makes SIMD code of them.
+Points are processed in blocks: warp, look up, weigh, accumulate. None of these loops has a branch, so that the compiler
+vectorises them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from baselines.alignment.shared.scratch import AXX, AXY, AYY, BLOCK, BX, BY, ID,
 from baselines.alignment.shared.warp import SMALLEST_SIDE, warp
 from relocbench.kernels import njit
 
-# Rows of the scratch block behind the shared ones: what is looked up, and the products with the brightness columns.
+# Rows of the scratch block behind the shared ones: the interpolated map, and products with the brightness columns.
 F, FX, FY = SHARED_ROWS, SHARED_ROWS + 1, SHARED_ROWS + 2
 CX, CY, DX, DY = SHARED_ROWS + 3, SHARED_ROWS + 4, SHARED_ROWS + 5, SHARED_ROWS + 6
 SCRATCH_ROWS = SHARED_ROWS + 7
@@ -29,12 +29,12 @@ SCRATCH_ROWS = SHARED_ROWS + 7
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _look_up(level_map: FloatArray, n: int, s: FloatArray) -> None:
-    """Write rows F, dF/dx, dF/dy: the map looked up bilinearly."""
+    """Write rows F, dF/dx and dF/dy, interpolated bilinearly."""
     one = s.dtype.type(1)
     next_one = np.uint32(1)
     for k in range(n):
         px, py = s[PX, k], s[PY, k]
-        ix, iy = np.uint32(np.int32(px)), np.uint32(np.int32(py))  # unsigned: spares the test for negative indices
+        ix, iy = np.uint32(np.int32(px)), np.uint32(np.int32(py))  # unsigned: no test for negative indices
         ax, ay = px - s.dtype.type(np.int32(px)), py - s.dtype.type(np.int32(py))
         w11 = ax * ay
         w10, w01 = ay - w11, ax - w11
@@ -66,19 +66,20 @@ def _weigh(
     start: int,
     n: int,
     intrinsics: FloatArray,
-    light: FloatArray,
+    gain_offset: FloatArray,
     huber: Number,
     cutoff: Number,
     s: FloatArray,
     sums: FloatArray,
 ) -> None:
-    """Write rows A, b and the products with the two brightness columns.
+    """Write rows A and b, and the products with the two brightness columns.
 
-    sums: energy, valid, saturated, then w J_a J_a, w J_a J_b, w J_b J_b, w J_a r, w J_b r are added to.
+    Added to ``sums`` are the energy, the numbers of valid and of saturated residuals, and the sums of w J_a J_a,
+    w J_a J_b, w J_b J_b, w J_a r and w J_b r.
     """
     zero, two = s.dtype.type(0), s.dtype.type(2)
     fx, fy = intrinsics[0], intrinsics[1]
-    gain, offset = light[0], light[1]
+    gain, offset = gain_offset[0], gain_offset[1]
     saturated_energy = two * huber * cutoff - huber * huber
     energy, valid, saturated = zero, zero, zero
     saa, sab, sbb, sar, sbr = zero, zero, zero, zero, zero
@@ -123,8 +124,8 @@ def _weigh(
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _accumulate_light(s: FloatArray, n: int, H: FloatArray) -> None:
-    """Add sum P^T (w grad r J_light) to H[:6, 6:8], the products of pose and brightness columns."""
+def _accumulate_brightness(s: FloatArray, n: int, H: FloatArray) -> None:
+    """Add sum P^T (w grad r J_brightness) to H[:6, 6:8], the products of pose and brightness columns."""
     one = s.dtype.type(1)
     z = s.dtype.type(0)
     a0, a1, a2, a3, a4, a5 = z, z, z, z, z, z
@@ -159,16 +160,15 @@ def linearize(
     values: FloatArray,
     intrinsics: FloatArray,
     T_query_ref: FloatArray,
-    light: FloatArray,
+    gain_offset: FloatArray,
     huber: float,
     cutoff: float,
     H: NDArray[np.float64],
     g: NDArray[np.float64],
 ) -> tuple[float, int, int]:
-    """Energy and normal equations at one pose.
+    """Compute the mean energy and the normal equations at one pose.
 
-    Computes in the precision of ``points`` (float32 in use, float64 where a test wants the digits); sums over blocks
-    are float64.
+    The precision is that of ``points`` (float32 in use, float64 in tests); sums over blocks are float64.
 
     Args:
         level_map: (H, W, 3) query map: value, x derivative, y derivative.
@@ -176,19 +176,24 @@ def linearize(
         values: (N, 1) reference values.
         intrinsics: (4,) fx, fy, cx, cy of the query level.
         T_query_ref: (4, 4) or (3, 4).
-        light: (2,) gain and offset: r = I' - (gain I_ref + offset).
-        huber, cutoff: in units of the values; on |r|.
-        H: (8, 8) out: mean w J J^T, symmetric; columns translation 3, rotation 3, a (log gain), b (offset).
-        g: (8,) out: mean w J r.
+        gain_offset: (2,) gain and offset in r = I' - (gain I_ref + offset).
+        huber, cutoff: thresholds on |r|, in units of the values.
+        H: (8, 8) out: mean of w J J^T, symmetric; columns: translation 3, rotation 3, a (log gain), b (offset).
+        g: (8,) out: mean of w J r.
 
     Returns:
-        mean energy (infinite without a valid residual), number of valid residuals, number of saturated ones among
-        them. A residual is valid when the point falls more than 2 px inside the query's border, in front of the
-        camera; it is saturated when |r| > cutoff, adds 2 huber cutoff - huber^2 to the energy and nothing to H, g.
+        The mean energy (infinite without a valid residual), the number of valid residuals, and the number of saturated
+        ones among them. A residual is valid when the point lies in front of the camera and falls more than 2 px inside
+        the query's border. It is saturated when |r| > cutoff; then it adds 2 huber cutoff - huber^2 to the energy and
+        nothing to H and g.
     """
     number = points.dtype.type
     scratch = np.empty((SCRATCH_ROWS, BLOCK), points.dtype)
-    K, T, L = intrinsics.astype(points.dtype), T_query_ref.astype(points.dtype), light.astype(points.dtype)
+    K, T, brightness = (
+        intrinsics.astype(points.dtype),
+        T_query_ref.astype(points.dtype),
+        gain_offset.astype(points.dtype),
+    )
     h, c = number(huber), number(cutoff)
     sums = np.zeros(8, np.float64)
     H[:] = 0.0
@@ -199,8 +204,8 @@ def linearize(
         n = min(BLOCK, points.shape[1] - start)
         warp(points, start, n, K, T, level_map.shape[1], level_map.shape[0], scratch)
         _look_up(level_map, n, scratch)
-        _weigh(values, start, n, K, L, h, c, scratch, sums)
-        _accumulate_light(scratch, n, H)
+        _weigh(values, start, n, K, brightness, h, c, scratch, sums)
+        _accumulate_brightness(scratch, n, H)
         accumulate_pose(scratch, n, H, g)
     H[6, 6], H[6, 7], H[7, 7] = sums[3], sums[4], sums[5]
     g[6], g[7] = sums[6], sums[7]

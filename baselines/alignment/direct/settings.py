@@ -1,4 +1,4 @@
-"""What the direct aligner can be told."""
+"""The settings of direct alignment."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from relocbench.errors import MethodError
 
 @dataclass(frozen=True)
 class Settings:
-    """What the solver can be told; the defaults are DSO's but for ``cutoff_levels``.
+    """Robust loss, iterations and brightness; the defaults are DSO's except for ``cutoff_levels``.
 
     Raises:
-        MethodError: the cutoff is below the Huber threshold: a saturated residual would cost less than one that fits.
+        MethodError: the cutoff is below the Huber threshold, so that an outlier would cost less than an inlier.
     """
 
     huber: float = 9.0
-    """in units of the values: below it the loss is quadratic, above linear"""
+    """in units of the values: the loss is quadratic below it and linear above"""
     cutoff: float = 20.0
-    """in units of the values: above it a residual has constant energy and no say in the step"""
+    """in units of the values: a larger residual has constant energy and does not influence the step"""
     cutoff_levels: int = 1
-    """the cutoff holds on so many of the finest levels; coarser ones have none. DSO has it on all: there the start is
-    a motion model's. From a start metres off, half of the right residuals would be cut off before they could pull"""
+    """number of the finest levels on which the cutoff applies; coarser ones have none. DSO applies it on all levels,
+    but starts from a motion model. From a start that is metres off, it would discard half of the correct residuals"""
     iterations: tuple[int, ...] = (10, 20, 50, 50, 50)
-    """at most so many, finest level first; the last holds for all coarser levels"""
+    """the largest number on each level, finest first; the last entry holds for all coarser levels"""
     affine: bool = True
-    """estimate gain and offset of the brightness"""
+    """estimate the affine brightness parameters, a gain and an offset"""
 
     def __post_init__(self) -> None:
         if not 0 < self.huber <= self.cutoff:
             raise MethodError(f"cutoff ({self.cutoff}) must be at least huber ({self.huber}), both positive")
 
     def iterations_of(self, level: int) -> int:
-        """At most so many iterations on a level."""
+        """The largest number of iterations on a level."""
         return self.iterations[min(level, len(self.iterations) - 1)]
 
     def cutoff_of(self, level: int) -> float:
-        """The cutoff of a level, in units of the values; infinite where there is none."""
+        """The cutoff of a level, in units of the values; infinite if it has none."""
         return self.cutoff if level < self.cutoff_levels else np.inf

@@ -1,4 +1,4 @@
-"""Coarse-to-fine direct alignment: the levels one after another, and several starts against each other."""
+"""Coarse-to-fine direct alignment from one start, and the best of several starts."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.alignment.direct.levenberg import minimise_level
+from baselines.alignment.direct.problem import DirectProblem
 from baselines.alignment.direct.settings import Settings
+from baselines.alignment.shared.damping import DSO_DAMPING
 from baselines.alignment.shared.depth_map import LevelPoints
-from baselines.alignment.shared.levels import LevelOutcome, best_of, coarse_to_fine, trouble_of
+from baselines.alignment.shared.levels import LevelOutcome, best_of, coarse_to_fine, failure_of
+from baselines.alignment.shared.levenberg import COUNT, ENERGY, SATURATED, minimise_level
 from baselines.alignment.shared.pyramid import Level, camera_intrinsics
 from relocbench.errors import MethodError
 from relocbench.geometry import compose
@@ -21,26 +23,26 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Where the alignment ended."""
+    """The result of an alignment."""
 
     T_query_ref: Array
     """(4, 4)"""
     a: float
-    """log gain: I_query = exp(a) I_ref + b"""
+    """log gain in I_query = exp(a) I_ref + b"""
     b: float
     """offset, in units of the values"""
     outcomes: tuple[LevelOutcome, ...]
-    """in the order of work, coarsest level first; a level repeated with the base cutoff comes twice"""
+    """in the order of work, coarsest level first; a level that is repeated with the base cutoff occurs twice"""
     points: int
-    """of the finest level, valid or not"""
-    trouble: str = ""
-    """why there is no answer; empty if there is one"""
+    """number on the finest level, valid or not"""
+    failure: str = ""
+    """why there is no pose; empty if there is one"""
     abandoned: bool = False
-    """given up because another start was clearly better"""
+    """the alignment was given up because another start was clearly better"""
 
     @property
     def final(self) -> LevelOutcome:
-        """The last level worked on."""
+        """The outcome of the last level worked on."""
         return self.outcomes[-1]
 
 
@@ -57,7 +59,7 @@ def align(
         reference: points of each level, finest first.
         query: maps of each level, finest first.
         T_start: (4, 4) first guess of T_query_ref.
-        settings: robust loss, iterations, brightness.
+        settings: see there.
         rival: the best alignment so far from another start; this one is abandoned on the first level whose root mean
             energy is 1.5 times the rival's or more.
 
@@ -66,43 +68,46 @@ def align(
     """
     if any(points.values.shape[1] != 1 for points in reference) or any(level.channels != 1 for level in query):
         raise MethodError("direct alignment takes maps and points of one channel, feature alignment takes more")
-    T, light = np.array(T_start, dtype=np.float64), np.zeros(2)
+    T, brightness = np.array(T_start, dtype=np.float64), np.zeros(2)
 
     def minimise(level: int) -> tuple[LevelOutcome, str]:
-        nonlocal T, light
-        T, light, outcome = _minimise(reference[level], query[level], level, T, light, settings)
-        return outcome, trouble_of(outcome, T, light)
+        nonlocal T, brightness
+        T, brightness, outcome = _minimise(reference[level], query[level], level, T, brightness, settings)
+        return outcome, failure_of(outcome, T, brightness)
 
     coarsest = min(len(reference), len(query)) - 1
     walk = coarse_to_fine(coarsest, minimise, rival.outcomes if rival else ())
     size = len(reference[0])
-    return Alignment(compose(T), light[0], light[1], walk.outcomes, size, walk.trouble, walk.abandoned)
+    return Alignment(compose(T), brightness[0], brightness[1], walk.outcomes, size, walk.failure, walk.abandoned)
 
 
 def align_best(
     reference: Sequence[LevelPoints], query: Sequence[Level], starts: Sequence[Array], settings: Settings
 ) -> Alignment:
-    """Align from every start; the lowest final energy wins. An alignment with trouble only if all have it.
+    """Align from every start and return the alignment of lowest final energy.
+
+    A failed alignment is returned only if all of them failed.
 
     Raises:
-        ValueError: no start.
+        ValueError: there is no start.
     """
     return best_of(starts, lambda start, rival: align(reference, query, start, settings, rival))
 
 
 def _minimise(
-    reference: LevelPoints, query: Level, level: int, T: Array, light: Array, settings: Settings
+    reference: LevelPoints, query: Level, level: int, T: Array, brightness: Array, settings: Settings
 ) -> tuple[Array, Array, LevelOutcome]:
-    T, light, energy, valid, saturated, iterations, factor, end = minimise_level(
-        query.map,
-        reference.points,
-        reference.values,
-        camera_intrinsics(query.camera),
-        T,
-        light,
-        settings.huber,
-        settings.cutoff_of(level),
-        settings.affine,
-        settings.iterations_of(level),
+    problem = DirectProblem(
+        query.map, reference.points, reference.values, camera_intrinsics(query.camera), settings.huber, np.empty(2)
     )
-    return T, light, LevelOutcome(level, iterations, energy, valid, saturated, factor, end)
+    T, brightness, _, statistics, iterations, factor, end = minimise_level(
+        problem,
+        T,
+        brightness,
+        (8 if settings.affine else 6, 8),
+        settings.cutoff_of(level),
+        settings.iterations_of(level),
+        DSO_DAMPING.schedule,
+    )
+    valid, saturated = int(statistics[COUNT]), int(statistics[SATURATED])
+    return T, brightness, LevelOutcome(level, iterations, float(statistics[ENERGY]), valid, saturated, factor, end)

@@ -1,15 +1,15 @@
 """Residuals, robust weights and normal equations of alignment on feature maps, in one pass over the points.
 
-Per point, with D channels and p' where it falls in the query (:mod:`~baselines.alignment.shared.warp`; von Stumberg et
+For each point, with D channels and p' its pixel in the query (:mod:`~baselines.alignment.shared.warp`; von Stumberg et
 al., GN-Net, RA-L 2020):
 
-    r   = F'(p') - F_ref                        F' looked up bilinearly
+    r   = F'(p') - F_ref                        F' interpolated bilinearly
     F_g = [F'(p' + x) - F'(p' - x), F'(p' + y) - F'(p' - y)] / 2           (D, 2), one pixel to either side
     J   = F_g dp'/dxi,      H = sum omega w J^T J,      g = sum omega w J^T r
 
-omega is the point's own weight, w the Huber weight. F_g^T w F_g and F_g^T w r, a 2x2 tensor and a 2-vector, are formed
-first and meet the 2x6 geometry once (:mod:`~baselines.alignment.shared.normal_equations`). The bilinear map and its
-central differences at a place need the twelve pixels of a 4x4 square without its corners.
+omega is the weight of the point, w the Huber weight. First F_g^T w F_g (2x2) and F_g^T w r (2) are formed, which are
+then multiplied by the 2x6 derivative of the pixel (:mod:`~baselines.alignment.shared.normal_equations`). The bilinear
+map and its central differences at one place are made of twelve pixels: a 4x4 square without its corners.
 """
 
 from __future__ import annotations
@@ -18,16 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.alignment.shared.compiled import FAST, FloatArray, Number
+from baselines.alignment.shared.levenberg import COUNT, ENERGY, NOT_FINITE_POINTS, SATURATED, SQUARES, WEIGHT
 from baselines.alignment.shared.normal_equations import accumulate_pose, divide_and_mirror
 from baselines.alignment.shared.scratch import AXX, AXY, AYY, BLOCK, BX, BY, PX, PY, SHARED_ROWS, VALID
 from baselines.alignment.shared.warp import SMALLEST_SIDE, warp
 from relocbench.kernels import njit
 
 Array = NDArray[np.float64]
-
-ENERGY, SQUARES, WEIGHT, COUNT, SATURATED, NOT_FINITE = 0, 1, 2, 3, 4, 5
-"""places in the statistics of one linearization"""
-STATISTICS = 6
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -44,7 +41,7 @@ def _weigh(
     s: FloatArray,
     statistics: Array,
 ) -> None:
-    """Write rows A and b for points start .. start + n; the statistics are added to."""
+    """Write rows A and b for points start .. start + n, and add to the statistics."""
     number = s.dtype.type
     zero, half, one, two = number(0), number(0.5), number(1), number(2)
     infinite = number(np.inf)
@@ -62,7 +59,7 @@ def _weigh(
             ax, ay = px - number(ix), py - number(iy)
             cx, cy = one - ax, one - ay
             hcx, hax, hcy, hay = half * cx, half * ax, half * cy, half * ay
-            # Rows of the square from above: t, a, b, d; columns from the left: 0, 1, 2, 3.
+            # Rows of the square from the top: t, a, b, d; columns from the left: 0, 1, 2, 3.
             t1, t2 = level_map[iy - 1, ix], level_map[iy - 1, ix + 1]
             a0, a1, a2, a3 = level_map[iy, ix - 1], level_map[iy, ix], level_map[iy, ix + 1], level_map[iy, ix + 2]
             b0, b1 = level_map[iy + 1, ix - 1], level_map[iy + 1, ix]
@@ -129,7 +126,7 @@ def _weigh(
     statistics[WEIGHT] += weight * number(residuals_a_point)
     statistics[COUNT] += count
     statistics[SATURATED] += saturated
-    statistics[NOT_FINITE] += not_finite
+    statistics[NOT_FINITE_POINTS] += not_finite
 
 
 @njit(cache=True, error_model="numpy")
@@ -143,15 +140,14 @@ def linearize_features(
     huber: float,
     cutoff: float,
     per_channel: bool,
-    room: tuple[FloatArray, FloatArray, FloatArray],
+    workspace: tuple[FloatArray, FloatArray, FloatArray],
     H: Array,
     g: Array,
     statistics: Array,
 ) -> None:
-    """Energy and normal equations at one pose; allocates nothing.
+    """Compute the mean energy and the normal equations at one pose, without allocating memory.
 
-    Computes in the precision of ``points`` (float32 in use, float64 where a test wants the digits); sums over
-    blocks are float64.
+    The precision is that of ``points`` (float32 in use, float64 in tests); sums over blocks are float64.
 
     Args:
         level_map: (H, W, D) query features.
@@ -160,20 +156,19 @@ def linearize_features(
         weights: (N,) positive.
         intrinsics: (4,) fx, fy, cx, cy of the query level.
         T_query_ref: (4, 4).
-        huber, cutoff: in units of the features, on the norm over the channels or, ``per_channel``, on |r| of each;
-            then each channel of a point counts as one residual.
-        room: what :func:`working_room` gives.
-        H: (6, 6) out: mean omega w J^T J, symmetric; translation 3, rotation 3. Means are weighted, over the valid
-            residuals.
-        g: (6,) out: mean omega w J^T r.
-        statistics: (6,) out: mean energy (infinite without a valid residual), mean omega w r^2 of the residuals
-            that are not saturated, sum of omega, number of valid residuals, of saturated ones among them, of points
-            whose residual or gradient is not finite. A residual is valid when the point falls more than 2 px inside
-            the query's border, in front of the camera; it is saturated beyond the cutoff, adds
-            2 huber cutoff - huber^2 to the energy and nothing to H, g.
+        huber, cutoff: thresholds in units of the features, on the norm of r over the channels.
+        per_channel: apply the thresholds to |r| of each channel instead; each channel then counts as one residual.
+        workspace: of :func:`workspace_for`.
+        H: (6, 6) out: mean of omega w J^T J, symmetric; translation 3, rotation 3. All means are over the valid
+            residuals, weighted by omega.
+        g: (6,) out: mean of omega w J^T r.
+        statistics: (6,) out, see :mod:`~baselines.alignment.shared.levenberg`; SQUARES is the mean of omega w r^2 of
+            the residuals that are not saturated, WEIGHT the sum of omega. A residual is valid when the point lies in
+            front of the camera and falls more than 2 px inside the query's border. It is saturated beyond the cutoff;
+            then it adds 2 huber cutoff - huber^2 to the energy and nothing to H and g.
     """
     number = points.dtype.type
-    scratch, K, T = room
+    scratch, K, T = workspace
     for i in range(4):
         K[i] = intrinsics[i]
         for j in range(4):
@@ -199,7 +194,7 @@ def linearize_features(
 
 
 @njit(cache=True)
-def working_room(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The arrays that :func:`linearize_features` works in, in the precision of the points."""
+def workspace_for(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Arrays for :func:`linearize_features` to work in, in the precision of the points."""
     dtype = points.dtype
     return np.empty((SHARED_ROWS, BLOCK), dtype), np.empty(4, dtype), np.empty((4, 4), dtype)

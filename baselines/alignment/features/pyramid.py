@@ -1,8 +1,8 @@
-"""Feature maps of an image, level by level, as the feature aligner reads them.
+"""Feature maps of an image, level by level, as feature alignment reads them.
 
-A level's map is (H, W, D) float32 with the channels innermost. Gradients are not stored: the kernel takes the central
-differences where it samples. It reads twelve pixels of D values, as much memory as four pixels of 3 D values with
-stored gradients, and spares a query the writing of maps three times the size, which takes longer than the whole
+A level's map is (H, W, D) float32 with the channels innermost. Gradients are not stored: the kernel takes central
+differences where it samples. It then reads twelve pixels of D values, which is as much memory as four pixels of 3 D
+values with stored gradients, and no query has to write maps three times the size, which takes longer than the whole
 alignment (``benchmarks/speed/feature_alignment.py`` prints both).
 """
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FeatureLevel:
-    """One level: its map and its pinhole camera."""
+    """The map and the pinhole camera of one level."""
 
     map: Map
     """(H, W, D) C-contiguous"""
@@ -32,7 +32,7 @@ class FeatureLevel:
 
     @property
     def channels(self) -> int:
-        """D."""
+        """D, the number of channels."""
         return self.map.shape[2]
 
 
@@ -44,16 +44,16 @@ class FeaturePyramid:
 
     @classmethod
     def from_maps(cls, maps: Sequence[NDArray[Any]], camera: Camera) -> FeaturePyramid:
-        """Maps of a network with the camera of its image.
+        """The pyramid of a network's feature maps.
 
-        Level l covers W >> l times H >> l pixels, as in the intensity pyramid; of a map that was rounded up to cover an
-        odd last row or column that row or column is left out. Arrays that are C-contiguous float32 of the right size
-        are taken as they are, others are copied: a network that keeps its channels last spares the copy.
+        Level l has W >> l times H >> l pixels, as in the intensity pyramid; where a map is one row or column larger,
+        because it was rounded up, that row or column is left out. C-contiguous float32 arrays of the right size are
+        used without a copy, which is what a network gives that keeps its channels last.
 
         Args:
-            maps: (H_l, W_l, D) each, finest first; pixel (u, v) of level l is the place
-                ((u + 0.5) 2^l - 0.5, (v + 0.5) 2^l - 0.5) of the image.
-            camera: pinhole, of the image.
+            maps: (H_l, W_l, D) each, finest first; pixel (u, v) of level l is at
+                ((u + 0.5) 2^l - 0.5, (v + 0.5) 2^l - 0.5) of level 0.
+            camera: of level 0, pinhole.
 
         Raises:
             MethodError: the camera is not pinhole, there is no map, or one has a wrong shape.
@@ -77,12 +77,12 @@ class FeaturePyramid:
         return len(self.levels)
 
     def with_gradients(self) -> list[Level]:
-        """The levels with stored gradients, (H, W, 3 D): what the matching of single pixels reads."""
+        """The levels with stored gradients, (H, W, 3 D), as the matching of single pixels reads them."""
         return [Level(with_gradients(level.map), level.camera) for level in self.levels]
 
 
 def _covers(shape: Sequence[int], camera: Camera, level: int) -> bool:
-    """Is the shape the level's size, rounded down or up?"""
+    """Whether the shape is the level's size, rounded down or up."""
     return all(
         side >> level <= have <= -(-side >> level)
         for have, side in zip(shape, (camera.height, camera.width), strict=True)
@@ -95,7 +95,7 @@ def level_coordinates(uv: Array, level: int) -> Array:
 
 
 def sample(level_map: Map, uv: Array) -> NDArray[np.float32]:
-    """A map (H, W, D) looked up bilinearly at (N, 2) places within it -> (N, D)."""
+    """A map (H, W, D) interpolated bilinearly at (N, 2) pixels within it -> (N, D)."""
     height, width = level_map.shape[:2]
     iu = np.clip(np.floor(uv[:, 0]).astype(int), 0, max(width - 2, 0))
     iv = np.clip(np.floor(uv[:, 1]).astype(int), 0, max(height - 2, 0))

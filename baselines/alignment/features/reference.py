@@ -1,8 +1,7 @@
-"""The reference of feature alignment: few points of known depth with their feature vectors, kept for all queries."""
+"""The reference of feature alignment: points of known depth with their feature vectors."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.alignment.features.pyramid import FeaturePyramid, level_coordinates, sample
-from baselines.alignment.shared.depth_map import KEPT_BORDER, coarse_depths
+from baselines.alignment.shared.depth_map import KEPT_BORDER
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints
@@ -20,12 +19,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FeaturePoints:
-    """What the alignment of one level needs of the reference."""
+    """The points of one level of the reference."""
 
     points: NDArray[np.float32]
     """(3, N) normalised x, y and inverse depth (1/m)"""
     values: NDArray[np.float32]
-    """(N, D) the reference's features there"""
+    """(N, D) features of the reference at the points"""
     weights: NDArray[np.float32]
     """(N,) positive; a point of weight 2 counts as two"""
 
@@ -33,17 +32,17 @@ class FeaturePoints:
     def at(
         cls, uv: Array, inverse_depth: Array, values: NDArray[np.floating], camera: Camera, weights: Array | None = None
     ) -> FeaturePoints:
-        """Points given with their feature vectors.
+        """Points at given pixels with given feature vectors.
 
         Args:
-            uv: (N, 2) pixels of the level, need not be integers.
+            uv: (N, 2) pixels of the level, which need not be integers.
             inverse_depth: (N,) 1/m, positive.
-            values: (N, D).
+            values: (N, D) feature vectors.
             camera: of the level.
-            weights: (N,) positive; all 1 by default.
+            weights: (N,) positive; 1 by default.
 
         Raises:
-            MethodError: shapes do not fit, or a weight is not a positive number.
+            MethodError: the shapes disagree, or a weight is not a positive number.
         """
         n = len(uv)
         weights = np.ones(n) if weights is None else np.asarray(weights, dtype=np.float64)
@@ -66,10 +65,10 @@ class FeaturePoints:
 
     @cached_property
     def spread(self) -> float:
-        """Robust scale of the features: median distance of a feature vector from the channels' medians.
+        """A robust scale of the features: the median distance of a feature vector from the channels' medians.
 
-        Vectors of unrelated points are about sqrt(2) times so far from each other. Not a number without points, or
-        when features are not finite.
+        Feature vectors of unrelated points are about sqrt(2) times as far from each other. NaN if there are no points
+        or a feature is not finite.
         """
         if not len(self):
             return float("nan")
@@ -79,7 +78,7 @@ class FeaturePoints:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceFeatures:
-    """A prepared keyframe: points of every level, finest first. The maps themselves are no longer needed."""
+    """A prepared keyframe: its points on every level, finest first. The maps themselves are not kept."""
 
     levels: tuple[FeaturePoints, ...]
 
@@ -87,17 +86,17 @@ class ReferenceFeatures:
     def at_points(
         cls, points: KeyframePoints, pyramid: FeaturePyramid, weights: Array | None = None
     ) -> ReferenceFeatures:
-        """The same points on every level, where they are to a fraction of a pixel; features are sampled bilinearly.
+        """The same points on every level, at fractions of a pixel, with features interpolated bilinearly.
 
-        Points without a positive depth are left out, and on each level those nearer than 2 px to its border.
+        Points without a positive depth are left out, and so are, on each level, points within 2 px of its border.
 
         Args:
-            points: (N) pixels of level 0 with inverse depth.
-            pyramid: features of the keyframe.
-            weights: (N,) positive; all 1 by default.
+            points: N pixels of level 0 with inverse depth.
+            pyramid: of the keyframe.
+            weights: (N,) positive; 1 by default.
 
         Raises:
-            MethodError: not as many weights as points, or one that is not a positive number.
+            MethodError: the number of weights is not that of the points, or a weight is not a positive number.
         """
         weights = np.ones(len(points)) if weights is None else np.asarray(weights, dtype=np.float64)
         if weights.shape != (len(points),):
@@ -111,26 +110,6 @@ class ReferenceFeatures:
             uv = uv[kept]
             values = sample(level.map, uv)
             levels.append(FeaturePoints.at(uv, points.inverse_depth[kept], values, level.camera, weights[kept]))
-        return cls(tuple(levels))
-
-    @classmethod
-    def on_coarse_depth(cls, points: KeyframePoints, pyramid: FeaturePyramid) -> ReferenceFeatures:
-        """Points carried down the pyramid and dilated, as DSO does; features are read at whole pixels.
-
-        Many more points than given come out (each fills four empty neighbours), at depths that are averages: right
-        where surfaces are smooth, wrong at their edges.
-        """
-        depths = coarse_depths(points, [level.camera for level in pyramid.levels])
-        return cls(
-            tuple(
-                FeaturePoints.at(uv.astype(np.float64), inverse_depth, level.map[uv[:, 1], uv[:, 0]], level.camera)
-                for (uv, inverse_depth), level in zip(depths, pyramid.levels, strict=True)
-            )
-        )
-
-    @classmethod
-    def of(cls, levels: Sequence[FeaturePoints]) -> ReferenceFeatures:
-        """Levels made elsewhere, finest first."""
         return cls(tuple(levels))
 
     def __len__(self) -> int:

@@ -1,20 +1,30 @@
-"""Coarse-to-fine alignment on feature maps: the levels one after another, and several starts against each other."""
+"""Coarse-to-fine alignment on feature maps from one start, and the best of several starts."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.alignment.features.kernel import COUNT, ENERGY, NOT_FINITE, SATURATED, SQUARES, WEIGHT
-from baselines.alignment.features.levenberg import FEATURES_NOT_FINITE, minimise_feature_level
+from baselines.alignment.features.kernel import workspace_for
+from baselines.alignment.features.problem import FeatureProblem
 from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.alignment.features.reference import ReferenceFeatures
 from baselines.alignment.features.settings import FeatureSettings
-from baselines.alignment.shared.levels import LevelOutcome, best_of, coarse_to_fine, trouble_of
-from baselines.alignment.shared.levenberg import NO_RESIDUALS
+from baselines.alignment.shared.levels import LevelOutcome, best_of, coarse_to_fine, failure_of
+from baselines.alignment.shared.levenberg import (
+    COUNT,
+    ENERGY,
+    NO_RESIDUALS,
+    NOT_FINITE,
+    NOT_FINITE_POINTS,
+    SATURATED,
+    SQUARES,
+    WEIGHT,
+    minimise_level,
+)
 from baselines.alignment.shared.pyramid import camera_intrinsics
 from baselines.alignment.shared.starts import Start
 from relocbench.errors import MethodError
@@ -27,49 +37,49 @@ UNKNOWNS = 6
 
 @dataclass(frozen=True, eq=False)
 class FeatureAlignment:
-    """Where the alignment ended."""
+    """The result of an alignment."""
 
     T_query_ref: Array
     """(4, 4)"""
     outcomes: tuple[LevelOutcome, ...]
-    """in the order of work, coarsest level first; a level repeated with the base cutoff comes twice"""
+    """in the order of work, coarsest level first; a level that is repeated with the base cutoff occurs twice"""
     points: int
-    """of the finest level, valid or not"""
+    """number on the finest level, valid or not"""
     residuals: int
-    """as many, or D times as many where each channel counts"""
+    """as many as points, or D times as many if the robust loss is applied per channel"""
     H: Array
-    """(6, 6) sum omega w J^T J over the points of the last level worked on: the information on the left increment
-    (translation 3, rotation 3; the query camera's axes) for residuals of variance one"""
+    """(6, 6) sum of omega w J^T J over the points of the last level: the information matrix of the left increment
+    (translation 3, rotation 3; axes of the query camera) for residuals of variance one"""
     variance: float
-    """of one channel's residual where omega is 1, from the inliers' residuals of the last level; NaN without"""
-    trouble: str = ""
-    """why there is no answer; empty if there is one"""
+    """variance of one channel's residual at omega = 1, estimated from the inliers of the last level; NaN without any"""
+    failure: str = ""
+    """why there is no pose; empty if there is one"""
     abandoned: bool = False
-    """given up because another start was clearly better"""
+    """the alignment was given up because another start was clearly better"""
 
     @property
     def final(self) -> LevelOutcome:
-        """The last level worked on."""
+        """The outcome of the last level worked on."""
         return self.outcomes[-1]
 
     @property
     def energy(self) -> float:
-        """Mean over the valid residuals of the last level; infinite where none was worked on."""
+        """The mean energy of the valid residuals of the last level; infinite if no level was worked on."""
         return self.final.energy if self.outcomes else float("inf")
 
     @property
     def inlier_share(self) -> float:
-        """Residuals in view and within the cutoff, as a share of all the reference's on the finest level."""
-        if self.trouble or not self.residuals:
+        """The share of the reference's residuals on the finest level that are in view and within the cutoff."""
+        if self.failure or not self.residuals:
             return 0.0
         return (self.final.valid - self.final.saturated) / self.residuals
 
     @property
     def covariance(self) -> Array:
-        """(6, 6) of the left increment: variance * H^-1; NaN where H cannot be inverted.
+        """The covariance (6, 6) of the left increment, variance * H^-1; NaN if H is singular.
 
-        It takes the residuals of neighbouring points and channels for independent, which they are not, and is
-        therefore too small: good for comparing directions and pairs, not as a standard deviation in metres.
+        It treats the residuals of neighbouring points and channels as independent, which they are not, and is therefore
+        too small: it serves to compare directions and pairs, not as an absolute uncertainty.
         """
         try:
             return np.asarray(self.variance * np.linalg.inv(self.H), dtype=np.float64)
@@ -85,16 +95,16 @@ def align_features(
     rival: FeatureAlignment | None = None,
     first_level: int | None = None,
 ) -> FeatureAlignment:
-    """Align from one start, coarsest level first that both sides have and that has points enough.
+    """Align from one start, beginning with the coarsest level that both sides have and that has enough points.
 
     Args:
         reference: points of each level with their features.
         query: maps of each level, with as many channels.
         T_start: (4, 4) first guess of T_query_ref.
-        settings: robust loss, iterations, damping.
+        settings: see there.
         rival: the best alignment so far from another start; this one is abandoned on the first level whose root mean
             energy is 1.5 times the rival's or more.
-        first_level: coarser ones are left out.
+        first_level: coarser levels are left out.
 
     Raises:
         MethodError: the numbers of channels differ, or a side has no level.
@@ -104,8 +114,8 @@ def align_features(
     points = len(reference.levels[0])
     residuals = points * (reference.levels[0].values.shape[1] if settings.per_channel else 1)
 
-    def stopped(trouble: str) -> FeatureAlignment:
-        return FeatureAlignment(T, (), points, residuals, H, variance, trouble)
+    def stopped(failure: str) -> FeatureAlignment:
+        return FeatureAlignment(T, (), points, residuals, H, variance, failure)
 
     if not np.all(np.isfinite(T)):
         return stopped("the start is not finite")
@@ -120,42 +130,48 @@ def align_features(
             reason = "all the same" if huber == 0 else "not finite"
             nothing = LevelOutcome(level, 0, float("inf"), 0, 0, 1.0, NO_RESIDUALS)
             return nothing, f"the reference's features are {reason} on level {level}"
-        T, mean_H, statistics, iterations, factor, end = minimise_feature_level(
+        problem = FeatureProblem(
             query_level.map,
             of_level.points,
             of_level.values,
             of_level.weights,
             camera_intrinsics(query_level.camera),
-            T,
             huber,
-            cutoff,
             settings.per_channel,
+            workspace_for(of_level.points),
+        )
+        T, _, mean_H, statistics, iterations, factor, end = minimise_level(
+            problem,
+            T,
+            np.zeros(2),
+            (UNKNOWNS, UNKNOWNS),
+            cutoff,
             settings.iterations_of(level),
-            astuple(settings.damping),
+            settings.damping.schedule,
         )
         H = mean_H * statistics[WEIGHT]
         valid, saturated = int(statistics[COUNT]), int(statistics[SATURATED])
         variance = _variance(statistics, query_level.channels, settings.per_channel)
         outcome = LevelOutcome(level, iterations, float(statistics[ENERGY]), valid, saturated, factor, end)
-        if end == FEATURES_NOT_FINITE:
-            return outcome, f"features are not finite at {int(statistics[NOT_FINITE])} points on level {level}"
-        return outcome, trouble_of(outcome, T)
+        if end == NOT_FINITE:
+            return outcome, f"features are not finite at {int(statistics[NOT_FINITE_POINTS])} points on level {level}"
+        return outcome, failure_of(outcome, T)
 
     coarsest = _coarsest(reference, query, settings)
     begin = coarsest if first_level is None else min(first_level, coarsest)
     walk = coarse_to_fine(begin, minimise, rival.outcomes if rival else ())
-    return FeatureAlignment(compose(T), walk.outcomes, points, residuals, H, variance, walk.trouble, walk.abandoned)
+    return FeatureAlignment(compose(T), walk.outcomes, points, residuals, H, variance, walk.failure, walk.abandoned)
 
 
 def align_features_best(
     reference: ReferenceFeatures, query: FeaturePyramid, starts: Sequence[Start], settings: FeatureSettings
 ) -> FeatureAlignment:
-    """Align from every start, each told the best so far; the lowest final energy wins.
+    """Align from every start and return the alignment of lowest final energy.
 
-    An alignment with trouble is returned only if all have it.
+    A failed alignment is returned only if all of them failed.
 
     Raises:
-        ValueError: no start.
+        ValueError: there is no start.
         MethodError: the numbers of channels differ.
     """
     return best_of(
@@ -164,7 +180,7 @@ def align_features_best(
 
 
 def _coarsest(reference: ReferenceFeatures, query: FeaturePyramid, settings: FeatureSettings) -> int:
-    """The last level before one has too few points."""
+    """The coarsest level such that it and all finer ones have enough points."""
     coarsest = 0
     for level in range(min(len(reference), len(query))):
         if len(reference.levels[level]) < settings.min_points:
@@ -174,7 +190,7 @@ def _coarsest(reference: ReferenceFeatures, query: FeaturePyramid, settings: Fea
 
 
 def _variance(statistics: Array, channels: int, per_channel: bool) -> float:
-    """Sum omega w r^2 over the inliers' channels, divided by their number less the unknowns; NaN if none is left."""
+    """The sum of omega w r^2 over the inliers' channels, divided by the degrees of freedom; NaN if there are none."""
     inliers = statistics[COUNT] - statistics[SATURATED]
     freedom = inliers * (1 if per_channel else channels) - UNKNOWNS
     return float(statistics[SQUARES] * statistics[WEIGHT] / freedom) if freedom > 0 else float("nan")

@@ -11,4 +11,4 @@ FloatArray = NDArray[np.floating[Any]]
 Number = float | np.floating[Any]
 
 FAST = {"reassoc", "nsz", "arcp", "contract"}
-"""fast-math flags; not-a-number and infinity keep their meaning, the validity test relies on it"""
+"""fast-math flags; NaN and infinity keep their meaning, which the validity test relies on"""

@@ -2,37 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from functools import cached_property
 
 from relocbench.errors import MethodError
 
 
 @dataclass(frozen=True)
 class Damping:
-    """Levenberg-Marquardt's schedule: (H + lambda diag H) d = -g. The defaults are those of DSO's tracker.
+    """How lambda changes in (H + lambda diag H) d = -g. The defaults are those of DSO's tracker.
 
     Raises:
-        MethodError: a factor that does not damp less after success and more after failure, or a negative number.
+        MethodError: damping would not decrease after success and increase after failure, or a number is negative.
     """
 
     first: float = 0.01
     """lambda at the start of each level"""
     accepted: float = 0.5
-    """lambda is multiplied by it when the mean energy fell"""
+    """factor of lambda after a step that lowered the mean energy"""
     rejected: float = 4.0
-    """and by it when it did not"""
+    """factor of lambda after a step that did not"""
     floor: float = 0.001
-    """a rejected step damps at least so much"""
+    """the smallest lambda after a rejected step"""
     extrapolate_below: float = 0.001
-    """with lambda below it the step is lengthened by (this / lambda)^(1/4); 0 for never"""
+    """below this lambda, steps are lengthened by (this / lambda)^(1/4); 0 disables it"""
     smallest_step: float = 1e-3
-    """norm of the step, in metres and half radians, at which a level is done"""
+    """norm of the step, in metres and half radians, at which a level has converged"""
 
     def __post_init__(self) -> None:
         if not (self.first > 0 and 0 < self.accepted <= 1 < self.rejected and self.floor > 0):
             raise MethodError("damping needs first > 0, floor > 0, 0 < accepted <= 1 and rejected > 1")
         if not (self.extrapolate_below >= 0 and self.smallest_step >= 0):
             raise MethodError("damping needs extrapolate_below and smallest_step of at least 0")
+
+    @cached_property
+    def schedule(self) -> tuple[float, float, float, float, float, float]:
+        """The fields in their order, for compiled functions."""
+        first, accepted, rejected, floor, extrapolate_below, smallest_step = astuple(self)
+        return first, accepted, rejected, floor, extrapolate_below, smallest_step
 
 
 DSO_DAMPING = Damping()

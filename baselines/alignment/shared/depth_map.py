@@ -1,4 +1,4 @@
-"""The coarse depth maps of a reference: few points of known depth, carried to every pyramid level (DSO)."""
+"""Inverse depth maps of a reference: points of known depth, propagated to every pyramid level (DSO)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from relocbench.tracking import KeyframePoints
 Array = NDArray[np.float64]
 
 KEPT_BORDER = 2
-"""pixels; nearer to the border of a level no pixel is kept"""
+"""pixels of a level that are left out along its border"""
 INFORMATION_SCALE = 1e-3
 DIAGONAL = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 STRAIGHT = ((-1, 0), (1, 0), (0, -1), (0, 1))
@@ -23,14 +23,14 @@ STRAIGHT = ((-1, 0), (1, 0), (0, -1), (0, 1))
 
 @dataclass(frozen=True, eq=False)
 class LevelPoints:
-    """What direct alignment of one level needs of the reference."""
+    """The points of one level of the reference, for direct alignment."""
 
     points: NDArray[np.float32]
     """(3, N) normalised x, y and inverse depth (1/m)"""
     values: NDArray[np.float32]
     """(N, D) the reference's values at the pixels; direct alignment takes D = 1"""
     uv: NDArray[np.int32]
-    """(N, 2) the pixels, at this level"""
+    """(N, 2) the pixels, on this level"""
 
     def __len__(self) -> int:
         return self.points.shape[1]
@@ -38,18 +38,18 @@ class LevelPoints:
 
 @dataclass(frozen=True, eq=False)
 class InverseDepthSums:
-    """Weighted sums of inverse depth and of weights, one pixel each; their quotient is the inverse depth."""
+    """The weighted sum of inverse depths and the sum of weights of each pixel; their quotient is its inverse depth."""
 
     weighted: Array
     """(H, W) sum of weight * inverse depth"""
     weight: Array
-    """(H, W) sum of weights; 0 where nothing is known"""
+    """(H, W) sum of weights; 0 where no depth is known"""
 
 
 def splat(points: KeyframePoints, width: int, height: int) -> InverseDepthSums:
-    """Points rounded to pixels, summed. The weight is sqrt(1e-3 / sigma^2); all weigh the same if none has a sigma.
+    """Round points to pixels and sum them with weights sqrt(1e-3 / sigma^2).
 
-    A point whose sigma is 0 among others with one weighs as the surest of those.
+    Without any positive sigma all weights are 1; where only some are positive, the others take the smallest of them.
     """
     u, v = np.rint(points.uv).astype(int).T
     inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
@@ -68,7 +68,7 @@ def splat(points: KeyframePoints, width: int, height: int) -> InverseDepthSums:
 
 
 def halve_sums(sums: InverseDepthSums) -> InverseDepthSums:
-    """Both sums over each 2x2 block, (H, W) -> (H // 2, W // 2)."""
+    """Add up both sums over 2x2 blocks, (H, W) -> (H // 2, W // 2)."""
     height, width = (side // 2 * 2 for side in sums.weight.shape)
 
     def blocks(a: Array) -> Array:
@@ -78,7 +78,7 @@ def halve_sums(sums: InverseDepthSums) -> InverseDepthSums:
 
 
 def dilate(sums: InverseDepthSums, neighbours: tuple[tuple[int, int], ...]) -> InverseDepthSums:
-    """Fill empty pixels by the mean of both sums over their known neighbours (offsets dy, dx); others stay."""
+    """Fill empty pixels with the mean of both sums over their known neighbours, given as offsets (dy, dx)."""
     height, width = sums.weight.shape
     weighted = np.pad(sums.weighted, 1)
     weight = np.pad(sums.weight, 1)
@@ -96,33 +96,23 @@ def dilate(sums: InverseDepthSums, neighbours: tuple[tuple[int, int], ...]) -> I
     )
 
 
-def coarse_points(points: KeyframePoints, levels: list[Level]) -> list[LevelPoints]:
-    """The points of every level, with the values that the level's map has there; see :func:`coarse_depths`."""
-    depths = coarse_depths(points, [level.camera for level in levels])
-    return [
-        sample_points(uv, inverse_depth, level.map, level.camera)
-        for (uv, inverse_depth), level in zip(depths, levels, strict=True)
-    ]
+def coarse_points(points: KeyframePoints, levels: Sequence[Level]) -> list[LevelPoints]:
+    """The points of every pyramid level, with the values that the level's map has there.
 
-
-def coarse_depths(points: KeyframePoints, cameras: Sequence[Camera]) -> list[tuple[NDArray[np.int64], Array]]:
-    """Sums carried down the pyramid, each dilated once, divided, read off.
-
-    Empty pixels are filled from their diagonal neighbours on levels 0 and 1, from their four nearest above.
+    On each level the sums are halved from the level below, dilated once and divided. Empty pixels are filled from their
+    diagonal neighbours on levels 0 and 1, from their four nearest neighbours on coarser ones.
 
     Args:
-        points: pixels of level 0.
-        cameras: of the levels, finest first.
-
-    Returns:
-        pixels (N, 2) in raster order and inverse depth (N,) 1/m, level by level.
+        points: pixels of level 0 with inverse depth.
+        levels: maps and cameras, finest first.
     """
-    sums = splat(points, cameras[0].width, cameras[0].height)
+    sums = splat(points, levels[0].camera.width, levels[0].camera.height)
     out = []
-    for number in range(len(cameras)):
+    for number, level in enumerate(levels):
         if number > 0:
             sums = halve_sums(sums)
-        out.append(_read_off(dilate(sums, DIAGONAL if number < 2 else STRAIGHT)))
+        uv, inverse_depth = _read_off(dilate(sums, DIAGONAL if number < 2 else STRAIGHT))
+        out.append(sample_points(uv, inverse_depth, level.map, level.camera))
     return out
 
 
@@ -139,7 +129,7 @@ def _read_off(sums: InverseDepthSums) -> tuple[NDArray[np.int64], Array]:
 def sample_points(
     uv: NDArray[np.integer], inverse_depth: Array, level_map: NDArray[np.float32], camera: Camera
 ) -> LevelPoints:
-    """Pixels (N, 2) with inverse depth (N,), and the values that a level's map (H, W, 3 D) has there."""
+    """The points at pixels (N, 2) with inverse depth (N,), and the values of a level's map (H, W, 3 D) there."""
     u, v = uv[:, 0], uv[:, 1]
     x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     channels = level_map.shape[2] // 3

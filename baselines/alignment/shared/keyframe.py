@@ -1,4 +1,4 @@
-"""Which pixels of a keyframe are aligned."""
+"""The choice of a keyframe's pixels that are aligned."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from relocbench.tracking import KeyframePoints, Reference
 
 
 def choose_points(reference: Reference, levels: list[Level], count: int, rng: np.random.Generator) -> KeyframePoints:
-    """All points of a sparse map; of a dense depth about ``count`` pixels of large gradient.
+    """All points of a sparse map, or about ``count`` pixels of large gradient of a dense depth image.
 
     Args:
-        levels: intensity pyramid of the keyframe, finest first.
-        rng: of the choice.
+        reference: the keyframe.
+        levels: its intensity pyramid, finest first.
+        count: number of pixels wanted.
+        rng: source of the random choices.
     """
     if reference.sparse_points is not None or reference.depth is None:
         return reference.points

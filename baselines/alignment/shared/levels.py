@@ -1,4 +1,4 @@
-"""The levels one after another, and several starts against each other, whatever the engine."""
+"""Coarse to fine over the levels, and the best of several starts, for both engines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from baselines.alignment.shared.levenberg import NO_RESIDUALS, SINGULAR
 Array = NDArray[np.float64]
 
 ABANDON_FACTOR = 1.5
-"""a start whose residual on a level is so much above the best one's is given up (DSO)"""
+"""a start is given up when its root mean energy on a level exceeds the best one's by this factor (DSO)"""
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,18 @@ class LevelOutcome:
     valid: int
     saturated: int
     cutoff_factor: float
-    """by which the cutoff was raised because too many residuals were saturated"""
+    """factor by which the cutoff was raised because too many residuals were saturated"""
     end: int
-    """CONVERGED, ITERATIONS_SPENT, SINGULAR or NO_RESIDUALS of ``shared.levenberg``, or what an engine adds"""
+    """CONVERGED, ITERATIONS_SPENT, SINGULAR, NO_RESIDUALS or NOT_FINITE of ``shared.levenberg``"""
 
 
-def trouble_of(outcome: LevelOutcome, *estimate: Array) -> str:
-    """Why the way ends on a level: nothing to see, nothing to solve, or an estimate that is not finite; else empty."""
+def failure_of(outcome: LevelOutcome, *estimate: Array) -> str:
+    """Why the alignment failed on a level, in words; empty if it did not.
+
+    Args:
+        outcome: of the level.
+        estimate: the arrays that were estimated, which must be finite.
+    """
     if outcome.end == NO_RESIDUALS:
         return f"no point falls into the query on level {outcome.level}"
     if outcome.end == SINGULAR:
@@ -45,28 +50,29 @@ def trouble_of(outcome: LevelOutcome, *estimate: Array) -> str:
 
 
 @dataclass(frozen=True)
-class Walk:
-    """How the way down the levels went."""
+class CoarseToFine:
+    """The outcomes of all levels that were worked on."""
 
     outcomes: tuple[LevelOutcome, ...]
     """in the order of work"""
-    trouble: str
-    """why it ended early; empty if it reached the finest level"""
+    failure: str
+    """why the finest level was not reached; empty if it was"""
     abandoned: bool
-    """the trouble is that a rival fits clearly better"""
+    """whether the failure is that another start fits clearly better"""
 
 
 def coarse_to_fine(
     coarsest: int, minimise: Callable[[int], tuple[LevelOutcome, str]], rival: Sequence[LevelOutcome] = ()
-) -> Walk:
-    """Work on one level after another, from ``coarsest`` to 0.
+) -> CoarseToFine:
+    """Align one level after another, from ``coarsest`` down to 0.
 
-    The first level whose cutoff had to be raised is repeated once. The way ends at the first trouble, or on a level
-    where the root mean energy is 1.5 times the rival's or more.
+    The first level whose cutoff had to be raised is repeated once. The alignment ends at the first failure, or on a
+    level whose root mean energy is more than 1.5 times the rival's.
 
     Args:
-        coarsest: number of the first level; -1 leaves nothing to do.
-        minimise: aligns one level from where the last one ended; its outcome, and its trouble or an empty string.
+        coarsest: number of the first level; -1: there is no level.
+        minimise: aligns one level, beginning where the previous one ended; returns its outcome, and in words why it
+            failed or an empty string.
         rival: outcomes of the best alignment so far from another start.
     """
     rival_energy = {outcome.level: outcome.energy for outcome in rival}
@@ -74,24 +80,24 @@ def coarse_to_fine(
     repeated = False
     level = coarsest
     while level >= 0:
-        outcome, trouble = minimise(level)
+        outcome, failure = minimise(level)
         outcomes.append(outcome)
-        if trouble:
-            return Walk(tuple(outcomes), trouble, abandoned=False)
+        if failure:
+            return CoarseToFine(tuple(outcomes), failure, abandoned=False)
         if outcome.energy > ABANDON_FACTOR**2 * rival_energy.get(level, np.inf):
-            return Walk(tuple(outcomes), "another start fits clearly better", abandoned=True)
+            return CoarseToFine(tuple(outcomes), "another start fits clearly better", abandoned=True)
         if outcome.cutoff_factor > 1 and not repeated:
             repeated = True
             continue
         level -= 1
-    return Walk(tuple(outcomes), "", abandoned=False)
+    return CoarseToFine(tuple(outcomes), "", abandoned=False)
 
 
 class Attempt(Protocol):
-    """What an alignment from one start tells those from other starts."""
+    """What :func:`best_of` needs to know of an alignment."""
 
     @property
-    def trouble(self) -> str: ...
+    def failure(self) -> str: ...
     @property
     def final(self) -> LevelOutcome: ...
 
@@ -101,16 +107,20 @@ AnyStart = TypeVar("AnyStart")
 
 
 def best_of(starts: Sequence[AnyStart], attempt: Callable[[AnyStart, AnyAttempt | None], AnyAttempt]) -> AnyAttempt:
-    """Attempt every start, telling each the best so far; the lowest final energy wins, trouble loses to any answer.
+    """The alignment of lowest final energy; a failed one only if all of them failed.
+
+    Args:
+        starts: at least one.
+        attempt: aligns from a start, given the best alignment so far.
 
     Raises:
-        ValueError: no start.
+        ValueError: there is no start.
     """
     if not starts:
         raise ValueError("an alignment needs at least one start")
     best = attempt(starts[0], None)
     for start in starts[1:]:
-        candidate = attempt(start, None if best.trouble else best)
-        if not candidate.trouble and (best.trouble or candidate.final.energy < best.final.energy):
+        candidate = attempt(start, None if best.failure else best)
+        if not candidate.failure and (best.failure or candidate.final.energy < best.final.energy):
             best = candidate
     return best

@@ -1,13 +1,15 @@
-"""Normal equations of the pose from what the points measure in the image, compiled.
+"""The normal equations of the pose, compiled.
 
-When the query camera is moved by exp(xi), xi = (rho, phi), a point moves in the image (Engel, Koltun and Cremers,
-Direct Sparse Odometry, PAMI 2018; von Stumberg et al., GN-Net, RA-L 2020) by
+When the pose T_query_ref is replaced by exp(xi) T_query_ref, xi = (rho, phi), the pixel p' of a point has the
+derivative (Engel, Koltun and Cremers, Direct Sparse Odometry, PAMI 2018; von Stumberg et al., GN-Net, RA-L 2020)
 
     dp'/dxi = diag(fx, fy) P,   P = [id'  0   -id' u   -u v      1 + u^2   -v]
                                     [0    id' -id' v   -(1+v^2)  u v        u]
 
-with u, v, id' of :mod:`~baselines.alignment.shared.warp`. All channels of a point are first reduced to a 2x2 tensor A
-and a 2-vector b, focal lengths included, which meet the 2x6 geometry P once.
+with u, v, id' of :mod:`~baselines.alignment.shared.warp`. The channels of a point, with gradients g times the focal
+lengths and weights w, are first reduced to A = sum w g g^T (2x2) and b = sum w g r (2). Then
+
+    H = sum over the points of P^T A P,      gradient = sum over the points of P^T b
 """
 
 from __future__ import annotations
@@ -89,7 +91,7 @@ def accumulate_pose(s: FloatArray, n: int, H: FloatArray, g: FloatArray) -> None
 
 @njit(cache=True, error_model="numpy")
 def divide_and_mirror(H: Array, g: Array, total: float) -> None:
-    """Sums become means: the upper triangle of H (n, n) and g (n,) divided by ``total``, H made symmetric."""
+    """Divide the upper triangle of H (n, n) and g (n,) by ``total``, and make H symmetric."""
     n = g.shape[0]
     for row in range(n):
         g[row] /= total

@@ -1,7 +1,7 @@
-"""Image pyramids whose pixels carry value and gradient, as direct alignment and the matching of pixels read them.
+"""Image pyramids that store gradients beside values, as direct alignment and the matching of pixels read them.
 
 A level's map is (H, W, 3 D) float32: at each pixel the D values, then the D derivatives along x, then those along y.
-One bilinear look-up therefore reads each of the four pixels as one contiguous run. An intensity image has D = 1.
+Bilinear interpolation therefore reads each of the four pixels as one contiguous run. An intensity image has D = 1.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from relocbench.kernels import njit
 Map = NDArray[np.float32]
 
 SMALLEST_AREA = 5000
-"""pixels; a level that is no larger gets no coarser one (DSO)"""
+"""pixels; a level of this area or less is the coarsest one (DSO)"""
 
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """One pyramid level: its map and its pinhole camera."""
+    """The map and the pinhole camera of one pyramid level."""
 
     map: Map
     """(H, W, 3 D) values, x derivatives, y derivatives"""
@@ -31,7 +31,7 @@ class Level:
 
     @property
     def channels(self) -> int:
-        """D."""
+        """D, the number of channels."""
         return self.map.shape[2] // 3
 
 
@@ -42,21 +42,21 @@ def level_camera(camera: Camera, level: int) -> Camera:
 
 
 def camera_intrinsics(camera: Camera) -> NDArray[np.float64]:
-    """(4,) fx, fy, cx, cy of a pinhole camera, pixels."""
+    """The intrinsics fx, fy, cx, cy (4,) of a pinhole camera, pixels."""
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float64)
 
 
 def image_pyramid(image: NDArray[np.uint8], camera: Camera, max_levels: int = 6) -> list[Level]:
     """Intensity pyramid, finest level first.
 
-    Halving goes on while a level has more than 5000 pixels. DSO also stops at odd sizes, because it is run on images
-    cropped to a multiple of 16; here the odd last row or column is left out of the next level instead, which crops
-    only what has to go and leaves the intrinsics as they are.
+    Levels are halved while they have more than 5000 pixels. DSO also stops at odd sizes, since its images are cropped
+    to a multiple of 16; here an odd last row or column is left out of the next level instead, which does not change the
+    intrinsics.
 
     Args:
         image: (H, W) grey or (H, W, 3) RGB, uint8; colour becomes luma (ITU-R BT.601).
         camera: pinhole, of the image's size.
-        max_levels: at most so many.
+        max_levels: largest number of levels.
 
     Raises:
         MethodError: the camera is not pinhole or its size is not the image's.
@@ -73,7 +73,7 @@ def image_pyramid(image: NDArray[np.uint8], camera: Camera, max_levels: int = 6)
 
 
 def require_pinhole(camera: Camera) -> None:
-    """Raises MethodError unless the camera is pinhole: direct alignment warps by K alone."""
+    """Raise MethodError unless the camera is a pinhole camera: the warp knows no distortion."""
     if camera.model != "pinhole":
         raise MethodError(
             f"direct alignment needs undistorted images (camera model 'pinhole'), got '{camera.model}': "
@@ -113,13 +113,13 @@ def halve(grey: Map) -> Map:
 
 
 def with_gradients(values: Map) -> Map:
-    """Append central differences: (H, W, D) float32 -> (H, W, 3 D); the outermost pixels get gradient zero.
+    """Append central differences, (H, W, D) float32 -> (H, W, 3 D); the outermost pixels get gradient zero.
 
-    Looked up bilinearly they are (F(p + 1) - F(p - 1)) / 2 of the bilinear map F at any p: exactly the central
-    difference of what the residual is made of.
+    Interpolated bilinearly at any p, they are (F(p + 1) - F(p - 1)) / 2 of the bilinear map F: exactly the central
+    difference of the function in the residual.
     """
     values = np.ascontiguousarray(values, dtype=np.float32)
-    # One channel has a loop of its own: with the number known the compiler makes it twenty times faster.
+    # With a constant number of channels the compiled loop is twenty times faster.
     return _intensity_gradients(values[..., 0].copy()) if values.shape[2] == 1 else _feature_gradients(values)
 
 

@@ -1,4 +1,4 @@
-"""DSO's choice of pixels: well spread, of large gradient, more where the image has more to say."""
+"""DSO's choice of pixels: evenly spread and of large gradient, denser in textured parts of the image."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from baselines.alignment.shared.pyramid import Level
 from relocbench.kernels import njit
 
 BLOCK = 32
-"""pixels; side of the blocks that have a threshold of their own"""
+"""pixels; side of the blocks that each have a threshold"""
 THRESHOLD_OVER_MEDIAN = 7.0
 """grey levels per pixel"""
 COARSER_CELL_FACTOR = 0.75
-"""the threshold of the cells twice as large"""
+"""factor of the threshold for cells twice as large"""
 LARGEST_BIN = 49
 KEPT_BORDER = 4
 """pixels"""
 FIRST_CELL = 4
-"""pixels; side of the smallest cells at the first try"""
+"""pixels; side of the smallest cells in the first try"""
 MAX_TRIES = 8
 DIRECTIONS = 16
 
@@ -28,17 +28,18 @@ FloatMap = NDArray[np.float32]
 def select_pixels(
     levels: list[Level], candidates: NDArray[np.bool_], wanted: int, rng: np.random.Generator
 ) -> NDArray[np.int32]:
-    """About ``wanted`` pixels among the candidates, by gradient.
+    """Choose about ``wanted`` candidates of large gradient.
 
-    The image is cut into cells of d, 2d and 4d pixels. Each d-cell gives its candidate of largest gradient along a
-    random direction among those above the threshold; a 2d-cell that got none gives one above 0.75 of it, measured on
-    pyramid level 1; a 4d-cell that got none one above 0.75^2 of it, on level 2. d is adapted until enough remain, and
-    the surplus is thinned at random.
+    The image is divided into cells of d, 2d and 4d pixels. Of each d-cell, among the candidates whose gradient exceeds
+    the threshold, the one of largest gradient along a random direction is chosen. In a 2d-cell without a chosen pixel,
+    one is sought above 0.75 of the threshold, with gradients of pyramid level 1; in a 4d-cell without any, one above
+    0.75^2 of it, with gradients of level 2. d is adapted until enough pixels are chosen; a surplus is thinned at
+    random.
 
     Args:
         levels: intensity pyramid, finest first.
         candidates: (H, W) pixels that may be chosen.
-        wanted: how many; fewer come back where candidates or gradient are scarce.
+        wanted: largest number; fewer are returned where candidates or gradients are scarce.
         rng: source of directions and thinning.
 
     Returns:
@@ -78,9 +79,15 @@ def select_pixels(
 
 
 def block_thresholds(magnitude: FloatMap) -> FloatMap:
-    """Threshold per 32x32 block: median of the gradient magnitude (whole bins) + 7, averaged over 3x3 blocks.
+    """The threshold of each 32x32 block: the median gradient magnitude (in whole bins) + 7, averaged over 3x3 blocks.
 
-    Blocks cut by the right or lower border are part of their neighbour. (H, W) -> (H // 32, W // 32), at least 1x1.
+    Incomplete blocks at the right and lower border belong to their neighbour.
+
+    Args:
+        magnitude: (H, W).
+
+    Returns:
+        (H // 32, W // 32), at least 1x1.
     """
     rows, columns = (max(1, side // BLOCK) for side in magnitude.shape)
     medians = np.empty((rows, columns))
@@ -111,7 +118,7 @@ def _best_in_cell(
     x0: int,
     side: int,
 ) -> int:
-    """Flat index of the cell's allowed pixel of largest gradient along the direction, above threshold; -1 if none."""
+    """The flat index of the cell's allowed pixel above threshold with the largest gradient along a direction, or -1."""
     height, width = allowed.shape
     best, best_index = np.float32(0.0), -1
     for y in range(y0, min(y0 + side, height)):
@@ -120,7 +127,7 @@ def _best_in_cell(
             if not allowed[y, x]:
                 continue
             threshold = factor * thresholds[block_y, min(x // BLOCK, thresholds.shape[1] - 1)]
-            # The last odd row or column of a level has no pixel above it.
+            # An odd last row or column of a level has no pixel on the next coarser one.
             gradient_y = min(y >> shift, gradient.shape[0] - 1)
             gradient_x = min(x >> shift, gradient.shape[1] - 1)
             gx, gy = gradient[gradient_y, gradient_x, 0], gradient[gradient_y, gradient_x, 1]
@@ -143,7 +150,7 @@ def _choose(
     drawn: NDArray[np.int64],
     d: int,
 ) -> NDArray[np.bool_]:
-    """(H, W) the chosen pixels for cells of d, 2d, 4d pixels; ``drawn`` numbers each cell's direction."""
+    """The chosen pixels (H, W) for cells of d, 2d and 4d pixels; ``drawn`` holds the direction of each cell."""
     height, width = allowed.shape
     chosen = np.zeros((height, width), np.bool_)
     flat = chosen.reshape(-1)

@@ -1,4 +1,4 @@
-"""Small matrices in double precision, compiled; nothing here allocates."""
+"""Operations on small matrices in double precision, compiled and without allocation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @njit(cache=True)
 def se3_exp(xi: Array, out: Array) -> None:
-    """exp of a twist (rho, phi), (6,): [[exp(phi^), V(phi) rho], [0, 1]], written to ``out`` (4, 4)."""
+    """Write exp(xi) = [[exp(phi^), V(phi) rho], [0, 1]] of a twist xi = (rho, phi) (6,) to ``out`` (4, 4)."""
     theta2 = xi[3] * xi[3] + xi[4] * xi[4] + xi[5] * xi[5]
     theta = np.sqrt(theta2)
     if theta < 1e-3:  # sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3 to the last bit
@@ -35,7 +35,7 @@ def se3_exp(xi: Array, out: Array) -> None:
 
 @njit(cache=True)
 def product(A: Array, B: Array, out: Array) -> None:
-    """A @ B, all (4, 4), written to ``out``, which is neither of the two."""
+    """Write A @ B to ``out``, all (4, 4); ``out`` must be neither of the two."""
     for i in range(4):
         for j in range(4):
             out[i, j] = 0.0
@@ -45,9 +45,9 @@ def product(A: Array, B: Array, out: Array) -> None:
 
 @njit(cache=True)
 def solve_cholesky(A: Array, b: Array, L: Array, x: Array) -> bool:
-    """Solve A x = b, A (n, n) symmetric, into x (n,). False when A is not positive definite.
+    """Solve A x = b for x (n,), A symmetric; False when A is not positive definite.
 
-    Of larger A and b the leading part is taken. The lower triangle of L, (n, n) or larger, is room to work in.
+    Of a larger A or b, the leading n rows and columns are used. L, (n, n) or larger, is overwritten.
     """
     n = len(x)
     for i in range(n):

@@ -1,4 +1,4 @@
-"""Where an alignment can start besides its first guess."""
+"""Starts of an alignment."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ SMALL_ROTATION = 0.02
 
 
 class Start(NamedTuple):
-    """Where an alignment begins."""
+    """A pose that an alignment starts from."""
 
     T_query_ref: Array
-    """(4, 4) first guess"""
+    """(4, 4)"""
     level: int | None = None
-    """first level that is worked on: a guess that is good to a pixel of it has nothing to gain on coarser ones; None:
-    the coarsest there is"""
+    """first level that is worked on; coarser ones do not improve a pose that is accurate to a pixel of it. None: the
+    coarsest level"""
 
 
 def small_rotations() -> list[Array]:
-    """DSO's 26 small rotations: quaternion (x, y, z, 1) with components in {-0.02, 0, 0.02}, not all zero. (4, 4)."""
+    """DSO's 26 small rotations (4, 4): quaternions (x, y, z, 1) with components in {-0.02, 0, 0.02}, not all zero."""
     components = product((0.0, -SMALL_ROTATION, SMALL_ROTATION), repeat=3)
     return [
         make_transform(rotation_from_quaternion([*vector, 1.0]), np.zeros(3)) for vector in components if any(vector)

@@ -1,7 +1,7 @@
-"""Points of the reference carried into the query, compiled.
+"""The projection of reference points into the query, compiled.
 
-Per point, with normalised coordinates (x, y) in the reference and inverse depth id, for a pinhole camera (Engel, Koltun
-and Cremers, Direct Sparse Odometry, PAMI 2018):
+For each point, with normalised coordinates (x, y) in the reference and inverse depth id, for a pinhole camera (Engel,
+Koltun and Cremers, Direct Sparse Odometry, PAMI 2018):
 
     x' = R [x y 1]^T + t id,   (u, v) = (x'_x, x'_y) / x'_z,   id' = id / x'_z,   p' = (fx u + cx, fy v + cy)
 """
@@ -13,9 +13,9 @@ from baselines.alignment.shared.scratch import ID, PX, PY, VALID, U, V
 from relocbench.kernels import njit
 
 BORDER = 2
-"""pixels; nearer to the query's border a point is dropped"""
+"""pixels; points within this distance of the query's border are dropped"""
 SMALLEST_SIDE = 2 * BORDER + 2
-"""pixels; a map with a shorter side has no place for a point"""
+"""pixels; on a map with a shorter side no point is valid"""
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -31,7 +31,7 @@ def warp(
 ) -> None:
     """Write rows u, v, id', p'_x, p'_y and valid (1 or 0) for points start .. start + n.
 
-    A dropped point gets zeros and a harmless pixel, so that whatever is read there adds nothing to any sum.
+    A dropped point gets zeros and a pixel inside the map, so that what is read there does not change any sum.
     """
     zero, one = s.dtype.type(0), s.dtype.type(1)
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]

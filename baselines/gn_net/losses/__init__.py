@@ -1,4 +1,4 @@
-"""What the features are trained by: each loss of GN-Net and LM-Reloc in a module of its own."""
+"""The losses of GN-Net and LM-Reloc, by which the features are trained; each has a module of its own."""
 
 from baselines.gn_net.losses.contrastive import ContrastiveOptions
 from baselines.gn_net.losses.descent import DescentOptions

@@ -1,11 +1,12 @@
-"""Contrastive loss: features of one point agree, features of different points differ.
+"""Contrastive loss: features of the same point shall agree, features of different points shall differ.
 
 With d = ||F_a(u_a) - F_b(u_b)||_2, GN-Net (von Stumberg et al., RA-L 2020, section III):
 
     positives  mean d^2                negatives  mean max(0, M - d)^2
 
-LM-Reloc (von Stumberg et al., 3DV 2020) has max(0, M - d^2) for negatives. Published reimplementations also leave
-positives alone that are nearer than a margin m: max(0, d - m)^2, and likewise max(0, d^2 - m).
+LM-Reloc (von Stumberg et al., 3DV 2020) has max(0, M - d^2) for negatives. Published reimplementations also have a
+margin
+m within which positives cost nothing: max(0, d - m)^2, or max(0, d^2 - m).
 """
 
 from __future__ import annotations
@@ -24,28 +25,28 @@ Form = Literal["distance", "squared"]
 
 @dataclass(frozen=True)
 class ContrastiveOptions:
-    """Which form, and what it wants.
+    """Form, weights, margins and negatives.
 
     Raises:
-        ConfigError: a value that makes no sense.
+        ConfigError: a value is out of range.
     """
 
     weight: float = 1.0
-    """of positives and negatives together; 0 leaves the loss out"""
+    """weight of positives and negatives together; 0 disables the loss"""
     negative_weight: float = 1.0
-    """of negatives against positives"""
+    """weight of negatives relative to positives"""
     form: Form = "distance"
     """``distance``: max(0, M - d)^2 (GN-Net); ``squared``: max(0, M - d^2) (LM-Reloc)"""
     margin: float = 1.0
-    """M: negatives farther apart than this cost nothing"""
+    """M; negatives farther apart than this cost nothing"""
     positive_margin: float = 0.0
-    """m: positives nearer than this cost nothing"""
+    """m; positives closer than this cost nothing"""
     negatives: Literal["random", "hard", "both"] = "both"
-    """which wrong pixels of the query a feature is compared to"""
+    """which wrong pixels of the query a feature is compared with"""
     away: float = 4.0
-    """pixels of the level; no pixel so near the true one is a negative"""
+    """pixels of the level; pixels within this distance of the true one are no negatives"""
     candidates: int = 1024
-    """pixels drawn for each image, of which the hardest is taken for each point"""
+    """number of pixels drawn in each image, of which the hardest negative of each point is chosen"""
 
     __pydantic_config__ = NO_OTHER_KEYS
 
@@ -61,7 +62,7 @@ class ContrastiveOptions:
 
 
 def positive_terms(f_a: Tensor, f_b: Tensor, form: Form = "distance", margin: float = 0.0) -> Tensor:
-    """(...) cost of features (..., D) of the same point: max(0, d - m)^2 or max(0, d^2 - m); m = 0 gives d^2."""
+    """The cost (...) of features (..., D) of the same point: max(0, d - m)^2 or max(0, d^2 - m); m = 0 gives d^2."""
     squared = ((f_a - f_b) ** 2).sum(-1)
     if form == "squared" or margin == 0.0:
         return (squared - margin).clamp(min=0)
@@ -69,7 +70,7 @@ def positive_terms(f_a: Tensor, f_b: Tensor, form: Form = "distance", margin: fl
 
 
 def negative_terms(f_a: Tensor, f_b: Tensor, form: Form = "distance", margin: float = 1.0) -> Tensor:
-    """(...) cost of features (..., D) of different points: max(0, M - d)^2 or max(0, M - d^2)."""
+    """The cost (...) of features (..., D) of different points: max(0, M - d)^2 or max(0, M - d^2)."""
     if form == "squared":
         return (margin - ((f_a - f_b) ** 2).sum(-1)).clamp(min=0)
     return (margin - torch.linalg.vector_norm(f_a - f_b, dim=-1)).clamp(min=0) ** 2

@@ -1,12 +1,12 @@
-"""Descent loss: from a start some pixels off, one heavily damped step must come nearer to the true pixel.
+"""Descent loss: from a start some pixels off, one heavily damped step must come closer to the true pixel.
 
-LM-Reloc (von Stumberg et al., 3DV 2020), names as in ``gauss_newton``, starts about 5 px off:
+LM-Reloc (von Stumberg et al., 3DV 2020), with the symbols of ``gauss_newton`` and starts up to about 5 px off:
 
     x_after = x_s - (J^T J + lambda_f I)^-1 b
     E = max(0, ||x_after - u_b||^2 - ||x_s - u_b||^2 + margin)      lambda_f = 2, margin = 0.1
 
-So far away the system's minimum says little, but the direction of descent can be right. ``diagonal`` damps by
-lambda_f diag(J^T J), which has no unit, so that the step does not depend on the features' scale.
+That far away the minimum of the linear system says little, but the direction of descent can be right. ``diagonal``
+damps by lambda_f diag(J^T J) instead, so that the step does not depend on the features' scale.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from relocbench.errors import ConfigError
 Damping = Literal["identity", "diagonal"]
 
 _LEAST = 1e-12
-"""added to the diagonal: without contrast there is no step, and no division by zero"""
+"""added to the diagonal, so that a map without contrast gives no step rather than a division by zero"""
 
 
 @dataclass(frozen=True)
 class DescentOptions:
-    """How far off, how damped, by how much nearer.
+    """Weight, starts, damping and margin.
 
     Raises:
-        ConfigError: a value that makes no sense.
+        ConfigError: a value is out of range.
     """
 
     weight: float = 0.0
-    """against the contrastive loss; 0 leaves the loss out (GN-Net)"""
+    """weight relative to the contrastive loss; 0 disables the loss (GN-Net)"""
     vicinity: float = 5.0
-    """pixels of the level; starts are uniform within so much of the true pixel, along u and v each"""
+    """pixels of the level; along u and v, starts are uniform within this distance of the true pixel"""
     damping: float = 2.0
     """lambda_f"""
     damped: Damping = "identity"
-    """what lambda_f is multiplied with: the identity, or the diagonal of J^T J"""
+    """the matrix that lambda_f multiplies: the identity, or the diagonal of J^T J"""
     margin: float = 0.1
     """pixels^2 of the level"""
 
@@ -61,15 +61,15 @@ class DescentTerms(NamedTuple):
     cost: Tensor
     """(..., N) float64, pixels^2"""
     valid: Tensor
-    """(..., N) bool: the features about the start are on the map"""
+    """(..., N) bool: the start and its neighbours are on the map"""
     nearer: Tensor
-    """(..., N) bool: the step came nearer to the true pixel, by whatever"""
+    """(..., N) bool: the step came closer to the true pixel, however little"""
 
 
 def descent_terms(
     features_query: Tensor, f_ref: Tensor, u_true: Tensor, start: Tensor, options: DescentOptions
 ) -> DescentTerms:
-    """The cost of one damped step for each point; arguments as of ``gauss_newton_terms``."""
+    """The cost of one damped step for each point; arguments are those of ``gauss_newton_terms``."""
     values, jacobian, valid = sample_with_gradient(features_query, start)
     hessian, b = normal_equations(jacobian, values - f_ref)
     after = start.double() - _damped(hessian, options).solve(b)

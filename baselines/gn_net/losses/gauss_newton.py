@@ -1,4 +1,4 @@
-"""Gauss-Newton loss: one step from a start nearby should land on the true pixel, and know how surely it does.
+"""Gauss-Newton loss: one step from a start nearby should reach the true pixel, with a correct uncertainty.
 
 GN-Net (von Stumberg et al., RA-L 2020, section III.B), for a point with feature f = F_a(u_a) and true pixel u_b, from a
 start x_s = u_b + noise:
@@ -6,8 +6,8 @@ start x_s = u_b + noise:
     r = F_b(x_s) - f      J = dF_b/dx (x_s)      H = J^T J + eps I      b = J^T r      mu = x_s - H^-1 b
     E = e1 + e2      e1 = 1/2 (u_b - mu)^T H (u_b - mu)      e2 = log(2 pi) - 1/2 log|H|
 
-E is the negative log-likelihood of u_b under the Gaussian of mean mu and covariance H^-1 that the linear system stands
-for. e1 alone is least for features without contrast, e2 alone for features of endless contrast.
+E is the negative log-likelihood of u_b under the Gaussian of mean mu and covariance H^-1 that the linear system
+describes. e1 alone is minimised by features without contrast, e2 alone by features of infinite contrast.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from relocbench.errors import ConfigError
 
 @dataclass(frozen=True)
 class GaussNewtonOptions:
-    """How the loss is weighted, and how its starts are chosen.
+    """Weights of the loss and its parts, and the choice of starts.
 
     Raises:
-        ConfigError: a value that makes no sense.
+        ConfigError: a value is out of range.
     """
 
     weight: float = 0.5
-    """against the contrastive loss; 0 leaves the loss out"""
+    """weight relative to the contrastive loss; 0 disables the loss"""
     e1: float = 1.0
     """weight of e1"""
     e2: float = 2.0 / 7.0
@@ -42,12 +42,12 @@ class GaussNewtonOptions:
     eps: float = 1e-6
     """added to both diagonal entries of J^T J, squared features / pixel^2"""
     vicinity: float = 1.0
-    """pixels of the level; starts are uniform within so much of the true pixel, along u and v each"""
+    """pixels of the level; along u and v, starts are uniform within this distance of the true pixel"""
     start: Literal["drawn", "integrated", "affine"] = "drawn"
-    """``drawn``: one random start a point, as in the paper; ``integrated``: the mean over all starts; ``affine``: that
-    mean as it would be if the features were linear about the true pixel"""
+    """``drawn``: one random start for each point, as in the paper; ``integrated``: the mean over all starts;
+    ``affine``: that mean for features that are linear around the true pixel"""
     nodes: int = 2
-    """of ``integrated``: along each side of a pixel's cell"""
+    """quadrature nodes of ``integrated`` along each side of a cell between four pixels"""
 
     __pydantic_config__ = NO_OTHER_KEYS
 
@@ -61,24 +61,26 @@ class GaussNewtonOptions:
 
 
 class GaussNewtonTerms(NamedTuple):
-    """The loss of each point, in its two parts."""
+    """The two parts of the loss of each point."""
 
     e1: Tensor
     """(..., N) float64"""
     e2: Tensor
     """(..., N) float64"""
     valid: Tensor
-    """(..., N) bool: the features about the start are on the map"""
+    """(..., N) bool: the start and its neighbours are on the map"""
     near_singular: Tensor
-    """(..., N): 1 where the smaller eigenvalue of J^T J is below eps, so that eps decides what is certain, else 0;
-    where a mean over starts is taken, the share of them"""
+    """(..., N): 1 where the smaller eigenvalue of J^T J is below eps, so that eps determines the uncertainty, else 0;
+    of a mean over starts, the share of them"""
 
 
 def draw_starts(u_true: Tensor, vicinity: float, generator: torch.Generator) -> Tensor:
-    """(..., N, 2): u_true plus noise, uniform in [-vicinity, vicinity] along u and v.
+    """Starts (..., N, 2): u_true plus noise, uniform in [-vicinity, vicinity] along u and v.
 
     Args:
-        generator: on the CPU, so that every device sees the same draws.
+        u_true: (..., N, 2) pixels.
+        vicinity: pixels.
+        generator: on the CPU, so that the draws do not depend on the device.
     """
     noise = 2.0 * torch.rand(u_true.shape, generator=generator, dtype=torch.float64) - 1.0
     return u_true + vicinity * noise.to(u_true)
@@ -101,7 +103,7 @@ def gauss_newton_terms(
 
 
 def terms_of_step(residual: Tensor, jacobian: Tensor, delta: Tensor, valid: Tensor, eps: float) -> GaussNewtonTerms:
-    """e1 and e2 of r (..., D), J (..., D, 2) and delta = x_s - u_b (..., 2)."""
+    """e1 and e2 from r (..., D), J (..., D, 2) and delta = x_s - u_b (..., 2)."""
     hessian, b = normal_equations(jacobian, residual)
     damped = hessian.plus_diagonal(eps)
     e1 = 0.5 * damped.quadratic(damped.solve(b) - delta.double())  # u_b - mu = H^-1 b - delta

@@ -1,6 +1,6 @@
-"""E over the start, in closed form, for features that are linear about the true pixel.
+"""The mean of the Gauss-Newton loss over all starts, in closed form, for features linear around the true pixel.
 
-Names as in ``gauss_newton``; the start is u_b + delta with delta uniform in [-v, v]^2.
+Symbols as in ``gauss_newton``; the start is u_b + delta with delta uniform in [-v, v]^2.
 
 Where F_b is affine in the vicinity, J is the same at every start and r(delta) = r0 + J delta, r0 = F_b(u_b) - f. So
 b = J^T r0 + (H - eps I) delta, and with b0 = J^T r0
@@ -8,14 +8,14 @@ b = J^T r0 + (H - eps I) delta, and with b0 = J^T r0
     u_b - mu = -delta + H^-1 b = H^-1 (b0 - eps delta)
     e1 = 1/2 (b0 - eps delta)^T H^-1 (b0 - eps delta)
 
-delta has mean zero and covariance v^2/3 I: the mixed term vanishes, and the square leaves the trace of H^-1. H does not
-depend on delta, nor does e2:
+delta has mean zero and covariance v^2/3 I, so that the mixed term vanishes and the square leaves the trace of H^-1.
+Neither H nor e2 depends on delta:
 
     E[e1] = 1/2 b0^T H^-1 b0 + 1/6 eps^2 v^2 tr H^-1      E[e2] = log(2 pi) - 1/2 log|H|
 
-One look-up a point and no randomness. What it cannot see is how the features bend: from ``J^T (r - J delta)``, which is
-what u_b - mu is made of in general, the affine case keeps r0 alone. It asks for agreement and certainty at the true
-pixel, not for convergence from beside it. ``gauss_newton_integrated`` does.
+This takes one look-up for each point and nothing random. It is blind to the curvature of the features: of
+``J^T (r - J delta)``, which determines u_b - mu in general, the affine case keeps r0 alone. It rewards agreement and
+certainty at the true pixel, but not convergence from beside it, as ``gauss_newton_integrated`` does.
 """
 
 from __future__ import annotations

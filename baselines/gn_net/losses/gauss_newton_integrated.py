@@ -1,17 +1,17 @@
-"""The mean of the Gauss-Newton loss over all starts, integrated instead of drawn.
+"""The mean of the Gauss-Newton loss over all starts, by numerical integration.
 
-Names as in ``gauss_newton``; the start is u_b + delta with delta uniform in [-v, v]^2. Multiplied out,
+Symbols as in ``gauss_newton``; the start is u_b + delta with delta uniform in [-v, v]^2. Multiplied out,
 
     e1 = 1/2 delta^T H delta - delta^T b + 1/2 b^T H^-1 b
 
-Values of a bilinear map and their central differences are both bilinear inside each cell between four pixel centres,
-and neither is smooth across its sides. So the square of starts is cut along the cells. Inside one, the first two terms
-are polynomials, of degree 4 in each coordinate at most; the third is a ratio of polynomials and e2 the logarithm of
-one, smooth because |H| >= eps^2.
+The values of a bilinear map and their central differences are bilinear inside each cell between four pixel centres, and
+not smooth across its sides. Therefore the square of starts is divided along the cells. Inside a cell, the first two
+terms are polynomials of degree at most 4 in each coordinate; the third is a ratio of polynomials and e2 the logarithm
+of one, which are smooth because |H| >= eps^2.
 
-Gauss-Legendre with n nodes along each side of a cell is exact for degrees up to 2 n - 1: from n = 3 on the first two
-terms are the exact integral, and the others converge geometrically in n, the slower the nearer H comes to being
-singular. For v = 1 the square meets at most 3 x 3 cells, so that a point costs (3 n)^2 evaluations.
+Gauss-Legendre quadrature with n nodes along each side of a cell is exact for degrees up to 2 n - 1. From n = 3 on it
+integrates the first two terms exactly; the others converge geometrically in n, more slowly where H is close to
+singular. For v = 1 the square meets at most 3 x 3 cells, so that each point takes (3 n)^2 evaluations.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def integrated_gauss_newton_terms(
         nodes: n.
 
     Returns:
-        Means over the starts; valid where all of them are.
+        Means over the starts; a point is valid if all of its starts are.
     """
     along_u, weight_u = _nodes_along(u_true[..., 0], vicinity, nodes)
     along_v, weight_v = _nodes_along(u_true[..., 1], vicinity, nodes)
@@ -54,7 +54,7 @@ def integrated_gauss_newton_terms(
 
 
 def _nodes_along(u: Tensor, vicinity: float, nodes: int) -> tuple[Tensor, Tensor]:
-    """Nodes and weights (..., N, K n) of the mean over [u - v, u + v], cut at the integers within."""
+    """Nodes and weights (..., N, K n) of the mean over [u - v, u + v], divided at the integers within."""
     places, shares = np.polynomial.legendre.leggauss(nodes)
     place, share = torch.from_numpy(places).to(u), torch.from_numpy(shares).to(u)
     low, high = (u - vicinity)[..., None], (u + vicinity)[..., None]

@@ -1,8 +1,8 @@
-"""Wrong pixels of the query to hold against a right one.
+"""Negatives: wrong pixels of the query for the contrastive loss.
 
-Random ones teach most at first; once they are all far away, hard ones do: the pixels whose features are nearest to the
-point's although they are somewhere else. Both stay some pixels away from the true pixel, whose neighbours are not wrong
-but nearly right.
+At first random negatives teach most. Once their features are all far away, hard negatives do: pixels whose features are
+nearest to the point's although they are elsewhere. Both keep some pixels' distance from the true pixel, since its
+neighbours are nearly right.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ _TRIES = 8
 def random_negatives(
     size: tuple[int, int], u_true: Tensor, away: float, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """One pixel for each point, uniform over the map but for a disc about the true pixel.
+    """Draw one pixel for each point, uniformly over the map outside a disc around the true pixel.
 
     Args:
         size: (H, W) of the map.
         u_true: (..., N, 2) pixels of the map.
         away: pixels; radius of the disc.
-        generator: on the CPU, so that every device sees the same draws.
+        generator: on the CPU, so that the draws do not depend on the device.
 
     Returns:
-        (..., N, 2) pixels between first and last centre, and (..., N) bool: false where the disc left no place
-        (eight draws fell into it).
+        Pixels (..., N, 2) between the first and the last pixel centre, and (..., N) bool: false where all eight draws
+        fell into the disc.
     """
     drawn = _uniform((*u_true.shape[:-1], _TRIES), size, generator).to(u_true)
     outside = _far(drawn, u_true[..., None, :], away)
@@ -38,18 +38,18 @@ def random_negatives(
 def hard_negatives(
     features_query: Tensor, f_ref: Tensor, u_true: Tensor, away: float, candidates: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """For each point the pixel, of some drawn from its image, whose feature is nearest although it is ``away``.
+    """For each point, of pixels drawn from its image, the one with the nearest feature at least ``away`` from it.
 
     Args:
         features_query: (D, H, W) or (B, D, H, W).
         f_ref: (N, D) or (B, N, D) features of the points.
         u_true: (N, 2) or (B, N, 2) their true pixels in the query's map.
         away: pixels of the map.
-        candidates: drawn for each image, whole pixels; all points of an image choose among the same.
+        candidates: number of whole pixels drawn in each image; all points of an image share them.
         generator: on the CPU.
 
     Returns:
-        (..., N, 2) pixels, and (..., N) bool: false where all candidates were too near. No derivatives.
+        Pixels (..., N, 2), and (..., N) bool: false where all candidates were too close; without derivatives.
     """
     height, width = features_query.shape[-2:]
     batch = u_true.shape[:-2]

@@ -1,4 +1,4 @@
-"""Means over the places that count."""
+"""Means over masked values."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from torch import Tensor
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
-    """Mean of ``values`` where ``mask``; zero, with zero derivative, where there is none.
+    """The mean of ``values`` where ``mask`` is true; zero, with zero derivative, if it is true nowhere.
 
     Args:
-        values: (...); finite or not where masked out.
+        values: (...); need not be finite where masked out.
         mask: (...) bool.
     """
     kept = torch.where(mask, values, torch.zeros_like(values))

@@ -1,7 +1,7 @@
-"""Symmetric 2x2 matrices in closed form, many at once, in double precision.
+"""Batches of symmetric 2x2 matrices, in closed form and double precision.
 
-J^T J of features along an edge has two eigenvalues that differ by orders of magnitude; in single precision its
-determinant may come out negative. Sums are written out, because mixed precision would halve that of a matrix product.
+The eigenvalues of J^T J along an edge differ by orders of magnitude, so that in single precision its determinant may
+become negative. Sums are written out because autocasting would compute matrix products in half precision.
 """
 
 from __future__ import annotations
@@ -24,34 +24,34 @@ class Symmetric(NamedTuple):
         return Symmetric(self.xx + value, self.xy, self.yy + value)
 
     def determinant(self) -> Tensor:
-        """(...)"""
+        """The determinant (...)."""
         return self.xx * self.yy - self.xy * self.xy
 
     def solve(self, b: Tensor) -> Tensor:
-        """The x (..., 2) of A x = b; what divides by zero is not finite."""
+        """The solution x (..., 2) of A x = b; not finite where A is singular."""
         x = self.yy * b[..., 0] - self.xy * b[..., 1]
         y = self.xx * b[..., 1] - self.xy * b[..., 0]
         return torch.stack([x, y], dim=-1) / self.determinant()[..., None]
 
     def quadratic(self, d: Tensor) -> Tensor:
-        """d^T A d (...) of d (..., 2)."""
+        """The quadratic form d^T A d (...) of d (..., 2)."""
         x, y = d[..., 0], d[..., 1]
         return self.xx * x * x + 2 * self.xy * x * y + self.yy * y * y
 
     def trace_of_inverse(self) -> Tensor:
-        """(...)"""
+        """The trace of the inverse (...)."""
         return (self.xx + self.yy) / self.determinant()
 
     def smaller_eigenvalue(self) -> Tensor:
-        """(...) of a matrix that is positive semi-definite."""
+        """The smaller eigenvalue (...) of a positive semi-definite matrix."""
         half = 0.5 * (self.xx + self.yy)
         larger = half + torch.sqrt((0.5 * (self.xx - self.yy)) ** 2 + self.xy**2)
-        # The product of both is the determinant; their difference would cancel.
+        # The quotient of determinant and larger eigenvalue avoids cancellation.
         return self.determinant() / larger.clamp(min=torch.finfo(larger.dtype).tiny)
 
 
 def normal_equations(jacobian: Tensor, residual: Tensor) -> tuple[Symmetric, Tensor]:
-    """J^T J, and b = J^T r (..., 2), of J (..., D, 2) and r (..., D)."""
+    """J^T J and b = J^T r (..., 2) from J (..., D, 2) and r (..., D)."""
     j, r = jacobian.double(), residual.double()
     jx, jy = j[..., 0], j[..., 1]
     hessian = Symmetric((jx * jx).sum(-1), (jx * jy).sum(-1), (jy * jy).sum(-1))

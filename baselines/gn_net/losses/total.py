@@ -1,4 +1,4 @@
-"""All losses of a batch of pairs, over all levels, as one number and as the parts it is made of."""
+"""The total loss of a batch of pairs, over all losses and levels, and its parts."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from relocbench.errors import ConfigError
 
 @dataclass(frozen=True)
 class LossOptions:
-    """Which losses, how much of each, on which levels. A weight of 0 leaves a loss out.
+    """The losses and their weights on each level; a weight of 0 disables a loss.
 
     Raises:
-        ConfigError: nothing is left to train by, or a value makes no sense.
+        ConfigError: all weights are 0, or a value is out of range.
     """
 
     contrastive: ContrastiveOptions = field(default_factory=ContrastiveOptions)
     gauss_newton: GaussNewtonOptions = field(default_factory=GaussNewtonOptions)
     descent: DescentOptions = field(default_factory=DescentOptions)
     level_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
-    """finest first; as many as the network has levels"""
+    """one weight for each level of the network, finest first"""
     infonce: InfoNceOptions = field(default_factory=InfoNceOptions)
 
     __pydantic_config__ = NO_OTHER_KEYS
@@ -53,14 +53,14 @@ class LossOptions:
 
 
 class LossValue(NamedTuple):
-    """What to descend, and what to write into the log."""
+    """The loss to be minimised, and its parts for the log."""
 
     total: Tensor
     """scalar"""
     parts: dict[str, Tensor]
-    """by ``level/part``, scalars without derivatives, before weights: ``positive``, ``negative``, ``e1``, ``e2``,
+    """scalars without derivatives and before weighting, by ``level/part``: ``positive``, ``negative``, ``e1``, ``e2``,
     ``near_singular`` (share of points), ``infonce``, ``found`` (share of points), ``descent``, ``nearer`` (share of
-    points), ``points`` (that counted)"""
+    points), ``points`` (number that counted)"""
 
 
 def total_loss(
@@ -72,15 +72,15 @@ def total_loss(
     options: LossOptions,
     generator: torch.Generator,
 ) -> LossValue:
-    """Weighted sum over levels and losses; each loss is a mean over the points that are on the maps.
+    """The weighted sum over levels and losses; each loss is a mean over the points that are on the maps.
 
     Args:
         features_ref, features_query: (B, D, H_l, W_l) for each level, finest first.
         u_ref, u_query: (B, N, 2) pixels of level 0 that see the same surface points.
-        mask: (B, N) bool: which of them count (pairs have different numbers of correspondences); what is not finite
-            never counts.
-        options: what to sum.
-        generator: on the CPU; starts and negatives are drawn from it.
+        mask: (B, N) bool: which of them count, as pairs differ in their numbers of correspondences; those that are not
+            finite never count.
+        options: see there.
+        generator: on the CPU; the source of starts and negatives.
 
     Raises:
         ValueError: the numbers of levels disagree.
@@ -90,7 +90,7 @@ def total_loss(
             f"{len(features_ref)} and {len(features_query)} levels of features, "
             f"{len(options.level_weights)} level weights: they must agree"
         )
-    # What does not count must be finite all the same: zero times NaN would reach the derivatives.
+    # Values that do not count must be finite too, since 0 times NaN would reach the derivatives.
     mask = mask & torch.isfinite(u_ref).all(-1) & torch.isfinite(u_query).all(-1)
     u_ref, u_query = (torch.where(mask[..., None], u, torch.zeros_like(u)) for u in (u_ref, u_query))
     total = torch.zeros((), dtype=torch.float64, device=u_ref.device)
@@ -112,7 +112,7 @@ def total_loss(
 
 
 class _Level(NamedTuple):
-    """Maps of one level, and the correspondences in its pixels."""
+    """The maps of one level, and the correspondences in its pixels."""
 
     features_ref: Tensor
     features_query: Tensor
@@ -153,7 +153,7 @@ def _level_loss(one: _Level, options: LossOptions, generator: torch.Generator) -
 def _contrastive(
     one: _Level, f_ref: Tensor, counted: Tensor, options: ContrastiveOptions, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Means over positives and over negatives."""
+    """The means over positives and over negatives."""
     f_query, on_query = sample(one.features_query, one.u_query)
     positive = masked_mean(positive_terms(f_ref, f_query, options.form, options.positive_margin), counted & on_query)
     wrong: list[tuple[Tensor, Tensor]] = []
@@ -172,7 +172,7 @@ def _contrastive(
 
 
 def _infonce(one: _Level, f_ref: Tensor, counted: Tensor, options: InfoNceOptions) -> tuple[Tensor, Tensor, Tensor]:
-    """Cost of the points that take part, which of them are found, and which take part."""
+    """The cost of each point, which points are found, and which take part."""
     n = options.points
     f_query, on_query = sample(one.features_query, one.u_query[..., :n, :])
     asked = counted[..., :n] & on_query

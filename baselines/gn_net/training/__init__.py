@@ -1,1 +1,1 @@
-"""Training of GN-Net and its variants: options, batches, steps, checkpoints."""
+"""The training of GN-Net and its variants."""

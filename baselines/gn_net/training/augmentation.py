@@ -1,4 +1,4 @@
-"""Photometric changes of single images: light, camera response, colour, blur, noise. No pixel moves."""
+"""Photometric augmentation of single images: illumination, camera response, colour, blur and noise."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ GREY = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 
 
 def augment(image: Values, options: AugmentationOptions, rng: np.random.Generator) -> Values:
-    """A changed copy of an (H, W, 3) image in [0, 1]; the order is that of light, lens, sensor, camera.
+    """A changed copy of an (H, W, 3) image in [0, 1]: illumination, then lens, sensor and camera. No pixel moves.
 
     Args:
-        rng: of all that is drawn; the same generator gives the same image.
+        image: float32.
+        options: strengths of the changes.
+        rng: source of all random choices.
     """
     if rng.random() >= options.probability:
         return image
@@ -37,7 +39,7 @@ def augment(image: Values, options: AugmentationOptions, rng: np.random.Generato
 
 
 def _spread(rng: np.random.Generator, strength: float, count: int = 1) -> Values:
-    """(count,) uniform in +- strength."""
+    """(count,) numbers, uniform in +- strength."""
     return rng.uniform(-strength, strength, count).astype(np.float32)
 
 
@@ -49,7 +51,7 @@ def _saturated(x: Values, rng: np.random.Generator, options: AugmentationOptions
 
 
 def _vignette(shape: tuple[int, ...], loss: float, rng: np.random.Generator) -> Values:
-    """(H, W) factor: 1 at a centre near the image's, 1 - loss at the corner farthest from it, by the square between."""
+    """A factor (H, W) that falls with the squared distance, from 1 near the centre to 1 - loss at one corner."""
     height, width = shape
     centre = rng.uniform(0.4, 0.6, 2).astype(np.float32)
     v = ((np.arange(height, dtype=np.float32) + 0.5) / height - centre[1]) ** 2

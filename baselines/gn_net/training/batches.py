@@ -1,7 +1,6 @@
-"""Batches of cut and augmented pairs, read by background processes; the same whatever their number.
+"""Batches of cropped and augmented pairs, the same whatever the number of background processes that read them.
 
-The batch of a step is a function of the step and the seed alone, so that a training that goes on from a checkpoint sees
-what it would have seen.
+The batch of a step is a function of the step and the seed alone, so that a resumed training sees the same batches.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ _CUT, _REF, _QUERY = range(3)
 
 
 class Batch(NamedTuple):
-    """What a step learns from: B pairs."""
+    """The B pairs of one step."""
 
     images_ref: Tensor
     """(B, 3, S, S) float32 in [0, 1]"""
@@ -35,10 +34,10 @@ class Batch(NamedTuple):
     u_query: Tensor
     """(B, N, 2)"""
     mask: Tensor
-    """(B, N) bool: rows that hold a correspondence; a pair may have fewer than N"""
+    """(B, N) bool: rows that hold a correspondence, of which a pair may have fewer than N"""
 
     def to(self, device: torch.device) -> Batch:
-        """On another device."""
+        """The batch on another device."""
         return Batch(*(tensor.to(device, non_blocking=True) for tensor in self))
 
 
@@ -52,7 +51,7 @@ class Batches(Dataset[Batch]):
 
     @property
     def combinations(self) -> int:
-        """Number of combinations of conditions, among which pairs are drawn evenly."""
+        """The number of combinations of conditions, among which pairs are drawn evenly."""
         return self._draw.combinations
 
     def __len__(self) -> int:
@@ -69,7 +68,7 @@ class Batches(Dataset[Batch]):
             return np.random.default_rng([options.seed, step, place, what])
 
         rng = random(_CUT)
-        pair = _sure(self._data.load(self._draw[step * options.batch + place]), options.max_sigma)
+        pair = _accurate(self._data.load(self._draw[step * options.batch + place]), options.max_sigma)
         image_ref, image_query, u_ref, u_query = _swapped(pair, rng.random() < options.swap)
         if rng.random() < options.mirror:
             (image_ref, u_ref), (image_query, u_query) = mirrored(image_ref, u_ref), mirrored(image_query, u_query)
@@ -86,8 +85,8 @@ class Batches(Dataset[Batch]):
         return first, second, torch.from_numpy(u[0]), torch.from_numpy(u[1]), mask
 
 
-def _sure(pair: TrainingPair, max_sigma: float) -> TrainingPair:
-    """The pair without correspondences that are known less surely; an unknown sigma passes."""
+def _accurate(pair: TrainingPair, max_sigma: float) -> TrainingPair:
+    """The pair without correspondences of larger sigma; those of unknown sigma are kept."""
     if pair.sigma_px is None:
         return pair
     kept = ~(pair.sigma_px > max_sigma)

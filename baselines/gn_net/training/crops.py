@@ -1,6 +1,6 @@
-"""Squares cut out of both images of a pair, about the same piece of the world, and the correspondences they hold.
+"""Square crops of both images of a pair that show about the same part of the world, and their correspondences.
 
-Pixel centres are at integers, so that scaling an image by s takes pixel u to (u + 0.5) s - 0.5.
+Pixel centres are at integers, so that scaling an image by s maps pixel u to (u + 0.5) s - 0.5.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ Pixels = NDArray[np.float32]
 
 
 class Cut(NamedTuple):
-    """A pair as the network sees it."""
+    """The crops of a pair."""
 
     image_ref: Image
     """(S, S, 3)"""
     image_query: Image
     """(S, S, 3)"""
     u_ref: Pixels
-    """(N, 2) pixels of the cut image, within its first and last pixel centres"""
+    """(N, 2) pixels of the crop, between its first and last pixel centres"""
     u_query: Pixels
     """(N, 2)"""
 
@@ -38,21 +38,21 @@ def cut_pair(
     apart: float,
     rng: np.random.Generator,
 ) -> Cut:
-    """Scale both images by one factor, cut a square out of each, and keep the correspondences that both hold.
+    """Scale both images by one factor, crop a square from each, and keep the correspondences that both hold.
 
-    The reference's square holds a correspondence drawn at random, the query's follows the median shift of the
-    correspondences in the reference's and is then moved on its own. Were it not, a point would be at about the same
-    place of both squares, and a network sees from the border where in its image a pixel is: features of the place alone
-    would tell all points from each other. An image smaller than the square is continued at the right and below by its
-    last column and row.
+    The reference's square contains a random correspondence. The query's square follows the median shift of the
+    correspondences in the reference's, and is then moved by a random offset. Without the offset a point would be at
+    about the same place in both squares; as padding tells a network where in its image a pixel is, features of the
+    place alone would then distinguish all points. An image smaller than the square is continued at the right and below
+    by repeating its last column and row.
 
     Args:
         image_ref, image_query: (H, W, 3).
         u_ref, u_query: (N, 2) pixels that see the same points.
         side: S, pixels.
         scale: smallest and largest factor.
-        apart: share of the side that the query's square is moved at most, along u and v each.
-        rng: of the factor and the place.
+        apart: the largest offset of the query's square along u and v, as a share of the side.
+        rng: source of the factor and the positions.
     """
     factor = float(rng.uniform(*scale))
     image_ref, u_ref = scaled(image_ref, u_ref, factor)
@@ -72,7 +72,7 @@ def cut_pair(
 
 
 def scaled(image: Image, u: Pixels, factor: float) -> tuple[Image, Pixels]:
-    """An image of whole size next to ``factor`` times its own, and its pixels (N, 2) there, by the factor it got."""
+    """An image scaled by about ``factor``, to a size of whole pixels, and the scaled positions of pixels (N, 2)."""
     height, width = image.shape[:2]
     size = max(round(width * factor), 1), max(round(height * factor), 1)
     if size == (width, height):
@@ -83,13 +83,13 @@ def scaled(image: Image, u: Pixels, factor: float) -> tuple[Image, Pixels]:
 
 
 def mirrored(image: Image, u: Pixels) -> tuple[Image, Pixels]:
-    """An image with left and right exchanged, and its pixels (N, 2) there."""
+    """An image mirrored left to right, and the mirrored positions of pixels (N, 2)."""
     there = np.stack([image.shape[1] - 1 - u[:, 0], u[:, 1]], axis=1)
     return np.ascontiguousarray(image[:, ::-1]), there.astype(np.float32)
 
 
 def _inside(corner: NDArray[np.floating], image: Image, side: int) -> NDArray[np.int64]:
-    """The corner (u, v) moved so that the square lies in the image, or begins where a smaller image begins."""
+    """The corner (u, v) moved so that the square lies in the image, or at the corner of an image that is smaller."""
     height, width = image.shape[:2]
     last = np.maximum([width - side, height - side], 0)
     return np.clip(corner, 0, last).astype(np.int64)

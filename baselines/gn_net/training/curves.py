@@ -1,68 +1,63 @@
-"""``curves.png``: how a training went."""
+"""``curves.png`` of a GN-Net training."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from baselines.files import write_whole
+from baselines.training.curves import column, finish_panel, marker_for, new_figure, save_figure
 from baselines.training.log import Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _MOST_LINES = 12
-"""in a panel whose legend is to be read"""
+"""in a panel whose legend can still be read"""
 _PANELS = {
     "contrastive loss, by level": ("positive", "negative"),
     "Gauss-Newton and descent loss, by level": ("e1", "e2", "descent"),
     "share of points, by level": ("near_singular", "nearer"),
 }
+_EMPTY = "no part of this training"
 
 
 def draw_curves(path: Path, log: Sequence[Row], validation: Sequence[Row]) -> None:
-    """Loss, its parts on each level, shares of points, and what the weights scored in validation, against the step.
+    """Draw the loss, its parts on each level, shares of points, and the validation scores, against the step.
 
     Args:
+        path: the picture; nothing is written where the log is empty.
         log: rows of ``log.csv``.
         validation: rows of ``validation.csv``.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     if not log:
         return
-    figure = Figure(figsize=(17, 9), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(17, 9)
     above, below = figure.subplots(2, 3)
     _lines(above[0], log, ["loss"], "weighted sum of the losses")
     rate = above[0].twinx()
-    rate.plot(*_column(log, "learning_rate"), color="0.7", linewidth=1)
+    rate.plot(*column(log, "learning_rate"), color="0.7", linewidth=1)
     rate.set_ylabel("learning rate (grey)")
     for axes, (title, parts) in zip((above[1], above[2], below[0]), _PANELS.items(), strict=True):
-        _lines(axes, log, [column for column in log[-1] if column.partition("/")[2] in parts], title)
+        _lines(axes, log, [name for name in log[-1] if name.partition("/")[2] in parts], title)
     together = [row for row in validation if row["conditions"] == "all"]
-    metrics = [column for column in (together[-1] if together else {}) if "@" in column]
+    metrics = [name for name in (together[-1] if together else {}) if "@" in name]
     _lines(below[1], together, metrics, "validation by tracking, all conditions")
     by = "reference -> query"
     if metrics:
         combinations = {row["conditions"] for row in validation} - {"all"}
         if len(combinations) > _MOST_LINES:
             by = "condition of the query"
-        for line, rows in sorted(_lines_of(validation, whole=len(combinations) <= _MOST_LINES).items()):
+        for line, rows in sorted(_rows_by_line(validation, whole=len(combinations) <= _MOST_LINES).items()):
             below[2].plot(*_mean_column(rows, metrics[0]), marker=".", label=line)
-    _finish(below[2], f"{metrics[0] if metrics else 'validation'} by {by}", legend_columns=1)
+    finish_panel(below[2], f"{metrics[0] if metrics else 'validation'} by {by}", if_empty=_EMPTY)
     for axes in below:
         axes.set_ylim(-0.02, 1.02)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=100)
-    write_whole(path, buffer.getvalue())
+    save_figure(figure, path)
 
 
-def _lines_of(validation: Sequence[Row], whole: bool) -> dict[str, list[Row]]:
-    """Rows of each combination of conditions, or of each condition of the query."""
+def _rows_by_line(validation: Sequence[Row], whole: bool) -> dict[str, list[Row]]:
+    """The rows of each combination of conditions if ``whole``, otherwise of each condition of the query."""
     lines: dict[str, list[Row]] = {}
     for row in validation:
         if row["conditions"] != "all":
@@ -71,7 +66,7 @@ def _lines_of(validation: Sequence[Row], whole: bool) -> dict[str, list[Row]]:
 
 
 def _mean_column(rows: Sequence[Row], name: str) -> tuple[list[int], list[float]]:
-    """Steps, and at each the mean over its rows, each with the weight of its pairs."""
+    """Steps, and the mean over the rows of each step, weighted by their numbers of pairs."""
     steps = sorted({int(row["step"]) for row in rows})
     means = []
     for step in steps:
@@ -81,30 +76,12 @@ def _mean_column(rows: Sequence[Row], name: str) -> tuple[list[int], list[float]
     return steps, means
 
 
-def _lines(axes: Axes, rows: Sequence[Row], columns: Sequence[str], title: str) -> None:
-    """One line a column: colour tells the part, dashes the level."""
-    parts = list(dict.fromkeys(column.rpartition("/")[2] for column in columns))
-    for column in columns:
-        level, _, part = column.rpartition("/")
+def _lines(axes: Axes, rows: Sequence[Row], names: Sequence[str], title: str) -> None:
+    """One line for each column: its colour tells the part of the loss, its dashes the level."""
+    parts = list(dict.fromkeys(name.rpartition("/")[2] for name in names))
+    for name in names:
+        level, _, part = name.rpartition("/")
         style = ("-", "--", "-.", ":")[int(level or 0) % 4]
-        marker = "." if len(rows) < 30 else ""
-        axes.plot(*_column(rows, column), linestyle=style, marker=marker, color=f"C{parts.index(part)}", label=column)
-    _finish(axes, title)
-
-
-def _finish(axes: Axes, title: str, legend_columns: int = 2) -> None:
-    axes.set_title(title)
-    axes.set_xlabel("step")
-    from matplotlib.ticker import MaxNLocator
-
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.grid(alpha=0.3)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize="x-small", ncols=legend_columns)
-    else:
-        axes.text(0.5, 0.5, "no part of this training", ha="center", va="center", transform=axes.transAxes, color="0.5")
-
-
-def _column(rows: Sequence[Row], name: str) -> tuple[list[int], list[float]]:
-    known = [row for row in rows if row.get(name)]
-    return [int(row["step"]) for row in known], [float(row[name]) for row in known]
+        colour = f"C{parts.index(part)}"
+        axes.plot(*column(rows, name), linestyle=style, marker=marker_for(rows), color=colour, label=name)
+    finish_panel(axes, title, legend_columns=2, if_empty=_EMPTY)

@@ -1,24 +1,20 @@
-"""Which pair is drawn when: evenly over combinations of conditions, then over traversals, then over pairs.
+"""The order in which pairs are drawn: evenly over combinations of conditions, then traversals, then pairs.
 
-The n-th draw is a function of n and the seed alone. Draws go round the combinations, each round in an order of its own,
-so that combinations are drawn equally often and neighbours in a batch show different weather; within a combination the
-same holds for pairs of traversals, and within those for pairs.
+The n-th draw is a function of n and the seed alone. Draws go through the combinations round after round, each round in
+a random order of its own, so that combinations are drawn equally often and neighbours in a batch show different
+weather. Within a combination the same holds for pairs of traversals, and within those for pairs of images.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
-
-import numpy as np
-from numpy.typing import NDArray
-
+from baselines.training.random_streams import shuffled_round
 from relocbench.training import TrainingData
 
 _CONDITIONS, _TRAVERSALS, _PAIRS = range(3)
 
 
 class EvenDraw:
-    """Draws of indices of training pairs."""
+    """Draws indices of training pairs."""
 
     def __init__(self, data: TrainingData, seed: int) -> None:
         groups: dict[tuple[str, ...], dict[tuple[str, ...], list[int]]] = {}
@@ -31,23 +27,13 @@ class EvenDraw:
 
     @property
     def combinations(self) -> int:
-        """Number of combinations of a reference's and a query's condition."""
+        """The number of combinations of a reference's and a query's condition."""
         return len(self._groups)
 
     def __getitem__(self, draw: int) -> int:
-        """Index of the pair of the ``draw``-th draw, counted from 0."""
-        turn, group = self._go_round(draw, len(self._groups), (_CONDITIONS,))
+        """The index of the pair of the ``draw``-th draw, counted from 0."""
+        turn, group = shuffled_round(self._seed, (_CONDITIONS,), draw, len(self._groups))
         drives = self._groups[group]
-        turn, drive = self._go_round(turn, len(drives), (_TRAVERSALS, group))
-        _, pair = self._go_round(turn, len(drives[drive]), (_PAIRS, group, drive))
+        turn, drive = shuffled_round(self._seed, (_TRAVERSALS, group), turn, len(drives))
+        _, pair = shuffled_round(self._seed, (_PAIRS, group, drive), turn, len(drives[drive]))
         return drives[drive][pair]
-
-    def _go_round(self, turn: int, count: int, of: tuple[int, ...]) -> tuple[int, int]:
-        """Which round it is, and who is next in it."""
-        rounds, place = divmod(turn, count)
-        return rounds, int(_order(self._seed, of, rounds, count)[place])
-
-
-@lru_cache(maxsize=1024)
-def _order(seed: int, of: tuple[int, ...], rounds: int, count: int) -> NDArray[np.int64]:
-    return np.random.default_rng([seed, *of, rounds]).permutation(count)

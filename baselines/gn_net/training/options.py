@@ -1,4 +1,4 @@
-"""What a training can be told; YAML keys and ``--set`` names are these fields."""
+"""The options of a training; YAML keys and ``--set`` names are these fields."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from relocbench.errors import ConfigError
 
 @dataclass(frozen=True)
 class AugmentationOptions:
-    """Strengths of photometric changes, each image on its own; 0 leaves one out. Geometry is never touched.
+    """Strengths of the photometric changes of each image; 0 disables one. The geometry is never changed.
 
     Raises:
-        ConfigError: a negative strength, or a probability above 1.
+        ConfigError: a strength is negative, or a probability above 1.
     """
 
     probability: float = 0.8
-    """that an image is changed at all"""
+    """probability that an image is changed at all"""
     gain: float = 0.3
-    """log of a factor on all channels, uniform in +- this"""
+    """log of a factor of all channels, uniform in +- this"""
     offset: float = 0.05
     """added to all channels, uniform in +- this"""
     gamma: float = 0.3
@@ -29,15 +29,15 @@ class AugmentationOptions:
     contrast: float = 0.3
     """log of a factor about the image's mean, uniform in +- this"""
     colour: float = 0.1
-    """log of a factor on each channel, uniform in +- this; and on the saturation, in +- three times this"""
+    """log of a factor of each channel, uniform in +- this, and of the saturation, in +- three times this"""
     grey: float = 0.1
-    """probability of no colour at all"""
+    """probability that all colour is removed"""
     noise: float = 0.03
-    """standard deviation of each pixel's noise, uniform in 0 .. this"""
+    """standard deviation of the noise of pixels, uniform in 0 .. this"""
     blur: float = 1.0
-    """pixels; sigma of a Gaussian, uniform in 0 .. this, on half of the images"""
+    """pixels; sigma of a Gaussian blur of half of the images, uniform in 0 .. this"""
     vignetting: float = 0.3
-    """share of the light that is lost in the corners, uniform in 0 .. this"""
+    """share of the light that is lost in the farthest corner, uniform in 0 .. this"""
 
     __pydantic_config__ = NO_OTHER_KEYS
 
@@ -49,53 +49,53 @@ class AugmentationOptions:
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """Everything that decides what is learnt, but for the data.
+    """Everything that decides what is learnt, except the data.
 
     Raises:
-        ConfigError: a value that makes no sense.
+        ConfigError: a value is out of range.
     """
 
     steps: int = 2000
     batch: int = 4
-    """pairs a step; as many combinations of conditions, if there are so many"""
+    """pairs in each step, of different combinations of conditions if there are enough of them"""
     crop: int = 224
-    """pixels; side of the squares that are cut out of both images"""
+    """pixels; side of the squares that are cropped from both images"""
     apart: float = 0.4
-    """share of the side; the query's square is moved off the reference's by at most so much, so that the place in the
-    square says nothing about which point it is"""
+    """the largest offset of the query's square from the reference's, as a share of the side; with it, the position in
+    the square does not tell which point a pixel shows"""
     scale: tuple[float, float] = (0.6, 1.0)
-    """images are scaled by a factor between these before they are cut, both of a pair alike; (1, 1) for never"""
+    """range of the factor by which both images of a pair are scaled before they are cropped; (1, 1) disables it"""
     points: int = 1024
-    """correspondences a pair, drawn among those that both cuts hold"""
+    """largest number of correspondences of a pair, drawn among those that both crops hold"""
     max_sigma: float = 1.0
-    """pixels; correspondences whose true place is known less surely are left out, where the data tells"""
+    """pixels; correspondences of larger standard deviation are left out, where the data tells it"""
     swap: float = 0.5
-    """probability that reference and query change their roles"""
+    """probability that reference and query are exchanged"""
     mirror: float = 0.5
-    """probability that both images are mirrored left to right: a second town for nothing"""
+    """probability that both images are mirrored left to right"""
     learning_rate: float = 3e-3
-    """of Adam, at its highest"""
+    """largest learning rate of AdamW"""
     warm_up: int = 100
-    """steps in which the rate rises from 0"""
+    """number of steps in which the rate rises from 0"""
     final_rate: float = 0.01
-    """of the highest rate, reached at the last step along a half cosine"""
+    """share of the largest rate that is reached at the last step, along half a cosine"""
     weight_decay: float = 1e-4
-    """of AdamW; 0 is Adam"""
+    """of AdamW; with 0 it is Adam"""
     clip: float = 10.0
-    """largest norm of the gradient; 0 for no limit"""
+    """largest norm of the gradient; 0: no limit"""
     ema: float = 0.999
-    """the weights that are validated and kept are the running mean of those that are trained, by this factor a step; 0
-    for the trained ones themselves"""
+    """decay, in each step, of the exponential moving average of the weights, which is validated and kept; 0: the
+    trained weights themselves are"""
     mixed_precision: bool | None = None
-    """the network's forward pass in bfloat16, losses never; null: where it runs on a GPU. Processors that have
-    instructions for it (AVX512-BF16, AMX) gain as well, others lose"""
+    """run the network's forward pass, but not the losses, in bfloat16; null: only on a GPU. It is also faster on
+    processors with instructions for it (AVX512-BF16, AMX), and slower on others"""
     seed: int = 0
-    """of first weights, pairs, cuts, augmentation, starts and negatives"""
+    """of initial weights, pairs, crops, augmentation, starts and negatives"""
     log_every: int = 20
     validate_every: int = 500
-    """steps; also after the last"""
+    """steps; weights are also validated after the last step"""
     checkpoint_every: int = 100
-    """steps; also after each validation"""
+    """steps; checkpoints are also written after each validation"""
     augmentation: AugmentationOptions = field(default_factory=AugmentationOptions)
     loss: LossOptions = field(default_factory=LossOptions)
     network: NetworkOptions = field(default_factory=NetworkOptions)

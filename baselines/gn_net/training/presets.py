@@ -1,4 +1,4 @@
-"""The trainers by name; they differ in options alone."""
+"""The trainers by name; they differ only in their options."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ _DESCENT_WEIGHT = 0.1
 
 
 def gn_net() -> GnNetTrainer:
-    """Contrastive and Gauss-Newton loss: GN-Net."""
+    """GN-Net: contrastive and Gauss-Newton loss."""
     return GnNetTrainer(GnNet, TrainOptions())
 
 
 def gn_net_contrastive() -> GnNetTrainer:
-    """Contrastive loss alone: the paper's ablation."""
-    usual = TrainOptions()
-    loss = replace(usual.loss, gauss_newton=replace(usual.loss.gauss_newton, weight=0.0))
-    return GnNetTrainer(GnNetContrastive, replace(usual, loss=loss))
+    """The paper's ablation: the contrastive loss alone."""
+    defaults = TrainOptions()
+    loss = replace(defaults.loss, gauss_newton=replace(defaults.loss.gauss_newton, weight=0.0))
+    return GnNetTrainer(GnNetContrastive, replace(defaults, loss=loss))
 
 
 def lm_net() -> GnNetTrainer:
-    """Contrastive loss in LM-Reloc's form, Gauss-Newton loss and descent loss."""
-    usual = TrainOptions()
+    """LM-Net: contrastive loss in LM-Reloc's form, Gauss-Newton and descent loss."""
+    defaults = TrainOptions()
     loss = replace(
-        usual.loss,
-        contrastive=replace(usual.loss.contrastive, form="squared"),
-        descent=replace(usual.loss.descent, weight=_DESCENT_WEIGHT),
+        defaults.loss,
+        contrastive=replace(defaults.loss.contrastive, form="squared"),
+        descent=replace(defaults.loss.descent, weight=_DESCENT_WEIGHT),
     )
-    return GnNetTrainer(LmNet, replace(usual, loss=loss))
+    return GnNetTrainer(LmNet, replace(defaults, loss=loss))

@@ -1,1 +1,1 @@
-"""LPN's training: images of known places in, a file of weights out."""
+"""The training of LPN and its variants."""

@@ -1,4 +1,4 @@
-"""Changes of training images, as in the recipe of LPN: pad and cut, turn, mirror; colours stay."""
+"""Augmentation of training images as in LPN's recipe: padding, rotation, cropping and mirroring."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from baselines.lpn.training.options import TrainOptions
 def augmented(image: Image, view: str, options: TrainOptions, rng: np.random.Generator) -> Image:
     """A changed copy of a square image (S, S, 3).
 
-    Pad by the border's pixels, turn (satellite alone), cut out a square of the old size at random, mirror at random.
+    The image is padded with the pixels of its border, rotated (only satellite images), cropped at a random position to
+    its old size, and mirrored at random.
     """
     pad, side = options.pad, len(image)
     wide: Image = np.pad(image, ((pad, pad), (pad, pad), (0, 0)), mode="edge")

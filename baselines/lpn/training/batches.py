@@ -1,20 +1,18 @@
-"""Batches of images by view, read by background processes; the same whatever their number.
+"""Batches of images by view, the same whatever the number of background processes that read them.
 
-The batch of a step is a function of the step and the seed alone, so that a training that goes on from a checkpoint sees
-what it would have seen. Each view goes round its own images, each round in an order of its own, independently of the
-other views: a batch of drone images and one of satellite images show different places, as in the authors' loader.
-Paired batches (DWDR) show the same place in each row of drone and satellite: the first half follows the satellite's
-rounds, the second half the drone's, and the partner is drawn among the place's images.
+The batch of a step is a function of the step and the seed alone, so that a resumed training sees the same batches. The
+images of each view are gone through round after round, each in a random order of its own and independently of other
+views: the drone and satellite images of a batch show different places, as in the authors' loader. Paired batches (DWDR)
+show the same place by drone and by satellite in each row: the first half of the rows follows the rounds of the
+satellite's images, the second half those of the drone's, and the partner is drawn from the place's images.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset
 
@@ -22,6 +20,7 @@ from baselines.lpn.images import as_bytes, resized
 from baselines.lpn.network import VIEWS, View
 from baselines.lpn.training.augmentation import augmented
 from baselines.lpn.training.options import TrainOptions
+from baselines.training.random_streams import shuffled_round
 from relocbench.errors import ConfigError
 from relocbench.retrieval import PlaceData
 
@@ -35,7 +34,7 @@ class PlaceBatches(Dataset[Batch]):
     """The batch of each step.
 
     Raises:
-        ConfigError: a view without images, fewer than two places, or no place with both views where they are paired.
+        ConfigError: a view has no images, or there are fewer than two places (with both views, if batches are paired).
     """
 
     def __init__(self, data: PlaceData, options: TrainOptions, steps: int = 0) -> None:
@@ -59,12 +58,12 @@ class PlaceBatches(Dataset[Batch]):
 
     @property
     def places_by_view(self) -> dict[View, int]:
-        """How many places each view shows."""
+        """The number of places that each view shows."""
         return {view: len(by_place) for view, by_place in self._of_place.items()}
 
     @property
     def places_of_all_views(self) -> int:
-        """How many places all views show: only they teach what the views have in common."""
+        """The number of places that all views show; only from them is learnt what the views have in common."""
         return len(set.intersection(*(set(by_place) for by_place in self._of_place.values())))
 
     def __len__(self) -> int:
@@ -75,7 +74,7 @@ class PlaceBatches(Dataset[Batch]):
         return {view: self._read(view, numbers[view], step) for view in self._options.views}
 
     def _numbers(self, step: int) -> dict[View, list[int]]:
-        """The numbers of the images of a batch."""
+        """The indices of the images of a batch, by view."""
         batch = self._options.batch
         if not self._options.paired:
             return {view: [self._draw(view, step * batch + row) for row in range(batch)] for view in self._of_view}
@@ -106,8 +105,8 @@ class PlaceBatches(Dataset[Batch]):
 
     def _draw(self, view: View, draw: int) -> int:
         numbers = self._of_view[view]
-        turn, place = divmod(draw, len(numbers))
-        return numbers[int(_order(self._options.seed, VIEWS.index(view), turn, len(numbers))[place])]
+        _, index = shuffled_round(self._options.seed, (_ROUND, VIEWS.index(view)), draw, len(numbers))
+        return numbers[index]
 
     def _partners(self, view: View, led: Sequence[int], rng: np.random.Generator) -> list[int]:
         of_place = self._of_place[view]
@@ -125,14 +124,9 @@ class PlaceBatches(Dataset[Batch]):
     _pair: tuple[View, View] = ("satellite", "drone")
 
     def _keep_pairs(self) -> None:
-        """Drop the images of places that only one of both views shows."""
+        """Drop the images of places that only one of the two views shows."""
         both = set.intersection(*(set(self._of_place[view]) for view in self._pair))
         if len(both) < 2:
             raise ConfigError("paired batches need two or more places with drone and satellite images")
         for view in self._pair:
             self._of_view[view] = [n for n in self._of_view[view] if self._data.images[n].place in both]
-
-
-@lru_cache(maxsize=64)
-def _order(seed: int, view: int, turn: int, count: int) -> NDArray[np.int64]:
-    return np.random.default_rng([seed, _ROUND, view, turn]).permutation(count)

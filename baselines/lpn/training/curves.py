@@ -1,14 +1,13 @@
-"""``curves.png``: how a training went."""
+"""``curves.png`` of an LPN training."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from baselines.files import write_whole
+from baselines.training.curves import column, finish_panel, marker_for, new_figure, save_figure
 from baselines.training.log import Row
 
 if TYPE_CHECKING:
@@ -16,57 +15,38 @@ if TYPE_CHECKING:
 
 
 def draw_curves(path: Path, log: Sequence[Row], validation: Sequence[Row]) -> None:
-    """Losses, share of training images whose place is told right, and what the weights retrieve, against the step.
+    """Draw losses, the share of training images classified correctly, and validation scores, against the step.
+
+    Vertical lines separate the stages.
 
     Args:
+        path: the picture; nothing is written where the log is empty.
         log: rows of ``log.csv``.
         validation: rows of ``validation.csv``.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     if not log:
         return
-    figure = Figure(figsize=(12, 8), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(12, 8)
     (loss, right), (recall, precision) = figure.subplots(2, 2)
-    columns = list(dict.fromkeys(column for row in log for column in row))
-    of_loss = [c for c in columns if c.startswith("instance") or c in ("loss", "decorrelation", "partition")]
+    names = list(dict.fromkeys(name for row in log for name in row))
+    of_loss = [name for name in names if name.startswith("instance") or name in ("loss", "decorrelation", "partition")]
     _lines(loss, log, of_loss, "losses, before their weights")
-    _lines(right, log, [c for c in columns if c.startswith("right/")], "training images told right")
+    _lines(right, log, [name for name in names if name.startswith("right/")], "training images told right")
     for axes, metric in ((recall, "R@1"), (precision, "AP")):
         for views in dict.fromkeys(row["views"] for row in validation):
             rows = [row for row in validation if row["views"] == views]
-            axes.plot(*_column(rows, metric), marker=".", label=views)
-        _finish(axes, f"{metric} in validation, query-gallery")
+            axes.plot(*column(rows, metric), marker=".", label=views)
+        finish_panel(axes, f"{metric} in validation, query-gallery")
     for axes in (right, recall, precision):
         axes.set_ylim(-0.02, 1.02)
     for axes in (loss, right):
         for before, row in pairwise(log):
             if before["stage"] != row["stage"]:
                 axes.axvline(int(before["step"]), color="0.7", linewidth=1)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=100)
-    write_whole(path, buffer.getvalue())
+    save_figure(figure, path)
 
 
-def _lines(axes: Axes, rows: Sequence[Row], columns: Sequence[str], title: str) -> None:
-    for column in columns:
-        axes.plot(*_column(rows, column), marker="." if len(rows) < 30 else "", label=column)
-    _finish(axes, title)
-
-
-def _finish(axes: Axes, title: str) -> None:
-    from matplotlib.ticker import MaxNLocator
-
-    axes.set_title(title)
-    axes.set_xlabel("step")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.grid(alpha=0.3)
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize="x-small")
-
-
-def _column(rows: Sequence[Row], name: str) -> tuple[list[int], list[float]]:
-    known = [row for row in rows if row.get(name)]
-    return [int(row["step"]) for row in known], [float(row[name]) for row in known]
+def _lines(axes: Axes, rows: Sequence[Row], names: Sequence[str], title: str) -> None:
+    for name in names:
+        axes.plot(*column(rows, name), marker=marker_for(rows), label=name)
+    finish_panel(axes, title)

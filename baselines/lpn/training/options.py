@@ -1,4 +1,4 @@
-"""What a training can be told; YAML keys and ``--set`` names are these fields."""
+"""The options of a training; YAML keys and ``--set`` names are these fields."""
 
 from __future__ import annotations
 
@@ -13,72 +13,72 @@ from baselines.options import NO_OTHER_KEYS
 from relocbench.errors import ConfigError
 
 _SCRATCH_RATE = 3e-3
-"""of all weights where the backbone's are drawn: the recipe's rates are for weights that know pictures already. A guess
-from three short trainings of ``lpn`` on rendered places that differed in more than their rates: at 1e-2 (128 pixels,
-dropout 0.75, no warm-up) the loss rose above chance, at 3e-3 (96 pixels, dropout 0.25, 50 steps of warm-up) it fell, at
-1e-3 (96 pixels, dropout 0.75) it fell slowly."""
+"""learning rate of all weights if the backbone starts from random weights; the recipe's rates are for pretrained ones.
+It is a guess from three short trainings of ``lpn`` on rendered places that differed in more than their rates: at 1e-2
+(128 pixels, dropout 0.75, no warm-up) the loss rose above chance, at 3e-3 (96 pixels, dropout 0.25, 50 steps of
+warm-up) it fell, at 1e-3 (96 pixels, dropout 0.75) it fell slowly."""
 _ALIGNMENT = 16
 
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """Everything that decides what is learnt, but for the data. The defaults are the recipe of LPN's authors.
+    """Everything that decides what is learnt, except the data. The defaults are the recipe of LPN's authors.
 
     Raises:
-        ConfigError: a value that makes no sense.
+        ConfigError: a value is out of range.
     """
 
     configuration: str = "lpn"
-    """which system; decides the stages and the usual values of all other options"""
+    """the system, which determines the stages and the default values of all other options"""
     views: tuple[View, ...] = ("drone", "satellite")
-    """that are learnt from; each must be in the data, and what else is there is left out and told"""
+    """views that are learnt from; the data must have them, and other views are left out, which is reported"""
     size: int = 256
     """pixels; images are resized to size x size"""
     epochs: dict[str, int] = field(default_factory=dict)
-    """of each stage, by name"""
+    """number of epochs of each stage, by name"""
     steps_per_epoch: int = 0
-    """0: as many as the view with fewest images fills, as the authors' loader stops there"""
+    """0: as many as the view with the fewest images fills, as in the authors' loader"""
     batch: int = 8
-    """images of each view a step"""
+    """images of each view in each step"""
     paired: bool = False
-    """batches show the same places row by row in drone and satellite, half of them led by either"""
+    """whether each row of a batch shows the same place by drone and by satellite"""
     backbone_weights: str = ""
-    """file of torchvision's ResNet, such as its ImageNet weights, or of another training of LPN, whose backbone is
-    taken; empty: the backbone's weights are drawn"""
+    """file of torchvision's ResNet, such as its ImageNet weights, or of another LPN training, of which the backbone is
+    taken; empty: the backbone starts from random weights"""
     start: str = ""
-    """file of an LPN network to start from; a configuration that begins with a stage of rings leaves that stage out"""
+    """file of an LPN network to start from; configurations of several stages then omit the first one"""
     backbone_rate: float | None = None
-    """learning rate of the backbone; null: 1e-4 (the recipe's) if it has weights, 3e-3 if they are drawn"""
+    """learning rate of the backbone; null: the configuration's (LPN: 1e-4), or 3e-3 if its weights are random"""
     rate: float | None = None
-    """of all that is new; null: 1e-3 (the recipe's) if the backbone has weights, 3e-3 if they are drawn"""
+    """learning rate of everything else; null: the configuration's (LPN: 1e-3), or 3e-3 if the backbone is random"""
     momentum: float = 0.9
-    """Nesterov's"""
+    """Nesterov momentum"""
     weight_decay: float = 5e-4
     warm_up: int = 0
-    """steps of each stage in which the rates rise from 0"""
+    """number of steps of each stage in which the rates rise from 0"""
     decay_after: float = 80 / 120
-    """share of a stage's epochs after which the rates fall"""
+    """share of a stage's epochs after which the rates are reduced"""
     decay: float = 0.1
-    """by this factor"""
+    """factor by which the rates are reduced"""
     clip: float = 0.0
-    """largest norm of the gradient; 0 for no limit"""
+    """largest norm of the gradient; 0: no limit"""
     pad: int = 10
-    """pixels that are added on each side, by repeating the border, before a square of the size is cut out"""
+    """pixels that are added on each side, by repeating the border, before a square of ``size`` is cropped"""
     flip: float = 0.5
-    """probability of the mirror image"""
+    """probability that an image is mirrored"""
     satellite_turn_deg: float = 90.0
-    """a satellite image is turned by an angle between minus and plus this; what comes in from outside is black"""
+    """satellite images are rotated by an angle between minus and plus this, with black beyond the border"""
     mixed_precision: bool | None = None
-    """the network's forward pass in bfloat16, losses never; null: where it runs on a GPU. Processors that have
-    instructions for it (AVX512-BF16, AMX) gain as well, others lose"""
+    """run the network's forward pass, but not the losses, in bfloat16; null: only on a GPU. It is also faster on
+    processors with instructions for it (AVX512-BF16, AMX), and slower on others"""
     seed: int = 0
-    """of first weights, batches, augmentation and dropout"""
+    """of initial weights, batches, augmentation and dropout"""
     log_every: int = 20
     """steps"""
     validate_every: int = 10
-    """epochs; also after the last of each stage"""
+    """epochs; weights are also validated after the last epoch of each stage"""
     checkpoint_every: int = 200
-    """steps; also after each validation and stage"""
+    """steps; checkpoints are also written after each validation"""
     loss: LossOptions = field(default_factory=LossOptions)
     network: NetworkOptions = field(default_factory=NetworkOptions)
 
@@ -117,28 +117,28 @@ class TrainOptions:
 
     @property
     def system(self) -> Configuration:
-        """The configuration with the network and the losses of these options."""
+        """The configuration, with the network and losses of these options."""
         return replace(configuration(self.configuration), network=self.network, loss=self.loss)
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """Those to be trained, with the epochs of these options."""
+        """The stages to be trained, with the epochs of these options."""
         stages = configuration(self.configuration).stages
         left = stages[1:] if self.start and len(stages) > 1 else stages
         return tuple(replace(stage, epochs=self.epochs.get(stage.name, stage.epochs)) for stage in left)
 
     def with_rates(self) -> TrainOptions:
-        """The options with the rates that null stands for."""
+        """The options with both rates filled in where they are null."""
         usual, drawn = configuration(self.configuration), not (self.backbone_weights or self.start)
         backbone, new = (_SCRATCH_RATE, _SCRATCH_RATE) if drawn else (usual.backbone_rate, usual.rate)
         return replace(self, backbone_rate=self.backbone_rate or backbone, rate=self.rate or new)
 
 
 def usual_options(name: str) -> TrainOptions:
-    """The options of a configuration.
+    """The default options of a configuration.
 
     Raises:
-        ConfigError: there is none of that name.
+        ConfigError: no configuration has that name.
     """
     system = configuration(name)
     return TrainOptions(

@@ -1,1 +1,1 @@
-"""Every fault of a dataset on disk, with file and line."""
+"""Validation: every fault of a dataset on disk, with file and line."""

@@ -1,4 +1,4 @@
-"""Reading files to find every fault in them, where the readers that serve the work stop at the first."""
+"""Readers that find every fault of a file, whereas the usual readers stop at the first."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _POINT_COLUMNS = ("u", "v", "inverse_depth", "sigma")
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that a check has to say about a file."""
+    """One fault or note about a file."""
 
     message: str
     path: Path | None = None
@@ -49,7 +49,7 @@ class Finding:
 
 @dataclass
 class Findings:
-    """What a check found: faults, and notes on what is no fault but should be known."""
+    """The results of a check: faults, and notes on what is worth knowing but not a fault."""
 
     faults: list[Finding] = field(default_factory=list)
     notes: list[Finding] = field(default_factory=list)
@@ -62,14 +62,14 @@ class Findings:
 
     @contextmanager
     def catching(self) -> Iterator[None]:
-        """Keep the error that a reader raises, and go on."""
+        """Record an error that a reader raises as a fault, and continue."""
         try:
             yield
         except RelocbenchError as bad:
             self.fault(bad.expected, bad.path, bad.line)
 
     def by_place(self) -> Findings:
-        """The same, the findings of one file together and in the order of its lines."""
+        """The same findings, grouped by file and in the order of lines."""
         return Findings(_by_place(self.faults), _by_place(self.notes))
 
     @property
@@ -97,7 +97,7 @@ class TableRow:
 
 
 def read_yaml(path: Path, model: type[Model], what: str, found: Findings) -> Model | None:
-    """As :func:`relocbench.files.load_yaml`, with a fault for each key that is wrong."""
+    """Like :func:`relocbench.files.load_yaml`, with a fault for each wrong key."""
     with found.catching():
         values, node = load_yaml_values(path, what, DatasetError)
         try:
@@ -110,7 +110,7 @@ def read_yaml(path: Path, model: type[Model], what: str, found: Findings) -> Mod
 
 
 def read_pose_table(path: Path, found: Findings) -> dict[int, Array]:
-    """``poses.csv``: the rows that can be read, timestamp_ns -> (4, 4) ``T_world_rig``."""
+    """The valid rows of ``poses.csv``: timestamp_ns -> (4, 4) ``T_world_rig``."""
     poses: dict[int, Array] = {}
     last: int | None = None
     for number, row in _table(path, POSE_COLUMNS, "poses", found):
@@ -126,9 +126,9 @@ def read_pose_table(path: Path, found: Findings) -> dict[int, Array]:
 def read_pair_lines(
     path: Path, found: Findings, error: type[RelocbenchError] = DatasetError
 ) -> dict[PairKey, PoseLine]:
-    """A pair or prediction file: the lines whose pair can be read, the first of each pair.
+    """The lines of a pair or prediction file whose timestamps are valid, the first of each pair.
 
-    A line whose pose is faulty is kept without its pose.
+    A line with an invalid pose is returned without a pose.
     """
     lines: dict[PairKey, PoseLine] = {}
     with found.catching():
@@ -163,7 +163,7 @@ def _read_pair_line(
 
 
 def read_pair_table(path: Path, found: Findings) -> dict[PairKey, TableRow]:
-    """The table of a pair set: the rows whose pair can be read, the first of each pair."""
+    """The rows of a pair set's table whose timestamps are valid, the first of each pair."""
     rows: dict[PairKey, TableRow] = {}
     for number, values, fault in _pair_table(path, found):
         with found.catching():
@@ -193,7 +193,7 @@ def read_pair_table(path: Path, found: Findings) -> dict[PairKey, TableRow]:
 
 
 def _pair_table(path: Path, found: Findings) -> Iterator[tuple[int, dict[str, str], str]]:
-    """Line number, fields by column and what is wrong with their number of the rows after the header."""
+    """Line number, fields by column, and a fault of the number of fields (or empty), for each row after the header."""
     with found.catching():
         rows = read_csv(path, "the table of a pair set", DatasetError)
         columns = table_columns(next(rows, (1, []))[1], path)
@@ -203,7 +203,7 @@ def _pair_table(path: Path, found: Findings) -> Iterator[tuple[int, dict[str, st
 
 
 def check_points(path: Path, camera: Camera | None, found: Findings) -> int:
-    """Check sparse keyframe points; returns how many of them are sound."""
+    """Check sparse keyframe points and return the number of valid ones."""
     sound = 0
     for number, row in _table(path, _POINT_COLUMNS, "keyframe points", found):
         with found.catching():
@@ -212,14 +212,14 @@ def check_points(path: Path, camera: Camera | None, found: Findings) -> int:
                 raise DatasetError("inverse_depth must be positive and sigma not negative", path, number)
             if camera is not None and not camera.contains([u, v], border=-0.5):
                 raise DatasetError(
-                    f"pixel ({u:g}, {v:g}) is not on the {camera.width}x{camera.height} image", path, number
+                    f"pixel ({u:g}, {v:g}) is outside the {camera.width}x{camera.height} image", path, number
                 )
             sound += 1
     return sound
 
 
 def _table(path: Path, columns: tuple[str, ...], what: str, found: Findings) -> Iterator[tuple[int, list[str]]]:
-    """Line number and fields of the rows after the header."""
+    """Line number and fields of each row after the header."""
     with found.catching():
         rows = read_csv(path, what, DatasetError)
         if next(rows, (1, []))[1] != list(columns):

@@ -1,4 +1,4 @@
-"""Every fault of the pair sets of a dataset, with file and line."""
+"""Validation of a dataset's pair sets."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Array = NDArray[np.float64]
 
 POSE_TOLERANCE_M = 1e-3
 POSE_TOLERANCE_DEG = 0.01
-"""how far a pair may stand from the poses of its traversals that it was made from"""
+"""greatest difference between a pair's pose and the traversals' poses that it was made from"""
 _TABLE_TOLERANCE = 1e-6
-"""relative; the table is rounded to nine digits after the point"""
+"""relative; the table is rounded to nine decimals"""
 
 
 @dataclass
-class Drive:
-    """What is known of a traversal after its text was read."""
+class CheckedTraversal:
+    """A traversal whose text files have been checked, with its files by time."""
 
     layout: TraversalLayout
     file: TraversalFile | None
@@ -35,13 +35,13 @@ class Drive:
     times: dict[tuple[str, str], set[int]] = field(default_factory=lambda: defaultdict(set))
     """(images, depth or points; camera) -> timestamps"""
     without_depth: set[tuple[str, int]] = field(default_factory=set)
-    """(camera, timestamp) of depth or points files that hold no depth at all"""
+    """(camera, timestamp) of depth or points files without any depth"""
 
 
 def check_pair_sets(
-    layout: DatasetLayout, drives: dict[str, Drive], found: Findings, reporter: Reporter
+    layout: DatasetLayout, drives: dict[str, CheckedTraversal], found: Findings, reporter: Reporter
 ) -> dict[str, dict[PairKey, PoseLine]]:
-    """Check every pair set; returns the lines of each that could be read."""
+    """Check every pair set and return the valid lines of each."""
     names = sorted({p.stem for p in layout.pairs.glob("*") if p.suffix in (".txt", ".csv") and p.name[0] != "."})
     if not names:
         found.fault("holds no pair set (REF__QUERY__CAM.txt)", layout.pairs)
@@ -66,12 +66,12 @@ def _check_table(
     rows: dict[PairKey, TableRow],
     found: Findings,
 ) -> None:
-    """Whether the pair file and its table say the same."""
+    """Check that the pair file and its table agree."""
     pair_file, table = layout.pair_file(name), layout.pair_table(name)
     for key, row in rows.items():
         line = lines.get(key)
         if row.accepted != (line is not None):
-            where = "is missing from" if row.accepted else "was rejected but stands in"
+            where = "is missing from" if row.accepted else "was rejected but is listed in"
             found.fault(f"pair {key[0]} {key[1]} {where} {pair_file.name}", table, row.line)
         elif line is not None and line.T_query_ref is not None:
             values = {
@@ -81,7 +81,7 @@ def _check_table(
             for column, (stated, posed) in values.items():
                 if stated is not None and abs(stated - posed) > _TABLE_TOLERANCE * max(1.0, posed):
                     found.fault(
-                        f"{column} is {stated:.6g}, the pose in {pair_file.name} says {posed:.6g}", table, row.line
+                        f"{column} is {stated:.6g}, but {posed:.6g} by the pose in {pair_file.name}", table, row.line
                     )
     for key, line in lines.items():
         if key not in rows:
@@ -93,14 +93,14 @@ def _check_frames(
     name: str,
     lines: dict[PairKey, PoseLine],
     rows: dict[PairKey, TableRow],
-    drives: dict[str, Drive],
+    drives: dict[str, CheckedTraversal],
     found: Findings,
 ) -> None:
-    """Whether the images and depth that the pairs need are there, and the poses agree with those of the traversals."""
+    """Check that the pairs' images and depth exist and that their poses agree with those of the traversals."""
     path = layout.pair_file(name)
     parts = name.split("__")
     if len(parts) != 3:
-        found.fault("a pair file is named REF__QUERY__CAM.txt", path)
+        found.fault("expected a pair file named REF__QUERY__CAM.txt", path)
         return
     unknown = [part for part in parts[:2] if part not in drives]
     if unknown:
@@ -124,16 +124,17 @@ def _check_frames(
 
 def _compare_poses(
     path: Path,
-    reference: Drive,
-    query: Drive,
+    reference: CheckedTraversal,
+    query: CheckedTraversal,
     camera: str,
     lines: dict[PairKey, PoseLine],
     rows: dict[PairKey, TableRow],
     found: Findings,
 ) -> None:
-    """Truth made from the traversals' poses must still agree with them; truth from elsewhere may differ.
+    """Compare the pairs' poses with those of the traversals.
 
-    A pair whose table names a source with the word 'poses' was made from them.
+    A pair whose source contains the word 'poses' was made from the traversals' poses and must agree with them; other
+    pairs may differ.
     """
     if reference.file is None or query.file is None:
         return
@@ -151,7 +152,7 @@ def _compare_poses(
         source = rows[key].source if key in rows else ""
         if "poses" in source.lower().split():
             found.fault(
-                f"pose differs by {metres:.4g} m and {degrees:.4g} deg from poses.csv, its stated source ('{source}')",
+                f"pose differs by {metres:.4g} m and {degrees:.4g} deg from poses.csv, its source ('{source}')",
                 path,
                 line.line,
             )
@@ -160,7 +161,7 @@ def _compare_poses(
     if elsewhere:
         metres, degrees = np.median(elsewhere, axis=0)
         found.note(
-            f"{len(elsewhere)} pairs differ from poses.csv, which they do not claim to come from "
+            f"{len(elsewhere)} pairs, which have another source, differ from poses.csv "
             f"(median {metres:.4g} m, {degrees:.4g} deg)",
             path,
         )

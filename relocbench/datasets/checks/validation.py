@@ -1,4 +1,4 @@
-"""Every fault of a dataset on disk, with file and line."""
+"""Validation of a dataset on disk: every fault, with file and line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from relocbench.datasets.checks.faults import (
     read_pose_table,
     read_yaml,
 )
-from relocbench.datasets.checks.pair_sets import Drive, check_pair_sets
+from relocbench.datasets.checks.pair_sets import CheckedTraversal, check_pair_sets
 from relocbench.datasets.core import fingerprint, images
 from relocbench.datasets.core.layout import IMAGE_SUFFIXES, DatasetLayout
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
@@ -24,21 +24,20 @@ from relocbench.datasets.pairs.correspondences import check_rows, iterate_corres
 from relocbench.errors import DatasetError, RelocbenchError
 from relocbench.execution import default_workers
 from relocbench.files import load_yaml_values, sha256_file, whole_number, yaml_line
-from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
 
 def is_dataset_folder(path: Path) -> bool:
-    """Whether a folder is a dataset, or was to become one (a results folder has a ``dataset.yaml`` too)."""
+    """Whether a folder is a finished or unfinished dataset (a results folder also has a ``dataset.yaml``)."""
     layout = DatasetLayout(path)
     return layout.build_yaml.exists() or layout.manifest.exists() or layout.traversals.is_dir()
 
 
 def validate_dataset(root: Path, reporter: Reporter, *, quick: bool = False) -> Findings:
-    """Check everything about a dataset folder.
+    """Check everything in a dataset folder.
 
     Args:
-        quick: hash and decode no image; descriptions, poses, points and pairs are read all the same.
+        quick: neither hash nor decode images; descriptions, poses, points and pairs are checked nevertheless.
     """
     found = Findings()
     layout = DatasetLayout(root)
@@ -60,7 +59,7 @@ def validate_dataset(root: Path, reporter: Reporter, *, quick: bool = False) -> 
     return found
 
 
-def _check_traversals(layout: DatasetLayout, found: Findings) -> dict[str, Drive]:
+def _check_traversals(layout: DatasetLayout, found: Findings) -> dict[str, CheckedTraversal]:
     folders = sorted(p for p in layout.traversals.iterdir() if p.is_dir()) if layout.traversals.is_dir() else []
     if not folders:
         found.fault("holds no traversal", layout.traversals)
@@ -70,13 +69,13 @@ def _check_traversals(layout: DatasetLayout, found: Findings) -> dict[str, Drive
         file = read_yaml(traversal.traversal_yaml, TraversalFile, "a traversal description", found)
         if file is not None and file.name != folder.name:
             found.fault(f"key 'name' is '{file.name}', expected the folder's name", traversal.traversal_yaml)
-        drives[folder.name] = Drive(traversal, file, read_pose_table(traversal.poses, found))
+        drives[folder.name] = CheckedTraversal(traversal, file, read_pose_table(traversal.poses, found))
     return drives
 
 
 def _check_content(
     layout: DatasetLayout,
-    drives: dict[str, Drive],
+    drives: dict[str, CheckedTraversal],
     digests: dict[str, str],
     found: Findings,
     reporter: Reporter,
@@ -88,32 +87,32 @@ def _check_content(
         for kind in ("images", "depth", "points"):
             for path in sorted((drive.layout.root / kind).glob("*/*")):
                 if path.name.startswith(".") and ".part" in path.name:
-                    found.note("left behind by a build that was killed", path)
+                    found.note("is left over from a killed build", path)
                 elif _listed_time(drive, kind, path, found) and (not quick or kind == "points"):
                     digest = digests.get(path.relative_to(layout.root).as_posix(), "")
                     checks.append(partial(_check_file, drive, kind, path, digest))
         _check_cameras(drive, found)
-    # Decoding and hashing let go of the interpreter's lock: threads are enough, and nothing is copied.
+    # Decoding and hashing release the interpreter's lock, so threads suffice and nothing is copied.
     with ThreadPoolExecutor(default_workers()) as pool, reporter.stage("reading images", len(checks)) as advance:
         for result in pool.map(lambda check: check(), checks):
             found.faults += result.faults
             advance(1)
 
 
-def _listed_time(drive: Drive, kind: str, path: Path, found: Findings) -> bool:
-    """Whether a file stands where the format expects one of its kind; it is then entered in the drive's times."""
+def _listed_time(drive: CheckedTraversal, kind: str, path: Path, found: Findings) -> bool:
+    """Whether a file has the name that the format expects; if so, its time is added to the drive's times."""
     suffixes = {"images": IMAGE_SUFFIXES, "depth": (".png",), "points": (".csv",)}[kind]
     if path.suffix not in suffixes or whole_number(path.stem) is None:
         found.fault(f"expected a file TIMESTAMP{' or '.join(suffixes)}, the timestamp in nanoseconds", path)
         return False
     camera, time = path.parent.name, int(path.stem)
     if kind == "images" and time in drive.times[kind, camera]:
-        found.fault(f"a second image of camera '{camera}' at {time}", path)
+        found.fault(f"is a second image of camera '{camera}' at {time}", path)
     drive.times[kind, camera].add(time)
     return True
 
 
-def _check_cameras(drive: Drive, found: Findings) -> None:
+def _check_cameras(drive: CheckedTraversal, found: Findings) -> None:
     if drive.file is None:
         return
     for kind, camera in sorted(drive.times):
@@ -125,8 +124,8 @@ def _check_cameras(drive: Drive, found: Findings) -> None:
             found.fault(f"holds no image of camera '{camera}'", drive.layout.root / "images" / camera)
 
 
-def _check_file(drive: Drive, kind: str, path: Path, digest: str) -> Findings:
-    """Read one file; ``digest``: SHA-256 of its content as it was made, empty where that is not known."""
+def _check_file(drive: CheckedTraversal, kind: str, path: Path, digest: str) -> Findings:
+    """Check one file; ``digest`` is the SHA-256 of its original content, or empty if unknown."""
     found = Findings()
     entry = drive.file.cameras.get(path.parent.name) if drive.file else None
     camera = entry.camera if entry else None
@@ -135,21 +134,16 @@ def _check_file(drive: Drive, kind: str, path: Path, digest: str) -> Findings:
             depths = check_points(path, camera, found)
         else:
             read = images.read_image if kind == "images" else images.read_depth
-            depths = int(np.count_nonzero(read(path, None if camera is None else partial(_check_size, camera, path))))
+            size = None if camera is None else images.ExpectedSize(camera.size, f"camera '{path.parent.name}'")
+            depths = int(np.count_nonzero(read(path, size)))
         if kind != "images" and depths == 0:
             drive.without_depth.add((path.parent.name, int(path.stem)))
         _check_digest(path, digest, found)
     return found
 
 
-def _check_size(camera: Camera, path: Path, size: tuple[int, int]) -> None:
-    if size != camera.size:
-        wanted = "x".join(map(str, camera.size))
-        raise DatasetError(f"image is {size[0]}x{size[1]}, camera '{path.parent.name}' is {wanted}", path)
-
-
 def _check_digest(path: Path, digest: str, found: Findings) -> None:
-    """What was changed and can be read all the same."""
+    """Report a file that was changed but is still readable."""
     if digest and path not in found.faulty_files and sha256_file(path) != digest:
         found.fault("content was changed after the dataset was made", path)
 
@@ -197,7 +191,7 @@ def _check_rows(path: Path, lines: dict[PairKey, PoseLine], found: Findings) -> 
     for ref, query in sorted(unknown):
         found.fault(f"holds pair {ref} {query}, which is not in the pair set", path)
     if wrong:
-        found.fault(f"{wrong} rows hold no finite pixels and positive depth; the first is row {first}", path)
+        found.fault(f"{wrong} rows lack finite pixels or positive depth; the first is row {first}", path)
 
 
 def _check_splits(
@@ -208,11 +202,11 @@ def _check_splits(
         for index, name in enumerate(names):
             if name not in pair_sets:
                 line = yaml_line(node, ("splits", split, index))
-                found.fault(f"split '{split}' names pair set '{name}', which is not there", layout.dataset_yaml, line)
+                found.fault(f"split '{split}' names pair set '{name}', which is missing", layout.dataset_yaml, line)
 
 
 def _check_manifest(layout: DatasetLayout, file: DatasetFile, found: Findings) -> None:
-    """Files that are missing, added or changed, where reading them has not found it already."""
+    """Report files that are missing, added or changed, unless an earlier check has reported them."""
     with found.catching():
         fingerprint.check_manifest(layout, file)
     if not layout.manifest.exists():

@@ -1,4 +1,4 @@
-"""Options that all importers share."""
+"""The options that all importers share."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from relocbench.datasets.core.schema import Condition, Strict
 
 
 class ImportOptions(Strict):
-    """Fields are options of the command line (``pair_step`` is ``--pair-step``) and keys of a YAML file."""
+    """Options of an import. Each field is a command-line option (``pair_step`` is ``--pair-step``) and a YAML key."""
 
-    name: str = Field("", description="name of the dataset; default: after the kind and the recordings")
+    name: str = Field("", description="name of the dataset; default: made from the kind and the recordings")
     licence: str = Field("unknown", description="licence of the recordings, kept in dataset.yaml")
     pair_rule: Literal["step", "nearest"] | None = Field(
         None,
@@ -23,7 +23,7 @@ class ImportOptions(Strict):
     max_distance: float = Field(5.0, gt=0, description="farthest pair in metres (nearest rule)")
     max_angle: float = Field(60.0, gt=0, le=180, description="widest pair in degrees (nearest rule)")
     correspondences: int = Field(
-        2000, ge=0, description="ground-truth correspondences to keep a pair, drawn over the image; 0 for none"
+        2000, ge=0, description="ground-truth correspondences kept for each pair, spread over the image; 0 for none"
     )
     copy_images: bool = Field(False, description="copy images of the recording instead of linking to them")
     conditions: dict[str, Condition] = Field(

@@ -1,4 +1,4 @@
-"""A dataset in memory: traversals, keyframes and pairs, read from disk when asked for."""
+"""A dataset in memory: traversals, keyframes and pairs, read from disk on demand."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ class Dataset:
     """A dataset folder.
 
     Raises:
-        DatasetError: the folder is not a dataset, is not finished, or does not have the content its fingerprint says.
+        DatasetError: the folder is not a dataset, its build was not finished, or its manifest does not match its
+            fingerprint.
     """
 
     def __init__(self, root: Path | str) -> None:
@@ -35,6 +36,8 @@ class Dataset:
             raise DatasetError(why, self.root)
         self.file = load_yaml(self.layout.dataset_yaml, DatasetFile, "a dataset description", DatasetError)
         fingerprint.check_manifest(self.layout, self.file)
+        self._pair_sets: dict[str, PairSet] = {}
+        self._traversals: dict[str, Traversal] = {}
 
     @property
     def name(self) -> str:
@@ -46,7 +49,11 @@ class Dataset:
 
     @cached_property
     def question(self) -> str:
-        """SHA-256 over what is asked, the same on every processor. Raises DatasetError."""
+        """SHA-256 of what the dataset asks of methods, the same on every processor; see ``question_of``.
+
+        Raises:
+            DatasetError: a file of the dataset is bad.
+        """
         traversals = {name: self.traversal(name) for name in self.traversal_names}
         pair_sets = {name: self.pair_set(name) for name in self.pair_set_names}
         return question.question_of(self.file, traversals, pair_sets)
@@ -65,7 +72,7 @@ class Dataset:
         return sorted(p.stem for p in self.layout.pairs.glob("*.txt"))
 
     def traversal(self, name: str) -> Traversal:
-        """One traversal; reading is lazy. Raises DatasetError on an unknown name."""
+        """One traversal, read on demand. Raises DatasetError on an unknown name."""
         if name not in self._traversals:
             if name not in self.traversal_names:
                 known = ", ".join(self.traversal_names) or "none"
@@ -74,7 +81,7 @@ class Dataset:
         return self._traversals[name]
 
     def pair_set(self, name: str) -> PairSet:
-        """One pair set; reading is lazy. Raises DatasetError on an unknown name."""
+        """One pair set, read on demand. Raises DatasetError on an unknown name."""
         if name not in self.pair_set_names:
             known = ", ".join(self.pair_set_names) or "none"
             raise DatasetError(f"no pair set '{name}'; there is {known}", self.root)
@@ -99,11 +106,3 @@ class Dataset:
     def query(self, pair_set: PairSet, pair: Pair) -> Query:
         """The tracker's view of a pair's query."""
         return self.traversal(pair_set.query).query(pair_set.camera, pair.query_timestamp_ns)
-
-    @cached_property
-    def _pair_sets(self) -> dict[str, PairSet]:
-        return {}
-
-    @cached_property
-    def _traversals(self) -> dict[str, Traversal]:
-        return {}

@@ -1,7 +1,7 @@
-"""What a PNG or JPEG says of itself before it is decoded, and whether decoding it can be afforded.
+"""Headers of PNG and JPEG files, and checks that an image can safely be decoded.
 
-PNG: W3C Portable Network Graphics (third edition), 5 and 11. JPEG: ITU-T T.81, annex B. A decoder takes the memory that
-a header asks for, so that a file of a kilobyte can ask for gigabytes.
+A decoder allocates what the header asks for, so that a file of one kilobyte could make it allocate gigabytes. Formats:
+W3C Portable Network Graphics (third edition), sections 5 and 11; JPEG, ITU-T T.81, annex B.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from typing import Literal
 from relocbench.errors import DatasetError
 
 MOST_PIXELS = 2**26
-"""67 million: more than the sensors of the largest cameras in use have; a car's camera has one to eight million"""
+"""67 million, more than the largest camera sensors have; a car's camera has one to eight million"""
 MOST_DECODED_BYTES = 2**28
-"""256 MiB that a decoder may hold: 2^26 pixels of 8-bit RGBA, half as many with 16 bits. With the copies that are made
-of it, reading an image stays under a gigabyte."""
+"""256 MiB that a decoder may allocate: 2^26 pixels of 8-bit RGBA, half as many with 16 bits. Including later copies,
+reading an image takes less than a gigabyte."""
 MOST_FILE_BYTES = 2**28
-"""no file of an image with so many pixels is larger, unless noise was stored with 16 bits"""
+"""an image of at most so many pixels never needs a larger file, unless it is 16-bit noise"""
 _MOST_SCANS = 100
-"""of a JPEG; encoders write about 10. Each goes over the whole image, and one takes a few bytes."""
+"""scans of a JPEG. Encoders write about 10; a scan of a few bytes makes the decoder pass over the whole image."""
 _MOST_SCANNED_PIXELS = 2**28
-"""pixels times scans, a bound on time: 27 million pixels in the 10 scans that encoders write. Of noise, stored at the
-best quality, so many take a core some five seconds."""
+"""pixels times scans, which bounds the decoding time: 27 million pixels in the usual 10 scans. At this limit, noise at
+the best quality takes one core about five seconds."""
 
 PNG_START = b"\x89PNG\r\n\x1a\n"
 PNG_END = b"IEND\xaeB`\x82"
@@ -36,9 +36,9 @@ _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _PNG_BITS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
 _CRITICAL = (b"IHDR", b"PLTE", b"IDAT")
 _DEFLATE_RATIO = 1032
-"""bytes that one byte of deflated data can stand for at most (zlib's documentation)"""
+"""greatest ratio of raw to deflated bytes (zlib's documentation)"""
 _PIXELS_A_JPEG_BYTE = 512
-"""each block of 64 pixels takes at least one bit, of its DC coefficient"""
+"""each block of 64 pixels takes at least one bit, that of its DC coefficient"""
 _FRAMES = {0xC0, 0xC1, 0xC2}
 """baseline, extended, progressive; Huffman coded"""
 _OTHER_FRAMES = {0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
@@ -54,21 +54,21 @@ _OTHER_FORMATS = (
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What the header of a PNG or JPEG says."""
+    """The header of a PNG or JPEG."""
 
     format: Literal["PNG", "JPEG"]
     width: int
     height: int
     bits: int
-    """of a sample"""
+    """per sample"""
     channels: int
     """as stored: 1 for a palette"""
     decoded_bytes: int
-    """that a decoder holds of it, at least"""
+    """least memory that a decoder allocates"""
     pixels_at: int = 0
-    """first byte after the header, of a JPEG"""
+    """JPEG: offset of the first byte after the header"""
     in_scans: bool = False
-    """a JPEG that is built up from several scans"""
+    """JPEG: whether the image is built up from several scans"""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -77,14 +77,14 @@ class ImageHeader:
 
 
 def read_header(data: bytes, path: Path) -> ImageHeader:
-    """The header of an image.
+    """Parse the header of an image.
 
     Args:
         data: the whole file.
-        path: of the file, for messages.
+        path: the file's path, for messages.
 
     Raises:
-        DatasetError: neither PNG nor JPEG, cut off, or with a header that no image has.
+        DatasetError: the file is neither PNG nor JPEG, is truncated, or has an impossible header.
     """
     if data.startswith(PNG_START):
         if not data.endswith(PNG_END):
@@ -95,25 +95,25 @@ def read_header(data: bytes, path: Path) -> ImageHeader:
     if len(data) < 8:
         raise DatasetError("truncated or not an image; expected a whole PNG or JPEG", path)
     other = next((name for start, name in _OTHER_FORMATS if re.match(start, data[:16], re.DOTALL)), None)
-    told = f" (its content is {other})" if other else ""
-    raise DatasetError(f"cannot be decoded{told}; expected a PNG or JPEG", path)
+    reason = f" (its content is {other})" if other else ""
+    raise DatasetError(f"cannot be decoded{reason}; expected a PNG or JPEG", path)
 
 
 def check_affordable(header: ImageHeader, path: Path) -> None:
-    """Raises DatasetError where an image has more pixels, or takes more memory, than is spent on one."""
-    told = f"is {header.width}x{header.height}"
+    """Raise DatasetError if an image has too many pixels or would take too much memory."""
+    size = f"is {header.width}x{header.height}"
     if header.width * header.height > MOST_PIXELS:
-        raise DatasetError(f"{told}, more than the {MOST_PIXELS} pixels that an image may have", path)
+        raise DatasetError(f"{size}, more than the {MOST_PIXELS} pixels that an image may have", path)
     if header.decoded_bytes > MOST_DECODED_BYTES:
-        raise DatasetError(f"{told} and takes {header.decoded_bytes} bytes, more than {MOST_DECODED_BYTES}", path)
+        raise DatasetError(f"{size} and takes {header.decoded_bytes} bytes, more than {MOST_DECODED_BYTES}", path)
 
 
 def check_content(data: bytes, header: ImageHeader, path: Path) -> None:
-    """Look over what follows the header, without decoding it.
+    """Check what follows the header, without decoding it.
 
     Raises:
-        DatasetError: parts are damaged or cut off, there are too few data for the image's size, a PNG is animated, or
-            a JPEG has too many scans.
+        DatasetError: the data are damaged, truncated or too few for the image's size, a PNG is animated, or a JPEG
+            has too many scans.
     """
     if header.format == "PNG":
         _check_png(data, header, path)
@@ -132,7 +132,7 @@ def _png_header(data: bytes, path: Path) -> ImageHeader:
     if not known or not 0 < width < 2**31 or not 0 < height < 2**31:
         raise _damaged("PNG", path)
     channels = _PNG_CHANNELS[colour]
-    # Palettes and grey with alpha become colours when they are decoded.
+    # Palettes and grey images with alpha are decoded to colours.
     held = width * height * (4 if colour in (3, 4) else channels) * (2 if bits == 16 else 1)
     return ImageHeader("PNG", width, height, bits, channels, held)
 
@@ -157,8 +157,8 @@ def _check_png(data: bytes, header: ImageHeader, path: Path) -> None:
             raise _damaged("PNG", path)
     row = 1 + (header.width * header.channels * header.bits + 7) // 8
     if row * header.height > _DEFLATE_RATIO * (compressed + 1):
-        told = f"{compressed} bytes of pixels are too few for {header.width}x{header.height}"
-        raise DatasetError(f"cannot be decoded ({told})", path)
+        reason = f"{compressed} bytes of pixels are too few for {header.width}x{header.height}"
+        raise DatasetError(f"cannot be decoded ({reason})", path)
 
 
 def _jpeg_header(data: bytes, path: Path) -> ImageHeader:
@@ -175,28 +175,28 @@ def _jpeg_header(data: bytes, path: Path) -> ImageHeader:
     known = bits == 8 and channels in (1, 3, 4) and length == 6 + 3 * channels
     if not known or width == 0 or height == 0 or scan_length == 0:
         raise _damaged("JPEG", path)
-    # All coefficients are kept, 2 bytes each, where the first scan does not bring the whole image.
+    # If the first scan does not bring the whole image, the decoder keeps all coefficients, 2 bytes each.
     in_scans = marker == 0xC2 or data[scan] < channels
     held = width * height * max(3, channels) * (2 if in_scans else 1)
     return ImageHeader("JPEG", width, height, bits, channels, held, scan, in_scans)
 
 
 def _check_jpeg(data: bytes, header: ImageHeader, path: Path) -> None:
-    """Entropy-coded data hold 0xFF with 0 after it alone, so that markers are found by searching."""
+    """Check the scans. In entropy-coded data 0xFF is always followed by 0, so that a search finds the markers."""
     begin = header.pixels_at
     if data.rfind(b"\xff\xd9", begin) < 0:
         raise DatasetError("truncated: it has no end; expected a whole PNG or JPEG", path)
     pixels = header.width * header.height
     if pixels > _PIXELS_A_JPEG_BYTE * (len(data) - begin):
-        told = f"{len(data) - begin} bytes of pixels are too few for {header.width}x{header.height}"
-        raise DatasetError(f"cannot be decoded ({told})", path)
+        reason = f"{len(data) - begin} bytes of pixels are too few for {header.width}x{header.height}"
+        raise DatasetError(f"cannot be decoded ({reason})", path)
     scans = 1 + data.count(b"\xff\xda", begin, data.find(b"\xff\xd9", begin)) if header.in_scans else 1
     if scans > _MOST_SCANS or pixels * scans > _MOST_SCANNED_PIXELS:
         raise DatasetError(f"cannot be decoded (a JPEG of {scans} scans, which would take too long)", path)
 
 
 def _jpeg_segments(data: bytes, path: Path) -> list[tuple[int, int, int]]:
-    """Marker, first byte of the content and its length, of each segment up to the first scan."""
+    """Marker, offset and length of each segment's content, up to the first scan."""
     out = []
     at = 2
     while True:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,21 +27,34 @@ DEPTH_SCALE = 256.0
 """a stored depth of 256 is one metre"""
 _POINT_HEADER = "u,v,inverse_depth,sigma"
 
-SizeCheck = Callable[[tuple[int, int]], None]
-"""raises where an image of that size, (width, height), is not the one expected"""
+
+@dataclass(frozen=True)
+class ExpectedSize:
+    """The size that an image must have."""
+
+    size: tuple[int, int]
+    """(width, height) in pixels"""
+    source: str
+    """where the size comes from, for messages"""
+
+    def check(self, size: tuple[int, int], path: Path) -> None:
+        """Raise DatasetError if an image's size (width, height) is another one."""
+        if size != self.size:
+            found, expected = ("x".join(map(str, s)) for s in (size, self.size))
+            raise DatasetError(f"image is {found}, expected {expected} ({self.source})", path)
 
 
-def read_image(path: Path, check_size: SizeCheck | None = None) -> NDArray[np.uint8]:
-    """An 8-bit image, (H, W) grey or (H, W, 3) RGB, as it is stored: an orientation that it tells is not followed.
+def read_image(path: Path, expected: ExpectedSize | None = None) -> NDArray[np.uint8]:
+    """An 8-bit image, (H, W) grey or (H, W, 3) RGB, as stored: an orientation in its metadata is ignored.
 
     Args:
-        check_size: called before anything is decoded, where the size is known.
+        expected: the size, which is checked before anything is decoded.
 
     Raises:
-        DatasetError: naming the file: it is missing, neither PNG nor JPEG, damaged, or too large
-            (:mod:`relocbench.datasets.core.image_header` has the limits); or as ``check_size`` does.
+        DatasetError: the file is missing, neither PNG nor JPEG, damaged or too large
+            (:mod:`relocbench.datasets.core.image_header` has the limits), or has another size.
     """
-    image = _decode(path, check_size)
+    image = _decode(path, expected)
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
     if image.dtype != np.uint8:
@@ -54,32 +67,32 @@ def read_image(path: Path, check_size: SizeCheck | None = None) -> NDArray[np.ui
 
 
 def write_image(path: Path, image: NDArray[np.uint8]) -> None:
-    """An 8-bit PNG of (H, W) grey or (H, W, 3) RGB."""
+    """Write (H, W) grey or (H, W, 3) RGB as an 8-bit PNG."""
     write_bytes(path, png_bytes(image))
 
 
-def read_depth(path: Path, check_size: SizeCheck | None = None) -> NDArray[np.float32]:
-    """Depth along z in metres, (H, W), 0 where unknown. Raises DatasetError as :func:`read_image`."""
-    return read_raw_depth(path, 1.0 / DEPTH_SCALE, check_size)
+def read_depth(path: Path, expected: ExpectedSize | None = None) -> NDArray[np.float32]:
+    """Depth along z in metres, (H, W), 0 where unknown. Raises DatasetError like :func:`read_image`."""
+    return read_raw_depth(path, 1.0 / DEPTH_SCALE, expected)
 
 
-def read_raw_depth(path: Path, metres_per_unit: float, check_size: SizeCheck | None = None) -> NDArray[np.float32]:
-    """A 16-bit PNG times ``metres_per_unit``. Raises DatasetError as :func:`read_image`."""
-    stored = _decode(path, check_size)
+def read_raw_depth(path: Path, metres_per_unit: float, expected: ExpectedSize | None = None) -> NDArray[np.float32]:
+    """The values of a 16-bit PNG times ``metres_per_unit``, (H, W). Raises DatasetError like :func:`read_image`."""
+    stored = _decode(path, expected)
     if stored.dtype != np.uint16 or stored.ndim != 2:
         raise DatasetError(f"pixels are {stored.dtype} x {stored.ndim - 1}, expected a 16-bit depth PNG", path)
     return stored.astype(np.float32) * np.float32(metres_per_unit)
 
 
 def write_depth(path: Path, depth: NDArray[np.floating]) -> None:
-    """A 16-bit PNG; depths that are not positive, not finite or beyond 256 m become 0 (unknown)."""
+    """Write depth (H, W) in metres as a 16-bit PNG; what is not positive, not finite or beyond 256 m becomes 0."""
     stored = np.rint(np.asarray(depth, dtype=np.result_type(depth, np.float32)) * DEPTH_SCALE)
     stored[~((stored >= 1) & (stored <= 65535))] = 0
     write_bytes(path, png_bytes(stored.astype(np.uint16)))
 
 
 def read_points(path: Path) -> KeyframePoints:
-    """Sparse keyframe points. Raises DatasetError with file and line."""
+    """Read sparse keyframe points. Raises DatasetError with file and line."""
     lines = lines_of(read_text(path, f"keyframe points ({_POINT_HEADER})", DatasetError))
     if not lines or lines[0] != _POINT_HEADER:
         raise DatasetError(f"expected the header {_POINT_HEADER}", path, 1)
@@ -93,7 +106,7 @@ def read_points(path: Path) -> KeyframePoints:
 
 
 def write_points(path: Path, points: KeyframePoints) -> None:
-    """One line a point, in the order given."""
+    """Write sparse keyframe points, one per line, in the given order."""
     with atomic_write(path) as stream:
         stream.write(_POINT_HEADER + "\n")
         for (u, v), idepth, sigma in zip(
@@ -102,12 +115,20 @@ def write_points(path: Path, points: KeyframePoints) -> None:
             stream.write(f"{u!r},{v!r},{idepth!r},{sigma!r}\n")
 
 
+def as_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W, 3) of a grey (H, W) or RGB (H, W, 3) image."""
+    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+
+
+def as_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W) of a grey (H, W) or RGB (H, W, 3) image."""
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+
+
 def is_whole(path: Path) -> bool:
-    """Whether an image file has its end (cheap: nothing is decoded). Existence is not integrity."""
-    if not path.is_file():
-        return False
+    """Whether an image file exists and was written to its end. Nothing is decoded."""
     try:
-        if not path.is_file():  # opening a pipe would wait for whoever writes to it
+        if not path.is_file():  # opening a pipe would wait for its writer
             return False
         with path.open("rb") as stream:
             start = stream.read(8)
@@ -119,11 +140,11 @@ def is_whole(path: Path) -> bool:
         return False
 
 
-def _decode(path: Path, check_size: SizeCheck | None) -> NDArray[Any]:
+def _decode(path: Path, expected: ExpectedSize | None) -> NDArray[Any]:
     data = read_bytes(path, "an image", DatasetError, MOST_FILE_BYTES)
     header = read_header(data, path)
-    if check_size is not None:
-        check_size(header.size)
+    if expected is not None:
+        expected.check(header.size, path)
     check_affordable(header, path)
     check_content(data, header, path)
     try:

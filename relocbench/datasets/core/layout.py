@@ -1,4 +1,4 @@
-"""Where each file of a dataset lies. Nothing else knows a path."""
+"""The path of each file of a dataset. No other module composes such paths."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class DatasetLayout:
 
     @property
     def build_yaml(self) -> Path:
-        """The configuration of the build, written first: a folder that has it is ours."""
+        """The build's configuration, written first: it marks a folder as one that the build may write to."""
         return self.root / "build.yaml"
 
     @property
     def manifest(self) -> Path:
-        """path,bytes,sha256 of every file that can change a score."""
+        """Table of path, bytes and sha256 of every file that can change a score."""
         return self.root / "manifest.csv"
 
     @property
@@ -74,7 +74,7 @@ class TraversalLayout:
         return self.root / "images" / camera / f"{timestamp_ns}{suffix}"
 
     def find_image(self, camera: str, timestamp_ns: int) -> Path | None:
-        """The image under any of the known suffixes."""
+        """The path of an image that exists with any of the known suffixes, or None."""
         for suffix in IMAGE_SUFFIXES:
             path = self.image(camera, timestamp_ns, suffix)
             if path.exists() or path.is_symlink():
@@ -88,7 +88,7 @@ class TraversalLayout:
         return self.root / "points" / camera / f"{timestamp_ns}.csv"
 
     def timestamps(self, kind: str, camera: str) -> list[int]:
-        """Sorted timestamps of what lies in ``images``, ``depth`` or ``points`` of a camera."""
+        """Sorted timestamps of the files in a camera's ``images``, ``depth`` or ``points`` folder."""
         folder = self.root / kind / camera
         if not folder.is_dir():
             return []

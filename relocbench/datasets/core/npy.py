@@ -1,4 +1,4 @@
-"""NumPy's files from bytes: what they declare is held against their size before memory is taken."""
+"""NumPy files from bytes; the declared size is compared with the real one before memory is allocated."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from relocbench.errors import DatasetError
 
 _HEADERS = {(1, 0): npy_format.read_array_header_1_0, (2, 0): npy_format.read_array_header_2_0}
 _MOST_HEADER = 10_000
-"""characters; numpy's own limit"""
+"""characters; NumPy's own limit"""
 
 
 def parse_npy(data: bytes, path: Path) -> NDArray[Any]:
     """The array of a ``.npy`` file of numbers, or of records of numbers.
 
     Raises:
-        DatasetError: no such file, objects or text in place of numbers, or fewer bytes than its shape needs.
+        DatasetError: it is not such a file, holds objects or text, or has fewer bytes than its shape needs.
     """
     stream = io.BytesIO(data)
     try:
         version = npy_format.read_magic(stream)
         shape, in_columns, dtype = _HEADERS[version](stream, max_header_size=_MOST_HEADER)
-    # The header is a Python literal: what parsing foreign text as one raises is not listed anywhere.
+    # The header is a Python literal, and which errors parsing arbitrary text as one raises is not documented.
     except Exception as bad:
         raise DatasetError("cannot be read as a NumPy array", path) from bad
     kinds = [dtype[name].base for name in dtype.names] if dtype.names else [dtype]
     if any(kind.kind not in "iuf" for kind in kinds):
-        raise DatasetError("holds something else than integers and floats; expected a NumPy array of numbers", path)
+        raise DatasetError("holds values other than integers and floats; expected a NumPy array of numbers", path)
     count, there = math.prod(shape), len(data) - stream.tell()
     if min(shape, default=0) < 0 or count * dtype.itemsize > there:
-        raise DatasetError(f"is cut off: its header promises {count} entries of {dtype.itemsize} bytes", path)
+        raise DatasetError(f"is truncated: its header promises {count} entries of {dtype.itemsize} bytes", path)
     values = np.frombuffer(data, dtype=dtype, count=count, offset=stream.tell()) if count else np.empty(0, dtype)
     return values.reshape(shape, order="F" if in_columns else "C").copy()
 
 
 def parse_npz(data: bytes, names: Iterable[str], path: Path) -> dict[str, NDArray[Any]]:
-    """Arrays of an archive that :func:`numpy.savez` wrote, which compresses nothing.
+    """Arrays of an uncompressed archive that :func:`numpy.savez` wrote.
 
     Raises:
-        DatasetError: no such archive, an array is missing, compressed or damaged.
+        DatasetError: it is not such an archive, or an array is missing, compressed or damaged.
     """
     out = {}
     try:
@@ -59,7 +59,7 @@ def parse_npz(data: bytes, names: Iterable[str], path: Path) -> dict[str, NDArra
                 out[name] = parse_npy(archive.read(entry), path)
     except DatasetError:
         raise
-    # Besides BadZipFile: what is encrypted, split, of another version or cut off raises as it likes.
+    # Archives that are encrypted, split, truncated or of another version raise more than BadZipFile.
     except Exception as bad:
-        raise DatasetError(f"is no whole archive of arrays ({type(bad).__name__})", path) from bad
+        raise DatasetError(f"is not a complete archive of arrays ({type(bad).__name__})", path) from bad
     return out

@@ -1,4 +1,4 @@
-"""The pairs of two traversals of a dataset, read from disk when asked for."""
+"""The pairs of two traversals of a dataset, read from disk on demand."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from relocbench.errors import DatasetError
 
 
 class PairSet:
-    """All pairs of one reference traversal and one query traversal and camera."""
+    """All pairs of one reference traversal, one query traversal and one camera."""
 
     def __init__(self, layout: DatasetLayout, name: str) -> None:
         parts = name.split("__")
@@ -23,22 +23,22 @@ class PairSet:
 
     @cached_property
     def all_pairs(self) -> list[Pair]:
-        """Accepted and rejected, in the table's order."""
+        """Accepted and rejected pairs, in the table's order."""
         return pairfile.read_pairs(self.layout.pair_file(self.name), self.layout.pair_table(self.name))
 
     @cached_property
     def pairs(self) -> list[Pair]:
-        """What a method is asked and scored on: the accepted ones."""
+        """The accepted pairs: those that methods answer and are scored on."""
         return [p for p in self.all_pairs if p.accepted]
 
     @property
     def rejected(self) -> list[Pair]:
-        """Pairs whose ground truth was rejected; they are not in the set, their number is printed."""
+        """Pairs whose ground truth was rejected. They are never scored, only counted."""
         return [p for p in self.all_pairs if not p.accepted]
 
     @property
     def has_truth(self) -> bool:
-        """Whether every pair has its pose (challenges withhold them)."""
+        """Whether every pair has its true pose, which challenges withhold."""
         return all(p.T_query_ref is not None for p in self.pairs)
 
     @cached_property

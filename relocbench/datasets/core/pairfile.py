@@ -1,8 +1,8 @@
 """Pair files: the MLAD / 4Seasons relocalization file, and the table of what its nine columns cannot hold.
 
-A line of the first is ``ref_ts query_ts`` or ``ref_ts query_ts tx ty tz qx qy qz qw``, the pose being
-``T_query_ref``, camera to camera. ``#`` starts a comment; commas or spaces part the columns when read, single spaces
-when written.
+A line of the first is ``ref_ts query_ts`` or ``ref_ts query_ts tx ty tz qx qy qz qw``, where the pose is
+``T_query_ref``, camera to camera. ``#`` starts a comment. Columns are read with commas or spaces between them and
+written with single spaces.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PairKey = tuple[int, int]
 
 QUATERNION_TOLERANCE = 1e-3
 TRUTH_DECIMALS = 9
-"""of metres and quaternion components in files of true poses"""
+"""decimals of metres and quaternion components in files of true poses"""
 _POSE_COLUMNS = "tx ty tz qx qy qz qw"
 TABLE_COLUMNS = (
     "ref_timestamp_ns",
@@ -43,7 +43,7 @@ TABLE_COLUMNS = (
     "reason",
 )
 AXIS_COLUMNS = ("sigma_along_m", "sigma_across_m", "sigma_height_m")
-"""follow where they are known of any pair"""
+"""further columns, present if known for any pair"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +53,9 @@ class PoseLine:
     ref_timestamp_ns: int
     query_timestamp_ns: int
     T_query_ref: Array | None
-    """(4, 4), None where the pose is withheld or, in predictions, not finite"""
+    """(4, 4), None if the pose is withheld or, in predictions, not finite"""
     line: int = 0
-    """1-based, where it was read"""
+    """1-based line number in the file it was read from"""
 
     @property
     def key(self) -> PairKey:
@@ -64,18 +64,18 @@ class PoseLine:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """One (reference keyframe, query) with the ground truth and what is known about it."""
+    """One pair of a reference keyframe and a query, with its ground truth."""
 
     ref_timestamp_ns: int
     query_timestamp_ns: int
     T_query_ref: Array | None
     """(4, 4) ground truth, None where it is withheld"""
     group: str = ""
-    """part of the pair set that tables show on its own, such as ``step_4``"""
+    """part of the pair set that tables report separately, such as ``step_4``"""
     overlap: float | None = None
     """share of the reference's pixels with depth that the query sees"""
     sigma_translation_m: float | None = None
-    """one standard deviation of the true camera centre, a direction"""
+    """one standard deviation of the true camera centre, per direction"""
     sigma_rotation_deg: float | None = None
     source: str = ""
     """how the truth was obtained"""
@@ -83,14 +83,14 @@ class Pair:
     reason: str = ""
     """why it was rejected"""
     sigma_along_m: float | None = None
-    """one standard deviation of the true camera centre along the way driven"""
+    """one standard deviation of the true camera centre along the direction of travel"""
     sigma_across_m: float | None = None
-    """to the side"""
+    """the same to the side"""
     sigma_height_m: float | None = None
 
     @property
     def axis_sigmas(self) -> tuple[float | None, float | None, float | None]:
-        """In the order of :data:`AXIS_COLUMNS`."""
+        """The sigmas in the order of :data:`AXIS_COLUMNS`."""
         return self.sigma_along_m, self.sigma_across_m, self.sigma_height_m
 
     @property
@@ -99,19 +99,19 @@ class Pair:
 
     @cached_property
     def distance_m(self) -> float | None:
-        """Between the camera centres."""
+        """Distance between the camera centres."""
         return None if self.T_query_ref is None else float(np.linalg.norm(self.T_query_ref[:3, 3]))
 
     @cached_property
     def angle_deg(self) -> float | None:
-        """Between the viewing directions and about them."""
+        """Angle of the relative rotation."""
         if self.T_query_ref is None:
             return None
         return float(np.degrees(rotation_angle(self.T_query_ref[:3, :3])))
 
 
 def distances_and_angles(pairs: Sequence[Pair]) -> list[tuple[float | None, float | None]]:
-    """``distance_m`` and ``angle_deg`` of many pairs at once, which is much faster than one by one."""
+    """``distance_m`` and ``angle_deg`` of many pairs, computed together, which is much faster than one by one."""
     known = [p.T_query_ref for p in pairs if p.T_query_ref is not None]
     T = np.array(known, dtype=np.float64).reshape(-1, 4, 4)
     distances = np.linalg.norm(T[:, :3, 3], axis=1).tolist()
@@ -126,12 +126,12 @@ def read_pose_lines(
     """Parse a pair or prediction file.
 
     Args:
-        error: what is raised.
-        allow_non_finite: take a pose that is not finite for no pose, as the failure policy does with predictions.
+        error: the error class to raise.
+        allow_non_finite: treat a pose that is not finite as missing, as the failure policy does with predictions.
 
     Raises:
-        RelocbenchError: (as ``error``) with file and line: wrong number of columns, no number, a value that is not
-            finite, a quaternion that is not of norm 1, a pair that occurs twice.
+        RelocbenchError: (as ``error``) with file and line: a wrong number of columns, a value that is not a finite
+            number, a quaternion whose norm is not 1, or a pair that occurs twice.
     """
     keys: dict[PairKey, int] = {}
     poses: dict[int, list[float]] = {}
@@ -154,7 +154,7 @@ def read_pose_lines(
 def parse_pose_numbers(
     fields: list[str], path: Path, line: int, error: type[RelocbenchError] = DatasetError
 ) -> list[float]:
-    """``tx ty tz qx qy qz qw`` as seven finite numbers with a unit quaternion. Raises ``error`` with file and line."""
+    """Parse ``tx ty tz qx qy qz qw``: seven finite numbers with a unit quaternion. Raises ``error`` with the line."""
     values = parse_floats(fields, path, line, _POSE_COLUMNS, error)
     norm = math.hypot(*values[3:])
     if abs(norm - 1.0) > QUATERNION_TOLERANCE:
@@ -163,22 +163,22 @@ def parse_pose_numbers(
 
 
 def parse_pose(fields: list[str], path: Path, line: int, error: type[RelocbenchError] = DatasetError) -> Array:
-    """(4, 4) of ``tx ty tz qx qy qz qw``. Raises ``error`` with file and line."""
+    """Parse ``tx ty tz qx qy qz qw`` as a (4, 4) transform. Raises ``error`` with file and line."""
     values = parse_pose_numbers(fields, path, line, error)
     return transform_from_tq(values[:3], values[3:])
 
 
 def pose_fields(transform: Array) -> list[str]:
-    """``tx ty tz qx qy qz qw`` in the fewest digits that read back to the same numbers."""
+    """``tx ty tz qx qy qz qw`` as text, in the fewest digits that read back to the same numbers."""
     translation, quaternion = transform_to_tq(transform)
     return number_fields([*translation.tolist(), *quaternion.tolist()])
 
 
 def truth_fields(transform: Array) -> list[str]:
-    """As :func:`pose_fields`, to a nanometre and a billionth: what true poses are written with.
+    """``tx ty tz qx qy qz qw`` of a true pose as text, rounded to nine decimals.
 
-    Products and decompositions of matrices differ between processors by some 1e-16; written so, truth is the same text
-    on all of them, but for the rare number that lies between two roundings.
+    Matrix products and decompositions differ between processors by about 1e-16. Rounded, true poses are the same text
+    on all of them, except for the rare number that lies halfway between two roundings.
     """
     translation, quaternion = transform_to_tq(transform)
     return number_fields([round(value, TRUTH_DECIMALS) for value in (*translation.tolist(), *quaternion.tolist())])
@@ -190,18 +190,18 @@ def number_fields(pose: Sequence[float]) -> list[str]:
 
 
 def write_pose_lines(path: Path, lines: Sequence[PoseLine]) -> None:
-    """Write a pair or prediction file in the order given."""
+    """Write a pair or prediction file in the given order."""
     write_text(path, _pose_text([line.key for line in lines], [line.T_query_ref for line in lines]))
 
 
 def pose_line_fields(line: PoseLine) -> list[str]:
-    """The two or nine columns of a line."""
+    """The two or nine columns of a line, as text."""
     pose = [] if line.T_query_ref is None else pose_fields(line.T_query_ref)
     return [str(line.ref_timestamp_ns), str(line.query_timestamp_ns), *pose]
 
 
 def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> None:
-    """Write accepted pairs to the nine-column file and all pairs, with the rest of what is known, to the table."""
+    """Write the accepted pairs to the nine-column file and all pairs, with everything known, to the table."""
     by_axis = any(s is not None for p in pairs for s in p.axis_sigmas)
     with atomic_write(pair_table) as stream:
         table = csv.writer(stream, lineterminator="\n")
@@ -228,13 +228,13 @@ def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> Non
 
 
 def pose_numbers(transforms: Sequence[Array | None]) -> Array:
-    """(M, 7) ``tx ty tz qx qy qz qw`` of the M poses that are known, much faster at once than one by one."""
+    """``tx ty tz qx qy qz qw`` (M, 7) of the M known poses, computed together, which is much faster."""
     known = [T for T in transforms if T is not None]
     return np.concatenate(transform_to_tq(np.array(known, dtype=np.float64).reshape(-1, 4, 4)), axis=1)
 
 
 def _pose_text(keys: Sequence[PairKey], transforms: Sequence[Array | None], decimals: int | None = None) -> str:
-    """Lines of two or nine columns; the numbers in the fewest digits that read back, or rounded to ``decimals``."""
+    """Lines of two or nine columns; numbers are rounded to ``decimals``, or have the fewest digits that read back."""
     poses = iter(pose_numbers(transforms).tolist())
     lines = []
     for (ref, query), T_query_ref in zip(keys, transforms, strict=True):
@@ -247,10 +247,10 @@ def _pose_text(keys: Sequence[PairKey], transforms: Sequence[Array | None], deci
 def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
     """All pairs of a set, in the table's order; rejected ones have no pose.
 
-    The table may be absent (a pair file from elsewhere): then nothing but the poses is known.
+    A pair file from elsewhere has no table; then only the poses are known.
 
     Raises:
-        DatasetError: with file and line, also when the file and the table do not hold the same pairs.
+        DatasetError: with file and line, also if the file and the table do not hold the same pairs.
     """
     lines = {line.key: line for line in read_pose_lines(pair_file)}
     if not pair_table.exists():
@@ -274,7 +274,7 @@ def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
             raise DatasetError(f"accepted is '{field['accepted']}', expected true or false", pair_table, number)
         accepted = field["accepted"] == "true"
         if accepted != (key in lines):
-            where = "is missing from" if accepted else "was rejected but stands in"
+            where = "is missing from" if accepted else "was rejected but is listed in"
             raise DatasetError(f"pair {key[0]} {key[1]} {where} {pair_file.name}", pair_table, number)
         pairs.append(
             Pair(
@@ -299,7 +299,7 @@ def read_pairs(pair_file: Path, pair_table: Path) -> list[Pair]:
 
 
 def table_columns(header: Sequence[str], pair_table: Path) -> tuple[str, ...]:
-    """The columns of a table by its first line. Raises DatasetError if they are neither of the two known sets."""
+    """The columns named by a table's first line. Raises DatasetError if they are neither of the two known sets."""
     for columns in (TABLE_COLUMNS, TABLE_COLUMNS + AXIS_COLUMNS):
         if tuple(header) == columns:
             return columns
@@ -308,7 +308,7 @@ def table_columns(header: Sequence[str], pair_table: Path) -> tuple[str, ...]:
 
 
 def _any_non_finite(fields: list[str]) -> bool:
-    # All three words have an n, which no number has: hardly any line is looked at field by field.
+    # All three words contain an n, which no number does: hardly any line needs a look at each field.
     return "n" in "".join(fields).lower() and any(f.lower().lstrip("+-") in ("nan", "inf", "infinity") for f in fields)
 
 

@@ -1,9 +1,9 @@
-"""The question that a dataset asks, told apart from the bytes that it is stored in.
+"""The question digest: what a dataset asks of methods, independent of the bytes that it is stored in.
 
-Processors differ in the last digits of floats. The same command renders images that differ by a grey level here and
-there on another machine, and the fingerprint, which covers every byte, differs too. What is asked of a method is the
-same: the recipe, the rigs, the poses and the pairs. They have a digest of their own, in which lengths count to a
-micrometre and rotations to a millionth, so that answers that were given on two machines can stand in one table.
+Processors differ in the last digits of floats. On another machine the same command renders images in which some pixels
+differ by a grey level, and the fingerprint, which covers every byte, differs too. What methods are asked is the same:
+the recipe, the rigs, the poses and the pairs. The question digest covers these, with lengths rounded to a micrometre
+and rotations to a millionth, so that results from both machines can be compared in one table.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from relocbench.datasets.core.schema import DatasetFile
 from relocbench.datasets.core.traversal import Traversal
 
 DECIMALS = 6
-"""of metres and of quaternion components"""
+"""decimals of metres and of quaternion components"""
 _NOT_ASKED = frozenset({"sources", "versions", "name", "licence", "copy_images"})
-"""where a dataset was made from, with what, and what it is called"""
+"""keys of a recipe that do not change what is asked: the sources, the software and the names"""
 
 
 def question_of(file: DatasetFile, traversals: Mapping[str, Traversal], pair_sets: Mapping[str, PairSet]) -> str:
-    """SHA-256 over what a dataset asks, the same on every processor.
+    """SHA-256 of what a dataset asks of methods, the same on every processor.
 
     It covers the format's version, the splits, the recipe (without folders and versions), each traversal's condition,
-    rig and poses, the times of its images, and each pair with its ``T_query_ref`` and whether it was accepted. It does
-    not cover pixels, depths and correspondences, whose last digits depend on the processor.
+    rig, poses and image times, and each pair with its ``T_query_ref`` and whether it was accepted. It does not cover
+    pixels, depths and correspondences, whose last digits depend on the processor.
 
     Raises:
         DatasetError: a file of the dataset is bad.
@@ -48,7 +48,7 @@ def question_of(file: DatasetFile, traversals: Mapping[str, Traversal], pair_set
 
 
 def recipe(values: Any) -> Any:
-    """What a dataset was made by, without where, with which versions and under which name; numbers rounded."""
+    """How a dataset was made, without sources, versions and names, and with rounded numbers."""
     if isinstance(values, Mapping):
         return {str(key): recipe(value) for key, value in values.items() if key not in _NOT_ASKED}
     if isinstance(values, list | tuple):
@@ -70,7 +70,7 @@ def _traversal(traversal: Traversal) -> dict[str, Any]:
 
 
 def _transform_fields(values: Mapping[str, Any]) -> NDArray[np.float64]:
-    """(1, 7) the numbers of a transform in ``traversal.yaml``."""
+    """The numbers (1, 7) of a transform in ``traversal.yaml``."""
     return _signed(np.array([[*values["translation_m"], *values["quaternion_xyzw"]]], dtype=np.float64))
 
 
@@ -82,7 +82,7 @@ def _pairs(pair_set: PairSet) -> list[Any]:
 
 
 def _signed(fields: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N, 7) with that one of the two quaternions of each rotation whose largest component is positive."""
+    """Poses (N, 7) whose quaternions have a positive largest component: q and -q are the same rotation."""
     quaternions = fields[:, 3:]
     place = np.argmax(np.round(np.abs(quaternions), DECIMALS), axis=1)
     negative = np.take_along_axis(quaternions, place[:, None], axis=1) < 0

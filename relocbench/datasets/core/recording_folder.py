@@ -1,4 +1,4 @@
-"""A folder of recordings: what a command that records drives leaves behind."""
+"""A folder of simulated recordings, as ``build-dataset synthetic --recording`` makes it."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from typing import Any
 
 @dataclass(frozen=True)
 class RecordedDrive:
-    """One drive."""
+    """One recorded drive; its fields are the columns of ``drives.csv``."""
 
     name: str
-    """of the traversal or sequence, in the layout's words"""
+    """name of the traversal (RobotCar) or sequence (KITTI)"""
     folder: str
-    """its images and scans, from the folder of recordings on"""
+    """folder of its images and scans, relative to the folder of recordings"""
     split: str
     condition: str
     route: str
     traversal: int
-    """among the drives of the same split, condition and route"""
+    """number among the drives of the same split, condition and route"""
     images: int
     scans: int
     length_m: float
-    """driven while recording"""
+    """length driven while recording"""
 
 
 @dataclass(frozen=True)
 class RecordingFolder:
-    """Drives in one layout."""
+    """Recorded drives, all in one layout."""
 
     root: Path
     layout: str

@@ -1,4 +1,4 @@
-"""What ``dataset.yaml`` and ``traversal.yaml`` may hold; unknown keys are refused by name."""
+"""Schemas of ``dataset.yaml`` and ``traversal.yaml``; unknown keys are refused by name."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from relocbench.geometry import Camera, camera_from_dict, transform_from_tq, tra
 FORMAT_VERSION = 1
 
 Name = Annotated[str, AfterValidator(lambda name: check_name(name, "name"))]
-"""of a traversal, a camera, a method or a split: it becomes part of a path"""
+"""name of a traversal, a camera, a method or a split, which becomes part of a path"""
 JoinedName = Annotated[str, AfterValidator(lambda name: check_joined_name(name, "name"))]
-"""of a pair set, a task or a dataset"""
+"""name of a pair set, a task or a dataset"""
 FolderName = Annotated[str, AfterValidator(lambda name: check_joined_name(name, "name", most_bytes=MAX_FOLDER_BYTES))]
-"""of a dataset, with what its results are called by behind it"""
+"""name of a dataset with the suffix that its results folder has"""
 Fingerprint = Annotated[str, StringConstraints(pattern=r"^[0-9A-Za-z]{1,128}$")]
 
 
 class Strict(BaseModel):
-    """A record that refuses unknown keys and never changes."""
+    """An immutable record that refuses unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Transform(Strict):
-    """A rigid transform as people read it."""
+    """A rigid transform in human-readable form."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -50,7 +50,7 @@ class Transform(Strict):
 
     @classmethod
     def of(cls, matrix: NDArray[np.float64]) -> Transform:
-        """The transform of a (4, 4) matrix."""
+        """The transform with a (4, 4) matrix."""
         t, q = transform_to_tq(matrix)
         return cls.model_validate({"translation_m": t.tolist(), "quaternion_xyzw": q.tolist()})
 
@@ -99,13 +99,13 @@ class CameraEntry(Strict):
         T_rig_cam: NDArray[np.float64] | None = None,
         depth_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> CameraEntry:
-        """The entry of a camera, its (4, 4) extrinsics (default: the rig's own frame) and its depth noise."""
+        """The entry for a camera with (4, 4) extrinsics (default: identity) and depth noise."""
         transform = Transform.of(np.eye(4) if T_rig_cam is None else T_rig_cam)
         return cls.model_validate({**camera.to_dict(), "T_rig_cam": transform.model_dump(), "depth_sigma": depth_sigma})
 
 
 class TraversalFile(Strict):
-    """``traversal.yaml``."""
+    """The content of ``traversal.yaml``."""
 
     name: str
     condition: Condition = Condition()
@@ -113,7 +113,7 @@ class TraversalFile(Strict):
     rate_hz: float | None = None
     cameras: dict[str, CameraEntry]
     source: str = ""
-    """what it was imported from, for people"""
+    """what it was imported from, in words"""
 
     @field_validator("name")
     @classmethod
@@ -130,7 +130,7 @@ class TraversalFile(Strict):
 
 
 class DatasetFile(Strict):
-    """``dataset.yaml``."""
+    """The content of ``dataset.yaml``."""
 
     format_version: int
     name: JoinedName
@@ -140,11 +140,11 @@ class DatasetFile(Strict):
     splits: dict[Name, tuple[JoinedName, ...]] = {}
     """split name -> pair sets"""
     fingerprint: Fingerprint
-    """SHA-256 over everything that can change a score"""
+    """SHA-256 of everything that can change a score"""
 
     @field_validator("format_version")
     @classmethod
     def _known_version(cls, version: int) -> int:
         if version != FORMAT_VERSION:
-            raise ValueError(f"format_version {version} is not understood, expected {FORMAT_VERSION}")
+            raise ValueError(f"format_version {version} is not supported, expected {FORMAT_VERSION}")
         return version

@@ -1,4 +1,4 @@
-"""One recorded drive of a dataset, read from disk when asked for."""
+"""One recorded drive of a dataset, read from disk on demand."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ POSE_COLUMNS = ("timestamp_ns", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 
 
 class Traversal:
-    """One recorded drive. Nothing is read before it is asked for."""
+    """One recorded drive of a dataset, read on demand."""
 
     def __init__(self, layout: TraversalLayout) -> None:
         self.layout = layout
@@ -44,11 +44,11 @@ class Traversal:
         return list(self.file.cameras)
 
     def camera(self, camera: str) -> Camera:
-        """Model, intrinsics and size."""
+        """Model, intrinsics and size of a camera."""
         return self._entry(camera).camera
 
     def T_rig_cam(self, camera: str) -> Array:
-        """(4, 4)"""
+        """Pose of a camera in the rig's frame, (4, 4)."""
         return self._entry(camera).T_rig_cam.matrix
 
     def timestamps(self, camera: str) -> list[int]:
@@ -62,35 +62,39 @@ class Traversal:
 
     @cached_property
     def poses(self) -> dict[int, Array]:
-        """timestamp_ns -> (4, 4) ``T_world_rig``."""
+        """Poses of the rig: timestamp_ns -> (4, 4) ``T_world_rig``."""
         return read_poses(self.layout.poses)
 
     def T_world_cam(self, camera: str, timestamp_ns: int) -> Array:
-        """(4, 4). Raises DatasetError where the traversal has no pose at that time."""
+        """Pose of a camera in the world, (4, 4). Raises DatasetError if the traversal has no pose at that time."""
         try:
             return self.poses[timestamp_ns] @ self.T_rig_cam(camera)
         except KeyError:
             raise DatasetError(f"no pose at {timestamp_ns}", self.layout.poses) from None
 
     def image(self, camera: str, timestamp_ns: int) -> NDArray[np.uint8]:
-        """(H, W) grey or (H, W, 3) RGB. Raises DatasetError: missing, truncated, or not of the camera's size."""
+        """An image, (H, W) grey or (H, W, 3) RGB.
+
+        Raises:
+            DatasetError: the image is missing, damaged or not of the camera's size.
+        """
         path = self.layout.find_image(camera, timestamp_ns) or self.layout.image(camera, timestamp_ns)
-        return images.read_image(path, lambda size: self._check_size(size, camera, path))
+        return images.read_image(path, self._expected_size(camera))
 
     def depth(self, camera: str, timestamp_ns: int) -> NDArray[np.float32] | None:
-        """(H, W) metres, 0 where unknown; None where the keyframe has no dense depth."""
+        """Dense depth (H, W) in metres, 0 where unknown; None if the frame has none."""
         path = self.layout.depth(camera, timestamp_ns)
         if not path.exists() and not path.is_symlink():
             return None
-        return images.read_depth(path, lambda size: self._check_size(size, camera, path))
+        return images.read_depth(path, self._expected_size(camera))
 
     def points(self, camera: str, timestamp_ns: int) -> KeyframePoints | None:
-        """Sparse points, or None where the keyframe has none."""
+        """Sparse keyframe points, or None if the frame has none."""
         path = self.layout.points(camera, timestamp_ns)
         return images.read_points(path) if path.exists() else None
 
     def reference(self, camera: str, timestamp_ns: int, neighbours: int = 0) -> Reference:
-        """The view of a keyframe that a tracker gets, with ``neighbours`` posed frames on each side."""
+        """A keyframe as a tracker gets it, with up to ``neighbours`` posed frames on each side."""
         return Reference(
             key=f"{self.name}/{camera}/{timestamp_ns}",
             timestamp_ns=timestamp_ns,
@@ -103,7 +107,7 @@ class Traversal:
         )
 
     def query(self, camera: str, timestamp_ns: int) -> Query:
-        """The view of a query that a tracker gets."""
+        """A query as a tracker gets it."""
         return Query(
             key=f"{self.name}/{camera}/{timestamp_ns}",
             timestamp_ns=timestamp_ns,
@@ -128,18 +132,16 @@ class Traversal:
             T_neighbour_ref = invert(self.T_world_cam(camera, t)) @ T_world_ref
             yield Neighbour(t, self.image(camera, t), self.camera(camera), T_neighbour_ref)
 
-    def _check_size(self, size: tuple[int, int], camera: str, path: Path) -> None:
-        if size != self.camera(camera).size:
-            wanted = "x".join(map(str, self.camera(camera).size))
-            raise DatasetError(f"image is {size[0]}x{size[1]}, camera '{camera}' is {wanted}", path)
+    def _expected_size(self, camera: str) -> images.ExpectedSize:
+        return images.ExpectedSize(self.camera(camera).size, f"camera '{camera}'")
 
 
 def read_poses(path: Path) -> dict[int, Array]:
-    """``poses.csv``: timestamp_ns -> (4, 4) ``T_world_rig``, in time order.
+    """Read ``poses.csv``: timestamp_ns -> (4, 4) ``T_world_rig``, in time order.
 
     Raises:
-        DatasetError: with file and line: wrong header, a value that is not finite, a quaternion that is not of norm 1,
-            times that do not increase.
+        DatasetError: with file and line: a wrong header, a value that is not finite, a quaternion whose norm is not 1,
+            or times that do not increase.
     """
     poses: dict[int, Array] = {}
     last: int | None = None

@@ -1,4 +1,4 @@
-"""Writing a dataset: every file whole, a killed build resumed, nobody's folder overwritten."""
+"""Writing datasets: files appear whole, killed builds resume, and other folders are never overwritten."""
 
 from __future__ import annotations
 
@@ -40,15 +40,16 @@ _VERSIONED = ("relocbench", "numpy", "opencv-python-headless", "open3d")
 class DatasetWriter:
     """Builds one dataset folder.
 
-    The configuration of the build is written first, to ``build.yaml``. A folder that holds the same configuration is
-    resumed: files that are there and whole are kept. ``dataset.yaml``, with the fingerprint, is written last.
+    The build's configuration is written first, to ``build.yaml``. A folder with the same configuration is resumed:
+    files that exist and are whole are kept. ``dataset.yaml``, with the fingerprint, is written last.
 
     Args:
-        out: the folder; it must be absent, empty, or an earlier try at the same build.
+        out: the folder; it must be absent, empty, or an earlier run of the same build.
         configuration: everything that determines the result, as plain values (kind, sources, options, seed).
 
     Raises:
         DatasetError: ``out`` holds something else.
+        ConfigError: the name cannot be that of a dataset, or an option cannot be written to YAML.
     """
 
     def __init__(self, out: Path, name: str, configuration: Mapping[str, Any], licence: str = "unknown") -> None:
@@ -59,18 +60,18 @@ class DatasetWriter:
             check_joined_name(name, "dataset name")
             self.configuration = parse_yaml(dump_yaml(dict(configuration)))
         except YamlFault as bad:
-            raise ConfigError(f"the options cannot be kept: {bad}") from None
+            raise ConfigError(f"the options cannot be written to build.yaml: {bad}") from None
         except ValueError as bad:
-            raise ConfigError(f"{bad}; --name gives another") from None
+            raise ConfigError(f"{bad}; choose another with --name") from None
         self._claim_folder()
 
     @property
     def complete(self) -> bool:
-        """Whether this very build was finished before."""
+        """Whether an earlier run has finished this build."""
         return self.layout.dataset_yaml.exists()
 
     def traversal(self, file: TraversalFile, poses: Mapping[int, Array]) -> None:
-        """``traversal.yaml`` and ``poses.csv``; ``poses`` maps timestamp_ns to (4, 4) ``T_world_rig``."""
+        """Write ``traversal.yaml`` and ``poses.csv``; ``poses`` maps timestamp_ns to (4, 4) ``T_world_rig``."""
         layout = self.layout.traversal(file.name)
         write_text(layout.traversal_yaml, dump_yaml(file.model_dump(mode="json")))
         with atomic_write(layout.poses) as stream:
@@ -80,7 +81,11 @@ class DatasetWriter:
                 table.writerow([time, *pairfile.truth_fields(poses[time])])
 
     def link_image(self, traversal: str, camera: str, timestamp_ns: int, source: Path, *, copy: bool) -> None:
-        """Take an image of the user's recording as it is: by a symbolic link, or copied when asked."""
+        """Add an image of a recording unchanged, as a symbolic link or, with ``copy``, as a copy.
+
+        Raises:
+            DatasetError: the image is missing or truncated.
+        """
         suffix = source.suffix.lower()
         path = self.layout.traversal(traversal).image(camera, timestamp_ns, suffix)
         if not source.exists():
@@ -95,27 +100,27 @@ class DatasetWriter:
                 stream.write(source.read_bytes())
 
     def needs_image(self, traversal: str, camera: str, timestamp_ns: int) -> bool:
-        """Whether :meth:`image` has work to do (a resumed build skips what is there and whole)."""
+        """Whether the image has to be written; a resumed build skips those that exist and are whole."""
         return not _kept(self.layout.traversal(traversal).image(camera, timestamp_ns))
 
     def needs_depth(self, traversal: str, camera: str, timestamp_ns: int) -> bool:
-        """Whether :meth:`depth` has work to do."""
+        """Whether the depth image has to be written."""
         return not _kept(self.layout.traversal(traversal).depth(camera, timestamp_ns))
 
     def image(self, traversal: str, camera: str, timestamp_ns: int, image: NDArray[np.uint8]) -> None:
-        """(H, W) grey or (H, W, 3) RGB."""
+        """Write an image, (H, W) grey or (H, W, 3) RGB."""
         images.write_image(self.layout.traversal(traversal).image(camera, timestamp_ns), image)
 
     def depth(self, traversal: str, camera: str, timestamp_ns: int, depth: NDArray[np.floating]) -> None:
-        """(H, W) metres along z, 0 where unknown."""
+        """Write dense depth (H, W), metres along z, 0 where unknown."""
         images.write_depth(self.layout.traversal(traversal).depth(camera, timestamp_ns), depth)
 
     def points(self, traversal: str, camera: str, timestamp_ns: int, points: KeyframePoints) -> None:
-        """Sparse keyframe points."""
+        """Write sparse keyframe points."""
         images.write_points(self.layout.traversal(traversal).points(camera, timestamp_ns), points)
 
     def pairs(self, reference: str, query: str, camera: str, pairs: Sequence[Pair]) -> str:
-        """A pair set, sorted by query and reference time; its name is returned."""
+        """Write a pair set, sorted by reference and query time, and return its name."""
         name = pair_set_name(reference, query, camera)
         ordered = sorted(pairs, key=lambda p: (p.ref_timestamp_ns, p.query_timestamp_ns))
         pairfile.write_pairs(self.layout.pair_file(name), self.layout.pair_table(name), ordered)
@@ -125,7 +130,7 @@ class DatasetWriter:
         """Hash the content, write ``dataset.yaml`` and open the dataset.
 
         Args:
-            splits: split name -> pair sets. A recording that says nothing else is for testing: all pair sets are.
+            splits: split name -> pair sets; default: all pair sets in the split ``test``.
         """
         remove_parts(self.layout.root)
         everything = sorted(path.stem for path in self.layout.pairs.glob("*.txt"))
@@ -147,12 +152,12 @@ class DatasetWriter:
         root, mark = self.layout.root, self.layout.build_yaml
         for source in map(Path, self.configuration.get("sources") or ()):
             if root.resolve().is_relative_to(source):
-                raise DatasetError(f"lies inside the recording {source}, which is never written to", root)
+                raise DatasetError(f"lies inside the recording {source}; recordings are never written to", root)
         if root.exists() and not root.is_dir():
             raise DatasetError("is a file; expected a folder to write the dataset to", root)
         if root.is_dir() and any(root.iterdir()) and not mark.exists():
             raise DatasetError("holds something else; --out must be new, empty, or an unfinished build", root)
-        # A build that failed before it wrote anything binds nobody to its options.
+        # An earlier run that failed before it wrote anything may be repeated with other options.
         if mark.exists() and any(p != mark for p in root.iterdir()):
             before, _ = load_yaml_values(mark, "the configuration of a build", DatasetError)
             if before != self.configuration:
@@ -171,7 +176,7 @@ class DatasetWriter:
 
 
 def versions() -> dict[str, str]:
-    """Versions of the packages that can change a result. One that is not installed is left out: nothing has used it."""
+    """Versions of Python and of the installed packages that can change a result."""
     found = {"python": platform.python_version()}
     for name in _VERSIONED:
         with suppress(metadata.PackageNotFoundError):

@@ -1,4 +1,4 @@
-"""Every fault of a cross-view set on disk."""
+"""Validation of a cross-view set on disk."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from relocbench.progress import Reporter
 
 
 def validate_cross_view(root: Path, reporter: Reporter, *, quick: bool = False) -> Findings:
-    """Check the layout, decode every image and, in a rendered set, hold it against the manifest.
+    """Check the layout, decode every image and, in a rendered set, compare it with the manifest.
 
     Args:
         quick: neither decode nor hash.
@@ -43,7 +43,7 @@ def validate_cross_view(root: Path, reporter: Reporter, *, quick: bool = False) 
 
 
 def _paths(readers: Iterable[object]) -> Iterable[Path]:
-    """The files that images are read from; several images of the sample sheets are read from one."""
+    """The files that images are read from; one contact sheet holds several images."""
     for reader in readers:
         assert isinstance(reader, partial)
         yield reader.args[0]

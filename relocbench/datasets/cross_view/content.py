@@ -1,26 +1,26 @@
-"""The fingerprint of a cross-view set, and what its own files say of it."""
+"""The fingerprint, manifest and description files of a cross-view set."""
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from relocbench.datasets.core import manifest
+from relocbench.datasets.core.manifest import Row
 from relocbench.datasets.core.question import recipe
 from relocbench.datasets.core.schema import Strict
 from relocbench.errors import DatasetError
-from relocbench.files import atomic_write, check_name, parse_count, read_csv, read_table, sha256_file
+from relocbench.files import check_name, read_csv
 
 DATASET_FILE, BUILD_FILE, MANIFEST_FILE, POSES_FILE = "dataset.yaml", "build.yaml", "manifest.csv", "poses.csv"
 FORMAT_VERSION = 1
-_COLUMNS = ("path", "bytes", "sha256")
 
 
 class CrossViewFile(Strict):
-    """``dataset.yaml`` of a set that was rendered here."""
+    """The content of ``dataset.yaml`` in a rendered set."""
 
     format_version: int
     kind: Literal["cross-view"]
@@ -29,73 +29,53 @@ class CrossViewFile(Strict):
     made_by: dict[str, Any]
     """command, options, seed and versions"""
     made: dict[str, Any]
-    """what came of it: towns, places, images, cameras"""
+    """what the set contains: towns, places, images, cameras"""
     fingerprint: str
 
 
-Row = tuple[str, int, str]
-"""path from the root on, bytes, SHA-256"""
-
-
 def rows_of(root: Path, keys: Iterable[str]) -> list[Row]:
-    """Hash files, in the order of their paths. Raises DatasetError naming a file that cannot be read."""
-    found = []
-    for key in sorted(keys):
-        path = root / key
-        try:
-            found.append((key, path.stat().st_size, sha256_file(path)))
-        except OSError as bad:
-            raise DatasetError(f"cannot be read ({bad.strerror}); expected an image", path) from None
-    return found
+    """Manifest rows of images, sorted by path. Raises DatasetError naming a file that cannot be read."""
+    return manifest.manifest_rows(root, sorted(keys))
 
 
 def fingerprint_of(rows: Sequence[Row]) -> str:
-    """SHA-256 over the paths, which hold the labels, and the content of all images."""
+    """SHA-256 of the paths, which contain the labels, and the contents of all images."""
     text = "".join(f"{key},{size},{digest}\n" for key, size, digest in rows)
     return hashlib.sha256(f"cross-view {FORMAT_VERSION}\n{text}".encode()).hexdigest()
 
 
 def question_of(file: CrossViewFile, keys: Iterable[str]) -> str:
-    """SHA-256 over what a rendered set asks: its recipe and which images it has, whatever their last digits."""
+    """SHA-256 of what a rendered set asks, the same on every processor: its recipe and the paths of its images."""
     asked = {"format_version": FORMAT_VERSION, "recipe": recipe(file.made_by), "images": sorted(keys)}
     return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()
 
 
 def write_manifest(root: Path, rows: Sequence[Row]) -> None:
-    """``manifest.csv``."""
-    with atomic_write(root / MANIFEST_FILE) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(_COLUMNS)
-        table.writerows(rows)
+    """Write ``manifest.csv``."""
+    manifest.write_manifest(root / MANIFEST_FILE, rows)
 
 
 def read_manifest(root: Path) -> list[Row]:
-    """Raises DatasetError with file and line."""
-    path = root / MANIFEST_FILE
-    rows = []
-    for number, (key, size, digest) in read_table(path, _COLUMNS, "the set's manifest", DatasetError):
-        if len(digest) != 64:
-            raise DatasetError("expected path, size in bytes, SHA-256", path, number)
-        rows.append((key, parse_count(size, "bytes", path, number, DatasetError), digest))
-    return rows
+    """Read ``manifest.csv``. Raises DatasetError with file and line."""
+    return manifest.read_manifest(root / MANIFEST_FILE)
 
 
 def check_against(root: Path, rows: Sequence[Row], present: Iterable[str]) -> None:
-    """Every image is listed and there, of its size. Content is not read. Raises DatasetError."""
+    """Raise DatasetError unless every image is listed and exists with its size. Contents are not read."""
     listed = {key: size for key, size, _ in rows}
     for key in present:
         if key not in listed:
-            raise DatasetError(f"stands in no {MANIFEST_FILE}; it was added after the set was made", root / key)
+            raise DatasetError(f"is not listed in {MANIFEST_FILE}; it was added after the set was made", root / key)
     for key, size in listed.items():
         path = root / key
         if not path.is_file():
-            raise DatasetError(f"missing; it stands in {MANIFEST_FILE}", path)
+            raise DatasetError(f"missing; it is listed in {MANIFEST_FILE}", path)
         if path.stat().st_size != size:
             raise DatasetError(f"has {path.stat().st_size} bytes, {MANIFEST_FILE} says {size}", path)
 
 
 def read_conditions(root: Path) -> dict[str, str]:
-    """key -> condition of each image that ``poses.csv`` names; empty where there is no such file."""
+    """Conditions of the images by key, from ``poses.csv``; empty if there is no such file."""
     path = root / POSES_FILE
     if not path.exists():
         return {}
@@ -110,7 +90,7 @@ def read_conditions(root: Path) -> dict[str, str]:
             raise DatasetError(f"expected {len(header)} columns, got {len(row)}", path, number)
         if row[condition]:
             try:
-                check_name(row[condition], "condition")  # tasks are called by it
+                check_name(row[condition], "condition")  # it becomes part of the names of tasks
             except ValueError as bad:
                 raise DatasetError(str(bad), path, number) from None
         found[row[image]] = row[condition]

@@ -1,4 +1,4 @@
-"""A cross-view set as it is asked and learned from: tasks in every direction, and places to train on."""
+"""A cross-view set: retrieval tasks in every direction, and places to train on."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-
-import numpy as np
 
 from relocbench.datasets.core import images
 from relocbench.datasets.cross_view.layout import TRAIN_FOLDERS
@@ -22,69 +20,69 @@ class Shot:
 
     view: ImageView
     label: str
-    """its class: the folder's name"""
+    """its class, the folder's name"""
     condition: str = ""
 
 
 @dataclass(frozen=True)
 class FolderInventory:
-    """What one folder of a set holds."""
+    """The content of one folder of a set."""
 
     folder: str
     classes: int
     images: int
     conditions: str
-    """joined by +, where they are known"""
+    """known conditions, joined by +"""
 
 
 @dataclass(frozen=True, eq=False)
 class CrossViewSet:
     """Images of buildings from several views, as a :class:`~relocbench.retrieval.RetrievalSet` and as training data.
 
-    Galleries may hold classes that nobody asks for: these are distractors.
+    Galleries may contain classes without queries, so-called distractors.
     """
 
     root: Path
     name: str
     train: Mapping[str, tuple[Shot, ...]]
-    """by folder, as ``drone`` or ``google``"""
+    """by folder, such as ``drone`` or ``google``"""
     queries: Mapping[str, tuple[Shot, ...]]
-    """by the first word of a task's name, as ``drone`` or ``4K_drone``"""
+    """by the first word of a task's name, such as ``drone`` or ``4K_drone``"""
     galleries: Mapping[str, tuple[Shot, ...]]
     """by view"""
     fingerprinted: Callable[[], str]
     notes: tuple[str, ...] = field(default=())
-    """what a user should know: empty folders, classes both in train and in test"""
-    asks: str = ""
-    """digest of the recipe of a set that was rendered; empty for others, whose images are what they are"""
+    """notes for the user on empty folders and on classes that are in both train and test"""
+    question_digest: str = ""
+    """question of a rendered set; empty for other sets, whose images are the same everywhere"""
 
     @cached_property
     def fingerprint(self) -> str:
-        """A hash of all images and their labels. A set from elsewhere is hashed once, which reads every file."""
+        """SHA-256 of all images and their labels. For a set from elsewhere this reads every file, once."""
         return self.fingerprinted()
 
     @property
     def question(self) -> str:
-        """The same for every copy of a rendered set, whose images differ in last digits from processor to processor."""
-        return self.asks or self.fingerprint
+        """Digest that is the same for every copy of a rendered set, whose images differ slightly between processors."""
+        return self.question_digest or self.fingerprint
 
     @property
     def train_labels(self) -> tuple[str, ...]:
-        """Classes of the train folders, ``google`` included, sorted."""
+        """Classes of the train folders, including ``google``, sorted."""
         return _labels(self.train.values())
 
     @property
     def test_labels(self) -> tuple[str, ...]:
-        """Classes of the test folders, distractors included, sorted."""
+        """Classes of the test folders, including distractors, sorted."""
         return _labels([*self.queries.values(), *self.galleries.values()])
 
     @property
     def overlap(self) -> tuple[str, ...]:
-        """Classes that are both learned from and tested on: none, in a set that says anything."""
+        """Classes that are in both train and test. In a meaningful set there are none."""
         return tuple(sorted({*self.train_labels} & {*self.test_labels}))
 
     def inventory(self) -> list[FolderInventory]:
-        """Folder by folder."""
+        """The content of each folder."""
         folders = {
             **{f"train/{name}": shots for name, shots in self.train.items()},
             **{f"test/query_{name}": shots for name, shots in self.queries.items()},
@@ -96,10 +94,10 @@ class CrossViewSet:
         ]
 
     def tasks(self, *, by_condition: bool = False) -> Sequence[RetrievalTask]:
-        """Every direction for which there are queries and a gallery of another view, as ``drone-satellite``.
+        """A task for each direction with queries and a gallery of another view, such as ``drone-satellite``.
 
         Args:
-            by_condition: where queries are of several conditions, a task for each as well, ``drone-satellite__Rain``.
+            by_condition: if queries have several conditions, add a task for each, such as ``drone-satellite__Rain``.
 
         Raises:
             DatasetError: there is no such direction.
@@ -117,26 +115,26 @@ class CrossViewSet:
                         found.append(_task(f"{name}__{one}", [q for q in queries if q.condition == one], gallery))
         if not found:
             raise DatasetError(
-                "nothing to ask: no test/query_VIEW with a test/gallery_ of another view"
-                + ("; it is a set to train on" if self.train else ""),
+                "has no task: no test/query_VIEW with a test/gallery_ of another view"
+                + ("; it is for training only" if self.train else ""),
                 self.root,
             )
         return tuple(found)
 
     def training(self, *, google: bool = False) -> PlaceData:
-        """The train folders as places to learn from.
+        """The images of the train folders as training data.
 
         Args:
-            google: let the images of ``train/google`` join those of the street.
+            google: include the images of ``train/google`` as street images.
 
         Raises:
-            DatasetError: there are no train folders.
+            DatasetError: there are no training images.
         """
         folders = [name for name in self.train if google or name != "google"]
         places = {label: k for k, label in enumerate(_labels(self.train[name] for name in folders))}
         if not places:
             raise DatasetError(
-                f"nothing to learn from: no images in train/{{{','.join(n for n in TRAIN_FOLDERS)}}}; "
+                f"has nothing to learn from: no images in train/{{{','.join(n for n in TRAIN_FOLDERS)}}}; "
                 "relocbench build-dataset cross-view --split train renders some",
                 self.root,
             )
@@ -153,7 +151,7 @@ def shots_of(
     conditions: Mapping[str, str] | None = None,
     digests: Mapping[str, str] | None = None,
 ) -> tuple[Shot, ...]:
-    """Images by the keys of each class, in order of the classes' names."""
+    """Shots of the images whose keys are given by class, in order of the classes' names."""
     known, contents = conditions or {}, digests or {}
     return tuple(
         Shot(ImageView(key, view, partial(read_rgb, root / key), contents.get(key, "")), label, known.get(key, ""))
@@ -163,9 +161,8 @@ def shots_of(
 
 
 def read_rgb(path: Path) -> Image:
-    """(H, W, 3). Raises DatasetError naming the file."""
-    image = images.read_image(path)
-    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    """Read an image as RGB (H, W, 3). Raises DatasetError naming the file."""
+    return images.as_rgb(images.read_image(path))
 
 
 def _task(name: str, queries: Sequence[Shot], gallery: Sequence[Shot]) -> RetrievalTask:

@@ -1,7 +1,7 @@
-"""University-1652's folders: which there are, what each holds, and nothing of what is in the images.
+"""The folders of University-1652's layout and the files in them; images are not opened.
 
-``train/VIEW/CLASS/IMAGE`` and ``test/query_VIEW/CLASS/IMAGE``, ``test/gallery_VIEW/CLASS/IMAGE``. A class is a
-building; its folder's name is its label.
+The layout is ``train/VIEW/CLASS/IMAGE``, ``test/query_VIEW/CLASS/IMAGE`` and ``test/gallery_VIEW/CLASS/IMAGE``. A class
+is a building; its folder's name is its label.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from relocbench.errors import DatasetError
 
 VIEWS = ("drone", "satellite", "street")
 TRAIN_FOLDERS = {"drone": "drone", "satellite": "satellite", "street": "street", "google": "street"}
-"""folder of ``train`` -> view; ``google`` are street images that a search engine found"""
+"""folder of ``train`` -> view; ``google`` holds street images found by a search engine"""
 QUERY_FOLDERS = {**{f"query_{view}": view for view in VIEWS}, "4K_drone": "drone"}
-"""folder of ``test`` -> view; ``4K_drone`` are real drone images that come with the official set"""
+"""folder of ``test`` -> view; ``4K_drone`` holds the real drone images of the official set"""
 GALLERY_FOLDERS = {f"gallery_{view}": view for view in VIEWS}
 _MOST_NAMED = 5
 
@@ -28,26 +28,26 @@ class ClassFolders:
     """The classes of one view folder."""
 
     folder: str
-    """from the root on, as ``test/query_drone``"""
+    """path relative to the root, such as ``test/query_drone``"""
     images: dict[str, tuple[str, ...]]
-    """class -> keys of its images: their paths from the root on, sorted"""
+    """class -> keys of its images, which are their paths relative to the root, sorted"""
     empty: tuple[str, ...]
     """classes whose folder holds no image"""
 
     @property
     def count(self) -> int:
-        """Images."""
+        """Number of images."""
         return sum(map(len, self.images.values()))
 
 
 @dataclass(frozen=True)
-class Layout:
-    """All view folders of a set that there are."""
+class ViewFolders:
+    """The view folders that a set has."""
 
     train: dict[str, ClassFolders]
-    """by the folder's name, as ``drone`` or ``google``"""
+    """by the folder's name, such as ``drone`` or ``google``"""
     queries: dict[str, ClassFolders]
-    """as ``query_drone``"""
+    """by the folder's name, such as ``query_drone``"""
     galleries: dict[str, ClassFolders]
 
     @property
@@ -56,7 +56,7 @@ class Layout:
 
     @property
     def keys(self) -> Iterator[str]:
-        """The key of every image."""
+        """The keys of all images."""
         for folder in self.all:
             for images in folder.images.values():
                 yield from images
@@ -68,22 +68,22 @@ def has_layout(root: Path) -> bool:
     return train or any((root / "test" / name).is_dir() for name in (*QUERY_FOLDERS, *GALLERY_FOLDERS))
 
 
-def read_layout(root: Path) -> Layout:
-    """What lies in the view folders.
+def read_layout(root: Path) -> ViewFolders:
+    """List the view folders of a set.
 
     Raises:
-        DatasetError: a view folder whose images lie in no class folder, or a name with white space or of other bytes
-            than UTF-8, which answers on disk cannot hold.
+        DatasetError: a view folder has images outside of class folders, or a name has white space or is not UTF-8,
+            which rankings on disk cannot hold.
     """
-    return Layout(
+    return ViewFolders(
         _folders(root, "train", TRAIN_FOLDERS),
         _folders(root, "test", QUERY_FOLDERS),
         _folders(root, "test", GALLERY_FOLDERS),
     )
 
 
-def empty_folders(layout: Layout) -> str | None:
-    """One line on class folders without an image; None where there are none."""
+def empty_folders(layout: ViewFolders) -> str | None:
+    """A note on class folders without an image; None if there are none."""
     found = [f"{folder.folder}/{name}" for folder in layout.all for name in folder.empty]
     if not found:
         return None
@@ -92,7 +92,7 @@ def empty_folders(layout: Layout) -> str | None:
 
 
 def listed(names: Sequence[str]) -> str:
-    """The first few of many names."""
+    """The first few of some names and the number of the others."""
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
     return ", ".join(names[:_MOST_NAMED]) + more
 
@@ -111,7 +111,7 @@ def _classes(root: Path, folder: str) -> ClassFolders:
         files = sorted(e.name for e in os.scandir(entry.path) if _is_image(e.name) and not e.is_dir())
         for name in (entry.name, *files):
             if not name.isprintable() and any("\udc80" <= character <= "\udcff" for character in name):
-                raise DatasetError(f"'{name}' is no UTF-8, which rankings on disk cannot hold", entry.path)
+                raise DatasetError(f"'{name}' is not UTF-8, but rankings on disk hold only UTF-8 names", entry.path)
             if any(character.isspace() for character in name):
                 raise DatasetError(f"'{name}' has white space, which rankings on disk cannot hold", entry.path)
         if files:
@@ -119,7 +119,7 @@ def _classes(root: Path, folder: str) -> ClassFolders:
         else:
             empty.append(entry.name)
     if stray and not images:
-        raise DatasetError(f"holds images such as {stray}, but no class folders; expected CLASS/IMAGE", root / folder)
+        raise DatasetError(f"holds images such as {stray} but no class folders; expected CLASS/IMAGE", root / folder)
     return ClassFolders(folder, images, tuple(empty))
 
 

@@ -1,4 +1,4 @@
-"""Opening a cross-view set, whoever made it."""
+"""Opening a cross-view set, rendered or from elsewhere."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from relocbench.datasets.cross_view.layout import (
     QUERY_FOLDERS,
     TRAIN_FOLDERS,
     ClassFolders,
-    Layout,
+    ViewFolders,
     empty_folders,
     has_layout,
     listed,
@@ -26,24 +26,24 @@ from relocbench.progress import Reporter, Silent
 
 _EXPECTED = (
     "expected University-1652's layout: train/{drone,satellite,street,google}/CLASS/IMAGE or "
-    "test/{query,gallery}_{drone,satellite,street}/CLASS/IMAGE. University-1652 itself is given by its authors by "
-    "e-mail; 'relocbench build-dataset cross-view --out DIR' renders a set that needs nobody"
+    "test/{query,gallery}_{drone,satellite,street}/CLASS/IMAGE. University-1652 itself is available from its authors "
+    "by e-mail; 'relocbench build-dataset cross-view --out DIR' renders a set without it"
 )
 
 
 def is_cross_view(path: Path) -> bool:
-    """Whether :func:`open_cross_view` would take the folder for one of its own."""
+    """Whether a folder has a layout that :func:`open_cross_view` can open."""
     return path.is_dir() and (has_layout(path) or sample.is_sample(path))
 
 
 def open_cross_view(path: Path, reporter: Reporter | None = None) -> CrossViewSet:
-    """The set in a folder: University-1652, one rendered here, or University-1652's two sheets of sample pairs.
+    """Open the set in a folder: University-1652, a rendered set, or University-1652's two contact sheets.
 
-    Empty class folders and labels both of train and of test are told to the reporter, and kept as ``notes``.
+    Empty class folders and labels that are in both train and test are reported and kept as ``notes``.
 
     Raises:
-        DatasetError: no such folder, no such layout, no image in it, or a rendered set that was changed or is
-            unfinished.
+        DatasetError: the folder is missing, has another layout or no images, or is a rendered set that was changed or
+            is unfinished.
     """
     if not path.is_dir():
         raise DatasetError(f"{'is a file' if path.exists() else 'no such folder'}; {_EXPECTED}", path)
@@ -65,11 +65,11 @@ def _refuse(path: Path) -> None:
     if has_layout(above) and path.resolve().name in ("train", "test"):
         raise DatasetError(f"is the '{path.resolve().name}' folder of a cross-view set; name {above}", path)
     if (path / content.BUILD_FILE).exists() and not (path / content.DATASET_FILE).exists():
-        raise DatasetError("is an unfinished build; run its command again, which goes on with it", path)
+        raise DatasetError("is an unfinished build; run its command again to continue it", path)
     raise DatasetError(_EXPECTED, path)
 
 
-def _foreign(path: Path, layout: Layout) -> CrossViewSet:
+def _foreign(path: Path, layout: ViewFolders) -> CrossViewSet:
     return _set(
         path,
         _plain(path),
@@ -79,38 +79,38 @@ def _foreign(path: Path, layout: Layout) -> CrossViewSet:
 
 
 def _plain(path: Path) -> str:
-    """A name for the set, after its folder."""
+    """A name for the set, made from its folder's."""
     try:
         return plain_name(path.resolve().name, "name of a set")
     except ValueError:
         raise DatasetError("the folder's name cannot name a set; rename or link it", path) from None
 
 
-def _made_here(path: Path, layout: Layout) -> CrossViewSet:
+def _made_here(path: Path, layout: ViewFolders) -> CrossViewSet:
     if not (path / content.DATASET_FILE).exists():
-        raise DatasetError("is an unfinished build; run its command again, which goes on with it", path)
+        raise DatasetError("is an unfinished build; run its command again to continue it", path)
     file = load_yaml(path / content.DATASET_FILE, content.CrossViewFile, "a cross-view set's description", DatasetError)
     if file.format_version != content.FORMAT_VERSION:
         raise DatasetError(
-            f"key 'format_version' is {file.format_version}, this relocbench reads {content.FORMAT_VERSION}",
+            f"key 'format_version' is {file.format_version}, but this relocbench reads {content.FORMAT_VERSION}",
             path / content.DATASET_FILE,
         )
     rows = content.read_manifest(path)
     if content.fingerprint_of(rows) != file.fingerprint:
         raise DatasetError(
-            f"{content.MANIFEST_FILE} was changed after the set was made: the fingerprint does not fit",
+            f"{content.MANIFEST_FILE} was changed after the set was made: the fingerprint does not match",
             path / content.DATASET_FILE,
         )
     content.check_against(path, rows, layout.keys)
     digests = {key: sha256 for key, _, sha256 in rows}
     found = _set(path, file.name, layout, partial(str, file.fingerprint), content.read_conditions(path), digests)
-    return replace(found, asks=content.question_of(file, digests))
+    return replace(found, question_digest=content.question_of(file, digests))
 
 
 def _set(
     path: Path,
     name: str,
-    layout: Layout,
+    layout: ViewFolders,
     fingerprinted: Callable[[], str],
     conditions: dict[str, str] | None = None,
     digests: dict[str, str] | None = None,
@@ -132,5 +132,5 @@ def _set(
     )
     notes = [empty_folders(layout)]
     if opened.overlap:
-        notes.append(f"{len(opened.overlap)} classes are in train and in test: {listed(opened.overlap)}")
+        notes.append(f"{len(opened.overlap)} classes are in both train and test: {listed(opened.overlap)}")
     return replace(opened, notes=tuple(note for note in notes if note))

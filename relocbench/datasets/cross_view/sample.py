@@ -1,7 +1,7 @@
-"""University-1652's two contact sheets, from its authors' repository: 500 buildings, each by drone and by satellite.
+"""The two contact sheets in the repository of University-1652's authors: 500 buildings, by drone and by satellite.
 
-Cell (r, c) of ``sample_drone.jpg`` and of ``sample_satellite.jpg`` shows one building. The cells are 134 pixels wide at
-a pitch of 158, with a black border of 3; the 128 x 128 pixels within are the image.
+Cell (r, c) shows the same building in ``sample_drone.jpg`` and in ``sample_satellite.jpg``. Cells are 134 pixels wide
+at a pitch of 158 pixels and have a black border of 3; the inner 128 x 128 pixels are the image.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def is_sample(path: Path) -> bool:
 
 
 def open_sample(path: Path) -> CrossViewSet:
-    """The 500 pairs as a test set in both directions. Raises DatasetError where a sheet has another size."""
+    """The 500 pairs as a test set in both directions. Raises DatasetError if a sheet is too small."""
     cells = {view: _shots(path / sheet, view) for view, sheet in SHEETS.items()}
     return CrossViewSet(
         path,
@@ -52,12 +52,12 @@ def _shots(path: Path, view: str) -> tuple[Shot, ...]:
 
 
 def read_cell(path: Path, row: int, column: int) -> Image:
-    """(128, 128, 3) of one cell."""
+    """The image (128, 128, 3) in one cell."""
     top, left = row * PITCH + BORDER, column * PITCH + BORDER
     return np.ascontiguousarray(_sheet(path)[top : top + SIDE, left : left + SIDE])
 
 
 @lru_cache(maxsize=2)
 def _sheet(path: Path) -> Image:
-    """Both sheets stay: a cell alone cannot be decoded."""
+    """A decoded sheet; both are kept, because single cells cannot be decoded."""
     return read_rgb(path)

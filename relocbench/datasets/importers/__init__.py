@@ -1,8 +1,8 @@
-"""Importers: one module an outside format, each turning recordings into a dataset.
+"""Importers: one folder per outside format, each of which turns recordings into a dataset.
 
-An importer module has ``Options``, a subclass of :class:`ImportOptions` whose fields are the command line's options
-and the keys of a configuration file, and ``build(sources, options, out, reporter, run) -> Dataset``. Recordings are
-read, never changed, and linked rather than copied unless asked.
+An importer module has ``Options``, a subclass of :class:`ImportOptions` whose fields are command-line options and keys
+of a configuration file, and ``build(sources, options, out, reporter, run) -> Dataset``. Recordings are never changed,
+and their images are linked rather than copied unless the user asks for copies.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ KINDS: dict[str, str] = {
     "synthetic": "a procedural town in any weather, ray-cast: districts, drives and exact truth from a seed",
     "cross-view": "buildings of procedural towns by drone, satellite and from the street, in University-1652's layout",
 }
-"""what ``relocbench build-dataset`` can read"""
+"""kinds of ``relocbench build-dataset`` with one line of help each"""
 
 _MODULES = {
     "kitti": "kitti.dataset",
@@ -58,17 +58,17 @@ class Importer(Protocol):
 
 
 class Recorder(Protocol):
-    """What an importer module offers that makes recordings as well."""
+    """What an importer module offers in addition if it can make recordings."""
 
     def record(
         self, sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run
     ) -> RecordingFolder | None:
-        """None where the options ask for a dataset."""
+        """Make recordings, or return None if the options ask for a dataset."""
         ...
 
 
 class PlaceImporter(Protocol):
-    """What an importer module offers that makes places to retrieve instead of a dataset to track in."""
+    """What an importer module offers that makes a retrieval set instead of a tracking dataset."""
 
     Options: type[Strict]
 
@@ -83,18 +83,18 @@ def options_of(kind: str) -> type[Strict]:
 
 
 def place_importer(kind: str) -> PlaceImporter | None:
-    """The importer module of a kind, if it makes places."""
+    """The importer module of a kind if it makes retrieval sets, else None."""
     module = importer(kind)
     return cast(PlaceImporter, module) if hasattr(module, "build_places") else None
 
 
 def recorder(kind: str) -> Recorder | None:
-    """The importer module of a kind, if it makes recordings."""
+    """The importer module of a kind if it can make recordings, else None."""
     module = importer(kind)
     return cast(Recorder, module) if hasattr(module, "record") else None
 
 
 def importer(kind: str) -> Importer:
-    """The importer module of one of :data:`KINDS`, loaded now."""
+    """Import the importer module of one of :data:`KINDS`."""
     module: Importer = import_module(f"{__name__}.{_MODULES[kind]}")
     return module

@@ -1,4 +1,4 @@
-"""What all importers do alike: the record of the build, conditions, and the pair set at the end."""
+"""Steps that importers share: the build's configuration, checks of options and folders, and pair sets."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from relocbench.progress import Reporter
 
 
 def configuration(kind: str, sources: Sequence[Path], options: ImportOptions) -> dict[str, Any]:
-    """Everything that determines the build, as ``build.yaml`` keeps it."""
+    """Everything that determines the build, in the form that ``build.yaml`` has."""
     return {
         "kind": kind,
         "sources": [str(source.resolve()) for source in sources],
@@ -26,20 +26,28 @@ def configuration(kind: str, sources: Sequence[Path], options: ImportOptions) ->
     }
 
 
+def open_writer(
+    kind: str, sources: Sequence[Path], options: ImportOptions, out: Path, default_name: str
+) -> DatasetWriter:
+    """The writer of a build. Raises DatasetError or ConfigError like :class:`DatasetWriter`."""
+    name = options.name or default_name
+    return DatasetWriter(out, name, configuration(kind, sources, options), options.licence)
+
+
 def condition_of(options: ImportOptions, traversal: str) -> Condition:
-    """The condition given for a traversal, or unknown."""
+    """The condition that the options give for a traversal; unknown by default."""
     return options.conditions.get(traversal, Condition())
 
 
 def check_conditions(options: ImportOptions, traversals: Sequence[str]) -> None:
-    """Raises ConfigError where a condition is given for a traversal that there is not."""
+    """Raise ConfigError if the options give a condition for a traversal that does not exist."""
     for name in options.conditions:
         if name not in traversals:
             raise ConfigError(f"conditions: no traversal '{name}'; there is {', '.join(traversals)}")
 
 
 def check_folder(path: Path, expected: str) -> None:
-    """Raises DatasetError where ``path`` is no folder."""
+    """Raise DatasetError if ``path`` is not a folder."""
     if not path.is_dir():
         raise DatasetError(f"{'is a file' if path.exists() else 'no such folder'}; expected {expected}", path)
 
@@ -59,14 +67,15 @@ def write_pairs(
     sigma_translation_m: float | None = None,
     sigma_rotation_deg: float | None = None,
 ) -> str:
-    """Pairs by the rule of the options, with their correspondences; the name of the pair set is returned.
+    """Write a pair set by the pairing rule of the options, with its correspondences, and return its name.
 
-    The traversals must have been written, with images and depth.
+    The traversals must have been written before, with images and depth.
 
     Args:
         source: how the poses were obtained.
-        where: the recording, for messages.
-        numbers: timestamp_ns -> frame number, where one traversal's count has gaps.
+        where: the recording's folder, for messages.
+        numbers: timestamp_ns -> frame number, if the recording's frame numbers have gaps.
+        sigma_translation_m, sigma_rotation_deg: one standard deviation of the true poses, if known.
     """
     traversals = {name: Traversal(writer.layout.traversal(name)) for name in (reference, query)}
     pairs = make_pairs(
@@ -98,13 +107,13 @@ def write_pairs(
 def _note_unpaired(
     query: Traversal, camera: str, paired: set[int], options: ImportOptions, same_traversal: bool, reporter: Reporter
 ) -> None:
-    """Under the nearest rule every query frame should find its keyframe: what is left out is said."""
+    """Report query frames without a pair. Under the nearest rule, each should have a keyframe."""
     if options.pair_rule == "step" or (same_traversal and options.pair_rule is None):
         return
     frames = [t for t in query.timestamps(camera) if t in query.poses]
     left_out = sum(t not in paired for t in frames)
     if left_out:
         reporter.note(
-            f"{query.name}: {left_out} of {len(frames)} query frames are in no pair, no keyframe is within "
+            f"{query.name}: {left_out} of {len(frames)} query frames are in no pair: no keyframe is within "
             f"--max-distance {options.max_distance:g} m and --max-angle {options.max_angle:g} deg"
         )

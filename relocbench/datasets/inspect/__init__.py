@@ -1,1 +1,1 @@
-"""What people look at: a dataset in numbers, and its truth drawn over its images."""
+"""Summaries of datasets, and pictures of the truth drawn over the images."""

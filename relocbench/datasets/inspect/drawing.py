@@ -1,10 +1,12 @@
-"""What pictures of pairs are put together from: points on an image, two images in one, captions, panels."""
+"""Drawing for pictures of pairs: points on an image, two images in one, captions, panels."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from relocbench.datasets.core.images import as_grey
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -15,7 +17,7 @@ _MARGIN = 6
 
 
 def depth_colours(depth: Array) -> NDArray[np.uint8]:
-    """(N, 3) RGB: near is red, far is blue, even in inverse depth."""
+    """RGB colours (N, 3) from red for near to blue for far, linear in inverse depth."""
     if len(depth) == 0:
         return np.zeros((0, 3), dtype=np.uint8)
     inverse = 1.0 / depth
@@ -34,7 +36,7 @@ def draw_points(
     scale: int,
     also_hidden: NDArray[np.bool_] | None = None,
 ) -> Image:
-    """Dots on a dimmed image; hidden ones as small grey dots; corners numbered."""
+    """Draw points as dots on a dimmed image, hidden points as small grey dots, and number the corners."""
     canvas = enlarge((image * 0.65).astype(np.uint8), scale)
     at = np.where(np.isfinite(uv), (uv + 0.5) * scale - 0.5, -1e4)
     radius = max(1, canvas.shape[1] // 640)
@@ -58,28 +60,28 @@ def _draw_number(canvas: Image, at: tuple[int, int], number: str) -> None:
 
 
 def mixed(warped: Image, known: NDArray[np.bool_], query: Image, scale: int, *, patches: bool) -> tuple[str, Image]:
-    """The warped keyframe in squares between squares of the query; or, of a sparse one, ``patches`` on the query."""
+    """Caption and image: a chessboard of warped keyframe and query, or ``patches`` of the keyframe on the query."""
     out = query.copy()
     if patches:
         out[known] = warped[known]
-        return "patches of the keyframe warped onto the query; edges must run on", enlarge(out, scale)
+        return "patches of the keyframe warped onto the query; edges must be continuous", enlarge(out, scale)
     side = max(8, query.shape[1] // 16)
     v, u = np.indices(known.shape)
     of_keyframe = (u // side + v // side) % 2 == 0
     out[of_keyframe & known] = warped[of_keyframe & known]
     out[of_keyframe & ~known] //= 3
-    return "squares: keyframe warped / query; edges must run on", enlarge(out, scale)
+    return "squares: keyframe warped / query; edges must be continuous", enlarge(out, scale)
 
 
 def red_cyan(warped: Image, known: NDArray[np.bool_], query: Image) -> Image:
-    red, cyan = (np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)) for image in (warped, query))
+    red, cyan = (as_grey(image) for image in (warped, query))
     out: Image = np.stack([red, cyan, cyan], axis=-1).astype(np.uint8)
     out[~known] = cyan[~known, None] // 2
     return out
 
 
 def match_brightness(warped: Image, query: Image, known: NDArray[np.bool_]) -> Image:
-    """The warped keyframe with the query's mean and contrast."""
+    """The warped keyframe with the query's mean brightness and contrast."""
     if not np.any(known):
         return warped
     a, b = warped[known].astype(np.float64), query[known].astype(np.float64)
@@ -88,7 +90,7 @@ def match_brightness(warped: Image, query: Image, known: NDArray[np.bool_]) -> I
 
 
 def compose(panels: list[tuple[str, Image]], captions: list[tuple[str, Colour]]) -> Image:
-    """Two by two panels, each under its caption, all under the lines of the head."""
+    """Two by two panels, each below its caption, all below the head lines."""
     labelled = [np.vstack([_bar([(text, WHITE)], image.shape[1]), image]) for text, image in panels]
     height = max(image.shape[0] for image in labelled)
     width = max(image.shape[1] for image in labelled)
@@ -100,7 +102,7 @@ def compose(panels: list[tuple[str, Image]], captions: list[tuple[str, Colour]])
 
 
 def _bar(lines: list[tuple[str, Colour]], width: int) -> Image:
-    """Lines of text, made as small as they must be to fit."""
+    """Lines of text, scaled down where necessary to fit the width."""
     out = np.zeros((22 * len(lines) + 4, width, 3), dtype=np.uint8)
     for index, (text, colour) in enumerate(lines):
         plain = text.encode("ascii", "replace").decode()
@@ -122,10 +124,6 @@ def enlarge(image: Image, scale: int) -> Image:
         return np.ascontiguousarray(image)
     enlarged = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
     return np.asarray(enlarged).astype(np.uint8, copy=False)
-
-
-def rgb(image: Image) -> Image:
-    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
 
 
 def _pixel(at: Array) -> tuple[int, int]:

@@ -1,9 +1,9 @@
-"""Pictures that let a person check the truth of a pair by eye.
+"""Pictures for checking the truth of a pair by eye.
 
-Four panels: the keyframe with its points, coloured by depth; the query with the same points where the truth says they
-are; and the keyframe warped into the query by the truth, once in squares that alternate with the query (of a sparse
-keyframe: in patches on it) and once in red over the query in cyan. Where the truth is right, numbered corners sit on
-the same things, edges run on, and the last panel is without coloured fringes.
+Four panels show the keyframe with its points, coloured by depth; the query with the same points projected by the true
+pose; and the keyframe warped into the query by the true pose, once in squares that alternate with the query (for a
+sparse keyframe, in patches on the query) and once in red over the query in cyan. If the truth is right, numbered
+corners are on the same objects, edges are continuous, and the last panel has no coloured fringes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.images import write_image
+from relocbench.datasets.core.images import as_grey, as_rgb, write_image
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.inspect.drawing import (
@@ -33,7 +33,6 @@ from relocbench.datasets.inspect.drawing import (
     match_brightness,
     mixed,
     red_cyan,
-    rgb,
 )
 from relocbench.datasets.pairs.correspondences import spread_sample
 from relocbench.datasets.pairs.visibility import DepthView, ReferencePoints, reference_z_buffer, see, warp
@@ -44,39 +43,39 @@ from relocbench.tracking import Query, Reference
 Array = NDArray[np.float64]
 
 _POINTS = 3000
-"""drawn at most; more hide the image"""
+"""points that are drawn at most; more would hide the image"""
 _CORNERS = (5, 3)
-"""numbered corners: one in each cell of so many columns and rows"""
+"""columns and rows of cells with one numbered corner each"""
 _TURN = 0.004
-"""how far the image moves under the turned poses that the truth is compared with, by its width; a pixel at least"""
+"""image shift under the turned poses that the truth is compared with, relative to the width; at least one pixel"""
 _SPARSE = 0.3
-"""a keyframe with depth at fewer of its pixels is filled in around them for the warped view"""
+"""share of pixels with depth below which a keyframe counts as sparse and patches are drawn"""
 _PATCH_RADIUS = 5
-"""pixels of an image 1000 pixels wide"""
+"""pixels in an image 1000 pixels wide"""
 _PANEL_WIDTH = 640
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """How well the images agree under a pose: mean absolute difference in grey levels at the same surface points.
+class ImageAgreement:
+    """How well two images agree under the true pose: mean absolute grey-level difference at the same surface points.
 
-    The keyframe's grey levels are brought to the query's mean and contrast before.
+    The keyframe's grey levels are first scaled to the query's mean and contrast.
     """
 
     difference: float
-    """under the truth"""
+    """under the true pose"""
     difference_turned: float
-    """the least of those under poses turned left, right, up and down by 0.4 % of the image's width"""
+    """the least under poses turned left, right, up and down by 0.4 % of the image's width"""
 
     @property
     def truth_is_best(self) -> bool:
-        """Whether no turned pose agrees better. A hint: across seasons a right truth may miss it."""
+        """Whether no turned pose agrees better. This is a hint only: across seasons it can fail for a right truth."""
         return self.difference < self.difference_turned
 
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture and what it says."""
+    """One picture with the facts about its pair."""
 
     file: str
     pair_set: str
@@ -97,10 +96,10 @@ class Picture:
 def write_pictures(
     dataset: Dataset, pair_sets: list[PairSet], folder: Path, count: int, seed: int, reporter: Reporter
 ) -> list[Picture]:
-    """``PAIRSET_REF_QUERY.png`` for ``count`` pairs of each set, spread evenly along the drive.
+    """Write ``PAIRSET_REF_QUERY.png`` for ``count`` pairs of each set, spread evenly along the drive.
 
     Args:
-        seed: of the points that are drawn.
+        seed: seed of the choice of points.
     """
     chosen = [(s, pair) for s in pair_sets for pair in spread_pairs(s.pairs, count)]
     pictures = []
@@ -112,7 +111,7 @@ def write_pictures(
 
 
 def spread_pairs(pairs: list[Pair], count: int) -> list[Pair]:
-    """Up to ``count`` of the pairs whose truth is known, evenly spread over the set, first and last among them."""
+    """Up to ``count`` pairs with known truth, evenly spread over the set and including the first and the last."""
     known = [p for p in pairs if p.T_query_ref is not None]
     rows = np.unique(np.rint(np.linspace(0, len(known) - 1, min(count, len(known)))).astype(int))
     return [known[row] for row in rows]
@@ -144,8 +143,8 @@ def _write_picture(dataset: Dataset, pair_set: PairSet, pair: Pair, folder: Path
     )
 
 
-def measure_agreement(reference: Reference, query: Query, T_query_ref: Array, count: int = 20_000) -> Agreement:
-    """Compare grey levels under ``T_query_ref`` and under poses turned a little, over the same points."""
+def measure_agreement(reference: Reference, query: Query, T_query_ref: Array, count: int = 20_000) -> ImageAgreement:
+    """Compare grey levels under ``T_query_ref`` and under slightly turned poses, at the same points."""
     points = ReferencePoints.of(reference)
     points = points.take(spread_sample(points.uv, reference.camera, count, np.random.default_rng(0)))
     grey_ref, grey_query = _smooth_grey(reference.image), _smooth_grey(query.image)
@@ -155,10 +154,10 @@ def measure_agreement(reference: Reference, query: Query, T_query_ref: Array, co
     warped = [warp(stacked, reference.camera, query.camera, pose)[0] for pose in poses]
     inside = np.all([query.camera.contains(uv) for uv in warped], axis=0)
     if np.count_nonzero(inside) < 2:
-        return Agreement(np.nan, np.nan)
+        return ImageAgreement(np.nan, np.nan)
     values = _sample(grey_ref, points.uv[inside])
     differences = [_difference(values, _sample(grey_query, uv[inside])) for uv in warped]
-    return Agreement(differences[0], min(differences[1:]))
+    return ImageAgreement(differences[0], min(differences[1:]))
 
 
 def _turns(camera: Camera) -> list[Array]:
@@ -172,9 +171,9 @@ def _difference(a: Array, b: Array) -> float:
 
 
 def warp_image(reference: Reference, query: Camera, T_query_ref: Array) -> tuple[Image, NDArray[np.bool_]]:
-    """The keyframe as the query would see it, (H, W[, 3]), and where that is known (H, W).
+    """The keyframe as the query would see it, (H, W[, 3]), and where it is known, (H, W).
 
-    The keyframe's depth is drawn into the query; each pixel q with depth z then takes the keyframe's colour at
+    The keyframe's depth is drawn into the query; each query pixel q with depth z then gets the keyframe's colour at
     ``pi(T_ref_query pi^-1(q, z))``.
     """
     depth = _filled_depth(reference)
@@ -189,13 +188,13 @@ def warp_image(reference: Reference, query: Camera, T_query_ref: Array) -> tuple
 
 
 def is_sparse(reference: Reference) -> bool:
-    """Whether the warped view of a keyframe has to be made of patches around its points."""
+    """Whether a keyframe is so sparse that only patches around its points can be warped."""
     inverse = reference.inverse_depth_map
     return bool(np.count_nonzero(inverse) < _SPARSE * inverse.size)
 
 
 def _filled_depth(reference: Reference) -> NDArray[np.float32]:
-    """Dense depth for the warped view; around sparse points a patch takes the depth of the nearest surface."""
+    """Depth for warping; sparse points are dilated to patches, where the nearest surface wins."""
     inverse = reference.inverse_depth_map
     if is_sparse(reference):
         radius = max(1, round(_PATCH_RADIUS * reference.camera.width / 1000))
@@ -211,7 +210,7 @@ def draw_pair(
     query: Query,
     view: DepthView,
     pair: Pair,
-    agreement: Agreement,
+    agreement: ImageAgreement,
     title: str,
     rng: np.random.Generator,
 ) -> Image:
@@ -224,17 +223,17 @@ def draw_pair(
     corners = _corner_rows(reference.image, points.uv, seen.visible)
     everywhere = np.ones(len(points), dtype=np.bool_)
     warped, known = warp_image(reference, query.camera, pair.T_query_ref)
-    other = rgb(query.image)
-    warped = match_brightness(rgb(warped), other, known)
+    other = as_rgb(query.image)
+    warped = match_brightness(as_rgb(warped), other, known)
     near, far = np.percentile(points.depth, [5, 95]) if len(points) else (np.nan, np.nan)
     scale = max(1, round(_PANEL_WIDTH / query.camera.width))
     panels = [
         (
             f"keyframe: points, red {near:.3g} m to blue {far:.3g} m",
-            draw_points(rgb(reference.image), points.uv, colours, everywhere, corners, scale),
+            draw_points(as_rgb(reference.image), points.uv, colours, everywhere, corners, scale),
         ),
         (
-            f"query: the same points by the truth; {np.count_nonzero(seen.visible)} seen, "
+            f"query: the same points by the true pose; {np.count_nonzero(seen.visible)} visible, "
             f"{np.count_nonzero(seen.inside & ~seen.visible)} hidden (grey)",
             draw_points(other, seen.uv_query, colours, seen.visible, corners, scale, seen.inside),
         ),
@@ -244,7 +243,7 @@ def draw_pair(
     return compose(panels, _captions(pair, agreement, title))
 
 
-def _captions(pair: Pair, agreement: Agreement, title: str) -> list[tuple[str, Colour]]:
+def _captions(pair: Pair, agreement: ImageAgreement, title: str) -> list[tuple[str, Colour]]:
     facts = [f"{pair.distance_m:.3f} m", f"{pair.angle_deg:.2f} deg"]
     if pair.overlap is not None:
         facts.append(f"overlap {pair.overlap:.2f}")
@@ -263,7 +262,7 @@ def _captions(pair: Pair, agreement: Agreement, title: str) -> list[tuple[str, C
 
 
 def _corner_rows(image: Image, uv: Array, visible: NDArray[np.bool_]) -> list[int]:
-    """Rows of the points that are easiest to find again: the best corner of each cell of the keyframe."""
+    """Rows of the most recognisable points: the best corner in each cell of the keyframe."""
     grey = _smooth_grey(image).astype(np.float32)
     response = _sample(cv2.cornerMinEigenVal(grey, 5), uv)
     columns, rows = _CORNERS
@@ -280,12 +279,11 @@ def _corner_rows(image: Image, uv: Array, visible: NDArray[np.bool_]) -> list[in
 
 
 def _smooth_grey(image: Image) -> Array:
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return np.asarray(cv2.GaussianBlur(grey, (0, 0), 1.0), dtype=np.float64)
+    return np.asarray(cv2.GaussianBlur(as_grey(image), (0, 0), 1.0), dtype=np.float64)
 
 
 def _sample(image: NDArray[Any], uv: Array) -> Array:
-    """(N,) values between pixels."""
+    """Bilinear samples (N,) of an image at pixels (N, 2)."""
     v, u = np.clip(uv[:, 1], 0, image.shape[0] - 1), np.clip(uv[:, 0], 0, image.shape[1] - 1)
     v0, u0 = np.minimum(v.astype(int), image.shape[0] - 2), np.minimum(u.astype(int), image.shape[1] - 2)
     fv, fu = v - v0, u - u0

@@ -1,4 +1,4 @@
-"""What is in a dataset, as numbers for people."""
+"""The content of a dataset in numbers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float | None]) -> Spread | None:
-        """None where no value is known."""
+        """The spread of the known values; None if there are none."""
         known = [v for v in values if v is not None]
         return cls(min(known), float(np.median(known)), max(known)) if known else None
 
@@ -42,7 +42,7 @@ class TraversalSummary:
     keyframes: int
     poses: int
     length_m: float
-    """of the way from pose to pose"""
+    """length of the path through the poses"""
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,9 @@ class PairSetInventory:
     query_condition: str
     pairs: int
     rejected: dict[str, int]
-    """why -> how many"""
+    """reason -> number of rejected pairs"""
     groups: dict[str, int]
-    """group -> how many accepted pairs"""
+    """group -> number of accepted pairs"""
     has_truth: bool
     sources: dict[str, int]
     distance_m: Spread | None
@@ -71,7 +71,7 @@ class PairSetInventory:
 
 @dataclass(frozen=True)
 class Inventory:
-    """All of a dataset."""
+    """The whole dataset."""
 
     name: str
     licence: str
@@ -82,12 +82,12 @@ class Inventory:
     pair_sets: list[PairSetInventory]
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for scripts."""
+        """The inventory as plain values, for scripts."""
         return asdict(self)
 
 
 def take_inventory(dataset: Dataset) -> Inventory:
-    """Count and measure what a dataset holds; no image is read.
+    """Count and measure the content of a dataset; no image is read.
 
     Raises:
         DatasetError: a description, pose or pair file is bad.
@@ -104,7 +104,7 @@ def take_inventory(dataset: Dataset) -> Inventory:
 
 
 def summarize_traversal(traversal: Traversal) -> TraversalSummary:
-    """Counts, and the length of the way driven."""
+    """Count a traversal's files and measure the length driven."""
     centres = np.array([T_world_rig[:3, 3] for T_world_rig in traversal.poses.values()]).reshape(-1, 3)
     cameras = {name: traversal.camera(name) for name in traversal.cameras}
     return TraversalSummary(
@@ -120,7 +120,7 @@ def summarize_traversal(traversal: Traversal) -> TraversalSummary:
 
 
 def summarize_pair_set(dataset: Dataset, pair_set: PairSet) -> PairSetInventory:
-    """Counts and how far apart its pairs are."""
+    """Count a set's pairs and measure how far apart they are."""
     pairs = pair_set.pairs
     return PairSetInventory(
         name=pair_set.name,

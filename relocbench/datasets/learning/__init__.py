@@ -1,1 +1,1 @@
-"""Datasets as trainers read them."""
+"""Datasets as training data."""

@@ -1,4 +1,4 @@
-"""All pairs of a split that have correspondences, of one dataset or several, as a trainer reads them."""
+"""Training pairs: all pairs with correspondences in a split of one or several datasets."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.core import fingerprint
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.images import as_rgb
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
@@ -34,15 +35,16 @@ class _Source:
 
 
 class DatasetPairs:
-    """``relocbench.training.TrainingData`` from datasets.
+    """``relocbench.training.TrainingData`` from dataset folders.
 
     Args:
-        datasets: folders.
-        split: whose pair sets are learnt from.
+        datasets: dataset folders.
+        split: the split to learn from.
 
     Raises:
-        ConfigError: a dataset twice, the test split or a traversal of it, or no pair is left.
-        DatasetError: a bad dataset, no such split, or no correspondences.
+        ConfigError: a dataset is given twice, the split is or shares a traversal with the test split, or it has no
+            pairs with correspondences.
+        DatasetError: a dataset is bad, or has no such split or no correspondences.
     """
 
     def __init__(self, datasets: Sequence[Path], split: str = "train") -> None:
@@ -63,7 +65,7 @@ class DatasetPairs:
         return self._sources[self._entries[index][0]].label
 
     def describe(self) -> Mapping[str, str]:
-        """Dataset's name, with its short fingerprint -> fingerprint."""
+        """Fingerprints of the datasets by name and short fingerprint."""
         return dict(self._fingerprints)
 
     def load(self, index: int) -> TrainingPair:
@@ -105,15 +107,14 @@ class DatasetPairs:
         at = (source.root, traversal)
         if at not in self._open:
             self._open[at] = Traversal(DatasetLayout(source.root).traversal(traversal))
-        image = self._open[at].image(source.camera, timestamp_ns)
-        return np.repeat(image[..., None], 3, axis=-1) if image.ndim == 2 else image
+        return as_rgb(self._open[at].image(source.camera, timestamp_ns))
 
 
 def without_only_validation(datasets: Sequence[Path], split: str) -> list[Path]:
-    """The datasets to learn from: those that serve for validation alone are left out, unless none would be left.
+    """The datasets to learn from, without those that have only a validation split (unless none would be left).
 
     Raises:
-        DatasetError: a bad dataset.
+        DatasetError: a dataset is bad.
     """
     splits = {root: Dataset(root.resolve()).splits for root in datasets}
     learnt = [root for root in datasets if split in splits[root] or VALIDATION_SPLIT not in splits[root]]
@@ -121,19 +122,19 @@ def without_only_validation(datasets: Sequence[Path], split: str) -> list[Path]:
 
 
 def refuse_test_split(dataset: Dataset, split: str) -> None:
-    """Nothing is learnt from what scores are published on, nor from other pairs of the same drives.
+    """Check that a split may be learnt from: it must not be the test split or contain drives of it.
 
     Raises:
         ConfigError: the split is the test split or shares a traversal with it.
         DatasetError: there is no such split.
     """
     if split == TEST_SPLIT:
-        raise ConfigError("the test split is for scores and not to learn from; build with --split train", dataset.root)
+        raise ConfigError("the test split must not be learnt from; build a dataset with --split train", dataset.root)
     chosen = dataset.pair_sets(split)
     if TEST_SPLIT in dataset.splits:
         shared = _traversals(chosen) & _traversals(dataset.pair_sets(TEST_SPLIT))
         if shared:
-            raise ConfigError(f"split '{split}' holds '{min(shared)}' that the test split holds too", dataset.root)
+            raise ConfigError(f"split '{split}' shares traversal '{min(shared)}' with the test split", dataset.root)
 
 
 def _traversals(pair_sets: Sequence[PairSet]) -> set[str]:

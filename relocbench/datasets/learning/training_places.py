@@ -1,4 +1,4 @@
-"""What retrievers learn from: the train folders of one or several cross-view sets."""
+"""Training data of retrievers: the train folders of one or several cross-view sets."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from relocbench.retrieval import PlaceData
 
 
 def training_places(roots: Sequence[Path], reporter: Reporter) -> PlaceData:
-    """Images of known places, those of several sets together; a place of one set is none of another's.
+    """Images of known places from one or several sets; places of different sets are different.
 
     Args:
-        roots: folders.
-        reporter: is told of empty folders, and of places that are in the test folders too.
+        roots: folders of cross-view sets.
+        reporter: receives notes on empty folders and on places that are also in the test folders.
 
     Raises:
-        DatasetError: a folder is no cross-view set, or has nothing to learn from.
+        DatasetError: a folder is not a cross-view set or has no training images.
         ConfigError: a folder is given twice.
     """
     if len({root.resolve() for root in roots}) < len(roots):
@@ -29,7 +29,7 @@ def training_places(roots: Sequence[Path], reporter: Reporter) -> PlaceData:
 
 
 def joined(sets: Sequence[PlaceData]) -> PlaceData:
-    """All places of several sets, numbered one after the other."""
+    """The places of several sets, numbered consecutively."""
     images = []
     places = 0
     for each in sets:

@@ -1,1 +1,1 @@
-"""Which images are paired, and what a pair's truth says of single pixels."""
+"""Pairing of images, and the ground truth of a pair's individual pixels."""

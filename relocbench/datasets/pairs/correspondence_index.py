@@ -1,4 +1,4 @@
-"""Which row group of a correspondence file holds which pair, so that single pairs can be read in any order."""
+"""An index of a correspondence file's row groups by pair, so that single pairs can be read in any order."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from relocbench.errors import DatasetError
 
 
 class CorrespondenceIndex:
-    """A correspondence file, its footer read once.
+    """A correspondence file whose footer is read once.
 
     Raises:
-        DatasetError: missing, not a whole Parquet file, or other columns.
+        DatasetError: the file is missing, not a whole Parquet file, or has other columns.
     """
 
     def __init__(self, path: Path) -> None:
@@ -31,10 +31,10 @@ class CorrespondenceIndex:
         return key in self._groups
 
     def read_visible(self, key: PairKey) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None]:
-        """Pixels (N, 2) of reference and query that both see, and their sigma (N,) where the file tells it.
+        """Pixels (N, 2) of reference and query that are visible in both, and their sigma (N,) if the file has it.
 
         Raises:
-            DatasetError: the file was changed since.
+            DatasetError: the file has changed since it was opened.
         """
         columns = ["u_ref", "v_ref", "u_query", "v_query", "visible", *([SIGMA.name] if self._has_sigma else [])]
         with open_correspondences(self.path) as file:

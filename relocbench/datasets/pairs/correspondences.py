@@ -1,6 +1,6 @@
-"""Ground-truth correspondences: which query pixel sees the surface point of a reference pixel, kept as Parquet.
+"""Ground-truth correspondences: which query pixel sees the surface point of a reference pixel, stored as Parquet.
 
-How visibility is decided, and within which tolerances, stands in :mod:`relocbench.datasets.pairs.visibility`.
+How visibility is decided, and with which tolerances, is described in :mod:`relocbench.datasets.pairs.visibility`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from relocbench.datasets.core import pairfile
-from relocbench.datasets.core.layout import pair_set_name
+from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
@@ -47,20 +47,20 @@ SCHEMA = pa.schema(
     ]
 )
 SIGMA = pa.field("sigma_px", pa.float32())
-"""a last column, in files of pairs whose truth is known with a sigma"""
+"""a last column, in files of pairs whose true poses have a sigma"""
 _CELLS = 24
-"""samples are spread over cells, this many along the longer side of the image"""
+"""cells along the longer side of the image, over which samples are spread"""
 MOST_ROWS = 2**20
-"""of a pair: a keyframe of a million pixels, each with its own; files written here have at most 60,000"""
+"""rows of a pair: one for each of a million pixels; files written here have at most 60,000"""
 _WORTH_WORKERS = 40
-"""pairs: fewer are done before worker processes have started"""
+"""pairs; fewer are finished before worker processes have started"""
 _OVERLAP_PIXELS = 60_000
-"""of a denser keyframe so many pixels are drawn: the overlap is then right to 0.002 (one sigma)"""
+"""pixels of a keyframe that are sampled for the overlap, which is then accurate to 0.002 (one sigma)"""
 
 
 @dataclass(frozen=True, eq=False)
 class Correspondences:
-    """Rows of a correspondence file, as arrays of equal length."""
+    """Rows of a correspondence file as arrays of equal length."""
 
     ref_timestamp_ns: NDArray[np.int64]
     query_timestamp_ns: NDArray[np.int64]
@@ -69,13 +69,13 @@ class Correspondences:
     depth_ref: Array
     """(N,) metres along z"""
     uv_query: Array
-    """(N, 2) pixels, on the query's image"""
+    """(N, 2) pixels, within the query's image"""
     visible: Mask
-    """(N,) the query sees the point; else something hides it"""
+    """(N,) whether the query sees the point; otherwise something hides it"""
     check: tuple[str, ...]
     """how that was decided: both, self or none"""
     sigma_px: Array | None = None
-    """(N,) one standard deviation of the query's pixel; None in files that do not tell"""
+    """(N,) one standard deviation of the query's pixel; None if the file has no such column"""
 
     def __len__(self) -> int:
         return len(self.depth_ref)
@@ -93,11 +93,11 @@ class PairCorrespondences:
     """(N, 2)"""
     visible: Mask
     check: NDArray[np.int8]
-    """index into CHECKS"""
+    """(N,) index into CHECKS"""
     overlap: float
     """share of the reference's pixels with depth that the query sees"""
     sigma_px: Array | None = None
-    """(N,) one standard deviation of the query's pixel, where the pose's is known"""
+    """(N,) one standard deviation of the query's pixel, if that of the pose is known"""
 
     def __len__(self) -> int:
         return len(self.depth_ref)
@@ -113,10 +113,11 @@ def pair_correspondences(
 ) -> PairCorrespondences:
     """Up to ``count`` correspondences of a pair, spread over the reference image, and the pair's overlap.
 
-    They are drawn among the reference pixels whose point falls on the query's image, seen there or hidden.
+    They are sampled from the reference pixels whose points project into the query's image, visible there or hidden.
 
     Args:
-        sigma_pose: one standard deviation of the pose, metres and radians a direction; then pixels have one too.
+        count: greatest number of correspondences.
+        sigma_pose: one standard deviation of the pose per direction, metres and radians; gives pixels a sigma too.
     """
     points = ReferencePoints.of(reference)
     if len(points) > _OVERLAP_PIXELS:
@@ -134,9 +135,9 @@ def pair_correspondences(
 
 
 def spread_sample(pixels: Array, camera: Camera, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Rows of up to ``count`` of the pixels (N, 2), drawn evenly over the cells of the image, in increasing order.
+    """Rows of up to ``count`` of the pixels (N, 2), sampled evenly over cells of the image, in increasing order.
 
-    Every cell gives one pixel before any gives its second.
+    No cell gives a second pixel before every cell has given one.
     """
     if len(pixels) <= count:
         return np.arange(len(pixels))
@@ -154,7 +155,7 @@ def spread_sample(pixels: Array, camera: Camera, count: int, rng: np.random.Gene
 
 @dataclass(frozen=True, eq=False)
 class _Unit:
-    """One pair, as a worker needs it."""
+    """One pair to process."""
 
     reference: Traversal
     query: Traversal
@@ -175,7 +176,7 @@ def _work(unit: _Unit) -> PairCorrespondences:
 
 
 def _sigma_pose(pair: Pair) -> tuple[float, float] | None:
-    """Metres and radians; None where the pair's table does not tell."""
+    """Sigma of the pose in metres and radians; None if unknown."""
     if pair.sigma_translation_m is None or pair.sigma_rotation_deg is None:
         return None
     return pair.sigma_translation_m, float(np.radians(pair.sigma_rotation_deg))
@@ -193,45 +194,73 @@ def write_pair_set(
     reporter: Reporter,
     run: Run,
 ) -> str:
-    """A pair set with the overlap of each pair and, for ``count`` > 0, its correspondence file; its name is returned.
+    """Write a pair set with the overlap of each pair and, if ``count`` > 0, a correspondence file; returns its name.
 
-    The traversals must have been written before. Pairs that were rejected or have no pose are kept without either.
-    A set that a former run of the same build finished is kept as it is.
+    The traversals must have been written before. Pairs that are rejected or have no pose get neither overlap nor
+    correspondences. A set that an earlier run of the same build has finished is kept unchanged.
+
+    Args:
+        count: greatest number of correspondences per pair.
     """
     name = pair_set_name(reference, query, camera)
-    path = writer.layout.correspondence_file(name)
     ordered = sorted(pairs, key=lambda p: p.key)
-    if _is_finished(writer, name, ordered, count):
+    if is_finished(writer.layout, name, ordered, with_correspondences=count > 0):
         return name
     traversals = [Traversal(writer.layout.traversal(t)) for t in (reference, query)]
     measured = [p for p in ordered if p.accepted and p.T_query_ref is not None]
     units = [_Unit(traversals[0], traversals[1], camera, pair, count, seed) for pair in measured]
-    overlaps: dict[PairKey, float] = {}
     run = run if len(units) >= _WORTH_WORKERS else run.alone()
     with reporter.stage(f"correspondences of {name}", len(units)) as advance:
 
         def results() -> Iterator[tuple[PairKey, PairCorrespondences]]:
             for index, found in _in_order(run_units(_work, units, run)):
-                overlaps[measured[index].key] = found.overlap
                 yield measured[index].key, found
                 advance(1)
 
-        if count:
-            write_correspondences(path, results(), sigma=any(_sigma_pose(p) is not None for p in measured))
-        else:
-            for _ in results():
-                pass
-    writer.pairs(reference, query, camera, [replace(p, overlap=overlaps.get(p.key, p.overlap)) for p in ordered])
+        sigma = any(_sigma_pose(p) is not None for p in measured)
+        write_measured(writer.layout, name, ordered, results(), with_correspondences=count > 0, sigma=sigma)
     return name
+
+
+def write_measured(
+    layout: DatasetLayout,
+    name: str,
+    pairs: Sequence[Pair],
+    measured: Iterable[tuple[PairKey, PairCorrespondences]],
+    *,
+    with_correspondences: bool,
+    sigma: bool = False,
+) -> None:
+    """Write a pair set: first its correspondences, if wanted, and last its pairs with the measured overlaps.
+
+    Args:
+        pairs: all pairs of the set, sorted by their keys.
+        measured: results for some or all of the pairs, which are consumed one at a time.
+        sigma: as in :func:`write_correspondences`.
+    """
+    overlaps: dict[PairKey, float] = {}
+
+    def noted() -> Iterator[tuple[PairKey, PairCorrespondences]]:
+        for key, found in measured:
+            overlaps[key] = found.overlap
+            yield key, found
+
+    if with_correspondences:
+        write_correspondences(layout.correspondence_file(name), noted(), sigma=sigma)
+    else:
+        for _ in noted():
+            pass
+    complete = [replace(p, overlap=overlaps.get(p.key, p.overlap)) for p in pairs]
+    pairfile.write_pairs(layout.pair_file(name), layout.pair_table(name), complete)
 
 
 def write_correspondences(
     path: Path, pairs: Iterable[tuple[PairKey, PairCorrespondences]], *, sigma: bool = False
 ) -> None:
-    """One row group a pair, streamed: memory holds one pair at a time.
+    """Write a correspondence file, one row group per pair. Only one pair is in memory at a time.
 
     Args:
-        sigma: with a column of ``sigma_px``, nan where a pair has none.
+        sigma: add the column ``sigma_px``, with nan for pairs without sigma.
     """
     schema = SCHEMA.append(SIGMA) if sigma else SCHEMA
     with atomic_write(path, "wb") as stream, pq.ParquetWriter(stream, schema, compression="zstd") as table:
@@ -242,10 +271,10 @@ def write_correspondences(
 
 @contextmanager
 def open_correspondences(path: Path) -> Iterator[pq.ParquetFile]:
-    """A correspondence file whose footer was read and checked.
+    """Open a correspondence file and check its footer.
 
     Raises:
-        DatasetError: missing, not a Parquet file, other columns or types; and where reading from it fails later.
+        DatasetError: the file is missing, not a Parquet file or has other columns or types, or reading it fails later.
     """
     if not plain_file(path, "correspondences (Parquet)", DatasetError).is_file():
         raise DatasetError("missing; expected correspondences (Parquet)", path)
@@ -254,13 +283,13 @@ def open_correspondences(path: Path) -> Iterator[pq.ParquetFile]:
             _check_schema(file.schema_arrow, path)
             yield file
     except (pa.ArrowException, OSError, ValueError, MemoryError) as bad:
-        told = " ".join(str(bad).split())[:160]
-        raise DatasetError(f"not a whole Parquet file ({told}); expected correspondences", path) from None
+        reason = " ".join(str(bad).split())[:160]
+        raise DatasetError(f"not a whole Parquet file ({reason}); expected correspondences", path) from None
 
 
 def _check_schema(schema: pa.Schema, path: Path) -> None:
     if schema.names not in (SCHEMA.names, [*SCHEMA.names, SIGMA.name]):
-        raise DatasetError(f"expected the columns {','.join(SCHEMA.names)} and perhaps {SIGMA.name}", path)
+        raise DatasetError(f"expected the columns {','.join(SCHEMA.names)}[,{SIGMA.name}]", path)
     for wanted in [*SCHEMA, SIGMA][: len(schema)]:
         found = schema.field(wanted.name).type
         if wanted.name == "check":
@@ -271,16 +300,15 @@ def _check_schema(schema: pa.Schema, path: Path) -> None:
         else:
             known = found == wanted.type
         if not known:
-            told = str(found).split("<")[0][:40]
-            raise DatasetError(f"column '{wanted.name}' is {told}, expected {wanted.type}", path)
+            kind = str(found).split("<")[0][:40]
+            raise DatasetError(f"column '{wanted.name}' is {kind}, expected {wanted.type}", path)
 
 
 def read_group(file: pq.ParquetFile, group: int, path: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """The rows of one pair.
+    """The rows of one row group, which are those of one pair.
 
     Raises:
-        DatasetError: they are more than a pair can have (a few bytes can stand for any number of equal rows), or lack
-            values.
+        DatasetError: there are too many rows (compressed, equal rows take hardly any space), or values are missing.
     """
     check_rows(file, group, path)
     table = file.read_row_group(group, columns=columns, use_threads=False)
@@ -291,32 +319,32 @@ def read_group(file: pq.ParquetFile, group: int, path: Path, columns: Sequence[s
 
 
 def check_rows(file: pq.ParquetFile, group: int, path: Path) -> None:
-    """Raises DatasetError where a row group has more rows than a pair can have."""
+    """Raise DatasetError if a row group has more rows than a pair can have."""
     rows = file.metadata.row_group(group).num_rows
     if not 0 <= rows <= MOST_ROWS:
         raise DatasetError(f"row group {group} has {rows} rows; a pair has at most {MOST_ROWS}", path)
 
 
 def key_of(group: pq.RowGroupMetaData, path: Path) -> PairKey:
-    """A row group holds one pair: its least time is its only one.
+    """The pair of a row group, from its statistics: a group holds one pair, so the least timestamp is the only one.
 
     Raises:
-        DatasetError: the file does not tell it.
+        DatasetError: the file has no such statistics.
     """
     times = []
     for column in (0, 1):
         known = group.column(column).statistics
         if known is None or not known.has_min_max or not isinstance(known.min, int):
-            raise DatasetError("does not tell the pair of each row group (Parquet statistics of the timestamps)", path)
+            raise DatasetError("has no Parquet statistics of the timestamps, which name each row group's pair", path)
         times.append(known.min)
     return times[0], times[1]
 
 
 def read_correspondences(path: Path, key: PairKey | None = None) -> Correspondences:
-    """All rows of a correspondence file, or those of one pair (the rest is not read).
+    """Read all rows of a correspondence file, or only those of one pair.
 
     Raises:
-        DatasetError: missing, not a Parquet file, or other columns.
+        DatasetError: the file is missing, not a Parquet file, or has other columns.
     """
     with open_correspondences(path) as file:
         groups = range(file.num_row_groups)
@@ -327,10 +355,10 @@ def read_correspondences(path: Path, key: PairKey | None = None) -> Corresponden
 
 
 def iterate_correspondences(path: Path) -> Iterator[Correspondences]:
-    """The rows of a correspondence file pair by pair, so that memory holds one.
+    """The rows of a correspondence file, one pair at a time.
 
     Raises:
-        DatasetError: as :func:`read_correspondences`.
+        DatasetError: like :func:`read_correspondences`.
     """
     with open_correspondences(path) as file:
         for group in range(file.num_row_groups):
@@ -367,13 +395,12 @@ def _table(key: PairKey, found: PairCorrespondences, schema: pa.Schema) -> pa.Ta
     return pa.Table.from_arrays([pa.array(c) if isinstance(c, np.ndarray) else c for c in columns], schema=schema)
 
 
-def _is_finished(writer: DatasetWriter, name: str, pairs: Sequence[Pair], count: int) -> bool:
-    """Whether a former run wrote this set; the pair file comes after the correspondences."""
-    layout = writer.layout
+def is_finished(layout: DatasetLayout, name: str, pairs: Sequence[Pair], *, with_correspondences: bool) -> bool:
+    """Whether an earlier run has written this pair set; its pairs are written after the correspondences."""
     if not (layout.pair_file(name).exists() and layout.pair_table(name).exists()):
         return False
     try:
-        if count:
+        if with_correspondences:
             with open_correspondences(layout.correspondence_file(name)):
                 pass
         known = pairfile.read_pairs(layout.pair_file(name), layout.pair_table(name))
@@ -383,7 +410,7 @@ def _is_finished(writer: DatasetWriter, name: str, pairs: Sequence[Pair], count:
 
 
 def _in_order(results: Iterable[tuple[int, PairCorrespondences]]) -> Iterator[tuple[int, PairCorrespondences]]:
-    """Results by index, whichever worker is first; those that come early wait."""
+    """The results in order of their indices; early ones wait for those before them."""
     waiting: dict[int, PairCorrespondences] = {}
     due = 0
     for index, result in results:

@@ -1,4 +1,4 @@
-"""Which keyframe is paired with which query, by rule, from camera poses alone."""
+"""Pairing of keyframes and queries by rule, from camera poses alone."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class PosedFrames:
     keyframes: frozenset[int]
     """times of the frames with depth or points"""
     numbers: tuple[int, ...] = ()
-    """frame numbers as the recording counts them, with its gaps; default: 0, 1, 2, ..."""
+    """the recording's frame numbers, which may have gaps; default: 0, 1, 2, ..."""
 
     def __post_init__(self) -> None:
         if not self.numbers:
@@ -42,7 +42,7 @@ class PosedFrames:
 
     @property
     def keyframe_rows(self) -> list[int]:
-        """Positions in :attr:`timestamps` of the keyframes."""
+        """Positions of the keyframes in :attr:`timestamps`."""
         return [i for i, t in enumerate(self.timestamps) if t in self.keyframes]
 
 
@@ -50,7 +50,7 @@ def posed_frames(traversal: Traversal, camera: str, numbers: dict[int, int] | No
     """The frames of a traversal on disk that have an image and a pose.
 
     Args:
-        numbers: timestamp_ns -> frame number, where the recording's own count has gaps.
+        numbers: timestamp_ns -> frame number, if the recording's frame numbers have gaps.
     """
     times = [t for t in traversal.timestamps(camera) if t in traversal.poses]
     poses = [traversal.T_world_cam(camera, t) for t in times]
@@ -73,24 +73,24 @@ def make_pairs(
     sigma_translation_m: float | None = None,
     sigma_rotation_deg: float | None = None,
 ) -> list[Pair]:
-    """Pairs by the rule of the options: ``step`` within one traversal and ``nearest`` across two, unless told.
+    """Pairs by the rule of the options; by default ``step`` within one traversal and ``nearest`` across two.
 
     Args:
-        source: how the poses were obtained, kept with each pair.
-        where: the recording, for messages.
-        sigma_translation_m, sigma_rotation_deg: one standard deviation of ``T_query_ref``, where it is known.
+        source: how the poses were obtained, stored with each pair.
+        where: the recording's folder, for messages.
+        sigma_translation_m, sigma_rotation_deg: one standard deviation of ``T_query_ref``, if known.
 
     Raises:
-        DatasetError: no pair came of it; the message says how near the nearest were.
-        ConfigError: steps are asked for across two traversals.
+        DatasetError: there is no pair; the message says how near the nearest candidates were.
+        ConfigError: the step rule is used across two traversals.
     """
     rule = options.pair_rule or ("step" if same_traversal else "nearest")
     if rule == "step" and not same_traversal:
         raise ConfigError("--pair-rule step counts frames within one traversal; use nearest for two recordings")
     if not reference.keyframe_rows:
-        raise DatasetError("no frame has both depth and a pose: there is no keyframe to pair", where)
+        raise DatasetError("no keyframe: no frame has both depth and a pose", where)
     if not query.timestamps:
-        raise DatasetError("no query frame has a pose: there is nothing to pair", where)
+        raise DatasetError("no query: no query frame has a pose", where)
     if rule == "step":
         found = step_matches(reference, options.pair_step)
     else:
@@ -123,9 +123,9 @@ def relative_pose(T_world_query: Array, T_world_ref: Array) -> Array:
 
 
 def step_matches(frames: PosedFrames, steps: Sequence[int]) -> list[tuple[int, int, str]]:
-    """(reference row, query row, group ``step_k``): the keyframe numbered i with the frame numbered i + k.
+    """Matches (reference row, query row, group ``step_k``) of keyframe number i with frame number i + k.
 
-    A gap in the numbers is a gap: frame i + k is the one of that number, or there is no pair.
+    If frame number i + k is missing, there is no match.
     """
     row_of = {number: row for row, number in enumerate(frames.numbers)}
     keyframes = frames.keyframe_rows
@@ -140,13 +140,13 @@ def step_matches(frames: PosedFrames, steps: Sequence[int]) -> list[tuple[int, i
 def nearest_matches(
     reference: PosedFrames, query: PosedFrames, max_distance: float, max_angle: float, *, same_traversal: bool
 ) -> list[tuple[int, int, str]]:
-    """(reference row, query row, group ``nearest``): each query frame with the nearest admissible keyframe.
+    """Matches (reference row, query row, group ``nearest``) of each query frame with the nearest admissible keyframe.
+
+    Within the same traversal a frame is never paired with itself. Of equally near keyframes the earlier is taken.
 
     Args:
-        max_distance: metres between the camera centres.
-        max_angle: degrees of the relative rotation.
-
-    Within the same traversal a frame is never paired with itself. Of keyframes equally near the earlier wins.
+        max_distance: greatest distance between the camera centres, metres.
+        max_angle: greatest angle of the relative rotation, degrees.
     """
     rows = reference.keyframe_rows
     found = []
@@ -161,11 +161,11 @@ def nearest_matches(
 def _within(
     reference: PosedFrames, query: PosedFrames, max_distance: float, same_traversal: bool
 ) -> Iterator[tuple[int, NDArray[np.int64], Array, Array]]:
-    """For each query row: keyframes (as positions in ``keyframe_rows``) within reach, their distances and angles."""
+    """For each query row, the keyframes within reach (as positions in ``keyframe_rows``), distances and angles."""
     rows = reference.keyframe_rows
     keys = reference.T_world_cam[rows]
     key_times = np.array([reference.timestamps[r] for r in rows], dtype=np.int64)
-    from scipy.spatial import cKDTree  # takes half a second to load, which a mistyped path should not wait for
+    from scipy.spatial import cKDTree  # imported late: loading takes half a second, too long before an input error
 
     tree = cKDTree(keys[:, :3, 3])
     for q, T_world_query in enumerate(query.T_world_cam):
@@ -179,7 +179,7 @@ def _within(
 
 
 def _angles_deg(T_world_query: Array, T_world_ref: Array) -> Array:
-    """Degrees between one camera and (N, 4, 4) others."""
+    """Angles (N,) in degrees between one camera and (N, 4, 4) others."""
     relative = np.swapaxes(T_world_query[:3, :3], -1, -2) @ T_world_ref[..., :3, :3]
     return np.degrees(np.asarray(rotation_angle(relative)))
 
@@ -194,8 +194,8 @@ def _why_none_near(reference: PosedFrames, query: PosedFrames, options: ImportOp
     if within:
         angle, distance = min(within)
         return (
-            f"no pair: of the keyframes within reach of a query the best aligned is {distance:.3g} m and "
-            f"{angle:.3g} deg away; {limits}: widen --max-angle"
+            f"no pair: the best aligned keyframe within reach of a query is {distance:.3g} m and "
+            f"{angle:.3g} deg away; {limits}: increase --max-angle"
         )
     everywhere = [
         (float(d.min()), float(a[d.argmin()])) for _, _, d, a in _within(reference, query, np.inf, same_traversal)
@@ -203,10 +203,10 @@ def _why_none_near(reference: PosedFrames, query: PosedFrames, options: ImportOp
     if not everywhere:
         return f"no pair: the only keyframe is the only query ({limits})"
     distance, angle = min(everywhere)
-    widen = "--max-distance" if angle <= options.max_angle else "--max-distance and --max-angle"
+    to_increase = "--max-distance" if angle <= options.max_angle else "--max-distance and --max-angle"
     return (
         f"no pair: the nearest keyframe to any query is {distance:.3g} m and {angle:.3g} deg away; {limits}: "
-        f"widen {widen}"
+        f"increase {to_increase}"
     )
 
 
@@ -222,7 +222,7 @@ def _why_no_step(frames: PosedFrames, steps: Sequence[int]) -> str:
     asked = ",".join(map(str, steps))
     span = f"frames {frames.numbers[0]} to {frames.numbers[-1]}, {len(frames.keyframe_rows)} of them keyframes"
     if nearest is None:
-        return f"no pair at --pair-step {asked}: there is one posed frame only"
+        return f"no pair at --pair-step {asked}: there is only one posed frame"
     row, step = nearest
     other = frames.numbers.index(frames.numbers[row] + step)
     T_query_ref = relative_pose(frames.T_world_cam[other], frames.T_world_cam[row])

@@ -1,4 +1,4 @@
-"""How certain the query pixel of a correspondence is: what is not known of depth and of the pose, in pixels."""
+"""Uncertainty of a correspondence's query pixel, propagated from the depth and the pose."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from relocbench.geometry import Camera, apply, hat
 Array = NDArray[np.float64]
 
 _STEP = 1e-4
-"""of the depth: over such a step a projection is straight"""
+"""step of the numerical derivative relative to the depth, small enough for a projection to be linear"""
 
 
 def pixel_sigma(
@@ -24,14 +24,14 @@ def pixel_sigma(
 ) -> Array:
     """One standard deviation (N,) in pixels of ``p' = pi(T_query_ref pi^-1(p, z))`` in its least certain direction.
 
-    To first order: ``C = J (s_z^2 d d^T + s_t^2 I + s_r^2 [x] [x]^T) J^T`` with x the point in the query's frame,
-    ``d = R ray`` how it moves with the depth, and J the derivative of the query's projection.
+    To first order ``C = J (s_z^2 d d^T + s_t^2 I + s_r^2 [x] [x]^T) J^T``, where x is the point in the query's frame,
+    ``d = R ray`` its derivative by the depth, and J the Jacobian of the query's projection.
 
     Args:
-        sigma_translation_m, sigma_rotation_rad: of the pose, a direction, in the query's frame.
+        sigma_translation_m, sigma_rotation_rad: sigma of the pose per direction, in the query's frame.
 
     Returns:
-        nan where the point is not in front of the query.
+        (N,) pixels, nan for points that are not in front of the query.
     """
     lifted, known = lift(camera_ref, points.uv, points.depth)
     x = apply(T_query_ref, np.where(known[:, None], lifted, 1.0))

@@ -1,7 +1,7 @@
-"""Place recognition in the street: the drives of a dataset as a retrieval set.
+"""Street-level place recognition: the drives of a dataset as a retrieval set.
 
-A task is a pair set of two traversals: the keyframes of the reference traversal's camera are the gallery, the images
-of the query traversal's camera the queries, in the order of the drive.
+Each pair set of two traversals is a task. Its gallery holds the keyframes of the reference traversal's camera, and its
+queries are the images of the query traversal's camera, in the order of the drive.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.images import as_rgb
 from relocbench.datasets.core.layout import TraversalLayout
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.traversal import Traversal
@@ -31,19 +32,22 @@ Array = NDArray[np.float64]
 Positives = Literal["radius", "pairs"]
 VIEW = "street"
 _ONE_WORLD_M = 2.0
-"""a pair's pose and the poses of its traversals may differ by so much, in the median, and be in one world"""
+"""greatest median difference between pairs' poses and traversals' poses if the traversals share a world"""
 _VERSION = 1
-"""counted up when the same options mean other tasks"""
+"""to be increased when the same options give other tasks"""
 
 
 @dataclass(frozen=True, eq=False)
 class StreetPlaces:
     """A relocbench dataset as a :class:`~relocbench.retrieval.RetrievalSet`.
 
-    With ``positives="radius"`` an image of the gallery is right if its camera stood within ``radius_m`` of the query's
-    and, with ``heading_deg``, looked the same way up to that angle between the optical axes. Queries without a pose
-    are left out. With ``positives="pairs"`` it is right if the pair set holds the pair, which is a tracker's reach;
-    the queries are those of the pairs.
+    With the rule ``radius`` a gallery image is relevant if its camera was within ``radius_m`` of the query's and, if
+    ``heading_deg`` is given, their optical axes differ by at most that angle; queries without a pose are left out. With
+    the rule ``pairs`` it is relevant if the pair set contains the pair, so that a tracker could reach the query from
+    it; the queries are those of the pairs.
+
+    Raises:
+        ConfigError: a value is out of range, or a heading is given with the rule ``pairs``.
     """
 
     dataset: Dataset
@@ -53,7 +57,7 @@ class StreetPlaces:
 
     def __post_init__(self) -> None:
         if self.rule == "pairs" and self.heading_deg is not None:
-            raise ConfigError("--heading limits positives within a radius; it has no meaning with --positives pairs")
+            raise ConfigError("--heading applies to --positives radius only, not to --positives pairs")
         if not 0 < self.radius_m < np.inf:
             raise ConfigError(f"--radius must be a positive number of metres, got {self.radius_m}")
         if self.heading_deg is not None and not 0 < self.heading_deg <= 180:
@@ -61,7 +65,7 @@ class StreetPlaces:
 
     @property
     def name(self) -> str:
-        """The dataset's name and what counts as right: each choice is a set of its own."""
+        """The dataset's name with the relevance rule; every choice of it is a retrieval set of its own."""
         if self.rule == "pairs":
             return f"{self.dataset.name}.places-pairs"
         heading = "" if self.heading_deg is None else f"-{self.heading_deg:g}deg"
@@ -69,7 +73,7 @@ class StreetPlaces:
 
     @property
     def positives(self) -> str:
-        """In words."""
+        """The relevance rule in words."""
         if self.rule == "pairs":
             return "keyframes that the pair set pairs with the query"
         heading = "" if self.heading_deg is None else f" that look the same way within {self.heading_deg:g}°"
@@ -77,7 +81,7 @@ class StreetPlaces:
 
     @property
     def options(self) -> dict[str, float | str]:
-        """The command line's options that make this set."""
+        """The command-line options that select this set."""
         if self.rule == "pairs":
             return {"positives": "pairs"}
         heading: dict[str, float | str] = {} if self.heading_deg is None else {"heading": self.heading_deg}
@@ -85,39 +89,40 @@ class StreetPlaces:
 
     @property
     def fingerprint(self) -> str:
-        """A hash of the dataset's fingerprint and of what counts as right."""
-        return self._with_what_is_right(self.dataset.fingerprint)
+        """SHA-256 of the dataset's fingerprint and the relevance rule."""
+        return self._with_rule(self.dataset.fingerprint)
 
     @property
     def question(self) -> str:
-        """The same for every copy of the dataset, whose images may differ in last digits."""
-        return self._with_what_is_right(self.dataset.question)
+        """SHA-256 of the dataset's question and the relevance rule, the same on every processor."""
+        return self._with_rule(self.dataset.question)
 
-    def _with_what_is_right(self, dataset: str) -> str:
+    def _with_rule(self, dataset: str) -> str:
         radius = None if self.rule == "pairs" else self.radius_m
         asked = {"version": _VERSION, "rule": self.rule, "radius_m": radius, "heading_deg": self.heading_deg}
         return hashlib.sha256(json.dumps({"dataset": dataset, **asked}, sort_keys=True).encode()).hexdigest()
 
     @property
     def splits(self) -> dict[str, tuple[str, ...]]:
-        """Split -> its tasks."""
+        """The tasks of each split."""
         names = {s.name for s in self.pair_sets}
         return {split: tuple(n for n in of if n in names) for split, of in self.dataset.splits.items()}
 
     @cached_property
     def pair_sets(self) -> list[PairSet]:
-        """Those of two different traversals; within one a query would find itself."""
+        """The pair sets of two different traversals; within one traversal a query would find itself."""
         return [s for s in self.dataset.pair_sets() if s.reference != s.query]
 
     def tasks(self) -> Sequence[RetrievalTask]:
-        """One a pair set.
+        """One task per pair set.
 
         Raises:
-            DatasetError: no pair set of two traversals, no keyframe or query with a pose, poses in different worlds.
+            DatasetError: there is no pair set of two traversals, no keyframe or query with a pose, or the traversals
+                are in different worlds.
         """
         if not self.pair_sets:
             raise DatasetError(
-                "holds no pair set of two different traversals to recognise places between", self.dataset.root
+                "holds no pair set of two different traversals; expected one for place recognition", self.dataset.root
             )
         return tuple(self.task(s) for s in self.pair_sets)
 
@@ -179,7 +184,7 @@ def _paired(pair_set: PairSet, keyframes: list[int], times: list[int]) -> Releva
 
 
 def _check_one_world(pair_set: PairSet, reference: Traversal, query: Traversal) -> None:
-    """Positions of two drives can be compared only in one frame; the pairs' own poses tell whether they are."""
+    """Raise DatasetError if the pairs' poses show that the two traversals' poses are in different worlds."""
     camera = pair_set.camera
     off = []
     for pair in pair_set.pairs[:: max(1, len(pair_set.pairs) // 100)]:
@@ -190,8 +195,8 @@ def _check_one_world(pair_set: PairSet, reference: Traversal, query: Traversal) 
             off.append(float(np.linalg.norm((T_world_ref @ invert(pair.T_query_ref))[:3, 3] - T_world_query[:3, 3])))
     if off and np.median(off) > _ONE_WORLD_M:
         raise DatasetError(
-            f"poses of {query.name} and {reference.name} are {np.median(off):.1f} m from what the pairs say: they are "
-            "not in one world; use --positives pairs",
+            f"the poses of {query.name} and {reference.name} differ from those of the pairs by {np.median(off):.1f} m, "
+            "so they are not in one world; use --positives pairs",
             pair_set.layout.pair_file(pair_set.name),
         )
 
@@ -204,11 +209,10 @@ def _view(traversal: Traversal, camera: str, time: int) -> ImageView:
 
 
 def _read(root: Path, camera: str, time: int) -> Image:
-    image = _traversal(root).image(camera, time)
-    return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    return as_rgb(_traversal(root).image(camera, time))
 
 
 @cache
 def _traversal(root: Path) -> Traversal:
-    """One a process: views are sent to others."""
+    """A traversal, opened once per process: image views are sent to worker processes."""
     return Traversal(TraversalLayout(root))

@@ -1,20 +1,20 @@
-"""What a query camera sees of the surface points of a keyframe.
+"""Visibility of a keyframe's surface points in a query.
 
-A reference pixel with depth is lifted, moved by ``T_query_ref`` and projected (:func:`warp`). Whether the query sees
-the point is decided by the best check that the depth at hand allows:
+A reference pixel with depth is unprojected, transformed by ``T_query_ref`` and projected (:func:`warp`). Whether the
+query sees the point is decided by the best check that the available depth allows:
 
 ``both``
     The query has depth at that pixel. The point's depth must agree with it, and the query's own surface point,
     warped back to the reference, must agree with the reference's depth there.
 ``self``
-    The query has none, but the reference depth is dense: no other surface of the reference may lie before the
-    point when all of them are drawn into the query's z-buffer. What the reference never saw cannot hide it.
+    The query has none, but the reference depth is dense: when all surface points of the reference are drawn into the
+    query's z-buffer, none may lie in front of the point. Surfaces that the reference never saw are not considered.
 ``none``
-    A sparse reference and no query depth: the point lies in front of the query camera and on its image.
+    A sparse reference and no query depth: the point lies in front of the query camera and within its image.
 
-Two depths agree within ``3 sigma + 0.01 z``, sigma being that of both depths together (the camera's ``depth_sigma``
-a + b z + c z^2, or the point's own) and 1 % of the depth standing for the interpolation between pixels and for the
-rounding of stored depth. The z-buffer is as coarse as pixels: there the slope of the surface is allowed for as well.
+Two depths agree if they differ by at most ``3 sigma + 0.01 z``. Sigma is that of both depths combined (the camera's
+``depth_sigma`` a + b z + c z^2, or the point's own); 1 % of the depth allows for interpolation between pixels and for
+the rounding of stored depth. The z-buffer has the resolution of pixels, so there the surface's slope is added.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ CHECKS: tuple[Check, ...] = ("both", "self", "none")
 SIGMAS = 3.0
 RELATIVE_TOLERANCE = 0.01
 _ONE_SURFACE = 0.1
-"""neighbouring depths within 10 % are one surface and may be interpolated"""
+"""neighbouring depths within 10 % belong to one surface and may be interpolated"""
 _ROUNDING = 1e-6
-"""pixels: a border pixel that stays where it is stays on the image"""
+"""pixels; tolerance that keeps a border pixel within the image under the identity pose"""
 _SPLAT_LIMIT = 3
-"""pixels: how far a surface element that came nearer may spread in the z-buffer"""
+"""pixels; greatest radius of a surface element in the z-buffer"""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthView:
-    """A camera and what is known of its depth, for occlusion checks."""
+    """A camera and its depth, for visibility checks."""
 
     camera: Camera
     depth: NDArray[np.float32] | None = None
@@ -53,14 +53,14 @@ class DepthView:
     depth_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def sigma(self, z: Array) -> Array:
-        """Standard deviation of dense depths (metres)."""
+        """Standard deviation (metres) of dense depths z."""
         a, b, c = self.depth_sigma
         return a + b * z + c * z * z
 
 
 @dataclass(frozen=True, eq=False)
 class ReferencePoints:
-    """Reference pixels with depth: all of a sparse keyframe's, or those of a dense depth image."""
+    """The reference pixels with depth: all points of a sparse keyframe, or the known pixels of a dense depth image."""
 
     uv: Array
     """(N, 2)"""
@@ -71,7 +71,7 @@ class ReferencePoints:
 
     @classmethod
     def of(cls, reference: Reference) -> ReferencePoints:
-        """The surface points of a keyframe, sparse or dense."""
+        """The points of a keyframe, sparse or dense."""
         points = reference.points
         depth = 1.0 / points.inverse_depth
         return cls(points.uv, depth, points.sigma * depth * depth)
@@ -85,23 +85,23 @@ class ReferencePoints:
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """What the query sees of some reference points."""
+    """Visibility of N reference points in the query."""
 
     uv_query: Array
     """(N, 2), NaN behind the camera"""
     inside: Mask
-    """(N,) in front of the camera and on its image"""
+    """(N,) whether the point is in front of the camera and within its image"""
     visible: Mask
-    """(N,) seen by the query"""
+    """(N,) whether the query sees the point"""
     check: NDArray[np.int8]
     """(N,) index into :data:`CHECKS`"""
 
 
 def lift(camera: Camera, pixels: ArrayLike, depth: ArrayLike) -> tuple[Array, Mask]:
-    """Points (N, 3) in the camera frame of pixels (N, 2) with depth (N,) along z, and valid (N,)."""
+    """Points (N, 3) in the camera's frame of pixels (N, 2) with depth (N,) along z, and whether they are valid (N,)."""
     rays, valid = camera.unproject(pixels)
     z = np.asarray(depth, dtype=np.float64)
-    # A ray 90 degrees or more off the axis has no depth along z.
+    # Rays 90 degrees or more off the axis have no depth along z.
     valid = valid & np.isfinite(z) & (z > 0) & (np.abs(rays[..., 2] - 1.0) < 1e-9)
     return rays * z[..., None], valid
 
@@ -116,8 +116,8 @@ def warp(
         T_query_ref: (4, 4).
 
     Returns:
-        pixels (N, 2), NaN where not valid, depth along z in the query (N,), and valid (N,): in front of the query
-        camera. Pixels are not clipped to the image.
+        pixels (N, 2), NaN where not valid; depth along z in the query (N,); and valid (N,): whether the point is in
+        front of the query camera. Pixels are not clipped to the image.
     """
     p = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     lifted, known = lift(camera_ref, p[:, :2], p[:, 2])
@@ -128,7 +128,7 @@ def warp(
 
 
 def see(points: ReferencePoints, T_query_ref: Array, reference: DepthView, query: DepthView) -> Visibility:
-    """Which of the reference points the query sees, and how that was checked."""
+    """Determine which of the reference points the query sees."""
     stacked = np.column_stack([points.uv, points.depth])
     uv, z, valid = warp(stacked, reference.camera, query.camera, T_query_ref)
     inside = valid & query.camera.contains(uv, border=-_ROUNDING)
@@ -149,7 +149,7 @@ def see(points: ReferencePoints, T_query_ref: Array, reference: DepthView, query
         buffer = reference_z_buffer(T_query_ref, reference, query)
         u, v = np.rint(uv[rows]).astype(int).T
         reach, magnification = _reach(points.depth[rows], z[rows], reference.camera, query.camera)
-        # An element of a slanted surface is spread flat: over its reach it stands off by the slope.
+        # A surface element is drawn with one depth, so over its extent a slanted surface deviates by the slope.
         slant = (reach + 1) * _slope(reference.depth, points.uv[rows]) / magnification
         visible[rows] = z[rows] <= buffer[v, u] + tolerance(z[rows], sigma[rows], sigma[rows]) + slant
         check[rows] = CHECKS.index("self")
@@ -157,15 +157,15 @@ def see(points: ReferencePoints, T_query_ref: Array, reference: DepthView, query
 
 
 def tolerance(z: Array, sigma_a: Array, sigma_b: Array) -> Array:
-    """How far two depths near z (metres) may differ and still be one surface."""
+    """Greatest difference (metres) of two depths near z that count as the same surface."""
     return SIGMAS * np.hypot(sigma_a, sigma_b) + RELATIVE_TOLERANCE * z
 
 
 def agrees(depth: NDArray[np.float32], pixels: Array, z: Array, sigma: Array, view: DepthView) -> tuple[Mask, Mask]:
-    """Whether depths z (N,) agree with a dense depth image at pixels (N, 2), and where that depth is known.
+    """Whether depths z (N,) agree with a dense depth image at pixels (N, 2), and whether that depth is known (N,).
 
-    Where the four pixels around hold one surface it is interpolated in inverse depth, which is linear over a plane;
-    across an edge any of the four may agree.
+    If the four surrounding pixels are one surface, their inverse depth is interpolated, which is linear over a plane;
+    at an edge it is enough if any of the four agrees.
     """
     found, around, known = sample_depth(depth, pixels)
     limit = tolerance(z, sigma, view.sigma(np.where(known, np.nan_to_num(found), 0.0)))
@@ -178,11 +178,11 @@ def agrees(depth: NDArray[np.float32], pixels: Array, z: Array, sigma: Array, vi
 
 
 def sample_depth(depth: NDArray[np.float32], pixels: Array) -> tuple[Array, Array, Mask]:
-    """Depth between pixels.
+    """Sample a depth image between pixels (N, 2).
 
     Returns:
-        interpolated depth (N,), NaN across an edge or next to unknown depth; the four depths around (N, 4), NaN
-        where unknown; and known (N,): at least one of the four is.
+        interpolated depth (N,), NaN at an edge or next to unknown depth; the four surrounding depths (N, 4), NaN where
+        unknown; and known (N,): whether at least one of the four is known.
     """
     height, width = depth.shape
     u0 = np.clip(np.floor(pixels[:, 0]).astype(int), 0, max(width - 2, 0))
@@ -201,9 +201,10 @@ def sample_depth(depth: NDArray[np.float32], pixels: Array) -> tuple[Array, Arra
 
 
 def reference_z_buffer(T_query_ref: Array, reference: DepthView, query: DepthView) -> Array:
-    """The reference's dense depth drawn into the query: (H, W) nearest depth along z, inf where nothing falls.
+    """The reference's dense depth drawn into the query: nearest depth (H, W) along z, inf where there is none.
 
-    A pixel that came nearer covers more of the query; it is spread over as many pixels, so that surfaces keep closed.
+    A surface element that is nearer to the query covers more of its pixels; it is drawn that large, so that surfaces
+    have no holes.
     """
     buffer = np.full((query.camera.height, query.camera.width), np.inf)
     if reference.depth is None:
@@ -226,13 +227,13 @@ def reference_z_buffer(T_query_ref: Array, reference: DepthView, query: DepthVie
 
 
 def _reach(depth: Array, z: Array, camera_ref: Camera, camera_query: Camera) -> tuple[NDArray[np.int64], Array]:
-    """Pixels on each side over which elements are spread, and the query's pixels to one of the reference."""
+    """Radius in pixels with which elements are drawn, and the number of query pixels per reference pixel."""
     magnification = depth / z * (camera_query.fx / camera_ref.fx)
     return np.clip(np.ceil((magnification - 1.0) / 2.0), 0, _SPLAT_LIMIT).astype(np.int64), magnification
 
 
 def _slope(depth: NDArray[np.float32], pixels: Array) -> Array:
-    """Largest step in metres from a pixel to its four neighbours on the same surface."""
+    """Greatest depth difference in metres between a pixel and its four neighbours on the same surface."""
     u, v = np.rint(pixels).astype(int).T
     height, width = depth.shape
     own = depth[v, u].astype(np.float64)

@@ -1,1 +1,1 @@
-"""What recordings are made of, whatever their format: drives, point clouds, trajectories, stereo."""
+"""The parts of recordings, independent of their format: drives, point clouds, trajectories, stereo."""

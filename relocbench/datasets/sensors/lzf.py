@@ -1,8 +1,8 @@
-"""LZF, by which ``binary_compressed`` PCD files are packed.
+"""Decompression of LZF, which ``binary_compressed`` PCD files use.
 
-Format: M. Lehmann, liblzf. A byte below 32 is followed by that many + 1 bytes to copy. Any other tells bytes to repeat:
-its upper three bits + 2 how many (where all three are set, the next byte is added), its lower five bits and the next
-byte how far back, + 1.
+Format: M. Lehmann, liblzf. A control byte below 32 is followed by that many + 1 literal bytes. Any other control byte
+refers back to earlier output: its upper three bits + 2 are the length (if all three are set, the next byte is added to
+it), its lower five bits and the next byte + 1 the distance.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from relocbench.kernels import njit
 
 RATIO = 88
-"""bytes that one packed byte can stand for at most: three repeat up to 264"""
+"""greatest ratio of unpacked to packed bytes: three bytes can refer back to 264"""
 
 
 def decompress(packed: NDArray[np.uint8], size: int) -> NDArray[np.uint8] | None:
-    """(size,) bytes, or None where the packed ones do not make exactly so many."""
+    """Unpack to (size,) bytes; None if the packed data do not give exactly this size."""
     out = np.empty(size, dtype=np.uint8)
     return out if _unpack(packed, out) else None
 
@@ -49,7 +49,7 @@ def _unpack(packed: NDArray[np.uint8], out: NDArray[np.uint8]) -> bool:
         length += 2
         if start < 0 or o + length > out.size:
             return False
-        for k in range(length):  # what is repeated may reach into what is being written
+        for k in range(length):  # byte by byte, since the source may overlap the bytes being written
             out[o + k] = out[start + k]
         o += length
     return bool(o == out.size)

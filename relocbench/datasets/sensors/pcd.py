@@ -1,4 +1,4 @@
-"""The points of a PCD file.
+"""Parser for PCD files.
 
 Format: Point Cloud Library, "The PCD (Point Cloud Data) file format", version 0.7; ``ascii``, ``binary`` and
 ``binary_compressed`` (LZF, field after field).
@@ -19,14 +19,15 @@ from relocbench.errors import DatasetError
 _TYPES = {("F", 4), ("F", 8), *((kind, size) for kind in "IU" for size in (1, 2, 4, 8))}
 _HEADER_BYTES = 65536
 _MOST_VALUES = 4096
-"""of one point, over all fields: descriptors have some hundred"""
+"""values of one point, over all fields; descriptors have a few hundred"""
 
 
 def parse_pcd(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
-    """Name -> (N,) of each field of the points that has one value, of the file's type.
+    """The scalar fields of the points, name -> (N,), with the file's types.
 
     Raises:
-        DatasetError: no PCD, a header that contradicts itself or promises more than there is, text that is no number.
+        DatasetError: the file is not a PCD, its header is inconsistent or promises more points than there are, or a
+            field is not a number.
     """
     lines, body = _header(data, path)
     words = {line.split()[0]: line.split()[1:] for line in lines if line.strip()}
@@ -40,23 +41,23 @@ def parse_pcd(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
         return _single(decode_rows(body, row, count))
     if encoding == "binary_compressed":
         return _single(_compressed(body, row, count, path))
-    raise DatasetError("its DATA is none of ascii, binary, binary_compressed", path)
+    raise DatasetError("its DATA is not ascii, binary or binary_compressed", path)
 
 
 def _row(words: dict[str, list[str]], path: Path) -> np.dtype[Any]:
-    """One point; padding (fields called ``_``) has names of its own."""
+    """Data type of one point; padding fields, all called ``_``, get distinct names."""
     names, kinds = words.get("FIELDS", words.get("COLUMNS", [])), words.get("TYPE", [])
     sizes = [parse_count(text, path) for text in words.get("SIZE", [])]
     counts = [parse_count(text, path) for text in words.get("COUNT", ["1"] * len(names))]
     if not names or not len(names) == len(kinds) == len(sizes) == len(counts):
-        raise DatasetError("its FIELDS, SIZE, TYPE and COUNT are not of one length", path)
+        raise DatasetError("its FIELDS, SIZE, TYPE and COUNT differ in length", path)
     if any(pair not in _TYPES for pair in zip(kinds, sizes, strict=True)):
-        raise DatasetError("its points have a field whose TYPE and SIZE are no number", path)
+        raise DatasetError("its points have a field whose TYPE and SIZE are not those of a number", path)
     if sum(counts) > _MOST_VALUES or min(counts) < 1:
-        raise DatasetError(f"its COUNT is out of range; expected 1 or more, {_MOST_VALUES} together", path)
+        raise DatasetError(f"its COUNT is out of range; expected 1 or more, in total {_MOST_VALUES} at most", path)
     plain = [f"_ {i}" if name == "_" else name for i, name in enumerate(names)]
     if len(set(plain)) != len(plain):
-        raise DatasetError("its points have two fields of one name", path)
+        raise DatasetError("its points have two fields of the same name", path)
     return np.dtype(
         [
             (name, f"<{kind.lower()}{size}", *([(many,)] if many > 1 else []))
@@ -71,7 +72,7 @@ def _compressed(body: bytes, row: np.dtype[Any], count: int, path: Path) -> dict
         return decode_rows(b"", row, 0)
     if len(body) < 8 + packed:
         raise DatasetError(
-            f"is cut off: it promises {packed} compressed bytes, {max(len(body) - 8, 0)} are there", path
+            f"is truncated: it promises {packed} compressed bytes but holds {max(len(body) - 8, 0)}", path
         )
     if size != count * row.itemsize or size > RATIO * packed:
         raise DatasetError(f"its {packed} compressed bytes cannot hold {count} points of {row.itemsize} bytes", path)
@@ -91,7 +92,7 @@ def _single(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 
 def _header(data: bytes, path: Path) -> tuple[list[str], bytes]:
-    """The header's lines, ``DATA`` the last, and what follows them."""
+    """The header's lines up to ``DATA``, and the data after them."""
     head = data[:_HEADER_BYTES]
     lines: list[str] = []
     at = 0
@@ -102,4 +103,4 @@ def _header(data: bytes, path: Path) -> tuple[list[str], bytes]:
         lines.append(line)
         if line.split(None, 1)[:1] == ["DATA"]:
             return lines, data[at:]
-    raise DatasetError("is no PCD: it has no header", path)
+    raise DatasetError("is not a PCD file: it has no header", path)

@@ -1,7 +1,7 @@
-"""The points of a PLY file: the element ``vertex``, which comes first, with numbers as properties.
+"""Parser for the points of PLY files: the element ``vertex``, which must come first and have numeric properties.
 
-Format: G. Turk, The PLY Polygon File Format, 1994; ASCII and binary of either byte order. What follows the points, such
-as faces, is not read.
+Format: G. Turk, The PLY Polygon File Format, 1994; ASCII and binary of either byte order. Elements after the points,
+such as faces, are not read.
 """
 
 from __future__ import annotations
@@ -25,16 +25,17 @@ _HEADER_BYTES = 65536
 
 
 def parse_ply(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
-    """Name -> (N,) of each property of the points, of the file's type.
+    """The properties of the points, name -> (N,), with the file's types.
 
     Raises:
-        DatasetError: no PLY, another layout, a header that promises more than there is, text that is no number.
+        DatasetError: the file is not a PLY, has another layout, promises more points than there are, or a property is
+            not a number.
     """
     lines, body = _header(data, path)
     words = [line.split() for line in lines]
     encoding = next((w[1] for w in words if w[:1] == ["format"] and len(w) > 1), "")
     if encoding not in _ORDER:
-        raise DatasetError("its format is none of ascii, binary_little_endian, binary_big_endian", path)
+        raise DatasetError("its format is not ascii, binary_little_endian or binary_big_endian", path)
     starts = [i for i, w in enumerate(words) if w[:1] == ["element"]]
     if not starts or len(words[starts[0]]) != 3 or words[starts[0]][1] != "vertex":
         raise DatasetError("its first element is not 'vertex'", path)
@@ -42,10 +43,10 @@ def parse_ply(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
     stop = starts[1] if len(starts) > 1 else len(words)
     properties = [w[1:] for w in words[starts[0] : stop] if w[:1] == ["property"]]
     if any(len(p) != 2 or p[0] not in _TYPES for p in properties):
-        raise DatasetError("its points have a property that is no number", path)
+        raise DatasetError("its points have a property that is not a number", path)
     names = [name for _, name in properties]
     if len(set(names)) != len(names):
-        raise DatasetError("its points have two properties of one name", path)
+        raise DatasetError("its points have two properties of the same name", path)
     row = np.dtype([(name, _ORDER[encoding] + _TYPES[kind]) for kind, name in properties])
     if encoding == "ascii":
         return parse_rows(body, row, count, path, first_line=len(lines) + 1)
@@ -54,7 +55,7 @@ def parse_ply(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _header(data: bytes, path: Path) -> tuple[list[str], bytes]:
-    """The header's lines, the last one too, and what follows them."""
+    """The header's lines, including the last one, and the data after them."""
     head = data[:_HEADER_BYTES]
     lines: list[str] = []
     at = 0
@@ -67,4 +68,4 @@ def _header(data: bytes, path: Path) -> tuple[list[str], bytes]:
             return lines, data[at:]
     if head[at:].strip() == b"end_header" and lines[:1] == ["ply"]:
         return [*lines, "end_header"], b""
-    raise DatasetError("is no PLY: it has no header", path)
+    raise DatasetError("is not a PLY file: it has no header", path)

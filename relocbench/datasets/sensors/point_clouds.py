@@ -1,7 +1,7 @@
-"""PLY and PCD files of any properties.
+"""PLY and PCD files with arbitrary properties.
 
-Both are read here rather than by a library: what they declare is held against the file's size before memory is taken,
-and a damaged file is an error that names it.
+They are parsed here rather than by a library so that the declared size can be compared with the real one before memory
+is allocated, and so that a damaged file is reported by name.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from relocbench.files import read_bytes
 
 
 def read_point_cloud(path: Path) -> dict[str, NDArray[Any]]:
-    """Name -> (N,) of each property of the points, of the file's type, with ``x``, ``y`` and ``z``.
+    """The properties of the points, among them ``x``, ``y`` and ``z``: name -> (N,), with the file's types.
 
     Raises:
-        DatasetError: missing, no PLY or PCD, cut off, damaged, or without x, y, z.
+        DatasetError: the file is missing, not a PLY or PCD, truncated, damaged, or without x, y, z.
     """
     kind = path.suffix[1:].upper()
     data = read_bytes(path, f"a {kind}", DatasetError, MOST_SCAN_BYTES)

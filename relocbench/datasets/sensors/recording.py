@@ -1,7 +1,7 @@
-"""What the builder of ground truth needs of a recorded drive, whatever its format.
+"""A recorded drive in the form that the ground-truth builder needs, independent of its format.
 
-An importer turns its format into a :class:`FieldRecording`; everything behind it knows no format. The rig's axes are
-x forward, y left, z up, wherever its origin is; formats with other axes are converted when they are read.
+Importers turn their formats into a :class:`FieldRecording`, and only importers know formats. The rig's axes are
+x forward, y left, z up, with any origin; formats with other axes are converted when they are read.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ Times = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses along a drive, in a frame of the drive's own (``odom``) or of a map (GNSS)."""
+    """Poses along a drive, in the drive's own frame (``odom``) or that of a map (GNSS)."""
 
     times_ns: Times
     """(N,) strictly increasing"""
     T_odom_rig: Array
     """(N, 4, 4)"""
     max_gap_ns: int = 1_000_000_000
-    """nothing is interpolated between poses that lie further apart"""
+    """longest gap between poses to interpolate over"""
     breaks: tuple[int, ...] = ()
-    """indices of poses before which nothing was measured: how they lie to those before is a guess, however near in
-    time, and nothing is interpolated there"""
+    """indices of poses whose motion from the previous pose was not measured but guessed; nothing is interpolated
+    there, however short the gap"""
 
     def covers(self, times_ns: Times) -> NDArray[np.bool_]:
-        """(M,) whether a pose can be told at each time: within the drive and not in a gap."""
+        """Whether the trajectory has a pose at each time (M,): within the drive and not in a gap."""
         right = np.clip(np.searchsorted(self.times_ns, times_ns, side="left"), 1, max(len(self.times_ns) - 1, 1))
         inside = (times_ns >= self.times_ns[0]) & (times_ns <= self.times_ns[-1])
         if len(self.times_ns) == 1:
@@ -47,36 +47,35 @@ class Trajectory:
         return inside & (on_pose | measured)
 
     def pieces(self, times_ns: Times) -> Times:
-        """(M,) number of the piece of the drive that each time lies in; a gap or a break begins a new piece.
+        """Number (M,) of the piece of the drive that each time belongs to; a gap or a break begins a new piece.
 
-        Poses of one piece are known relative to each other, those of two are not. A time in a gap counts to the piece
-        before it.
+        Relative poses are known within a piece but not between pieces. A time in a gap belongs to the piece before it.
         """
         gaps = np.flatnonzero(np.diff(self.times_ns) > self.max_gap_ns) + 1
         starts = self.times_ns[np.union1d(gaps, np.array(self.breaks, dtype=np.int64)).astype(np.int64)]
         return np.searchsorted(starts, times_ns, side="right").astype(np.int64)
 
     def at(self, times_ns: Times) -> Array:
-        """(M, 4, 4) at times that it covers: lines and great arcs between the poses around each.
+        """Poses (M, 4, 4) at times that the trajectory covers, interpolated linearly and by slerp.
 
         Raises:
-            ValueError: outside the drive.
+            ValueError: a time is outside the drive.
         """
         return interpolate_trajectory(self.times_ns, self.T_odom_rig, times_ns)
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """One sweep of a lidar: what returned, without what did not."""
+    """One sweep of a lidar; beams without a return are left out."""
 
     points: Array
-    """(N, 3) metres in the lidar's frame, each as it was when its beam was fired"""
+    """(N, 3) metres, each in the lidar's frame at the time when its beam was fired"""
     times_ns: Times
-    """(N,) when each beam was fired"""
+    """(N,) times at which the beams were fired"""
 
 
 class LidarStream(Protocol):
-    """The scans of one lidar of a drive; picklable, since workers read them."""
+    """The scans of one lidar of a drive. Streams are picklable, since worker processes read them."""
 
     @property
     def name(self) -> str: ...
@@ -91,7 +90,7 @@ class LidarStream(Protocol):
 
     @property
     def times_ns(self) -> Times:
-        """(M,) of the scans, strictly increasing"""
+        """Times (M,) of the scans, strictly increasing."""
         ...
 
     @property
@@ -103,12 +102,12 @@ class LidarStream(Protocol):
         ...
 
     def read(self, index: int) -> Scan:
-        """A scan. Raises DatasetError with the file if it is missing or damaged; an empty scan is empty."""
+        """Read a scan, which may be empty. Raises DatasetError with the file if it is missing or damaged."""
         ...
 
 
 class CameraStream(Protocol):
-    """The images of one camera of a drive, as a pinhole camera would have taken them; picklable."""
+    """The images of one camera of a drive, as a pinhole camera would have taken them. Streams are picklable."""
 
     @property
     def name(self) -> str: ...
@@ -127,27 +126,27 @@ class CameraStream(Protocol):
         ...
 
     def read(self, index: int) -> NDArray[np.uint8]:
-        """(H, W) or (H, W, 3) RGB, undistorted. Raises DatasetError with the file."""
+        """Read an undistorted image, (H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
         ...
 
     def file(self, index: int) -> Path | None:
-        """The file that holds exactly this image and can be linked to; None where it has to be developed first."""
+        """A file that holds exactly this image and can be linked; None if the stored image has to be converted."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class FieldRecording:
-    """One drive."""
+    """One recorded drive: odometry, lidar scans, and optionally images and a GNSS prior."""
 
     name: str
     folder: Path
     condition: Condition
     odometry: Trajectory
-    """accurate over tens of metres, drifting over hundreds"""
+    """accurate over tens of metres, with drift over hundreds"""
     lidars: tuple[LidarStream, ...]
     cameras: Mapping[str, CameraStream] = field(default_factory=dict)
     prior: Trajectory | None = None
-    """``T_map_rig`` by GNSS, in a map frame that all drives share (z up): good to metres, and biased between drives"""
+    """``T_map_rig`` by GNSS in a map frame that all drives share (z up): accurate to metres, with a bias per drive"""
     prior_sigma_m: float = 10.0
-    """beyond three times this, prior and truth disagree"""
+    """standard deviation of the prior; truth more than three of these away contradicts it"""
     location: str = ""

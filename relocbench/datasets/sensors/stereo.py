@@ -1,4 +1,4 @@
-"""Dense depth from a rectified stereo pair: semi-global matching."""
+"""Dense depth from a rectified stereo pair by semi-global matching."""
 
 from __future__ import annotations
 
@@ -8,21 +8,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.core.images import as_grey
+
 DISPARITY_SIGMA = 0.5
 """pixels; sigma_z = z^2 sigma_d / (f b). Against the lidar of KITTI the median error of this matcher is 0.4 px."""
 _BLOCK = 5
 _SMOOTH, _JUMP = 8 * _BLOCK**2, 32 * _BLOCK**2
-"""penalties of a disparity change by one and by more (Hirschmueller 2008; OpenCV's recommendation for one channel)"""
+"""penalties for disparity changes by one and by more (Hirschmueller 2008; OpenCV's recommendation for one channel)"""
 
 
 @dataclass(frozen=True)
 class StereoGeometry:
-    """A rectified pair, seen from the left camera."""
+    """Geometry of a rectified stereo pair, relative to the left camera."""
 
     focal_baseline: float
     """f b, pixels times metres"""
     centre_offset: float = 0.0
-    """cx of the left camera minus cx of the right one, pixels: the disparity at infinity"""
+    """cx of the left minus cx of the right camera, pixels; the disparity at infinity"""
     max_depth: float = 80.0
     """metres"""
     max_disparity: int = 128
@@ -35,12 +37,12 @@ class StereoGeometry:
 
 
 def stereo_depth(left: NDArray[np.uint8], right: NDArray[np.uint8], geometry: StereoGeometry) -> NDArray[np.float32]:
-    """(H, W) metres along z of the left image, 0 where unknown.
+    """Depth (H, W) of the left image in metres along z, 0 where unknown.
 
-    Kept is what the match from the right image confirms within a pixel, what is 10 % better than any other match,
-    and what is no speckle.
+    A match is kept if the match from the right image agrees within a pixel, if it is 10 % better than any other, and if
+    it is not part of a speckle.
     """
-    disparity = _match(_grey(left), _grey(right), geometry.max_disparity) - np.float32(geometry.centre_offset)
+    disparity = _match(as_grey(left), as_grey(right), geometry.max_disparity) - np.float32(geometry.centre_offset)
     known = disparity > geometry.focal_baseline / geometry.max_depth
     depth = np.zeros(disparity.shape, dtype=np.float32)
     depth[known] = geometry.focal_baseline / disparity[known]
@@ -48,7 +50,7 @@ def stereo_depth(left: NDArray[np.uint8], right: NDArray[np.uint8], geometry: St
 
 
 def _match(left: NDArray[np.uint8], right: NDArray[np.uint8], count: int) -> NDArray[np.float32]:
-    """(H, W) disparity in pixels, negative where unknown."""
+    """Disparity (H, W) in pixels, negative where unknown."""
     matcher = cv2.StereoSGBM.create(
         minDisparity=0,
         numDisparities=count,
@@ -62,13 +64,9 @@ def _match(left: NDArray[np.uint8], right: NDArray[np.uint8], count: int) -> NDA
         speckleRange=1,
         mode=cv2.STEREO_SGBM_MODE_HH,
     )
-    # The matcher leaves out the first columns, as many as it searches: give it that many more on the left.
+    # The matcher skips as many columns on the left as it searches disparities, so pad the images by that many.
     padded = [cv2.copyMakeBorder(image, 0, 0, count, 0, cv2.BORDER_REPLICATE) for image in (left, right)]
     disparity = np.asarray(matcher.compute(*padded))[:, count:].astype(np.float32) / np.float32(16.0)
-    # A match in the padding is none.
+    # A match in the padding is not valid.
     beyond = disparity > np.arange(disparity.shape[1], dtype=np.float32)
     return np.where((disparity <= 0) | beyond, np.float32(-1.0), disparity)
-
-
-def _grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))

@@ -1,4 +1,4 @@
-"""What importers share about the folders they are given: names of traversals, times in file names, trajectories."""
+"""Names of traversals, files named by time, and TUM trajectories, which several recording formats share."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ QuaternionOrder = Literal["xyzw", "wxyz"]
 
 
 def traversal_names(sources: Sequence[Path]) -> list[str]:
-    """One name a source, after its folder; characters that a file name of a pair set cannot hold become ``-``.
+    """A name for each source, that of its folder; characters that pair-set file names cannot hold become ``-``.
 
     Raises:
-        DatasetError: no source, a source that is no folder, two sources of the same name.
+        DatasetError: there is no source, a source is not a folder, or two have the same name.
     """
     if not sources:
-        raise DatasetError("no recording was named; expected one or more folders")
+        raise DatasetError("no recording was given; expected one or more folders")
     names: dict[str, Path] = {}
     for source in sources:
         if not source.is_dir():
@@ -46,10 +46,10 @@ def traversal_names(sources: Sequence[Path]) -> list[str]:
 
 
 def parse_time(text: str) -> int:
-    """Nanoseconds: an integer is nanoseconds, a number with a decimal point (or exponent) is seconds.
+    """Parse a time to nanoseconds: integers are nanoseconds, numbers with a decimal point or exponent are seconds.
 
     Raises:
-        ValueError: neither.
+        ValueError: the text is neither.
     """
     if re.fullmatch(r"[+-]?[0-9]+", text):
         if len(text) > 30 or abs(int(text)) >= 2**63:
@@ -61,10 +61,10 @@ def parse_time(text: str) -> int:
 
 
 def timed_files(folder: Path, suffixes: Sequence[str] = IMAGE_SUFFIXES) -> dict[int, Path]:
-    """Time of each file that a folder holds, from its name, in time order; an absent folder holds none.
+    """The files of a folder by the times in their names, in time order; a missing folder has none.
 
     Raises:
-        DatasetError: a name that is no time, two files of the same time.
+        DatasetError: a name is not a time, or two files have the same time.
     """
     if not folder.is_dir():
         return {}
@@ -79,7 +79,7 @@ def timed_files(folder: Path, suffixes: Sequence[str] = IMAGE_SUFFIXES) -> dict[
         if time < 0:
             raise DatasetError("the file's name is a time before 1970; expected nanoseconds or seconds", path)
         if time in found:
-            raise DatasetError(f"has the time of {found[time].name}", path)
+            raise DatasetError(f"has the same time as {found[time].name}", path)
         found[time] = path
     return dict(sorted(found.items()))
 
@@ -87,14 +87,15 @@ def timed_files(folder: Path, suffixes: Sequence[str] = IMAGE_SUFFIXES) -> dict[
 def read_trajectory(
     path: Path, order: QuaternionOrder = "xyzw", error: type[RelocbenchError] = DatasetError
 ) -> dict[int, Array]:
-    """A TUM trajectory, ``t tx ty tz qx qy qz qw`` a line: timestamp_ns -> (4, 4) pose, in the file's order.
+    """Read a TUM trajectory with lines ``t tx ty tz qx qy qz qw``: timestamp_ns -> (4, 4) pose, in the file's order.
 
     Args:
-        order: of the quaternion; some trajectories that go by the same name have ``wxyz``.
+        order: order of the quaternion's components; some trajectories that are called TUM have ``wxyz``.
+        error: the error class to raise.
 
     Raises:
-        RelocbenchError: (as ``error``) with file and line: wrong number of columns, no number, a quaternion that is
-            not of norm 1, times that do not increase.
+        RelocbenchError: (as ``error``) with file and line: a wrong number of columns, a field that is not a number, a
+            quaternion whose norm is not 1, or times that do not increase.
     """
     poses: dict[int, Array] = {}
     last: int | None = None
@@ -107,7 +108,7 @@ def read_trajectory(
         except ValueError as bad:
             raise error(str(bad), path, line) from None
         if last is not None and time <= last:
-            raise error(f"time {fields[0]} does not come after the one before", path, line)
+            raise error(f"time {fields[0]} is not later than the previous one", path, line)
         quaternion = fields[4:] if order == "xyzw" else [*fields[5:], fields[4]]
         poses[time] = parse_pose([*fields[1:4], *quaternion], path, line, error)
         last = time

@@ -16,31 +16,31 @@ from relocbench.geometry import Camera, apply
 Array = NDArray[np.float64]
 
 LIDAR_SIGMA = 0.02
-"""metres: ranging accuracy of the HDL-64 that KITTI carries"""
+"""metres; ranging accuracy of KITTI's HDL-64"""
 _REACH = 12
-"""pixels: gaps between beams of one surface, and the parallax between lidar and camera, are smaller"""
+"""pixels; more than the gaps between beams on one surface and the parallax between lidar and camera"""
 _THICKNESS = 3
-"""pixels: half the breadth of the strip searched in a direction, so that a ring of beams is met"""
+"""pixels; half the width of the strip searched in each direction, wide enough to contain a ring of beams"""
 
 
 def read_scan(path: Path) -> Array:
-    """(N, 3) metres in the lidar frame of a KITTI scan (float32 x y z reflectance).
+    """Points (N, 3) of a KITTI scan (float32 x y z reflectance), metres in the lidar's frame.
 
     Raises:
-        DatasetError: missing, or not a whole number of points.
+        DatasetError: the file is missing, empty or not a whole number of points.
     """
     data = read_bytes(path, "a lidar scan (float32 x y z reflectance)", DatasetError, MOST_SCAN_BYTES)
     if len(data) == 0 or len(data) % 16:
-        raise DatasetError(f"{len(data)} bytes are no whole number of points (float32 x y z reflectance)", path)
+        raise DatasetError(f"{len(data)} bytes are not a whole number of points (float32 x y z reflectance)", path)
     points = np.frombuffer(data, dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float64)
     return points[np.all(np.isfinite(points), axis=1)]
 
 
 def project_scan(points: Array, camera: Camera, T_cam_lidar: Array, max_depth: float = 80.0) -> NDArray[np.float32]:
-    """(H, W) metres along z, 0 where no beam fell.
+    """Depth (H, W) in metres along z by projecting lidar points (N, 3), 0 where there is none.
 
-    Of several points in a pixel the nearest is kept. The lidar looks from another place than the camera: points
-    that it sees past an edge, which the camera does not, are removed by :func:`hidden`.
+    Of several points in a pixel the nearest is kept. Since lidar and camera are at different places, the lidar sees
+    past some edges; points that are hidden from the camera are removed by :func:`hidden`.
     """
     moved = apply(T_cam_lidar, points)
     uv, valid = camera.project(moved)
@@ -52,12 +52,12 @@ def project_scan(points: Array, camera: Camera, T_cam_lidar: Array, max_depth: f
 
 
 def hidden(nearest: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which of the points (H, W; inf where none) stand behind a surface that the camera sees instead.
+    """Which points of a depth image (H, W; inf where there is none) are hidden behind a nearer surface.
 
-    A point is hidden when clearly nearer points lie on both sides of it, left and right or above and below. One side
-    is not enough: on a road everything below is nearer, and beside an edge everything beyond it.
+    A point is hidden if clearly nearer points lie on both sides of it, left and right or above and below. One side is
+    not enough: on a road everything below a point is nearer, and beside an edge everything beyond the edge.
     """
-    # Where no beam fell there is nothing to hide.
+    # Pixels without a point cannot be hidden.
     known = np.isfinite(nearest)
     depth = np.where(known, nearest, np.float32(0.0))
     limit = depth - np.maximum(np.float32(0.5), np.float32(0.1) * depth)
@@ -69,7 +69,7 @@ def hidden(nearest: NDArray[np.float32]) -> NDArray[np.bool_]:
 
 
 def _strip(side: str) -> tuple[NDArray[np.uint8], tuple[int, int]]:
-    """Kernel of the strip of pixels on one side of a pixel, and where that pixel lies in it (x, y)."""
+    """Kernel for the strip of pixels on one side of a pixel, and the pixel's place (x, y) in the kernel."""
     along, across = _REACH, 2 * _THICKNESS + 1
     shape, anchor = {
         "left": ((across, along + 1), (along, _THICKNESS)),

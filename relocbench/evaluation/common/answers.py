@@ -1,7 +1,7 @@
-"""Asking a tracker, and the one place where its answers are checked and cut to size.
+"""Calls of a tracker, and the one place where its answers are checked and truncated.
 
-Whatever a tracker returns or raises becomes a record of plain values that can be written and read again: by every way
-of asking, into a results folder, in the validation of a training, or in ``relocbench check-method``.
+Whatever a tracker returns or raises becomes a record of plain values that can be written to a file and read back.
+Every caller uses this module: evaluation, the validation of a training, and ``relocbench check-method``.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import one_line
-from relocbench.evaluation.common.guard import guarded, offers
+from relocbench.evaluation.common.guard import guarded, implements
 from relocbench.evaluation.common.info_text import info_text
+from relocbench.evaluation.common.worker import read_only
 from relocbench.geometry import transform_to_tq
 from relocbench.tracking import ContractFault, Query, SupportsBatch, plain_pixels, plain_result
 
@@ -27,14 +28,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CheckedAnswer:
-    """What a tracker answered, in plain values that nothing can change any more."""
+    """A tracker's answer as plain values that nothing can change any more."""
 
     status: str
-    """``ok``; ``failed``: the method said so; ``error``: it raised, or broke the contract"""
+    """``ok``; ``failed``: the method reported a failure; ``error``: it raised, or broke the contract"""
     T_query_ref: Array | None = None
     """(4, 4), rigid; None unless ``ok``"""
     confidence: float | None = None
-    """finite"""
+    """finite, or None"""
     message: str = ""
     """one line of at most 500 printable characters"""
     info: str = "{}"
@@ -42,40 +43,40 @@ class CheckedAnswer:
 
     @property
     def pose(self) -> list[float] | None:
-        """``tx ty tz qx qy qz qw`` of ``T_query_ref``."""
+        """``tx ty tz qx qy qz qw`` of ``T_query_ref``; None unless ``ok``."""
         if self.T_query_ref is None:
             return None
         translation, quaternion = transform_to_tq(self.T_query_ref)
         return [*translation.tolist(), *quaternion.tolist()]
 
 
-def broken(message: object) -> CheckedAnswer:
-    """The method broke."""
+def error_answer(message: object) -> CheckedAnswer:
+    """The answer recorded for a method that raised or broke the contract."""
     return CheckedAnswer("error", message=one_line(message), info=json.dumps({"status": "error"}))
 
 
-def checked(result: object) -> CheckedAnswer:
-    """Whatever a tracker returned for one query, checked, copied and cut to size. Raises nothing of the method's.
+def checked_answer(result: object) -> CheckedAnswer:
+    """Check, copy and truncate whatever a tracker returned for one query. No exception of the method's gets out.
 
-    An answer that breaks the contract is an ``error`` whose message says what was expected. A message or info that
-    cannot be had costs itself alone.
+    An answer that breaks the contract becomes an ``error`` whose message says what was expected. A message or info
+    that cannot be read is replaced, and the rest of the answer stands.
     """
     answer, broke = guarded(lambda: _checked(result))
-    return broken(f"the answer cannot be read: {broke}") if answer is None else answer
+    return error_answer(f"the answer cannot be read: {broke}") if answer is None else answer
 
 
 def _checked(result: object) -> CheckedAnswer:
     try:
         plain = plain_result(result)
     except ContractFault as fault:
-        return broken(fault)
-    status = "ok" if plain.answered else _stated(plain.info)
+        return error_answer(fault)
+    status = "ok" if plain.answered else _status_without_pose(plain.info)
     message = "" if plain.message is None else one_line(plain.message)
     return CheckedAnswer(status, plain.T_query_ref, plain.confidence, message, info_text(plain.info))
 
 
-def _stated(info: Any) -> str:
-    """What it is that there is no pose: a failure, or an error where the method says so by ``info["status"]``."""
+def _status_without_pose(info: Any) -> str:
+    """The status of an answer without a pose: ``error`` if ``info["status"]`` is that, else ``failed``."""
     told, _ = guarded(lambda: info.get("status") if isinstance(info, Mapping) else None)
     return "error" if type(told) is str and told == "error" else "failed"
 
@@ -83,44 +84,47 @@ def _stated(info: Any) -> str:
 def ask(
     tracker: Any, reference: Any, views: Sequence[Query], priors: Sequence[Array | None] | None = None
 ) -> tuple[list[CheckedAnswer], float]:
-    """Answers to some queries of one reference, and the seconds they took together.
+    """Ask a tracker about some queries of one reference.
 
-    A call of ``track_batch`` that raises is asked again query by query, so that the one that breaks it is the one that
-    it costs.
+    Where a call of ``track_batch`` raises, its queries are asked again one by one, so that only the query that caused
+    it is lost.
 
     Args:
-        reference: as the tracker's ``prepare`` gave it where it has one.
-        priors: one (4, 4) or None for each query; None gives none to any.
+        reference: what the tracker's ``prepare`` returned, or the reference itself where it has none.
+        priors: a (4, 4) pose or None for each query; None for no priors at all.
+
+    Returns:
+        the checked answers, and the seconds that the calls took together.
     """
     each = [None] * len(views) if priors is None else priors
     start = time.perf_counter()
-    if offers(tracker, SupportsBatch):
-        taken, raised = _together(tracker, reference, views, each)
+    if implements(tracker, SupportsBatch):
+        taken, raised = _ask_batch(tracker, reference, views, each)
         if raised and len(views) > 1:
-            taken = [_together(tracker, reference, [v], [p])[0][0] for v, p in zip(views, each, strict=True)]
+            taken = [_ask_batch(tracker, reference, [v], [p])[0][0] for v, p in zip(views, each, strict=True)]
     else:
-        taken = [_one(tracker, reference, view, prior) for view, prior in zip(views, each, strict=True)]
+        taken = [_ask_single(tracker, reference, view, prior) for view, prior in zip(views, each, strict=True)]
     seconds = time.perf_counter() - start
-    return [checked(result) if broke is None else broken(broke) for result, broke in taken], seconds
+    return [checked_answer(result) if broke is None else error_answer(broke) for result, broke in taken], seconds
 
 
 _Taken = tuple[Any, str | None]
-"""what a method returned for one query, and how it broke"""
+"""what a method returned for one query, and an error message or None"""
 
 
-def _one(tracker: Any, reference: Any, view: Query, prior: Array | None) -> _Taken:
-    return guarded(lambda: tracker.track(reference, view, _copy(prior)))
+def _ask_single(tracker: Any, reference: Any, view: Query, prior: Array | None) -> _Taken:
+    return guarded(lambda: tracker.track(reference, view, _shown(prior)))
 
 
-def _together(
+def _ask_batch(
     tracker: Any, reference: Any, views: Sequence[Query], priors: Sequence[Array | None]
 ) -> tuple[list[_Taken], bool]:
-    """One result a query, and whether the call raised.
+    """The result of one ``track_batch`` call for each query, and whether the call raised.
 
-    The results may come from a generator: no more are taken than were asked for.
+    The results may come from a generator: at most one more is taken than was asked for.
     """
     count = len(views)
-    copies = [_copy(prior) for prior in priors]
+    copies = [_shown(prior) for prior in priors]
     given, broke = guarded(lambda: list(islice(tracker.track_batch(reference, list(views), copies), count + 1)))
     if broke is not None:
         return [(None, broke)] * count, True
@@ -130,17 +134,13 @@ def _together(
     return [(result, None) for result in given], False
 
 
-def _copy(prior: Array | None) -> Array | None:
-    """A prior as the method is shown it: it cannot be written to."""
-    if prior is None:
-        return None
-    shown = prior.copy()
-    shown.flags.writeable = False
-    return shown
+def _shown(prior: Array | None) -> Array | None:
+    """A read-only copy of a prior, to be passed to the method."""
+    return None if prior is None else read_only(prior.copy())
 
 
 def checked_pixels(ends: object, broke: str | None, count: int) -> tuple[Array | None, str | None]:
-    """Whatever ``match`` returned for ``count`` pixels, copied to (N, 2) float64; or None and how the method broke."""
+    """What ``match`` returned for ``count`` pixels as a copy (N, 2) in float64, or None and an error message."""
     if broke is not None:
         return None, broke
     pixels, fault = guarded(lambda: _pixels(ends, count))

@@ -1,8 +1,8 @@
-"""The errors of a method on a pair set by column, ``PAIRSET.errors.csv``: a hundred thousand pairs take some ten MB."""
+"""The errors of a method on a pair set, stored by column: ``PAIRSET.errors.csv``. 100,000 pairs take some 10 MB."""
 
 from __future__ import annotations
 
-import csv
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,17 +16,13 @@ from numpy.typing import NDArray
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.matching_table import ALL
-from relocbench.evaluation.common.table_file import table_chunks
-from relocbench.files import atomic_write, parse_floats, parse_timestamp
+from relocbench.evaluation.common.tables import KEY_COLUMNS, STATUSES, TableRow, read_chunks, write_rows
 from relocbench.metrics import PairSetSummary, PoseErrors, summarize
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-STATUSES = ("ok", "failed", "error")
-"""answered; the method said it failed; the method broke (exception, crash, breach of the contract)"""
 ERROR_COLUMNS = (
-    "ref_timestamp_ns",
-    "query_timestamp_ns",
+    *KEY_COLUMNS,
     "group",
     "status",
     "rotation_error_deg",
@@ -63,18 +59,18 @@ class PairErrors:
 
 @dataclass(frozen=True, eq=False)
 class ErrorTable(Sequence[PairErrors]):
-    """Rows of ``PAIRSET.errors.csv``; a sequence of :class:`PairErrors`, held by column."""
+    """The rows of ``PAIRSET.errors.csv``, held by column."""
 
     keys: Indices
     """(N, 2) reference and query timestamp, nanoseconds"""
     group_index: Indices
-    """(N,) into ``group_names``"""
+    """(N,) index into ``group_names``"""
     group_names: tuple[str, ...]
     """in order of appearance"""
     status_index: NDArray[np.int8]
-    """(N,) into :data:`STATUSES`"""
+    """(N,) index into :data:`STATUSES`"""
     numbers: Array
-    """(9, N) the columns of :data:`ERROR_COLUMNS` from the rotation error on; NaN where one has no value"""
+    """(9, N) the columns of :data:`ERROR_COLUMNS` from the rotation error on; NaN where there is no value"""
 
     @classmethod
     def of(cls, rows: Sequence[PairErrors]) -> ErrorTable:
@@ -88,8 +84,8 @@ class ErrorTable(Sequence[PairErrors]):
             tuple(names),
             np.array([STATUSES.index(row.status) for row in rows], dtype=np.int8),
             np.array(
-                [[math.nan if (v := getattr(r, n)) is None else v for r in rows] for n in (*_ERRORS, *_OPTIONAL)],
-                dtype=np.float64,
+                [[getattr(row, name) for row in rows] for name in (*_ERRORS, *_OPTIONAL)],
+                dtype=np.float64,  # None becomes NaN
             ).reshape(len(_ERRORS) + len(_OPTIONAL), len(rows)),
         )
 
@@ -124,19 +120,19 @@ class ErrorTable(Sequence[PairErrors]):
 
     @cached_property
     def errors(self) -> PoseErrors:
-        """The error arrays."""
+        """The three errors of each row."""
         return PoseErrors(*self.numbers[: len(_ERRORS)])
 
     def column(self, name: str) -> Array:
-        """(N,) a column of numbers, NaN where a row has none."""
+        """(N,) a column of numbers by name, NaN where a row has none."""
         return self.numbers[ERROR_COLUMNS.index(name) - 4]
 
     def with_status(self, status: str) -> int:
-        """How many rows have that status."""
+        """The number of rows with that status."""
         return int(np.count_nonzero(self.status_index == STATUSES.index(status)))
 
     def of_group(self, group: str) -> ErrorTable:
-        """The rows of one group, or all."""
+        """The rows of one group; all rows for the group ``all``."""
         if group == ALL:
             return self
         if group not in self._of_groups:
@@ -146,16 +142,16 @@ class ErrorTable(Sequence[PairErrors]):
 
     @cached_property
     def _of_groups(self) -> dict[str, ErrorTable]:
-        """Those that were asked for."""
+        """The groups that were selected before."""
         return {}
 
     @cached_property
     def summary(self) -> PairSetSummary:
-        """Every metric. Raises DatasetError where there is no row."""
+        """Every metric over the rows. Raises DatasetError where there is none."""
         return summarize(self.errors, seconds=self.column("seconds"), confidence=self.column("confidence"))
 
     def take(self, rows: Indices) -> ErrorTable:
-        """The rows of these indices, in this order."""
+        """The rows at these indices, in this order."""
         return ErrorTable(
             self.keys[rows],
             self.group_index[rows],
@@ -165,40 +161,37 @@ class ErrorTable(Sequence[PairErrors]):
         )
 
     def by_time(self) -> ErrorTable:
-        """Ordered by reference time, then query time."""
+        """The rows ordered by reference time, then query time."""
         order = np.lexsort((self.keys[:, 1], self.keys[:, 0]))
         return self if np.array_equal(order, np.arange(len(self))) else self.take(order)
 
     def texts(self) -> list[list[Any]]:
-        """The columns as a table holds them, in the order of :data:`ERROR_COLUMNS`; floats in full."""
+        """The columns as texts, in the order of :data:`ERROR_COLUMNS`; floats with all their digits."""
         values = [[repr(v) for v in column.tolist()] for column in self.numbers[: len(_ERRORS)]]
         optional = [["" if v != v else repr(v) for v in column.tolist()] for column in self.numbers[len(_ERRORS) :]]
         return [*self.keys.T.tolist(), self.groups, self.statuses, *values, *optional]
 
 
 def groups_in(group_names: Sequence[str]) -> list[str]:
-    """``all`` and the named groups; a single group is the whole set and not repeated."""
+    """The groups that are scored: ``all``, then the named groups unless there is only one, which would be all pairs."""
     named = [name for name in group_names if name]
     return [ALL, *named] if len(named) > 1 else [ALL]
 
 
 def write_errors(path: Path, rows: Sequence[PairErrors]) -> None:
-    """``PAIRSET.errors.csv``: one row a pair of the set; a failed pair's errors are ``inf``."""
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(ERROR_COLUMNS)
-        table.writerows(zip(*ErrorTable.of(rows).texts(), strict=True))
+    """Write ``PAIRSET.errors.csv``: one row for each pair of the set; the errors of a failed pair are ``inf``."""
+    write_rows(path, itertools.chain([ERROR_COLUMNS], zip(*ErrorTable.of(rows).texts(), strict=True)))
 
 
 def read_errors(path: Path) -> ErrorTable:
-    """``PAIRSET.errors.csv``.
+    """Read ``PAIRSET.errors.csv``.
 
     Raises:
-        PredictionError: with file and line: a column or number that cannot be, an unknown status.
+        PredictionError: with file and line: a wrong column, a number or status that is not valid.
     """
     names: dict[str, int] = {}
     keys, groups, statuses, numbers = [], [], [], []
-    for lines, rows in table_chunks(path, ERROR_COLUMNS):
+    for lines, rows in read_chunks(path, ERROR_COLUMNS):
         columns = list(zip(*rows, strict=True))
         converted = _fast(columns)
         keys_of, numbers_of = converted if converted is not None else _one_by_one(rows, path, lines)
@@ -218,7 +211,7 @@ def read_errors(path: Path) -> ErrorTable:
 
 
 def _fast(columns: Sequence[Sequence[str]]) -> tuple[Indices, Array] | None:
-    """Keys (n, 2) and numbers (9, n) of whole columns; None where anything is unusual, which is then looked at."""
+    """Convert whole columns to keys (n, 2) and numbers (9, n); None where a field needs a closer look."""
     times = "".join(columns[0]) + "".join(columns[1])
     if not (times.isascii() and times.isdecimal()):
         return None
@@ -241,21 +234,12 @@ def _fast(columns: Sequence[Sequence[str]]) -> tuple[Indices, Array] | None:
 
 
 def _one_by_one(rows: Sequence[Sequence[str]], path: Path, lines: Sequence[int]) -> tuple[Indices, Array]:
-    """As :func:`_fast`, field by field. Raises PredictionError naming the line."""
+    """Convert as :func:`_fast`, but field by field. Raises PredictionError with the line."""
     keys, numbers = [], []
-    for line, row in zip(lines, rows, strict=True):
-        keys.append([parse_timestamp(text, path, line, PredictionError) for text in row[:2]])
-        values = []
-        for name, text in zip(ERROR_COLUMNS[4:], row[4:], strict=True):
-            if name in _ERRORS and text == "inf":
-                values.append(math.inf)
-            elif name in _OPTIONAL and not text:
-                values.append(math.nan)
-            else:
-                values.append(parse_floats([text], path, line, name, PredictionError)[0])
-            if name in _ERRORS and values[-1] < 0:
-                raise PredictionError(f"{name} is {text}, expected an error of at least 0, or inf", path, line)
-        numbers.append(values)
+    for line, fields in zip(lines, rows, strict=True):
+        row = TableRow(path, line, dict(zip(ERROR_COLUMNS, fields, strict=True)))
+        keys.append(row.key())
+        numbers.append([*map(row.error, _ERRORS), *(row.number(n) if row[n] else math.nan for n in _OPTIONAL)])
     return np.array(keys, dtype=np.int64), np.array(numbers, dtype=np.float64).T
 
 

@@ -1,4 +1,4 @@
-"""The boundary to a method's own code: whatever it raises costs the question, not the run."""
+"""The boundary to a method's own code: whatever it raises costs the call in progress, not the run."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from typing import Any
 from relocbench.errors import one_line, raised
 
 MOST_NEIGHBOURS = 100
-"""frames on each side of a keyframe that a tracker may ask for"""
+"""frames on each side of a keyframe that a tracker may request"""
 
 
 def guarded(call: Callable[[], Any]) -> tuple[Any, str | None]:
-    """The value of a method's own code, or what it raised, in one line: a method's bug costs its question only.
+    """Call a method's own code and catch whatever it raises.
 
-    That holds of everything that can be raised, ``KeyboardInterrupt`` included, unless the user did interrupt: then
-    it goes on, even where the method caught it.
+    Everything that can be raised is caught, ``KeyboardInterrupt`` included. Only where the user did interrupt is
+    ``KeyboardInterrupt`` raised again, even if the method caught it.
+
+    Returns:
+        the value, and None or what was raised, in one line.
     """
     with _interrupts() as came:
         try:
@@ -33,11 +36,11 @@ def guarded(call: Callable[[], Any]) -> tuple[Any, str | None]:
 
 @contextmanager
 def _interrupts() -> Iterator[list[int]]:
-    """Signals of an interruption that reached this process meanwhile; they have the effect that they always have."""
+    """Record the interrupt signals that arrive meanwhile; they keep their usual effect."""
     came: list[int] = []
     before = signal.getsignal(signal.SIGINT)
     if not callable(before) or threading.current_thread() is not threading.main_thread():
-        yield came  # worker processes pass Ctrl-C over; threads never see it
+        yield came  # worker processes ignore Ctrl-C, and other threads never receive it
         return
     act = before
 
@@ -52,13 +55,13 @@ def _interrupts() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-def offers(method: Any, protocol: Any) -> bool:
-    """Whether a method has what a protocol asks; an attribute that cannot be read is not there."""
+def implements(method: Any, protocol: Any) -> bool:
+    """Whether a method implements a protocol; an attribute that cannot be read counts as missing."""
     return bool(guarded(lambda: isinstance(method, protocol))[0])
 
 
 def neighbours_of(tracker: Any) -> tuple[int, str | None]:
-    """How many frames on each side of a keyframe a tracker asks for, and what is wrong with what it says of that."""
+    """The number of frames on each side of a keyframe that a tracker requests; and what is wrong with its request."""
     value, broke = guarded(lambda: getattr(tracker, "neighbours", 0))
     if broke is not None:
         return 0, f"its attribute 'neighbours' cannot be read: {broke}"

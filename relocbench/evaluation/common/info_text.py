@@ -1,4 +1,4 @@
-"""What a method tells beside its answer, as JSON of bounded length."""
+"""The ``info`` of a method's answer, as JSON of bounded length."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ import numpy as np
 from relocbench.errors import one_line, raised
 
 INFO_CHARACTERS = 8192
-"""of JSON that are kept of one ``info``; a table's reader takes fields of up to 131,072"""
+"""characters of JSON that are kept of one ``info``; fields of a table may have up to 131,072"""
 _MOST_COUNTED = 2**20
 _MOST_DEPTH = 32
 _MOST_BITS = 1024
 
 
 class _TooMuch(Exception):
-    """More than will be counted."""
+    """The value is too large to be counted."""
 
 
 def info_text(info: object) -> str:
     """``info`` as one JSON object of at most :data:`INFO_CHARACTERS` characters. Raises nothing of its own.
 
-    What JSON cannot hold (NaN and infinity, objects, integers of hundreds of digits) stands there as words, and so does
-    what lies deeper than 32 levels. An object that would be longer is replaced by
-    ``{"cut": true, "characters": HOW_LONG_IT_WAS}``, or ``{"cut": true, "characters_at_least": 1048576}`` where it was
-    not counted to its end.
+    What JSON cannot hold (NaN and infinity, objects, integers of hundreds of digits) is replaced by text, and so is
+    what is nested deeper than 32 levels. An object that would be longer is replaced by
+    ``{"cut": true, "characters": ITS_LENGTH}``, or by ``{"cut": true, "characters_at_least": 1048576}`` where
+    counting stopped there.
     """
     try:
         text = _text(info)
@@ -47,7 +47,7 @@ def _text(info: object) -> str:
 
 
 class _Plain:
-    """Copies a value into what JSON can hold, and stops where that grows too long."""
+    """Copies a value into types that JSON can hold, and stops when the copy grows too large."""
 
     def __init__(self) -> None:
         self._count = 0
@@ -76,7 +76,7 @@ class _Plain:
         return self.of(values, depth) if known else self._words(values)
 
     def _scalar(self, value: Any) -> Any:
-        """A value of one of the plain types themselves: a subclass may show JSON something else."""
+        """A value of exactly one of the plain types: JSON could encode a subclass as something else."""
         if value is None or isinstance(value, bool):
             return value
         if isinstance(value, str):
@@ -91,7 +91,7 @@ class _Plain:
         return real if math.isfinite(real) else repr(real)
 
     def _key(self, key: Any) -> str:
-        """As JSON names it, where JSON can."""
+        """A mapping's key as JSON writes it, or as text where JSON cannot."""
         if key is None or isinstance(key, bool | int | float):
             return json.dumps(self._scalar(key)).strip('"')
         return str(self._scalar(key)) if isinstance(key, str) else str(self._words(key))

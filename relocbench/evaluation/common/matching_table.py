@@ -1,29 +1,28 @@
-"""``PAIRSET.matching.csv``: matching quality of one method, one row a pair and start offset, and its summary."""
+"""Matching quality of one method: ``PAIRSET.matching.csv``, one row for each pair and start offset, and its summary."""
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
-from relocbench.files import atomic_write, parse_count, parse_timestamp, read_table
+from relocbench.evaluation.common.tables import KEY_COLUMNS, read_rows, write_rows
 from relocbench.metrics.pose.matching import OFFSET_EDGES_PX
 
 ALL = "all"
-"""the group that is the whole pair set; and all start offsets together"""
+"""the group of all pairs of a set; and all start offsets together"""
 OFFSETS_PX = tuple(int(edge) for edge in OFFSET_EDGES_PX[1:])
-"""how far from the truth the method starts"""
+"""distances between the start and the true pixel"""
 
 Summary = dict[str, dict[str, float | int | None]]
-"""by start offset (``all``, ``1px``, ...): counts, and shares 0..1"""
+"""start offset (``all``, ``1px``, ...) -> counts, and shares 0..1"""
 
 
 @dataclass(frozen=True)
 class Found:
-    """How many correspondences of a pair, started so far off, the method brought near the truth."""
+    """How many correspondences of a pair, started at one offset, the method brought near the truth."""
 
     offset_px: int
     count: int
@@ -31,50 +30,43 @@ class Found:
     within_1px: int
     within_3px: int
     start_within_1px: int
-    """the starts that were so near already: what a method gets that does not move"""
+    """starts that are that near already, which a method that does not move would get"""
     start_within_3px: int
 
 
 @dataclass(frozen=True)
 class MatchingRow:
-    """One row of ``PAIRSET.matching.csv``."""
+    """A row of ``PAIRSET.matching.csv``."""
 
     key: PairKey
     group: str
     found: Found
     message: str = ""
-    """why the method broke; then none is answered"""
+    """how the method broke, in which case it answered no pixel"""
 
 
 _COUNTS = tuple(field.name for field in fields(Found))
-MATCHING_COLUMNS = ("ref_timestamp_ns", "query_timestamp_ns", "group", *_COUNTS, "message")
+MATCHING_COLUMNS = (*KEY_COLUMNS, "group", *_COUNTS, "message")
 
 
 def write_matching(path: Path, rows: Sequence[MatchingRow]) -> None:
-    """``PAIRSET.matching.csv``, in the order given."""
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(MATCHING_COLUMNS)
-        for row in rows:
-            table.writerow([*row.key, row.group, *astuple(row.found), row.message])
+    """Write ``PAIRSET.matching.csv``, in the order given."""
+    write_rows(path, [MATCHING_COLUMNS, *([*r.key, r.group, *astuple(r.found), r.message] for r in rows)])
 
 
 def read_matching(path: Path) -> list[MatchingRow]:
-    """``PAIRSET.matching.csv``. Raises PredictionError with file and line."""
+    """Read ``PAIRSET.matching.csv``. Raises PredictionError with file and line."""
     out = []
-    for number, line in read_table(path, MATCHING_COLUMNS, error=PredictionError):
-        ref, query = (parse_timestamp(text, path, number, PredictionError) for text in line[:2])
-        counts = line[3:-1]
-        named = zip(counts, _COUNTS, strict=True)
-        found = Found(*(parse_count(text, name, path, number, PredictionError) for text, name in named))
+    for row in read_rows(path, MATCHING_COLUMNS):
+        key, found = row.key(), Found(*map(row.count, _COUNTS))
         if not found.within_1px <= found.within_3px <= found.answered <= found.count:
-            raise PredictionError("expected within_1px <= within_3px <= answered <= count", path, number)
-        out.append(MatchingRow((ref, query), line[2], found, line[-1]))
+            raise row.fault("expected within_1px <= within_3px <= answered <= count")
+        out.append(MatchingRow(key, row["group"], found, row["message"]))
     return out
 
 
 def check_complete(rows: Sequence[MatchingRow], keys: Sequence[PairKey], path: Path) -> None:
-    """Raises PredictionError unless there is one row for each pair of the set and each offset."""
+    """Raise PredictionError unless there is one row for each pair of the set and each offset."""
     there = sorted((row.key, row.found.offset_px) for row in rows)
     if there != sorted((key, offset) for key in keys for offset in OFFSETS_PX):
         raise PredictionError(
@@ -85,7 +77,7 @@ def check_complete(rows: Sequence[MatchingRow], keys: Sequence[PairKey], path: P
 
 
 def summarize_matching(rows: Sequence[MatchingRow], group: str = ALL) -> Summary:
-    """Shares of all correspondences of a group's pairs, over all start offsets and by offset; None without any."""
+    """Shares of all correspondences of a group's pairs, over all offsets and by offset; None where there are none."""
     chosen = [row.found for row in rows if group in (ALL, row.group)]
     return {
         ALL: _shares(chosen),

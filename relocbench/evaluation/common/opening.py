@@ -1,4 +1,4 @@
-"""The dataset that a run asks about, once it is sure that the run will not harm it and that it is whole."""
+"""Opening the dataset of an evaluation after checking that it is whole and that results will not harm it."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError
 
 
-def opened(folder: Path, out: Path) -> Dataset:
-    """The dataset in a folder, for results that go to another one.
+def open_for_evaluation(folder: Path, out: Path) -> Dataset:
+    """The dataset in a folder, to be evaluated with results in another folder.
 
     Raises:
         ConfigError: ``out`` lies inside the dataset.
-        DatasetError: there is no dataset, or one of its tables is not what its manifest says.
+        DatasetError: there is no dataset, or one of its tables is not what its manifest records.
     """
     dataset = Dataset(folder)
-    if out.resolve().is_relative_to(dataset.root.resolve()):
-        raise ConfigError("--out lies inside the dataset, which results would change; choose another folder", out)
+    check_outside(out, dataset.root)
     for fault in fingerprint.faults(dataset.layout, content="text"):
         raise fault
     return dataset
+
+
+def check_outside(out: Path, dataset: Path) -> None:
+    """Raise ConfigError if the folder for results lies inside the dataset."""
+    if out.resolve().is_relative_to(dataset.resolve()):
+        raise ConfigError("--out lies inside the dataset, which results would change; choose another folder", out)

@@ -1,21 +1,21 @@
 """The results folder: predictions, run records and scores of one or more datasets.
 
-``RESULTS/DATASET@FINGERPRINT/METHOD/`` holds, for each pair set, the predictions (``PAIRSET.txt``), one row a pair on
-how each came about (``PAIRSET.csv``), where it was asked for the matching quality (``PAIRSET.matching.csv``) and, once
-scored, one row a pair of errors (``PAIRSET.errors.csv``); and ``run.yaml`` and ``scores.yaml`` for the method.
-``dataset.yaml`` beside the methods says what the dataset asks.
+For each pair set, ``RESULTS/DATASET@FINGERPRINT/METHOD/`` holds the predictions (``PAIRSET.txt``), a table of how each
+answer came about (``PAIRSET.csv``), the matching quality where that was requested (``PAIRSET.matching.csv``) and, once
+scored, a table of each pair's errors (``PAIRSET.errors.csv``). ``run.yaml`` and ``scores.yaml`` describe the method;
+``dataset.yaml`` beside the methods describes the dataset's pair sets.
 """
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from relocbench.datasets.core.dataset import Dataset
@@ -24,73 +24,38 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, distances_and_angles
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.error_table import (
-    ERROR_COLUMNS,
-    STATUSES,
-    ErrorTable,
-    PairErrors,
-    groups_in,
-    read_errors,
-    write_errors,
-)
+from relocbench.evaluation.common.tables import KEY_COLUMNS, float_text, read_rows, seconds_text, write_rows
 from relocbench.files import (
-    atomic_write,
     check_joined_name,
     check_name,
     dump_yaml,
     load_yaml,
-    parse_floats,
-    parse_timestamp,
     read_bytes,
-    read_table,
     remove_parts,
     write_text,
 )
 
-__all__ = [
-    "ANSWER_COLUMNS",
-    "ERROR_COLUMNS",
-    "STATUSES",
-    "Answer",
-    "AnswerFolder",
-    "DatasetRecord",
-    "DatasetResults",
-    "ErrorTable",
-    "MethodResults",
-    "PairErrors",
-    "PairSetRecord",
-    "RunRecord",
-    "ScoreRecord",
-    "all_results",
-    "dataset_results",
-    "groups_in",
-    "read_answers",
-    "read_errors",
-    "write_answers",
-    "write_dataset_record",
-    "write_errors",
-    "write_record",
-]
-
-ANSWER_COLUMNS = ("ref_timestamp_ns", "query_timestamp_ns", "status", "seconds", "confidence", "message", "info")
+PREDICTIONS = "predictions:"
+"""prefix of the target of predictions that were made elsewhere"""
+ANSWER_COLUMNS = (*KEY_COLUMNS, "status", "seconds", "confidence", "message", "info")
 
 
 @dataclass(frozen=True)
 class Answer:
-    """How the answer to one pair came about; the pose itself stands in the prediction file."""
+    """How the answer to one pair came about; the pose itself is in the prediction file."""
 
     key: PairKey
     status: str
     seconds: float | None = None
-    """wall time of the tracker alone; images read and the reference prepared before"""
+    """wall-clock time of the tracker alone, after reading the images and preparing the reference"""
     confidence: float | None = None
     message: str = ""
     info: str = ""
-    """JSON: what else the method had to say"""
+    """JSON object with whatever else the method reported"""
 
 
 Count = Annotated[int, Field(ge=0, le=10**15)]
-"""how many of something there are"""
+"""a number of things"""
 
 
 class PairSetRecord(Strict):
@@ -117,32 +82,32 @@ class DatasetRecord(Strict):
     name: FolderName
     fingerprint: Fingerprint
     question: str = ""
-    """what is asked, whatever the processor's last digits; empty in results of versions that did not tell"""
+    """digest of what the dataset asks, equal on all processors; empty in results of versions that did not record it"""
     licence: str
     splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
     pair_sets: dict[JoinedName, PairSetRecord]
 
     @property
     def compared_by(self) -> str:
-        """The question, or the fingerprint where results do not tell it: results with the same one stand together."""
+        """The question, or the fingerprint where none is recorded: results with the same value are compared."""
         return self.question or self.fingerprint
 
 
 class RunRecord(Strict):
-    """``run.yaml``: what made the predictions of one method."""
+    """``run.yaml``: how the predictions of one method were made."""
 
     method: Name
     target: str
     parameters: dict[str, Any] = Field(default_factory=dict)
     files: dict[str, str] = Field(default_factory=dict)
-    """SHA-256 of the files that decide the answers, as weights, by parameter"""
+    """SHA-256 of the files that affect the answers, such as weights, by parameter"""
     seed: int | None = None
     dataset: FolderName
     fingerprint: Fingerprint
     question: str = ""
-    """of the dataset, the same on every processor"""
+    """of the dataset: a digest of what it asks, equal on all processors"""
     answered_on: str = ""
-    """fingerprint of the copy of the dataset that predictions made elsewhere were given on, where it is another copy"""
+    """of predictions made elsewhere on another copy of the dataset: the fingerprint of that copy"""
     versions: dict[str, str] = Field(default_factory=dict)
     machine: dict[str, Any] = Field(default_factory=dict)
     workers: int | None = None
@@ -150,8 +115,11 @@ class RunRecord(Strict):
     end: str = ""
 
 
+Run = TypeVar("Run", bound=RunRecord)
+
+
 class ScoreRecord(Strict):
-    """``scores.yaml``: the summary of each pair set (and group), and which predictions it was computed from."""
+    """``scores.yaml``: the summary of each pair set (and group), and the hashes of the scored predictions."""
 
     relocbench: str
     predictions: dict[JoinedName, str]
@@ -164,7 +132,7 @@ class ScoreRecord(Strict):
 
 @dataclass(frozen=True)
 class AnswerFolder:
-    """What was answered to each pair set or task: a file in a format of the field and a table beside it."""
+    """A folder with a file of predictions and a table of answers for each pair set or task."""
 
     root: Path
 
@@ -195,27 +163,27 @@ class MethodResults(AnswerFolder):
         return self.root / f"{_named(pair_set)}.errors.csv"
 
     def matching(self, pair_set: str) -> Path:
-        """How often the method's per-pixel Gauss-Newton finds the true pixel; only where that was asked for."""
+        """The table of matching quality, which exists only where that was requested."""
         return self.root / f"{_named(pair_set)}.matching.csv"
 
     def matching_journal(self, pair_set: str) -> Path:
-        """As :meth:`journal`, for matching quality."""
+        """The journal of matching quality, as :meth:`journal`."""
         return self.root / ".journal-matching" / _named(pair_set)
 
     def journal(self, pair_set: str) -> Path:
-        """Folder that workers append to while they run; gone when the pair set is complete."""
+        """The folder that workers append to while they run; it is removed when the pair set is complete."""
         return self.root / ".journal" / _named(pair_set)
 
     def complete(self, pair_set: str) -> bool:
-        """Whether the pair set was run to its end."""
+        """Whether the run of a pair set is complete."""
         return self.predictions(pair_set).exists() and self.answers(pair_set).exists()
 
     def run_record(self) -> RunRecord:
-        """Raises PredictionError with file and line."""
+        """Read ``run.yaml``. Raises PredictionError with file and line."""
         return load_yaml(self.run_yaml, RunRecord, "the record of a run", PredictionError)
 
     def score_record(self) -> ScoreRecord:
-        """Raises PredictionError with file and line."""
+        """Read ``scores.yaml``. Raises PredictionError with file and line."""
         return load_yaml(self.scores_yaml, ScoreRecord, "the scores of a method", PredictionError)
 
 
@@ -227,7 +195,7 @@ class DatasetResults:
 
     @cached_property
     def record(self) -> DatasetRecord:
-        """Raises PredictionError with file and line."""
+        """The content of ``dataset.yaml``. Raises PredictionError with file and line."""
         path = self.root / "dataset.yaml"
         return load_yaml(path, DatasetRecord, "the record of a dataset", PredictionError)
 
@@ -235,35 +203,35 @@ class DatasetResults:
         return MethodResults(self.root / label)
 
     def methods(self) -> list[MethodResults]:
-        """Every method with a run record, by name."""
+        """Every method that has a run record, sorted by name."""
         return [MethodResults(p.parent) for p in method_folders(self.root)]
 
 
 def method_folders(root: Path) -> list[Path]:
-    """``run.yaml`` of every method below a folder, by name. Raises PredictionError where a label can be none."""
+    """The ``run.yaml`` of every method below a folder, sorted by name. Raises PredictionError for an invalid label."""
     found = sorted(root.glob("*/run.yaml"))
     for path in found:
         try:
             check_name(path.parent.name, "method label")
         except ValueError as bad:
-            raise PredictionError(f"the folder's name is no label: {bad}", path.parent) from None
+            raise PredictionError(f"the folder's name is no valid label: {bad}", path.parent) from None
     return found
 
 
 def dataset_results(results: Path, dataset: Dataset) -> DatasetResults:
-    """The folder for a dataset's results; nothing is written."""
+    """The folder for a dataset's results; nothing is created."""
     return DatasetResults(results / f"{dataset.name}@{dataset.fingerprint[:SHORT]}")
 
 
 def write_dataset_record(folder: DatasetResults, dataset: Dataset) -> None:
-    """Keep beside the results what the dataset asks."""
+    """Write ``dataset.yaml``, which describes the dataset to leaderboards."""
     write_record(folder.root / "dataset.yaml", _dataset_record(dataset))
 
 
 def write_record(path: Path, record: Strict) -> None:
-    """Whole or not at all; a file that says the same already is left alone.
+    """Write a record whole or not at all, unless the file has the same content already.
 
-    What runs that were killed left unfinished in its folder is removed.
+    Unfinished files that killed runs left in its folder are removed.
     """
     remove_parts(path.parent, deep=False)
     text = dump_yaml(record.model_dump(mode="json"))
@@ -271,50 +239,89 @@ def write_record(path: Path, record: Strict) -> None:
         write_text(path, text)
 
 
+def first_breakage(label: str, what: str, broken: Sequence[tuple[object, str]]) -> list[tuple[str, str]]:
+    """The label and a message on what broke a method, with the first case; nothing where nothing broke it.
+
+    Args:
+        what: how it broke, and on how many cases.
+        broken: each case with the method's message.
+    """
+    if not broken:
+        return []
+    place, message = broken[0]
+    return [(label, f"{what}; first on {place}: {message}")]
+
+
+def adopted_run(theirs: Path, run: Run, what: str) -> Run:
+    """The record of a run made elsewhere, for results that are imported on this dataset.
+
+    Args:
+        theirs: the ``run.yaml`` that came with the results, if there is one.
+        run: what is known of the run without it: method, target, dataset, fingerprint and question.
+        what: the kind of record, for messages.
+
+    Raises:
+        PredictionError: the record is bad, or of another dataset than this one or a copy of it.
+    """
+    if not theirs.is_file():
+        return run
+    record = load_yaml(theirs, type(run), what, PredictionError)
+    told = {"method": run.method}
+    if record.fingerprint != run.fingerprint and run.question and record.question == run.question:
+        # Another machine's copy: the question is the same, and images differ in last digits only.
+        told |= {"fingerprint": run.fingerprint, "answered_on": record.fingerprint}
+    else:
+        check_made_for(record, run.dataset, run.fingerprint, theirs)
+    return record.model_copy(update=told)
+
+
+def check_made_for(run: RunRecord, dataset: str, fingerprint: str, path: Path) -> None:
+    """Raise PredictionError unless a run was made for the dataset with that fingerprint."""
+    if run.fingerprint != fingerprint:
+        raise PredictionError(
+            f"predictions are for {run.dataset}@{run.fingerprint[:SHORT]}, "
+            f"the dataset is {dataset}@{fingerprint[:SHORT]}",
+            path,
+        )
+
+
+def folders_with(record: str, results: Path) -> list[Path]:
+    """The results folder itself if it holds that record, else every ``NAME@FINGERPRINT`` folder in it that does."""
+    if (results / record).exists():
+        return [results]
+    return [path.parent for path in sorted(results.glob(f"*@*/{record}"))]
+
+
 def all_results(results: Path) -> list[DatasetResults]:
     """Every dataset's folder below a results folder. Raises PredictionError where there is none."""
     if not results.is_dir():
         raise PredictionError("no such folder; expected results of `relocbench evaluate`", results)
-    if (results / "dataset.yaml").exists():
-        return [DatasetResults(results)]
-    found = [DatasetResults(p.parent) for p in sorted(results.glob("*@*/dataset.yaml"))]
+    found = list(map(DatasetResults, folders_with("dataset.yaml", results)))
     if not found:
         raise PredictionError("holds no results (expected DATASET@FINGERPRINT folders)", results)
     return found
 
 
 def write_answers(path: Path, answers: Sequence[Answer]) -> None:
-    """``PAIRSET.csv``, in the order given."""
-    with atomic_write(path) as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(ANSWER_COLUMNS)
-        for a in answers:
-            table.writerow([*a.key, a.status, _text(a.seconds, 6), _text(a.confidence), a.message, a.info])
+    """Write ``PAIRSET.csv``, in the order given."""
+    rows = ([*a.key, a.status, seconds_text(a.seconds), float_text(a.confidence), a.message, a.info] for a in answers)
+    write_rows(path, [ANSWER_COLUMNS, *rows])
 
 
 def read_answers(path: Path) -> dict[PairKey, Answer]:
-    """``PAIRSET.csv``. Raises PredictionError with file and line."""
+    """Read ``PAIRSET.csv``. Raises PredictionError with file and line."""
     out: dict[PairKey, Answer] = {}
-    for number, row in read_table(path, ANSWER_COLUMNS, error=PredictionError):
-        field = dict(zip(ANSWER_COLUMNS, row, strict=True))
-        key = _key(field, path, number)
+    for row in read_rows(path, ANSWER_COLUMNS):
+        key = row.key()
         if key in out:
-            raise PredictionError(f"pair {key[0]} {key[1]} occurs again", path, number)
-        if field["status"] not in STATUSES:
-            raise PredictionError(f"status is '{field['status']}', expected {', '.join(STATUSES)}", path, number)
-        out[key] = Answer(
-            key,
-            field["status"],
-            _value(field, "seconds", path, number),
-            _value(field, "confidence", path, number),
-            field["message"],
-            field["info"],
-        )
+            raise row.fault(f"pair {key[0]} {key[1]} occurs again")
+        seconds, confidence = map(row.number_or_none, ("seconds", "confidence"))
+        out[key] = Answer(key, row.status(), seconds, confidence, row["message"], row["info"])
     return out
 
 
 def _named(asked: str) -> str:
-    """The name of a pair set or task. Raises PredictionError where it would lead out of the folder."""
+    """The checked name of a pair set or task. Raises PredictionError for one that would leave the folder."""
     try:
         return check_joined_name(asked, "name of a pair set or task")
     except ValueError as bad:
@@ -345,28 +352,15 @@ def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
         rejected=len(pair_set.rejected),
         has_truth=pair_set.has_truth,
         groups=tuple(dict.fromkeys(p.group for p in pairs if p.group)),
-        median_distance_m=_median([distance for distance, _ in between]),
-        median_angle_deg=_median([angle for _, angle in between]),
-        median_sigma_translation_m=_median([p.sigma_translation_m for p in pairs]),
-        median_sigma_rotation_deg=_median([p.sigma_rotation_deg for p in pairs]),
+        median_distance_m=rounded_median([distance for distance, _ in between]),
+        median_angle_deg=rounded_median([angle for _, angle in between]),
+        median_sigma_translation_m=rounded_median([p.sigma_translation_m for p in pairs]),
+        median_sigma_rotation_deg=rounded_median([p.sigma_rotation_deg for p in pairs]),
     )
 
 
-def _median(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return round(float(np.median(known)), 6) if known else None
-
-
-def _key(field: dict[str, str], path: Path, line: int) -> PairKey:
-    ref, query = (parse_timestamp(field[c], path, line, PredictionError) for c in ANSWER_COLUMNS[:2])
-    return ref, query
-
-
-def _value(field: dict[str, str], name: str, path: Path, line: int) -> float | None:
-    return parse_floats([field[name]], path, line, name, PredictionError)[0] if field[name] else None
-
-
-def _text(value: float | None, digits: int | None = None) -> str:
-    if value is None:
-        return ""
-    return repr(round(float(value), digits) if digits is not None else float(value))
+def rounded_median(values: Sequence[float | None] | NDArray[np.float64]) -> float | None:
+    """The median of the finite values, to six decimals; None counts as NaN, and without a value it is None."""
+    known = np.asarray(values, dtype=np.float64)
+    known = known[np.isfinite(known)]
+    return round(float(np.median(known)), 6) if known.size else None

@@ -1,4 +1,4 @@
-"""How far off may a method start? Single pixels and whole poses, started known offsets off the truth."""
+"""Probing the basin of convergence: single pixels and whole poses, started at known offsets from the truth."""
 
 from relocbench.evaluation.probe.run import ProbeOptions, ProbeReport, probe_methods
 

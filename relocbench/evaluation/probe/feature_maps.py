@@ -1,7 +1,7 @@
-"""Pictures of features: one place in several conditions, the first three principal components as red, green and blue.
+"""Pictures of feature maps: one place in several conditions, its first three principal components as RGB.
 
-Features that do not change with the weather have the same colours in every row. The components are those of all images
-of a place together, on each level apart, and so is the scale of the colours: rows can be compared, columns cannot.
+Features that do not change with the weather have the same colours in every row. Components and colour scale are
+computed from all images of a place together, separately for each level: rows can be compared, columns cannot.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.images import write_image
+from relocbench.datasets.core.images import as_rgb, write_image
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
-from relocbench.datasets.inspect.drawing import rgb
 from relocbench.errors import MethodError
 from relocbench.evaluation.common.worker import read_only, tracker_of
 from relocbench.execution import MANY_TIMES, Loss, step
@@ -32,9 +31,9 @@ Image = NDArray[np.uint8]
 
 COMPONENTS = 3
 _SPREAD = (1.0, 99.0)
-"""percentiles of a component that become its darkest and brightest"""
+"""percentiles of a component that become its darkest and brightest value"""
 _NOISE = 1e-5
-"""of the largest value; what varies less is rounding of float32, not a component"""
+"""of the largest value; a component that varies less is float32 rounding"""
 _BAR = 22
 
 
@@ -48,11 +47,10 @@ class Place:
 
 
 def principal_components(maps: Sequence[NDArray[np.float32]]) -> list[Image]:
-    """Maps (H_i, W_i, D) as pictures (H_i, W_i, 3), by the first components of all their pixels together.
+    """Render maps (H_i, W_i, D) as pictures (H_i, W_i, 3) by the first principal components of all their pixels.
 
-    A component's sign is chosen so that its largest entry is positive. Where there are fewer than three components, the
-    others are grey.
-
+    The sign of a component is chosen so that its largest entry is positive. Missing components, where D is less than
+    three or a component does not vary, are grey.
     Raises:
         ValueError: no maps, or maps of different D.
     """
@@ -79,10 +77,10 @@ def principal_components(maps: Sequence[NDArray[np.float32]]) -> list[Image]:
 
 
 def feature_sheet(place: Place, method: SupportsFeatures, label: str) -> Image:
-    """A row an image: the image itself, then its features on each level, finest first, all of one size.
+    """A picture with a row for each image: the image, then its features on each level, finest first, at equal size.
 
     Raises:
-        MethodError: the method cannot work on the images.
+        MethodError: the method cannot process the images.
     """
     seen = [_levels(method, label, image, camera) for _, image, camera in place.images]
     height, width = place.images[0][1].shape[:2]
@@ -92,19 +90,19 @@ def feature_sheet(place: Place, method: SupportsFeatures, label: str) -> Image:
     ]
     rows = []
     for index, (title, image, _) in enumerate(place.images):
-        panels = [(title, rgb(image))]
+        panels = [(title, as_rgb(image))]
         panels += [(f"{label}, level {level}: 3 components", pictures[index]) for level, pictures in levels]
         rows.append(np.hstack([_panel(text, picture, width, height) for text, picture in panels]))
     return np.vstack(rows)
 
 
-def shows_features(method: Any) -> bool:
-    """Whether a method has ``features`` to call; a parameter may have the same name."""
+def has_features(method: Any) -> bool:
+    """Whether a method's ``features`` can be called; a parameter may have the same name."""
     return isinstance(method, SupportsFeatures) and callable(method.features)
 
 
 def places_of(dataset: Dataset, pair_sets: Sequence[PairSet], count: int) -> list[Place]:
-    """Keyframes that queries of the most conditions look at, with the nearest query of each; spread along the drive."""
+    """Keyframes paired with queries of the most conditions, with the nearest query of each, spread along the drive."""
     looked_at: dict[tuple[str, str, int], dict[str, tuple[float, PairSet, Pair]]] = {}
     for pair_set in pair_sets:
         condition = str(dataset.traversal(pair_set.query).condition)
@@ -123,13 +121,13 @@ def places_of(dataset: Dataset, pair_sets: Sequence[PairSet], count: int) -> lis
 
 
 def write_feature_maps(place: Place, method: Any, label: str, folder: Path) -> Path:
-    """``features_LABEL_PLACE.png``.
+    """Write ``features_LABEL_PLACE.png``.
 
     Raises:
         MethodError: the method shows no features.
     """
-    if not shows_features(method):
-        raise MethodError(f"method '{label}' shows no features (it has no features())")
+    if not has_features(method):
+        raise MethodError(f"method '{label}' offers no feature maps (it has no features())")
     path = folder / f"features_{label}_{place.name}.png"
     write_image(path, feature_sheet(place, method, label))
     return path
@@ -137,7 +135,7 @@ def write_feature_maps(place: Place, method: Any, label: str, folder: Path) -> P
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What a worker is to draw."""
+    """A picture of features that a worker is to draw."""
 
     spec: MethodSpec
     place: Place
@@ -145,23 +143,23 @@ class Picture:
 
 
 def draw(picture: Picture) -> tuple[Path | None, str]:
-    """The file, or None and why there is none. Raises MethodError. Runs in a worker."""
+    """Draw a picture in a worker; returns the file, or None and the reason. Raises MethodError."""
     label = picture.spec.label
     tracker = tracker_of(picture.spec)
-    if not shows_features(tracker):
-        return None, f"{label} shows no features (it has no features())"
+    if not has_features(tracker):
+        return None, f"{label} offers no feature maps (it has no features())"
     with step("", times=MANY_TIMES):
         return write_feature_maps(picture.place, tracker, label, picture.folder), ""
 
 
 def lost_picture(picture: Picture, loss: Loss) -> tuple[Path | None, str]:
-    """What is told of a picture that ended its worker."""
+    """The result for a picture whose worker was lost."""
     how = f"the worker process died ({loss.words})" if loss.kind == "death" else loss.words
-    return None, f"{picture.spec.label} left no picture of its features at {picture.place.name}: {how}"
+    return None, f"no picture of the features of {picture.spec.label} at {picture.place.name}: {how}"
 
 
 def _levels(method: SupportsFeatures, label: str, image: Image, camera: Camera) -> list[NDArray[np.float32]]:
-    """Maps (H, W, D), finest first; anything else is not what the contract says."""
+    """A method's maps (H, W, D), finest first. Raises MethodError for anything else."""
     maps = [level.map for level in method.features(read_only(image), camera).levels]
     wrong = [np.shape(m) for m in maps if not isinstance(m, np.ndarray) or m.ndim != 3 or not np.isfinite(m).all()]
     if wrong or not maps:

@@ -1,11 +1,11 @@
-"""Single pixels: does the method's Gauss-Newton on a pixel walk to the true one, and from how far?
+"""Probing single pixels: whether the method's per-pixel Gauss-Newton converges to the true pixel, and from how far.
 
-Starts lie 0 to 16 px beside the true pixel of a ground-truth correspondence, in a direction drawn at random. A method
-that keeps a pyramid is asked a second time for each level alone; a coarse level cannot place a pixel of the image to
-1 px, so that there the ends within 1 px *of the level* are counted too.
+Starts lie 0 to 16 px from the true pixel of a ground-truth correspondence, in a random direction. A method that uses
+an image pyramid is asked again for each level alone. A coarse level cannot locate a pixel of the image to 1 px, so
+that ends within 1 px *of the level* are counted there as well.
 
-Most pixels of a street are road, wall and sky. What a tracker chooses are pixels with structure, and ``with_structure``
-keeps those alone: by the keyframe's image, the same pixels for every method.
+Most pixels of a street are road, wall and sky, while trackers select pixels with structure. ``with_structure`` keeps
+those alone: they depend on the keyframe's image, so that they are the same for every method.
 """
 
 from __future__ import annotations
@@ -36,18 +36,20 @@ NEAR_ON_LEVEL = "match@1levelpx"
 _WITHIN_PX = {NEAR: 1.0, "match@3px": 3.0}
 _MOST_LEVELS = 32
 _DIGITS = 6
-"""a start meant to be 1 px off is 1 px off up to rounding"""
+"""Distances are rounded to 1e-6 px, so that a start drawn 1 px from the truth counts as within 1 px."""
 
 
 def probe_pixels(
     tracker: Any, reference: Any, query: Query, known: Correspondences, key: PairKey, per_pair: int, seed: int
 ) -> tuple[list[Tally], str]:
-    """Tallies of one pair, none without visible correspondences; and how the method broke, empty if it did not.
-
-    A method that breaks has found nothing.
+    """Probe the pixels of one pair.
 
     Args:
-        reference: as the tracker's ``prepare`` gave it; None if that broke, in which case nothing is asked.
+        reference: what the tracker's ``prepare`` returned; None if that broke, in which case nothing is asked.
+
+    Returns:
+        the tallies, none without visible correspondences; and how the method broke, empty if it did not. A method that
+        breaks has found nothing.
     """
     starts = draw_starts(known, query.camera, key, per_pair, OFFSETS_PX, seed)
     if not len(starts):
@@ -62,10 +64,10 @@ def probe_pixels(
 
 
 def with_structure(known: Correspondences, image: NDArray[np.uint8], share: float) -> Correspondences:
-    """So large a share of the visible correspondences, those whose keyframe pixel has most structure both ways.
+    """Keep the given share of the visible correspondences, those whose keyframe pixel has the most structure.
 
     Structure is the smaller eigenvalue of the image's structure tensor over 5 x 5 pixels (Shi and Tomasi, 1994). The
-    others stay, as not visible.
+    other correspondences remain in the result as not visible.
     """
     rows = np.nonzero(known.visible)[0]
     if share >= 1 or not len(rows):
@@ -80,7 +82,7 @@ def with_structure(known: Correspondences, image: NDArray[np.uint8], share: floa
 
 
 def level_names() -> tuple[str, ...]:
-    """What is counted on a level alone."""
+    """The criteria that are counted on a single level."""
     return (*_WITHIN_PX, NEAR_ON_LEVEL)
 
 
@@ -92,7 +94,7 @@ def _asked(match: Callable[..., Any], reference: Any, query: Query, starts: Star
 def _asked_by_level(
     match_levels: Callable[..., Any], reference: Any, query: Query, starts: Starts
 ) -> tuple[list[Array], str | None]:
-    """Ends of each level, none where one of them is no answer; the levels may come from a generator."""
+    """The ends on each level, or none if one level's answer is invalid; the levels may come from a generator."""
     uv_ref, uv_start = read_only(starts.uv_ref), read_only(starts.uv_start)
     given, broke = guarded(lambda: list(islice(match_levels(reference, query, uv_ref, uv_start), _MOST_LEVELS + 1)))
     if broke is None and len(given) > _MOST_LEVELS:

@@ -1,4 +1,4 @@
-"""Share of successes against how far off the start was."""
+"""Plots of the share of successes against the offset of the start."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FOUND: dict[What, str] = {"pixels": "ends within 1 px", "translation": "0.25 m 
 
 
 def curves_picture(lines: Sequence[Line], title: str) -> bytes:
-    """PNG: a row for pairs across conditions, one for the same condition; a column for each kind of start."""
+    """A PNG with rows for pairs across conditions and within one condition, and a column for each kind of start."""
     main = [line for line in lines if line.level is None and line.radius is not None]
     methods = list(dict.fromkeys(line.method for line in main))
     rows = [c for c in (ACROSS, SAME) if any(line.conditions == c for line in main)]
@@ -40,7 +40,7 @@ def curves_picture(lines: Sequence[Line], title: str) -> bytes:
 
 
 def levels_picture(lines: Sequence[Line], title: str) -> bytes:
-    """PNG: a panel for each method and kind of pairs, a curve for each level alone."""
+    """A PNG with a panel for each method and kind of pairs, and a curve for each pyramid level used alone."""
     alone = [line for line in lines if line.level is not None and line.radius is not None]
     methods = list(dict.fromkeys(line.method for line in alone))
     rows = [c for c in (ACROSS, SAME) if any(line.conditions == c for line in alone)]
@@ -62,7 +62,7 @@ def _picture(
     floor: bool = True,
 ) -> bytes:
     with mpl.rc_context():
-        mpl.rcdefaults()  # the reader's own settings must not change the picture
+        mpl.rcdefaults()  # the user's own settings must not change the picture
         mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
         figure = Figure(figsize=(4.6 * columns, 0.4 + 3.2 * rows), dpi=130, layout="constrained")
         FigureCanvasAgg(figure)

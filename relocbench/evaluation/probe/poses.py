@@ -1,7 +1,7 @@
-"""Whole poses: does the tracker come back to the truth from a prior that is known to be off?
+"""Probing whole poses: whether the tracker returns to the truth from a prior with a known error (its basin).
 
-The prior is the true pose with the camera's centre moved by so many metres, in a direction drawn at random, or with the
-camera turned about its centre by so many degrees, about an axis drawn at random: the convergence basin.
+The prior is the true pose with the camera's centre moved by a number of metres in a random direction, or with the
+camera turned about its centre by a number of degrees about a random axis.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.common.answers import ask, broken
+from relocbench.evaluation.common.answers import ask, error_answer
 from relocbench.evaluation.probe.tally import Tally, What
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.metrics import PoseErrors, pose_errors, within
@@ -32,9 +32,9 @@ _SEED = 2
 
 
 def draw_priors(T_query_ref: Array, what: What, key: PairKey, directions: int, seed: int) -> Array:
-    """(K, M, 4, 4): M priors at each offset, off the true pose by exactly that much; the same for every method.
+    """Draw M priors at each of K offsets, (K, M, 4, 4), exactly that far from the true pose; the same for every method.
 
-    A direction is kept over all offsets, so that a pair is followed outwards along M rays.
+    The M directions are the same at all offsets, so that a pair is followed outwards along M rays.
     """
     kind = list(OFFSETS).index(what)
     rng = np.random.default_rng([_SEED, kind, seed, *(time % 2**64 for time in key)])
@@ -44,7 +44,7 @@ def draw_priors(T_query_ref: Array, what: What, key: PairKey, directions: int, s
     for k, offset in enumerate(OFFSETS[what]):
         for m, ray in enumerate(rays):
             if what == "translation":
-                # |d| of t is |d| of the centre -R^T t: R is not touched.
+                # The centre is -R^T t, and R stays: t and the centre move by the same distance.
                 out[k, m] = T_query_ref
                 out[k, m, :3, 3] += offset * ray
             else:
@@ -56,16 +56,19 @@ def draw_priors(T_query_ref: Array, what: What, key: PairKey, directions: int, s
 def probe_poses(
     tracker: Any, reference: Any, query: Query, T_query_ref: Array, key: PairKey, directions: int, seed: int
 ) -> tuple[list[Tally], str]:
-    """Tallies of one pair, translation and rotation; and how the method broke, empty if it did not.
+    """Probe the whole pose of one pair.
 
     Args:
-        reference: as the tracker's ``prepare`` gave it; None if that broke, in which case nothing is asked.
+        reference: what the tracker's ``prepare`` returned; None if that broke, in which case nothing is asked.
+
+    Returns:
+        the tallies of translation and rotation; and how the method broke, empty if it did not.
     """
     tallies, broke = [], ""
     for what, offsets in OFFSETS.items():
         priors = draw_priors(T_query_ref, what, key, directions, seed)
         flat = priors.reshape(-1, 4, 4)
-        nothing = [broken("")] * len(flat)
+        nothing = [error_answer("")] * len(flat)
         results = nothing if reference is None else ask(tracker, reference, [query] * len(flat), list(flat))[0]
         broke = broke or next((r.message for r in results if r.status == "error"), "")
         answers = [np.full((4, 4), np.nan) if r.T_query_ref is None else r.T_query_ref for r in results]
@@ -90,7 +93,7 @@ def _near(errors: PoseErrors, name: str) -> NDArray[np.bool_]:
 
 
 def _starts_near(what: What, offsets: Sequence[float], name: str, directions: int) -> tuple[int, ...]:
-    """By the offsets themselves: what rounding makes of a prior 0.25 m off must not decide."""
+    """Judge starts by their nominal offsets: the rounding of a prior 0.25 m off must not decide."""
     limit = _WITHIN[name][0 if what == "translation" else 1]
     return tuple(directions if offset <= limit else 0 for offset in offsets)
 

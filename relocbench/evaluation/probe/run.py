@@ -1,4 +1,4 @@
-"""Probe several methods on a dataset and write what came of it."""
+"""Running a probe of several methods on a dataset, and writing its results."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.asking_options import AskingOptions
-from relocbench.evaluation.common.offers import offers_of
-from relocbench.evaluation.common.opening import opened
+from relocbench.evaluation.common.capabilities import capabilities_of
+from relocbench.evaluation.common.execution_options import ExecutionOptions
+from relocbench.evaluation.common.opening import open_for_evaluation
+from relocbench.evaluation.common.results import first_breakage
 from relocbench.evaluation.probe.feature_maps import Picture, draw, lost_picture, places_of
-from relocbench.evaluation.probe.table import Line, lines_of
-from relocbench.evaluation.probe.work import Answered, Task, ask_pairs, task_for
+from relocbench.evaluation.probe.table import Line, result_lines
+from relocbench.evaluation.probe.work import PairResult, Task, ask_pairs, task_for
 from relocbench.evaluation.probe.write import write_probe
 from relocbench.evaluation.tracking.run import new_record
 from relocbench.execution import kept_workers, run_limited
@@ -28,7 +29,7 @@ from relocbench.methods import MethodSpec, parse_methods
 from relocbench.progress import Reporter
 
 
-class ProbeOptions(AskingOptions):
+class ProbeOptions(ExecutionOptions):
     """Fields are options of ``relocbench probe`` and keys of its YAML file."""
 
     dataset: Path
@@ -39,19 +40,19 @@ class ProbeOptions(AskingOptions):
     split: str | None = None
     pair_sets: tuple[str, ...] = ()
     pixels: bool = True
-    """where single pixels end"""
+    """whether single pixels are probed"""
     poses: bool = True
-    """where whole poses end, from priors off the truth"""
+    """whether whole poses are probed, from priors off the truth"""
     pairs: int = Field(50, ge=1)
-    """of each pair set at most, spread along the drive"""
+    """the largest number of pairs of each pair set, spread along the drive"""
     per_pair: int = Field(100, ge=1)
     """correspondences of a pair, each started from every offset"""
     structured: float = Field(1.0, gt=0, le=1)
-    """only so large a share of a pair's correspondences, those whose pixel has most structure; 1: of all of them"""
+    """share of a pair's correspondences that is probed, those whose pixel has the most structure; 1 for all"""
     directions: int = Field(2, ge=1)
     """priors of a pair at each offset"""
     feature_maps: int = Field(0, ge=0)
-    """places whose features are drawn"""
+    """number of places whose features are drawn"""
     seed: int = Field(0, ge=0)
 
     @model_validator(mode="after")
@@ -65,7 +66,7 @@ class ProbeOptions(AskingOptions):
 
 @dataclass(frozen=True)
 class ProbeReport:
-    """What a probe found."""
+    """The results of a probe."""
 
     lines: list[Line]
     files: list[Path]
@@ -73,7 +74,7 @@ class ProbeReport:
     """label and message of each method that broke on pairs"""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for scripts: the radii."""
+        """The radii, files and broken methods as plain values for scripts."""
         return {
             "radii": [
                 {
@@ -98,12 +99,12 @@ class ProbeReport:
 
 
 def probe_methods(options: ProbeOptions, reporter: Reporter) -> ProbeReport:
-    """Ask, count, write ``probe.csv``, ``radii.csv``, ``probe.md``, ``probe.yaml`` and pictures of the curves.
+    """Probe methods and write ``probe.csv``, ``radii.csv``, ``probe.md``, ``probe.yaml`` and the plots.
 
     Raises:
-        RelocbenchError: a bad dataset, method or option; nothing that could be asked.
+        RelocbenchError: a bad dataset, method or option, or nothing that can be probed.
     """
-    dataset = opened(options.dataset, options.out)
+    dataset = open_for_evaluation(options.dataset, options.out)
     specs = parse_methods(options.methods, options.set, options.seed)
     asked = chosen_pairs(dataset, options)
     with kept_workers():
@@ -136,7 +137,7 @@ def _probe(
         s.name: (str(dataset.traversal(s.reference).condition), str(dataset.traversal(s.query).condition))
         for s, _ in asked
     }
-    lines = lines_of(answers, conditions)
+    lines = result_lines(answers, conditions)
     if not lines:
         raise ConfigError("no pair has a visible correspondence: there is no pixel to probe", dataset.root)
     files = write_probe(options.out, dataset, lines, _about(dataset, options, tasks))
@@ -148,7 +149,7 @@ def chosen_pairs(dataset: Dataset, options: ProbeOptions) -> list[tuple[PairSet,
     """Up to ``options.pairs`` pairs with ground truth of each pair set, evenly spread.
 
     Raises:
-        ConfigError: none is left.
+        ConfigError: there is no such pair.
     """
     chosen = dataset.pair_sets(options.split)
     if options.pair_sets:
@@ -172,7 +173,7 @@ def _tasks(
     options: ProbeOptions,
     reporter: Reporter,
 ) -> list[tuple[MethodSpec, Task]]:
-    """Methods with what they can be asked; what is left out is told."""
+    """Each method with what it can be asked; whatever is left out is reported."""
     without = [s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()]
     if options.pixels:
         for name in without:
@@ -181,15 +182,15 @@ def _tasks(
     wanted = Task(pixels, options.poses, options.per_pair, options.structured, options.directions, options.seed)
     out = []
     for spec in specs:
-        offers = offers_of(spec, options.run)
-        if offers.fault:
-            reporter.note(f"{spec.label} is left out: {offers.fault}")
+        capabilities = capabilities_of(spec, options.run)
+        if capabilities.fault:
+            reporter.note(f"{spec.label} is left out: {capabilities.fault}")
             continue
-        task = task_for(offers, wanted)
+        task = task_for(capabilities, wanted)
         if pixels and not task.pixels:
             reporter.note(f"{spec.label} does not match single pixels (it has no match())")
         if options.poses and not task.poses:
-            reporter.note(f"{spec.label} does not start from a prior (no uses_prior): it has no basin")
+            reporter.note(f"{spec.label} does not start from a prior (no uses_prior), so it has no basin of poses")
         if task.pixels or task.poses:
             out.append((spec, task))
     if not out and not options.feature_maps:
@@ -204,7 +205,7 @@ def _draw(
     options: ProbeOptions,
     reporter: Reporter,
 ) -> list[Path]:
-    """Pictures of the features of the methods that show them; who does not is told."""
+    """Draw the features of the methods that offer them; the other methods are reported."""
     if not options.feature_maps:
         return []
     places = places_of(dataset, pair_sets, options.feature_maps)
@@ -230,7 +231,7 @@ def _about(dataset: Dataset, options: ProbeOptions, tasks: Sequence[tuple[Method
     return {
         "dataset": dataset.name,
         "fingerprint": dataset.fingerprint,
-        "options": json.loads(options.model_dump_json(exclude={"dataset", "out", *AskingOptions.model_fields})),
+        "options": json.loads(options.model_dump_json(exclude={"dataset", "out", *ExecutionOptions.model_fields})),
         "methods": [
             new_record(dataset, spec, workers, options.seed).model_dump(
                 include={"method", "target", "parameters", "versions"}
@@ -240,13 +241,9 @@ def _about(dataset: Dataset, options: ProbeOptions, tasks: Sequence[tuple[Method
     }
 
 
-def _broken(label: str, found: dict[tuple[str, PairKey], Answered]) -> list[tuple[str, str]]:
-    broken = [(key, answered.message) for key, answered in sorted(found.items()) if answered.message]
-    if not broken:
-        return []
-    (name, key), message = broken[0]
-    told = f"broke on {len(broken)} of {len(found)} pairs, counted as not found; first on {name} {key[0]} {key[1]}"
-    return [(label, f"{told}: {message}")]
+def _broken(label: str, found: dict[tuple[str, PairKey], PairResult]) -> list[tuple[str, str]]:
+    broken = [(f"{name} {key[0]} {key[1]}", r.message) for (name, key), r in sorted(found.items()) if r.message]
+    return first_breakage(label, f"broke on {len(broken)} of {len(found)} pairs, counted as not found", broken)
 
 
 def _bounds(interval: Any) -> list[float] | None:

@@ -1,4 +1,4 @@
-"""Shares and radii of all methods, by conditions of reference and query."""
+"""Shares and radii of all methods, by the conditions of reference and query."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from relocbench.datasets.core.pairfile import PairKey
 from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, level_names
 from relocbench.evaluation.probe.poses import CONVERGED
 from relocbench.evaluation.probe.tally import Tally, What
-from relocbench.evaluation.probe.work import Answered
+from relocbench.evaluation.probe.work import PairResult
 from relocbench.metrics import Radius, Ratio, radius_of, radius_ratio
 
 Array = NDArray[np.float64]
-Answers = Mapping[tuple[str, PairKey], Answered]
+Answers = Mapping[tuple[str, PairKey], PairResult]
 
 ACROSS, SAME = "across conditions", "same condition"
 _SEED = 3
@@ -24,7 +24,7 @@ _SEED = 3
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """One method on the pairs of one combination of conditions."""
+    """The results of one method on the pairs of one combination of conditions."""
 
     method: str
     what: What
@@ -35,33 +35,33 @@ class Line:
     pairs: int
     offsets: tuple[float, ...]
     counts: tuple[int, ...]
-    """starts at each offset"""
+    """number of starts at each offset"""
     shares: Array
-    """(K,) successes, mean over pair sets of the mean over their pairs"""
+    """(K,) share of successes, mean over pair sets of the mean over their pairs"""
     start_shares: Array
-    """(K,) the same of the starts"""
+    """(K,) the share that the starts themselves would get"""
     radius: Radius | None
-    """where the share falls below a half; None for a criterion that is not the first one"""
+    """where the share falls below a half; None unless ``criterion`` is the main one"""
     ratio: Ratio | None
     """of this radius to that of the first method"""
     half_left: Radius | None
-    """where half of what is found from the truth is left: the width of the basin, whatever its height"""
+    """where the share falls below half of the share from the truth: the width of the basin, whatever its height"""
     half_ratio: Ratio | None
 
 
 def main_criterion(what: What, level: int | None) -> str:
-    """What counts as a success where one number is wanted."""
+    """The criterion of success where a single one is needed."""
     if what != "pixels":
         return CONVERGED
     return NEAR if level is None else NEAR_ON_LEVEL
 
 
-def lines_of(answers: Mapping[str, Answers], conditions: Mapping[str, tuple[str, str]]) -> list[Line]:
-    """All lines: first what all conditions together give, then each combination by itself.
+def result_lines(answers: Mapping[str, Answers], conditions: Mapping[str, tuple[str, str]]) -> list[Line]:
+    """All lines, in groups: all conditions together first, then each combination of conditions.
 
     Args:
-        answers: by method, the first one is what the others are compared with.
-        conditions: of each pair set its reference's and its query's.
+        answers: by method; the other methods are compared with the first one.
+        conditions: the conditions of each pair set's reference and query.
     """
     out: list[Line] = []
     first = next(iter(answers))
@@ -121,7 +121,7 @@ def _lines(
 
 
 def _completed(answers: Answers) -> dict[str, list[dict[tuple[What, int | None], Tally]]]:
-    """Tallies of each pair set's pairs by reference time; where the levels alone broke, nothing was found there."""
+    """The tallies of each pair set by reference time; where asking for levels broke, nothing was found on them."""
     levels = {t.level for a in answers.values() for t in a.tallies if t.level is not None}
     out: dict[str, list[dict[tuple[What, int | None], Tally]]] = {}
     for (name, _), answered in sorted(answers.items()):
@@ -144,7 +144,7 @@ def _kinds(
 
 
 def _groups(conditions: Mapping[str, tuple[str, str]]) -> Iterator[tuple[str, list[str]]]:
-    """Names of conditions with their pair sets."""
+    """The names of groups of conditions, each with its pair sets."""
     for title, alike in ((ACROSS, False), (SAME, True)):
         names = [name for name, (a, b) in conditions.items() if (a == b) == alike]
         if names:

@@ -1,4 +1,4 @@
-"""What is counted of one pair: from starts so far off the truth, how many ended near it."""
+"""The counts of one pair: how many starts at each offset from the truth ended near it."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ UNITS: dict[What, str] = {"pixels": "px", "translation": "m", "rotation": "deg"}
 
 @dataclass(frozen=True)
 class Tally:
-    """Counts of one pair, one entry an offset."""
+    """The counts of one pair, with one entry for each offset."""
 
     what: What
     level: int | None
-    """of single pixels: worked on this level alone; None where the method worked as it always does"""
+    """pyramid level that was used alone, for single pixels; None where the method worked as usual"""
     offsets: tuple[float, ...]
-    """how far the starts are from the truth: pixels, metres or degrees"""
+    """distances of the starts from the truth: pixels, metres or degrees"""
     count: tuple[int, ...]
-    """starts"""
+    """number of starts"""
     answered: tuple[int, ...]
     hits: Mapping[str, tuple[int, ...]]
-    """ends near the truth, by name of what is near"""
+    """number of ends near the truth, by name of the criterion"""
     start_hits: Mapping[str, tuple[int, ...]]
-    """starts that were as near already: what a method gets that does not move"""
+    """number of starts that already satisfy the criterion, which a method that does not move would get"""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for a journal."""
@@ -33,13 +33,13 @@ class Tally:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Tally:
-        """What :meth:`to_dict` gave, after its way through JSON."""
+        """Read what :meth:`to_dict` returned, after its conversion to JSON and back."""
         offsets, count, answered = (tuple(values[name]) for name in ("offsets", "count", "answered"))
         hits, start_hits = ({k: tuple(v) for k, v in values[name].items()} for name in ("hits", "start_hits"))
         return cls(values["what"], values["level"], offsets, count, answered, hits, start_hits)
 
     def missed(self, level: int, names: Sequence[str]) -> Tally:
-        """The same starts on one level with no answer at all."""
+        """The tally of the same starts on one level, without any answer."""
         none = tuple(0 for _ in self.count)
         return Tally(
             self.what, level, self.offsets, self.count, none, dict.fromkeys(names, none), dict.fromkeys(names, none)

@@ -1,4 +1,4 @@
-"""Asking methods, pair by pair, in workers; what is known goes to a journal at once, so that a killed run goes on."""
+"""Probing methods pair by pair in workers; each result is written to a journal at once, so that killed runs resume."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.core.writer import versions
 from relocbench.datasets.pairs.correspondences import read_correspondences
 from relocbench.errors import PredictionError, one_line
-from relocbench.evaluation.common.lost_pairs import LostPairs, ask_all
-from relocbench.evaluation.common.offers import Offers
+from relocbench.evaluation.common.capabilities import Capabilities
 from relocbench.evaluation.common.worker import (
     Unit,
+    answered_keys,
+    append_entry,
     journal_entries,
     open_journal,
     prepared,
@@ -28,7 +29,9 @@ from relocbench.evaluation.common.worker import (
     tracker_of,
     traversal_of,
     units_of,
+    write_entry,
 )
+from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
 from relocbench.evaluation.probe.pixels import probe_pixels, with_structure
 from relocbench.evaluation.probe.poses import OFFSETS, probe_poses
 from relocbench.evaluation.probe.tally import Tally
@@ -37,12 +40,12 @@ from relocbench.files import alone_in, sha256_file
 from relocbench.methods import MethodSpec, distribution_version
 from relocbench.progress import Reporter
 
-Asked = Sequence[tuple[PairSet, Sequence[PairKey]]]
+ChosenPairs = Sequence[tuple[PairSet, Sequence[PairKey]]]
 
 
 @dataclass(frozen=True)
 class Task:
-    """What every pair is asked."""
+    """The questions that are asked about every pair. Its ``repr`` is part of the digest by which a probe resumes."""
 
     pixels: bool
     poses: bool
@@ -54,36 +57,36 @@ class Task:
 
 @dataclass(frozen=True)
 class ProbeUnit(Unit):
-    """Some pairs of one reference, for one worker."""
+    """Some pairs of one reference, to be probed by one worker."""
 
     task: Task
 
 
 @dataclass(frozen=True)
-class Answered:
-    """What came of one pair."""
+class PairResult:
+    """The result of one pair."""
 
     tallies: tuple[Tally, ...]
     message: str
     """how the method broke; empty if it did not"""
 
 
-def task_for(offers: Offers, wanted: Task) -> Task:
-    """What of the wanted a method can be asked: pixels where it has ``match``, poses where it starts from a prior."""
-    return replace(wanted, pixels=wanted.pixels and offers.match, poses=wanted.poses and offers.prior)
+def task_for(capabilities: Capabilities, wanted: Task) -> Task:
+    """The wanted questions that a method can answer: pixels if it has ``match``, poses if it uses priors."""
+    return replace(wanted, pixels=wanted.pixels and capabilities.match, poses=wanted.poses and capabilities.prior)
 
 
 def ask_pairs(
     dataset: Dataset,
-    asked: Asked,
+    asked: ChosenPairs,
     spec: MethodSpec,
     task: Task,
     folder: Path,
     *,
     run: Run,
     reporter: Reporter,
-) -> dict[tuple[str, PairKey], Answered]:
-    """By pair set and pair. What ``folder`` knows of the same method, dataset and task is not asked again.
+) -> dict[tuple[str, PairKey], PairResult]:
+    """Results by pair set and pair. What ``folder`` holds for the same method, dataset and task is not asked again.
 
     Raises:
         PredictionError: another process is writing to the folder.
@@ -105,9 +108,9 @@ def ask_pairs(
         alone_in(root, PredictionError),
         reporter.stage(f"{spec.label} on {dataset.name}", _left(asked, journals)) as advance,
     ):
-        ask_all(_probe_unit, open_units, LostPairs(_write_broken), run, advance)
+        run_until_answered(_probe_unit, open_units, LossHandler(_write_broken), run, advance)
     return {
-        (pair_set.name, entry["key"]): Answered(tuple(map(Tally.from_dict, entry["tallies"])), entry["message"])
+        (pair_set.name, entry["key"]): PairResult(tuple(map(Tally.from_dict, entry["tallies"])), entry["message"])
         for pair_set, keys in asked
         for entry in journal_entries(journals[pair_set.name])
         if entry["key"] in set(keys)
@@ -115,7 +118,7 @@ def ask_pairs(
 
 
 def _digest(dataset: Dataset, spec: MethodSpec, task: Task) -> str:
-    """A digest of all that an answer depends on; a file that a parameter names counts by its content."""
+    """A digest of all that an answer depends on; a file that a parameter names enters by its content."""
     about = {
         "dataset": dataset.fingerprint,
         "target": spec.target,
@@ -131,23 +134,22 @@ def _content(value: Any) -> str:
 
 
 def _open(keys: Sequence[PairKey], journal: Path) -> list[PairKey]:
-    done = {entry["key"] for entry in journal_entries(journal)}
+    done = answered_keys(journal)
     return [key for key in keys if key not in done]
 
 
-def _left(asked: Asked, journals: dict[str, Path]) -> int:
+def _left(asked: ChosenPairs, journals: dict[str, Path]) -> int:
     return sum(len(_open(keys, journals[pair_set.name])) for pair_set, keys in asked)
 
 
 def _probe_unit(unit: ProbeUnit) -> int:
-    """Ask about the pairs of a unit; returns how many. Runs in a worker."""
+    """Probe the pairs of a unit in a worker; returns their number."""
     tracker = tracker_of(unit.spec)
     reference, broke = prepared(unit, tracker)
     with open_journal(unit.journal) as stream:
         for key in unit.keys:
             answered = _ask(unit, key, tracker, None if broke else reference)
-            stream.write(json.dumps(_entry(key, answered[0], broke or answered[1])) + "\n")
-            stream.flush()
+            write_entry(stream, _entry(key, answered[0], broke or answered[1]))
     return len(unit.keys)
 
 
@@ -161,7 +163,7 @@ def _ask(unit: ProbeUnit, key: PairKey, tracker: Any, reference: Any) -> tuple[l
     if task.pixels and correspondences.exists():
         image = traversal_of(unit.dataset, unit.reference).image(unit.camera, key[0])
         known = with_structure(read_correspondences(correspondences, key), image, task.structured)
-        with step("", (key,), MANY_TIMES):  # one question for the pixels of all offsets, one for each level
+        with step("", (key,), MANY_TIMES):  # one call for the pixels of all offsets, and one for each level
             found, message = probe_pixels(tracker, reference, query, known, key, task.per_pair, task.seed)
         tallies, messages = tallies + found, [*messages, message]
     if task.poses:
@@ -183,6 +185,5 @@ def _entry(key: PairKey, tallies: list[Tally], message: str) -> dict[str, Any]:
 
 
 def _write_broken(unit: ProbeUnit, key: PairKey, message: str) -> None:
-    """A pair that is lost, and how."""
-    with open_journal(unit.journal) as stream:
-        stream.write(json.dumps(_entry(key, _ask(unit, key, None, None)[0], message)) + "\n")
+    """Write the entry of a lost pair."""
+    append_entry(unit.journal, _entry(key, _ask(unit, key, None, None)[0], message))

@@ -1,17 +1,17 @@
-"""What a probe leaves: tables for programs, a page for people, curves for the eye."""
+"""The files that a probe writes: tables for programs, a page for people, and plots."""
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.evaluation.common.tables import write_rows
 from relocbench.evaluation.probe.table import ACROSS, SAME, Line
 from relocbench.evaluation.probe.tally import UNITS, What
-from relocbench.files import atomic_write, dump_yaml, write_bytes, write_text
+from relocbench.files import dump_yaml, write_bytes, write_text
 from relocbench.metrics import Interval, Radius, Ratio
 
 SHARE_COLUMNS = (
@@ -25,7 +25,7 @@ RADIUS_COLUMNS = (
     *("half_ratio", "half_ratio_low", "half_ratio_high"),
 )
 _TOO_LOW = 0.1
-"""share found from the truth; below it the width of a basin says nothing of use"""
+"""share found from the truth below which the width of a basin is not informative"""
 _TITLES: dict[What, str] = {
     "pixels": "Single pixels",
     "translation": "Whole poses, started beside the truth",
@@ -34,14 +34,13 @@ _TITLES: dict[What, str] = {
 
 
 def write_probe(out: Path, dataset: Dataset, lines: Sequence[Line], about: dict[str, Any]) -> list[Path]:
-    """The files, each whole; returns them."""
+    """Write all files of a probe, each whole or not at all; returns their paths."""
     from relocbench.evaluation.probe.plot import curves_picture, levels_picture  # matplotlib: not for every worker
 
     out.mkdir(parents=True, exist_ok=True)
     files = {"probe.csv": _shares, "radii.csv": _radii}
     for name, rows in files.items():
-        with atomic_write(out / name) as stream:
-            csv.writer(stream, lineterminator="\n").writerows(rows(lines))
+        write_rows(out / name, rows(lines))
     pictures = {"curves.png": curves_picture(lines, dataset.name)}
     if any(line.level is not None for line in lines):
         pictures["levels.png"] = levels_picture(lines, dataset.name)
@@ -53,20 +52,20 @@ def write_probe(out: Path, dataset: Dataset, lines: Sequence[Line], about: dict[
 
 
 def probe_page(dataset: Dataset, lines: Sequence[Line], pictures: Sequence[str], about: dict[str, Any]) -> str:
-    """Markdown."""
+    """The Markdown page of a probe."""
     options = about["options"]
     parts = [
         f"# How far off may a method start? {dataset.name}",
         f"Dataset fingerprint {dataset.fingerprint[:12]}; at most {options['pairs']} pairs of each pair set, "
         f"{options['per_pair']} pixels of a pair{_which(options['structured'])}, {options['directions']} priors "
         f"at each offset, seed {options['seed']}. Shares are means over pair sets of means over their pairs; what a "
-        "method does not answer is not found.",
-        "The **radius** is the offset at which the share falls below 50 %, on straight lines between the offsets that "
-        "were tried; in brackets its 95 % interval over resampled stretches of the drives. It is 0 where fewer than "
-        "half are found even from the truth. **Half left** is the offset at which half of what is found from the truth "
-        "is left: how wide the basin is, to be read with how high it is (*from the truth*). A ratio counts a radius "
-        "beyond the last offset as that offset; it is blank where both are 0, and of widths where a method finds less "
-        f"than {100 * _TOO_LOW:g} % from the truth.",
+        "method does not answer counts as not found.",
+        "The **radius** is the offset at which the share falls below 50 %, interpolated linearly between the offsets "
+        "that were tried; its 95 % interval over resampled stretches of the drives is in brackets. It is 0 where fewer "
+        "than half are found even from the truth. **Half left** is the offset at which half of what is found from the "
+        "truth is left: the width of the basin, to be read together with its height (*from the truth*). A ratio counts "
+        "a radius beyond the last offset as that offset; it is blank where both radii are 0, and ratios of widths are "
+        f"blank where a method finds less than {100 * _TOO_LOW:g} % from the truth.",
     ]
     for what in _TITLES:
         parts += _section(what, [line for line in lines if line.what == what])
@@ -84,7 +83,7 @@ def _section(what: What, lines: Sequence[Line]) -> list[str]:
         return []
     main = [line for line in whole if line.radius is not None]
     methods = list(dict.fromkeys(line.method for line in main))
-    parts = [f"## {_TITLES[what]}", _says(what, main[0].criterion), _radius_table(what, main, methods)]
+    parts = [f"## {_TITLES[what]}", _criterion_text(what, main[0].criterion), _radius_table(what, main, methods)]
     parts += ["### The basin's width, whatever its height", _half_table(what, main, methods)]
     for title in (ACROSS, SAME):
         chosen = [line for line in main if line.conditions == title]
@@ -94,19 +93,19 @@ def _section(what: What, lines: Sequence[Line]) -> list[str]:
     if alone:
         parts += [
             "### Each level alone",
-            "On one level of the pyramid (0 the finest), for ends within 1 px of that level (2^l px of the image): "
-            "what is found from the truth, and at how many pixels of the image half of that is left. Radii are in "
-            "`radii.csv`.",
+            "Using a single level of the pyramid (0 is the finest), for ends within 1 px of that level (2^l px of the "
+            "image): what is found from the truth, and the offset in pixels of the image at which half of that is "
+            "left. Radii are in `radii.csv`.",
             _level_table(alone),
         ]
     return parts
 
 
-def _says(what: What, criterion: str) -> str:
+def _criterion_text(what: What, criterion: str) -> str:
     if what == "pixels":
         return (
             f"Found is an end within 1 px of the true pixel (`{criterion}`), by the method's own per-pixel "
-            "Gauss-Newton, coarse to fine, from a start in a direction drawn at random."
+            "Gauss-Newton, coarse to fine, from a start in a random direction."
         )
     how = "the camera moved" if what == "translation" else "the camera turned about its centre"
     return f"Found is an answer within 0.25 m and 2° (`{criterion}`), from the true pose with {how} at random."
@@ -164,7 +163,7 @@ def _level_table(lines: Sequence[Line]) -> str:
 
 
 def radius_text(radius: Radius | None) -> str:
-    """As people read it: ``6.31 [5.90, 6.84]``, ``> 16`` beyond the largest offset."""
+    """A radius as people read it: ``6.31 [5.90, 6.84]``, or ``> 16`` beyond the largest offset."""
     if radius is None:
         return ""
     value = f"> {radius.value:g}" if radius.beyond else f"{radius.value:.2f}"

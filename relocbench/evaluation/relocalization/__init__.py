@@ -1,1 +1,1 @@
-"""Both halves in a row: a retriever ranks keyframes, a tracker is asked against the best, the surest answer is kept."""
+"""Chains: a retriever ranks keyframes, a tracker runs against the best of them, and its surest answer is kept."""

@@ -1,4 +1,4 @@
-"""From which keyframes a tracker can be expected to find the pose: what "retrieved well enough" means."""
+"""The basin of a tracker: the keyframes from which it can be expected to find the pose, so that retrieval succeeded."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SAID: dict[Source, str] = {
 
 @dataclass(frozen=True)
 class Basin:
-    """A keyframe is in it if the query's camera is at most so far from it and turned by at most so much."""
+    """Limits of a basin: the largest distance and angle between the cameras of the query and of a keyframe in it."""
 
     metres: float
     degrees: float
@@ -33,19 +33,20 @@ class Basin:
 
 @dataclass(frozen=True)
 class Basins:
-    """What was said about basins; nothing: the reach of the pairs."""
+    """The basins that the user gave or measured; with neither, the reach of the pairs is used."""
 
     given: tuple[float, float] | None = None
+    """metres and degrees, for all trackers"""
     measured: dict[tuple[str, str, str], float] | None = None
     """(method, ``translation`` or ``rotation``, conditions) -> radius"""
 
     def of(self, tracker: str, condition_ref: str, condition_query: str, reach: tuple[float, float]) -> Basin:
-        """The basin of a tracker on a task. One that was not measured, starting from no prior, has the pairs' reach."""
+        """The basin of a tracker on a task; the pairs' reach if it was not measured, such as one that uses no prior."""
         if self.given is not None:
             return Basin(*self.given, "given")
         if self.measured is None:
             return Basin(*reach, "pairs")
-        from relocbench.evaluation.probe.table import ACROSS, SAME  # which loads what draws curves
+        from relocbench.evaluation.probe.table import ACROSS, SAME  # imported late: it loads the plotting code
 
         whole = SAME if condition_ref == condition_query else ACROSS
         for conditions in (f"{condition_ref} → {condition_query}", whole):
@@ -56,27 +57,28 @@ class Basins:
         return Basin(*reach, "pairs")
 
     def knows(self, tracker: str) -> bool:
-        """Whether the tracker was measured."""
+        """Whether the tracker's basin was measured."""
         return {what for name, what, _ in self.measured or {} if name == tracker} == {"translation", "rotation"}
 
 
 def given_basin(radius_m: float | None, heading_deg: float | None) -> tuple[float, float] | None:
-    """None where neither was given; the other one is then without limit."""
+    """The basin of ``--radius`` and ``--heading``; None if neither was given. One that was not given has no limit."""
     if radius_m is None and heading_deg is None:
         return None
     return math.inf if radius_m is None else radius_m, 180.0 if heading_deg is None else heading_deg
 
 
 def read_basins(folder: Path) -> dict[tuple[str, str, str], float]:
-    """Radii of whole poses from ``radii.csv`` of ``relocbench probe``.
+    """Read the radii of whole poses from ``radii.csv`` of ``relocbench probe``.
 
-    A radius of 0, where fewer than half are found even from the truth, says nothing of how wide a basin is: left out.
+    A radius of 0, where fewer than half succeed even from the truth, does not tell the width of a basin and is left
+    out.
 
     Args:
-        folder: that of the probe, or the file itself.
+        folder: the folder of the probe, or the file itself.
 
     Raises:
-        PredictionError: no such table, other columns, a radius that is no number, no whole pose in it.
+        PredictionError: no such table, wrong columns, a radius that is no number, or no radius of whole poses.
     """
     path = folder / "radii.csv" if folder.is_dir() else folder
     rows = read_csv(path, "radii of `relocbench probe`", PredictionError)

@@ -1,4 +1,4 @@
-"""From what was retrieved and what the tracker answered to one answer a query, and where the chain broke."""
+"""Combining retrieved keyframes and a tracker's answers to one answer for each query, and locating failures."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from relocbench.metrics.pose.registry import CORRECT
 
 Array = NDArray[np.float64]
 RIGHT = CORRECT
-"""(metres, degrees) within which an answer is right where it is said which half failed"""
+"""(metres, degrees) within which an answer is right when failures are attributed to retrieval or tracking"""
 
 
 @dataclass(frozen=True)
 class Retrieved:
-    """What a retriever found for one query."""
+    """The keyframes that a retriever found for one query."""
 
     keyframes: Sequence[int]
-    """indices, best first"""
+    """their indices, best first"""
     status: str = "ok"
     seconds: float | None = None
     message: str = ""
@@ -34,14 +34,14 @@ class Retrieved:
 
 @dataclass(frozen=True)
 class Tracked:
-    """What a tracker answered, by (keyframe, query) timestamps."""
+    """A tracker's answers, by (keyframe, query) timestamps."""
 
     answers: Mapping[PairKey, Answer] = field(default_factory=dict)
     poses: Mapping[PairKey, Array] = field(default_factory=dict)
 
 
 def keyframe_poses(truth: MapTruth, retrieved: Sequence[Retrieved]) -> Tracked:
-    """The floor: the query is where its first keyframe was. Nothing is asked."""
+    """The floor of a retriever: the query gets the pose of its first keyframe, and no tracker runs."""
     keys = [
         (truth.keyframe_times[found.keyframes[0]], time)
         for time, found in zip(truth.query_times, retrieved, strict=True)
@@ -50,13 +50,13 @@ def keyframe_poses(truth: MapTruth, retrieved: Sequence[Retrieved]) -> Tracked:
     return Tracked({key: Answer(key, "ok") for key in keys}, {key: np.eye(4) for key in keys})
 
 
-def chained(
+def chain_answers(
     truth: MapTruth, retrieved: Sequence[Retrieved], tracked: Tracked, top: int, basin: Basin
 ) -> tuple[list[ChainAnswer], list[PoseLine]]:
-    """A row of each query, and the poses that were kept.
+    """Compute a row for each query, and the poses that were kept.
 
-    The most confident of the answers against the first ``top`` keyframes is kept; of equally confident ones, and where
-    a tracker tells no confidence, that against the keyframe that was retrieved first.
+    The most confident of the answers against the first ``top`` keyframes is kept. Of equally confident ones, and where
+    the tracker reports no confidence, it is the answer against the keyframe that was ranked first.
     """
     rows, lines = [], []
     for query, found in enumerate(retrieved):
@@ -123,7 +123,10 @@ def _answer(truth: MapTruth, query: int, found: Retrieved, tracked: Tracked, top
 
 
 def most_confident(confidence: Sequence[float | None], answered: Sequence[bool]) -> int | None:
-    """Which answer is kept: the surest; one without a confidence only where none has one. None: there is no answer."""
+    """The index of the answer to keep: the most confident, and of equals the first; None where there is no answer.
+
+    An answer without a confidence is kept only where no answer has one.
+    """
     known = [index for index, there in enumerate(answered) if there]
     if not known:
         return None
@@ -131,7 +134,7 @@ def most_confident(confidence: Sequence[float | None], answered: Sequence[bool])
 
 
 def _errors(poses: Sequence[Array | None], T_query_ref: Array) -> PoseErrors:
-    """Errors of the answers; infinite where there is none, or no truth to judge it by."""
+    """The errors of the answers; infinite where there is no answer, or no truth to judge it by."""
     known: NDArray[np.bool_] = np.all(np.isfinite(T_query_ref), axis=(1, 2))
     answers = np.array([np.full((4, 4), np.nan) if T is None else T for T in poses]).reshape(-1, 4, 4)
     return pose_errors(answers, np.where(known[:, None, None], T_query_ref, np.eye(4)), answered=known)
@@ -143,7 +146,7 @@ def _together(seconds: Sequence[float | None]) -> float | None:
 
 
 def _why_not(found: Retrieved, answers: Sequence[Answer]) -> tuple[str, str]:
-    """Status and message of a query without an answer."""
+    """The status and message of a query without an answer."""
     if not answers:
         status = "error" if found.status == "error" else "failed"
         return status, f"retrieval: {found.message or 'nothing was retrieved'}"

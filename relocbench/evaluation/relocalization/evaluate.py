@@ -1,4 +1,4 @@
-"""Every retriever with every tracker on a dataset: retrieve, track against the best K, choose, score."""
+"""Evaluating every retriever with every tracker on a dataset: retrieve, track against the best K, choose, score."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.common.asking_options import AskingOptions
-from relocbench.evaluation.common.opening import opened
+from relocbench.evaluation.common.execution_options import ExecutionOptions
+from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.relocalization.asking import track, tracked
 from relocbench.evaluation.relocalization.basin import Basins, given_basin, read_basins
+from relocbench.evaluation.relocalization.candidates import read_tracked, track_candidates
 from relocbench.evaluation.relocalization.chain import Retrieved, keyframe_poses
 from relocbench.evaluation.relocalization.parsing import parse_chain
+from relocbench.evaluation.relocalization.rankings import RankingSource, run_retrievers
 from relocbench.evaluation.relocalization.records import (
     KEYFRAME,
     ORACLE,
@@ -30,11 +31,10 @@ from relocbench.evaluation.relocalization.records import (
     chain_results,
     write_set,
 )
-from relocbench.evaluation.relocalization.retrieving import Ranked, retrieve
 from relocbench.evaluation.relocalization.score import Values
 from relocbench.evaluation.relocalization.tasks import ChainTasks, chain_tasks
 from relocbench.evaluation.relocalization.truth import MapTruth
-from relocbench.evaluation.relocalization.writing import broken, write_chain_results
+from relocbench.evaluation.relocalization.writing import broken_queries, write_chain_results
 from relocbench.evaluation.retrieval.evaluate import KEEP
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
 from relocbench.evaluation.retrieval.records import set_results
@@ -46,27 +46,27 @@ from relocbench.progress import Reporter
 TOP = 3
 
 
-class RelocalizationOptions(AskingOptions):
+class RelocalizationOptions(ExecutionOptions):
     """Fields are options of ``relocbench evaluate-relocalization`` and keys of its YAML file."""
 
     dataset: Path
     retriever: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
-    """trackers"""
+    """the trackers"""
     set: tuple[str, ...] = ()
-    """LABEL.key=value"""
+    """parameters, as LABEL.key=value"""
     out: Path = Path("results")
     split: str | None = None
     pair_sets: tuple[str, ...] = ()
     overwrite: Overwrite = "never"
     top: int = Field(TOP, ge=1, le=KEEP)
-    """K: keyframes that a tracker is asked against"""
+    """K, the number of keyframes that a tracker is run against"""
     radius: float | None = Field(None, gt=0, allow_inf_nan=False)
     """metres of the basin"""
     heading: float | None = Field(None, gt=0, le=180)
     """degrees of the basin"""
     probe: Path | None = None
-    """results of ``relocbench probe``, for each tracker's own basin"""
+    """results of ``relocbench probe``, from which each tracker gets its own basin"""
     seed: int = Field(0, ge=0)
 
     @model_validator(mode="after")
@@ -74,35 +74,35 @@ class RelocalizationOptions(AskingOptions):
         if not self.retriever:
             raise ValueError(f"nothing to evaluate: give --retriever NAME (or {ORACLE}, which knows the truth)")
         if self.probe is not None and (self.radius is not None or self.heading is not None):
-            raise ValueError("--probe measures each tracker's basin, --radius and --heading say it: give one of them")
+            raise ValueError("--probe takes measured basins, --radius and --heading set one: give one of them")
         return self
 
 
 @dataclass(frozen=True)
 class RelocalizationReport:
-    """What an evaluation did."""
+    """The results of an evaluation of chains."""
 
     tasks: ChainTasks
     folders: list[ChainResults]
     results: Path
     broken: list[tuple[str, str]] = field(default_factory=list)
-    """chain and message of each that broke on queries"""
+    """chain and message of each chain that broke on queries"""
 
     @cached_property
     def _scores(self) -> dict[str, ChainScores]:
         return {folder.label: folder.scores() for folder in self.folders}
 
     def scores(self, folder: ChainResults) -> dict[str, Values]:
-        """Scores of the tasks that were asked."""
+        """A chain's scores on the evaluated tasks."""
         tasks = self._scores[folder.label].tasks
         return {name: values for name, values in tasks.items() if name in self.tasks.names}
 
     def basins(self, folder: ChainResults) -> dict[str, ChainBasin]:
-        """Basins of the tasks that were asked."""
+        """A chain's basins on the evaluated tasks."""
         return {name: basin for name, basin in self._scores[folder.label].basins.items() if name in self.tasks.names}
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for scripts."""
+        """Tasks, chains with their scores, and broken methods, as plain values for scripts."""
         return {
             "task": "relocalization",
             "dataset": self.tasks.record.dataset,
@@ -126,15 +126,15 @@ class RelocalizationReport:
 
 
 def evaluate_chains(options: RelocalizationOptions, reporter: Reporter) -> RelocalizationReport:
-    """Run and score every retriever with every tracker; and with none, the pose of the first keyframe.
+    """Run and score every retriever with every tracker, and with the floor that takes the first keyframe's pose.
 
     Raises:
         RelocbenchError: a bad dataset, method, option or list.
     """
-    # Methods are found and configured before anything is written: a typing error must not leave a folder.
+    # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     retrievers, trackers = parse_chain(options.retriever, options.methods, options.set, options.seed)
     basins = _basins(options, trackers, reporter)
-    dataset = opened(options.dataset, options.out)
+    dataset = open_for_evaluation(options.dataset, options.out)
     places = SetOptions(options.split, options.pair_sets, positives="pairs")
     tasks = chain_tasks(dataset, open_set(options.dataset, options.out, places, reporter), reporter)
     with kept_workers():
@@ -150,7 +150,7 @@ def _evaluate(
     basins: Basins,
     reporter: Reporter,
 ) -> RelocalizationReport:
-    ranked = retrieve(
+    ranked = run_retrievers(
         tasks.asked,
         retrievers,
         set_results(options.out, tasks.asked),
@@ -164,7 +164,7 @@ def _evaluate(
     found = {each.label: _found(each, tasks, options.top) for each in ranked}
     wanted = {name: _pairs(tasks.truth[name], [of[name] for of in found.values()]) for name in tasks.names}
     answered = [
-        track(
+        track_candidates(
             dataset,
             wanted,
             spec,
@@ -176,7 +176,7 @@ def _evaluate(
         )
         for spec in trackers
     ]
-    answers = {folder.label: {name: tracked(dataset, folder, name) for name in tasks.names} for folder in answered}
+    answers = {folder.label: {name: read_tracked(dataset, folder, name) for name in tasks.names} for folder in answered}
     folders = []
     for each in ranked:
         of = found[each.label]
@@ -186,7 +186,7 @@ def _evaluate(
         for folder in answered:
             run = _run(tasks, each, folder.label, options.top, folder)
             folders.append(write_chain_results(_folder(results, run), run, tasks, of, answers[folder.label], basins))
-    told = [each for folder in folders for each in broken(folder, tasks.names)]
+    told = [each for folder in folders for each in broken_queries(folder, tasks.names)]
     return RelocalizationReport(tasks, folders, results.root, told)
 
 
@@ -195,17 +195,17 @@ def _basins(options: RelocalizationOptions, trackers: Sequence[MethodSpec], repo
     basins = Basins(given_basin(options.radius, options.heading), measured)
     for spec in trackers if measured is not None else ():
         if not basins.knows(spec.label):
-            reporter.note(f"{spec.label} has no basin in {options.probe}: the reach of the pairs is taken for it")
+            reporter.note(f"{spec.label} has no basin in {options.probe}: the reach of the pairs is used instead")
     return basins
 
 
-def _found(ranking: Ranked, tasks: ChainTasks, top: int) -> dict[str, list[Retrieved]]:
-    """By task."""
+def _found(ranking: RankingSource, tasks: ChainTasks, top: int) -> dict[str, list[Retrieved]]:
+    """The keyframes that a retriever found, by task."""
     return {task.name: ranking.of(task, tasks.truth[task.name], top) for task in tasks.asked.chosen}
 
 
 def _pairs(truth: MapTruth, found: Sequence[Sequence[Retrieved]]) -> set[PairKey]:
-    """What a tracker is to be asked: every retrieved keyframe with its query."""
+    """The pairs that trackers are asked about: every retrieved keyframe with its query."""
     return {
         (truth.keyframe_times[keyframe], time)
         for of_retriever in found
@@ -214,7 +214,7 @@ def _pairs(truth: MapTruth, found: Sequence[Sequence[Retrieved]]) -> set[PairKey
     }
 
 
-def _run(tasks: ChainTasks, ranking: Ranked, tracker: str, top: int, folder: MethodResults | None) -> ChainRun:
+def _run(tasks: ChainTasks, ranking: RankingSource, tracker: str, top: int, folder: MethodResults | None) -> ChainRun:
     return ChainRun(
         retriever=ranking.label,
         tracker=tracker,

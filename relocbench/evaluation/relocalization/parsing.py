@@ -1,35 +1,32 @@
-"""Retrievers and trackers of one call, each with its settings."""
+"""Parsing the retrievers and trackers of a command, each with its settings."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from relocbench.errors import ConfigError, cut
+from relocbench.evaluation.common.results import PREDICTIONS
+from relocbench.evaluation.relocalization.rankings import label_of
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
-from relocbench.evaluation.relocalization.retrieving import label_of
-from relocbench.evaluation.retrieval.external import PREDICTIONS
 from relocbench.files import check_name
 from relocbench.methods import RETRIEVERS, TRACKERS, MethodSpec
-from relocbench.methods.discovery import parse_method
+from relocbench.methods.discovery import parse_method, setting_label
 
 
 def parse_chain(
     retrievers: Sequence[str], trackers: Sequence[str], settings: Sequence[str], seed: int
 ) -> tuple[list[MethodSpec | str], list[MethodSpec]]:
-    """Retrievers and trackers, in the order given.
+    """Parse retrievers and trackers, in the order given.
 
-    A retriever stays a string where it is the oracle, or lists that were made elsewhere.
+    The oracle, and rankings made elsewhere, stay strings.
 
     Raises:
-        MethodError: unknown method, one of another kind, a wrong parameter.
-        ConfigError: a label twice, the name of a floor, a setting that does not say for which method.
+        MethodError: an unknown method, one of another kind, or a wrong parameter.
+        ConfigError: a repeated label, the name of a floor, or a setting without the label of its method.
     """
-    prefixes = {}
     for setting in settings:
-        prefix, dot, _ = setting.partition("=")[0].rpartition(".")
-        if not dot:
+        if setting_label(setting) is None:
             raise ConfigError(f"--set {cut(setting)}: say for which method, as LABEL.key=value")
-        prefixes[prefix] = setting
     of_retrievers = [_retriever(text, settings, seed) for text in retrievers]
     of_trackers = [parse_method(text, settings, seed, TRACKERS) for text in trackers]
     labels = [*map(label_of, of_retrievers), *(spec.label for spec in of_trackers)]
@@ -41,9 +38,10 @@ def parse_chain(
             raise ConfigError(f"'{label}' is the name of a floor; give the method another label: LABEL=METHOD")
         if labels.count(label) > 1:
             raise ConfigError(f"two methods are called '{label}'; give one a label of its own: LABEL=METHOD")
-    for prefix, setting in prefixes.items():
-        if prefix not in labels:
-            raise ConfigError(f"--set {cut(setting)}: no method '{prefix}' in this run; there is {', '.join(labels)}")
+    for setting in settings:
+        wanted = setting_label(setting)
+        if wanted not in labels:
+            raise ConfigError(f"--set {cut(setting)}: no method '{wanted}' in this run; there is {', '.join(labels)}")
     return of_retrievers, of_trackers
 
 
@@ -55,7 +53,7 @@ def _retriever(text: str, settings: Sequence[str], seed: int) -> MethodSpec | st
         return parse_method(text, settings, seed, RETRIEVERS)
     try:
         if not separator or text.startswith(PREDICTIONS):
-            raise ValueError("lists made elsewhere need a label")
+            raise ValueError("rankings made elsewhere need a label")
         check_name(label, "retriever label")
     except ValueError as bad:
         raise ConfigError(f"--retriever {cut(text)}: {bad}; give one: LABEL={PREDICTIONS}PATH") from None

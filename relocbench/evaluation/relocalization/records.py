@@ -1,9 +1,9 @@
-"""What chains left on one dataset.
+"""The records of chains on one dataset.
 
-``RESULTS/DATASET.relocalization@FINGERPRINT/`` holds ``relocalization.yaml`` (what each task asks),
-``answers/TRACKER/`` (every answer of a tracker, as in its own results, whichever retriever asked for it) and, for each
-chain, ``RETRIEVER+TRACKER.topK/``: the poses that were kept (``TASK.txt``), one row a query (``TASK.csv``), and both
-``run.yaml`` and ``scores.yaml``.
+``RESULTS/DATASET.relocalization@FINGERPRINT/`` holds ``relocalization.yaml`` (which describes the tasks),
+``answers/TRACKER/`` (every answer of a tracker, as in its own results, whichever retriever proposed the keyframe) and,
+for each chain, ``RETRIEVER+TRACKER.topK/``: the poses that were kept (``TASK.txt``), one row for each query
+(``TASK.csv``), ``run.yaml`` and ``scores.yaml``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pydantic import Field
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import AnswerFolder, DatasetResults, RunRecord, write_record
+from relocbench.evaluation.common.results import AnswerFolder, DatasetResults, RunRecord, folders_with, write_record
 from relocbench.evaluation.relocalization.basin import Source
 from relocbench.evaluation.retrieval.records import RetrievalRun
 from relocbench.files import load_yaml
@@ -26,9 +26,9 @@ from relocbench.files import load_yaml
 SET_FILE = "relocalization.yaml"
 ANSWERS = "answers"
 ORACLE = "oracle"
-"""the retriever that knows the truth"""
+"""the retriever that ranks keyframes by the true poses"""
 KEYFRAME = "keyframe-pose"
-"""the tracker that answers the pose of the first keyframe, without looking"""
+"""the tracker that always answers the pose of the first keyframe"""
 
 
 class ChainTask(Strict):
@@ -36,27 +36,28 @@ class ChainTask(Strict):
 
     queries: int
     gallery: int
-    """keyframes"""
+    """number of keyframes"""
     pairs: int
     rejected: int
-    """pairs whose ground truth was rejected"""
+    """number of pairs whose ground truth was rejected"""
     images_without_pair: int
-    """images of the query traversal that are in no pair: their truth is not known, and they are not asked"""
+    """images of the query traversal that are in no pair: their true pose is unknown, and they are not queries"""
     condition_query: str = ""
     condition_gallery: str = ""
     reach_m: float
+    """largest distance of a pair"""
     reach_deg: float
-    """of the farthest and of the most turned pair"""
+    """largest angle of a pair"""
     unposed_keyframes: int = 0
-    """without a pose in their own traversal"""
+    """number of keyframes without a pose in their own traversal"""
     truth_spread_m: float | None = None
-    """median over queries of how far their pairs disagree about their place; None where none has two"""
+    """median over queries of how much their pairs disagree about their position; None where no query has two pairs"""
     median_sigma_translation_m: float | None = None
     median_sigma_rotation_deg: float | None = None
 
 
 class ChainSet(Strict):
-    """``relocalization.yaml``."""
+    """``relocalization.yaml``: the tasks of one dataset."""
 
     name: FolderName
     dataset: FolderName
@@ -75,15 +76,15 @@ class ChainRun(Strict):
     top: int
     dataset: FolderName
     fingerprint: Fingerprint
-    """of the set"""
+    """fingerprint of the set"""
     retriever_run: RetrievalRun | None = None
     """None for the oracle"""
     tracker_run: RunRecord | None = None
-    """None where no tracker was asked"""
+    """None where no tracker ran"""
 
 
 class ChainBasin(Strict):
-    """How far from a query a keyframe may be for the chain's tracker to find the pose, on one task."""
+    """The basin of a chain's tracker on one task: how far a keyframe may be from the query to be in it."""
 
     metres: float
     degrees: float
@@ -106,11 +107,11 @@ class ChainResults(AnswerFolder):
     """The folder of one chain."""
 
     def run_record(self) -> ChainRun:
-        """Raises PredictionError with file and line."""
+        """Read ``run.yaml``. Raises PredictionError with file and line."""
         return load_yaml(self.run_yaml, ChainRun, "the record of a chain", PredictionError)
 
     def scores(self) -> ChainScores:
-        """Raises PredictionError with file and line."""
+        """Read ``scores.yaml``. Raises PredictionError with file and line."""
         return load_yaml(self.scores_yaml, ChainScores, "the scores of a chain", PredictionError)
 
 
@@ -122,29 +123,29 @@ class ChainSetResults:
 
     @cached_property
     def record(self) -> ChainSet:
-        """Raises PredictionError with file and line."""
+        """The content of ``relocalization.yaml``. Raises PredictionError with file and line."""
         return load_yaml(self.root / SET_FILE, ChainSet, "the record of chains", PredictionError)
 
     @property
     def trackers(self) -> DatasetResults:
-        """Answers of trackers, shared by chains."""
+        """The answers of trackers, which chains share."""
         return DatasetResults(self.root / ANSWERS)
 
     def chain(self, retriever: str, tracker: str, top: int) -> ChainResults:
         return ChainResults(self.root / f"{retriever}+{tracker}.top{top}")
 
     def chains(self) -> list[ChainResults]:
-        """Every chain with a run record, by name."""
+        """Every chain that has a run record, sorted by name."""
         return [ChainResults(p.parent) for p in sorted(self.root.glob("*.top*/run.yaml"))]
 
 
 def chain_results(results: Path, name: str, fingerprint: str) -> ChainSetResults:
-    """The folder for a set's chains; nothing is written."""
+    """The folder for a set's chains; nothing is created."""
     return ChainSetResults(results / f"{name}@{fingerprint[:SHORT]}")
 
 
 def write_set(folder: ChainSetResults, new: ChainSet) -> None:
-    """Keep what the set asks: these tasks, and what is recorded of others of it already."""
+    """Write ``relocalization.yaml`` with these tasks, and those that it holds already."""
     path = folder.root / SET_FILE
     known = ChainSetResults(folder.root).record.tasks if path.exists() else {}
     tasks = dict(sorted({**known, **new.tasks}.items()))
@@ -153,6 +154,4 @@ def write_set(folder: ChainSetResults, new: ChainSet) -> None:
 
 def all_chain_sets(results: Path) -> list[ChainSetResults]:
     """Every folder of chains below a results folder; empty where there is none."""
-    if (results / SET_FILE).exists():
-        return [ChainSetResults(results)]
-    return [ChainSetResults(p.parent) for p in sorted(results.glob(f"*@*/{SET_FILE}"))]
+    return list(map(ChainSetResults, folders_with(SET_FILE, results)))

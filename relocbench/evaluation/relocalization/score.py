@@ -1,19 +1,15 @@
-"""Numbers of a chain on a task: pose recall, basin recall, and the share of each way to fail."""
+"""The scores of a chain on a task: pose recall, basin recall, and the share of each kind of failure."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError
 from relocbench.evaluation.relocalization.answers import OUTCOMES, ChainAnswer, errors_of
-from relocbench.evaluation.retrieval.score import generator
-from relocbench.files import plain_file
-from relocbench.metrics import METRICS, bootstrap_interval, metric_named, summarize
+from relocbench.metrics import METRICS, bootstrap_interval, generator, metric_named, summarize
 
 Array = NDArray[np.float64]
 Values = dict[str, float | int | None]
@@ -21,22 +17,22 @@ RANKING = "recall@(0.25m,2deg)"
 POSE_METRICS = tuple(m.name for m in METRICS if m.per_pair is not None)
 FAILURES = tuple(f"failed_{outcome}" for outcome in OUTCOMES if outcome != "right")
 HIT = "hit"
-"""share of queries with a keyframe in the basin among the K: basin recall@K"""
+"""basin recall@K: the share of queries with a keyframe in the basin among the K"""
 
 
 def basin_recall(count: int) -> str:
-    """Name of the share of queries with a keyframe in the basin among the first ``count``."""
+    """The name of the metric: share of queries with a keyframe in the basin among the first ``count``."""
     return f"basin_recall@{count}"
 
 
 def chain_metrics(top: int) -> tuple[str, ...]:
-    """Every share of a chain that is a mean over queries."""
+    """The names of all metrics of a chain that are means over queries."""
     shares = (HIT, "right_and_hit", "right_without_hit", "right_among_K", *FAILURES)
     return (*POSE_METRICS, *(basin_recall(k) for k in range(1, top + 1)), *shares)
 
 
 def per_query(answers: Sequence[ChainAnswer], metric: str) -> Array:
-    """(Q,) values whose mean is the metric. Raises ConfigError for a metric that has none."""
+    """(Q,) values whose mean is the metric. Raises ConfigError for an unknown metric."""
     if metric in POSE_METRICS:
         compute = metric_named(metric).per_pair
         assert compute is not None
@@ -59,10 +55,10 @@ def per_query(answers: Sequence[ChainAnswer], metric: str) -> Array:
 
 
 def summary(place: str, answers: Sequence[ChainAnswer], top: int, seed: int = 0) -> Values:
-    """Counts, means over all queries and their intervals from blocks along the drive.
+    """Counts, means over all queries, and their intervals from blocks along the drive.
 
     Args:
-        place: names the task: each number has a generator of its own.
+        place: the name of the task; it seeds the generators, so that each number has one of its own.
     """
     seconds = np.array([np.nan if a.seconds is None else a.seconds for a in answers])
     confidence = np.array([np.nan if a.confidence is None else a.confidence for a in answers])
@@ -85,8 +81,3 @@ def summary(place: str, answers: Sequence[ChainAnswer], top: int, seed: int = 0)
     assert both is not None
     values["right_given_hit"] = both / hit if hit else None
     return values
-
-
-def table_hash(path: Path) -> str:
-    """SHA-256 of a table: scores of another one are stale."""
-    return hashlib.sha256(plain_file(path, "answers").read_bytes()).hexdigest()

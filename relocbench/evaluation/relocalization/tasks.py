@@ -1,4 +1,4 @@
-"""What chains are asked on a dataset: place recognition by pairs, with the truth that answers are judged by."""
+"""The tasks of chains on a dataset: place recognition by pairs, with the true poses that answers are judged by."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError
+from relocbench.evaluation.common.results import rounded_median
 from relocbench.evaluation.relocalization.records import ChainSet, ChainTask
 from relocbench.evaluation.relocalization.truth import MapTruth
 from relocbench.evaluation.retrieval.opening import OpenedSet
@@ -19,15 +18,15 @@ from relocbench.progress import Reporter
 from relocbench.retrieval import ImageView, RetrievalTask
 
 _VERSION = 1
-"""counted up when the same dataset is asked otherwise"""
+"""to be incremented when the task of the same dataset changes"""
 
 
 @dataclass(frozen=True, eq=False)
 class ChainTasks:
-    """The tasks that chains are asked on one dataset, as far as they were chosen."""
+    """The chosen tasks of chains on one dataset."""
 
     asked: OpenedSet
-    """for retrievers"""
+    """the tasks as retrievers see them"""
     truth: Mapping[str, MapTruth]
     record: ChainSet
 
@@ -37,13 +36,13 @@ class ChainTasks:
 
 
 def chain_tasks(dataset: Dataset, asked: OpenedSet, reporter: Reporter) -> ChainTasks:
-    """The tasks whose pairs have their true pose; the others are told.
+    """The tasks whose pairs have true poses; the others are reported.
 
     Args:
-        asked: places of the dataset by pairs.
+        asked: place recognition by pairs on the dataset.
 
     Raises:
-        ConfigError: none is left.
+        ConfigError: no task is left.
     """
     known = tuple(task for task in asked.chosen if dataset.pair_set(task.name).has_truth)
     for task in asked.chosen:
@@ -69,7 +68,7 @@ def _truth(dataset: Dataset, task: RetrievalTask) -> MapTruth:
 
 
 def _times(images: tuple[ImageView, ...]) -> list[int]:
-    """Timestamps by keys, ``traversals/NAME/images/CAMERA/TIME.png``."""
+    """Timestamps from keys such as ``traversals/NAME/images/CAMERA/TIME.png``."""
     return [int(Path(image.key).stem) for image in images]
 
 
@@ -89,12 +88,7 @@ def _record(dataset: Dataset, task: RetrievalTask, truth: MapTruth) -> ChainTask
         reach_m=round(metres, 6),
         reach_deg=round(degrees, 6),
         unposed_keyframes=sum(time not in traversal.poses for time in truth.keyframe_times),
-        truth_spread_m=_median(truth.spread),
-        median_sigma_translation_m=_median([p.sigma_translation_m for p in pair_set.pairs]),
-        median_sigma_rotation_deg=_median([p.sigma_rotation_deg for p in pair_set.pairs]),
+        truth_spread_m=rounded_median(truth.spread),
+        median_sigma_translation_m=rounded_median([p.sigma_translation_m for p in pair_set.pairs]),
+        median_sigma_rotation_deg=rounded_median([p.sigma_rotation_deg for p in pair_set.pairs]),
     )
-
-
-def _median(values: object) -> float | None:
-    known = [value for value in np.asarray(values, dtype=np.float64).ravel() if np.isfinite(value)]
-    return round(float(np.median(known)), 6) if known else None

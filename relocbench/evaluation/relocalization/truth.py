@@ -1,12 +1,12 @@
-"""Where a query truly is, seen from any keyframe of the reference traversal.
+"""The true pose of a query against any keyframe of the reference traversal.
 
-The ground truth of a dataset is that of its pairs. Seen from a keyframe k that is not paired with the query, it is that
-of the query's paired keyframe r nearest to k, carried along the reference traversal's own poses:
-``T_query_k = T_query_r @ T_r_world @ T_world_k``. Two drives need not be in one world for it: the query traversal's
-poses are never used.
+A dataset's ground truth is that of its pairs. Against a keyframe k that is not paired with the query, the true pose is
+that of the query's paired keyframe r nearest to k, transferred along the reference traversal's own poses:
+``T_query_k = T_query_r @ T_r_world @ T_world_k``. The query traversal's poses are never used, so that the two drives
+need not share a world frame.
 
-A keyframe can be judged if it is paired with the query, or if it has a pose in its traversal and a keyframe paired with
-the query has one too. An answer made against any other keyframe cannot be judged, and counts as wrong.
+An answer can be judged if its keyframe is paired with the query, or if both the keyframe and one paired with the query
+have a pose in their traversal. An answer against any other keyframe counts as wrong.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _ROUNDING = 1 + 1e-9
 
 
 class MapTruth:
-    """True poses of the queries of one pair set in the map.
+    """The true poses of the queries of one pair set in the map.
 
     Args:
-        pair_set: every pair has its pose.
-        query_times, keyframe_times: timestamps, nanoseconds; what is asked and what it is ranked from.
+        pair_set: a pair set with ground truth.
+        query_times, keyframe_times: timestamps of queries and of the gallery's keyframes, nanoseconds.
     """
 
     def __init__(self, dataset: Dataset, pair_set: PairSet, query_times: list[int], keyframe_times: list[int]) -> None:
@@ -50,7 +50,7 @@ class MapTruth:
             self._paired[pair.query_timestamp_ns].append((place[pair.ref_timestamp_ns], pair.T_query_ref))
 
     def relative(self, query: int) -> Array:
-        """(G, 4, 4) true ``T_query_ref`` of a query (by its index) from every keyframe; NaN where it is not known."""
+        """(G, 4, 4) true ``T_query_ref`` of a query (by index) against every keyframe; NaN where it is not known."""
         paired = self._paired[self.query_times[query]]
         out = np.full((len(self.keyframe_times), 4, 4), np.nan)
         posed = [(row, T) for row, T in paired if np.isfinite(self._T_world_ref[row]).all()]
@@ -68,14 +68,14 @@ class MapTruth:
 
     @cached_property
     def reach(self) -> tuple[float, float]:
-        """Metres and degrees of the farthest and of the most turned pair: how far the pair set asks a tracker to go."""
+        """The largest distance (metres) and the largest angle (degrees) of a pair: how far the tracker must reach."""
         between = distances_and_angles(self.pair_set.pairs)
         return max(d for d, _ in between if d is not None), max(a for _, a in between if a is not None)
 
     def oracle(self, query: int, count: int) -> list[int]:
-        """Keyframes as somebody who knows the truth would rank them.
+        """The keyframes ranked by the true pose.
 
-        Those within the :attr:`reach` first, nearest first; the others behind them, nearest first.
+        Those within the :attr:`reach` come first, nearest first; the others follow, nearest first.
         """
         T_query_ref = self.relative(query)
         metres, degrees = distance_and_angle(T_query_ref)
@@ -85,9 +85,9 @@ class MapTruth:
 
     @cached_property
     def spread(self) -> Array:
-        """(M,) metres by which the pairs of a query disagree about its place in the map, of each query that has two.
+        """(M,) metres by which the pairs of a query disagree about its position, for each query with several pairs.
 
-        The farthest that the camera's centre by any pair lies from that by the first one.
+        It is the largest distance between the camera centre by any pair and that by the first pair.
         """
         out = []
         for paired in self._paired.values():
@@ -99,7 +99,7 @@ class MapTruth:
 
 
 def distance_and_angle(T_query_ref: Array) -> tuple[Array, Array]:
-    """Metres between the cameras and degrees between their attitudes. (N, 4, 4) -> (N,), (N,); NaN stays NaN."""
+    """Metres between the cameras and degrees between their orientations. (N, 4, 4) -> (N,), (N,); NaN stays NaN."""
     metres = np.linalg.norm(T_query_ref[:, :3, 3], axis=1)
     degrees = np.full(len(T_query_ref), np.nan)
     known = np.isfinite(metres)
@@ -108,5 +108,5 @@ def distance_and_angle(T_query_ref: Array) -> tuple[Array, Array]:
 
 
 def inside(metres: Array, degrees: Array, limits: tuple[float, float]) -> NDArray[np.bool_]:
-    """Whether both are at most their limits; NaN is not."""
+    """Whether both values are at most their limits; NaN is not."""
     return np.asarray((metres <= limits[0] * _ROUNDING) & (degrees <= limits[1] * _ROUNDING), dtype=np.bool_)

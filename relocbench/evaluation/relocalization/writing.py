@@ -1,4 +1,4 @@
-"""The files of one chain: poses, rows, how it was made, what it scored."""
+"""Writing the files of one chain: poses, rows, run record and scores."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from collections.abc import Mapping, Sequence
 from relocbench import version
 from relocbench.datasets.core.pairfile import write_pose_lines
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import write_record
+from relocbench.evaluation.common.results import first_breakage, write_record
 from relocbench.evaluation.relocalization.answers import read_chain, write_chain
 from relocbench.evaluation.relocalization.basin import Basins
-from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chained
+from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chain_answers
 from relocbench.evaluation.relocalization.records import (
     ChainBasin,
     ChainResults,
     ChainRun,
     ChainScores,
 )
-from relocbench.evaluation.relocalization.score import summary, table_hash
+from relocbench.evaluation.relocalization.score import summary
 from relocbench.evaluation.relocalization.tasks import ChainTasks
+from relocbench.files import sha256_file
 
 
 def write_chain_results(
@@ -29,15 +30,15 @@ def write_chain_results(
     tracked: Mapping[str, Tracked],
     basins: Basins,
 ) -> ChainResults:
-    """Choose, judge, score and write; tasks that were asked before stay as they are.
+    """Choose, judge and score answers and write the results; tasks of earlier runs are kept.
 
-    Nothing is asked here: the same rankings and answers give the same bytes.
+    No method runs here: the same rankings and answers give the same bytes.
 
     Args:
         found, tracked: by task.
 
     Raises:
-        PredictionError: the folder holds a chain of methods that were made otherwise.
+        PredictionError: the folder holds a chain on another set.
     """
     _drop_other(folder, run, tasks)
     before = folder.scores() if folder.scores_yaml.exists() else None
@@ -47,10 +48,10 @@ def write_chain_results(
         truth, record = tasks.truth[name], tasks.record.tasks[name]
         conditions = record.condition_gallery, record.condition_query
         basin = basins.of(run.tracker, *conditions, truth.reach)
-        rows, lines = chained(truth, found[name], tracked[name], run.top, basin)
+        rows, lines = chain_answers(truth, found[name], tracked[name], run.top, basin)
         write_pose_lines(folder.predictions(name), lines)
         write_chain(folder.answers(name), rows)
-        hashes[name] = table_hash(folder.answers(name))
+        hashes[name] = sha256_file(folder.answers(name))
         used[name] = ChainBasin(metres=basin.metres, degrees=basin.degrees, source=basin.source)
         scores[name] = summary(name, rows, run.top)
     write_record(folder.run_yaml, run)
@@ -64,21 +65,18 @@ def write_chain_results(
     return folder
 
 
-def broken(folder: ChainResults, names: Sequence[str]) -> list[tuple[str, str]]:
-    """Label and message where a method broke rather than failed."""
+def broken_queries(folder: ChainResults, names: Sequence[str]) -> list[tuple[str, str]]:
+    """The label and a message if a method broke, rather than failed, on any query; else nothing."""
     rows = [row for name in names for row in read_chain(folder.answers(name))]
-    bad = [row for row in rows if row.status == "error"]
-    if not bad:
-        return []
-    told = f"no answer to {len(bad)} of {len(rows)} queries for an error; first on {bad[0].query_timestamp_ns}"
-    return [(folder.label, f"{told}: {bad[0].message}")]
+    broken = [(row.query_timestamp_ns, row.message) for row in rows if row.status == "error"]
+    return first_breakage(folder.label, f"no answer to {len(broken)} of {len(rows)} queries for an error", broken)
 
 
 def _drop_other(folder: ChainResults, run: ChainRun, tasks: ChainTasks) -> None:
-    """A chain of the same labels made otherwise: its tasks must all be made again, or none stays.
+    """Remove the results of a chain of the same labels that was made differently: results are never mixed.
 
-    Answers of both halves are refused where they would be mixed; what is left to see here is a half that was made anew
-    (``--overwrite always``) under its label since.
+    Mixed answers of either half are refused elsewhere; what remains is a half that was made anew
+    (``--overwrite always``) under the same label since.
     """
     if not folder.run_yaml.exists():
         return

@@ -1,1 +1,1 @@
-"""Ask retrievers about the tasks of a retrieval set, keep their rankings, score them."""
+"""Running retrievers on the tasks of a retrieval set, keeping their rankings, and scoring them."""

@@ -1,4 +1,4 @@
-"""Does a retriever keep the contract? A few images, plain and hopeless ones, and what must hold of the answers."""
+"""Checking that a retriever keeps the contract, on a few easy and degenerate images."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.evaluation.common.guard import guarded, offers
-from relocbench.evaluation.retrieval.checked import checked_descriptors, checked_scores, rerank_top_of
+from relocbench.evaluation.common.guard import guarded, implements
 from relocbench.evaluation.retrieval.opening import SetOptions, open_set
-from relocbench.evaluation.tracking.check import Finding
+from relocbench.evaluation.retrieval.output_checks import checked_descriptors, checked_scores, rerank_top_of
+from relocbench.evaluation.tracking.check import Finding, constructed
 from relocbench.execution import messages_to_stderr
 from relocbench.methods import MethodSpec
 from relocbench.progress import Silent
 from relocbench.retrieval import FittingRetriever, Image, ImageView, RerankingRetriever, Retriever
 
 _CLOSE = 1e-3
-"""of descriptors of norm 1: batches of other sizes add up floats in another order"""
+"""tolerance for descriptors of norm 1: batches of another size add up floats in another order"""
 _EQUAL = 1e-6
 _FROM_DATASET = 3
 
 
 def check_retriever(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
-    """Try a retriever on made-up images of several sizes and views; with a dataset, on some of its images too.
+    """Try a retriever on synthetic images of several sizes and views and, with a dataset, on some of its images.
 
     Raises:
         RelocbenchError: the retriever cannot be constructed, or the dataset is bad.
     """
-    made, problem = guarded(spec.create)
-    if problem:
-        return [Finding("is constructed", False, problem)]
-    findings = [Finding("is constructed", True, ", ".join(f"{k}={v}" for k, v in spec.parameters.items()))]
-    if not offers(made, Retriever):
+    made, finding = constructed(spec)
+    findings = [finding]
+    if not finding.passed:
+        return findings
+    if not implements(made, Retriever):
         return [*findings, Finding("has describe()", False, f"{type(made).__name__} has none")]
     images = [*_made_up(), *(_from_dataset(dataset) if dataset else [])]
-    if offers(made, FittingRetriever):
+    if implements(made, FittingRetriever):
         findings.append(_fits(made, images))
         if not findings[-1].passed:
             return findings
@@ -60,7 +60,7 @@ def _describe(made: Any, images: Sequence[ImageView]) -> tuple[Any, str | None]:
     fresh = [ImageView(image.key, image.view, image.read) for image in images]
     with messages_to_stderr():
         values, problem = guarded(lambda: made.describe(fresh))
-    told = problem and f"raised {problem} (a row of NaN says: not described)"
+    told = problem and f"raised {problem} (for an image that cannot be described, return a row of NaN)"
     return checked_descriptors(values, told, len(images))
 
 
@@ -71,7 +71,7 @@ def _fits(made: FittingRetriever, images: Sequence[ImageView]) -> Finding:
 
 
 def _alone_as_together(made: Any, images: Sequence[ImageView], values: NDArray[Any]) -> Finding:
-    """Each image by itself, in the opposite order."""
+    """Describe each image by itself, in the opposite order."""
     name = "describes an image the same whatever it is asked with"
     for index in reversed(range(len(images))):
         alone, problem = _describe(made, [images[index]])
@@ -83,7 +83,7 @@ def _alone_as_together(made: Any, images: Sequence[ImageView], values: NDArray[A
 def _repeatable(spec: MethodSpec, images: Sequence[ImageView], values: NDArray[Any]) -> Finding:
     name = "describes the same again, constructed anew"
     fresh, problem = guarded(spec.create)
-    if problem is None and offers(fresh, FittingRetriever):
+    if problem is None and implements(fresh, FittingRetriever):
         _, problem = guarded(lambda: fresh.fit(images, 0))
     if problem is not None:
         return Finding(name, False, f"constructed again, it raised {problem}")
@@ -93,7 +93,7 @@ def _repeatable(spec: MethodSpec, images: Sequence[ImageView], values: NDArray[A
 
 
 def _tells_apart(values: NDArray[Any]) -> Finding:
-    """Street, drone and satellite of the made-up images are different pictures."""
+    """Check that street, drone and satellite of the synthetic images, which differ, are described differently."""
     known = values[:3][np.isfinite(values[:3]).all(axis=1)]
     apart = len(known) < 2 or float(np.ptp(known, axis=0).max()) > 0
     return Finding("tells different images apart", apart, "" if apart else "all descriptors are the same")
@@ -138,7 +138,7 @@ def _words(values: NDArray[Any]) -> str:
 
 
 def _made_up() -> list[ImageView]:
-    """Texture in three views and sizes, one image without any, one of noise, one as small as a thumbnail."""
+    """Synthetic images: texture in three views and sizes, two without any texture, noise, and a tiny one."""
     rng = np.random.default_rng(0)
     plain: Image = np.full((96, 128, 3), 127, dtype=np.uint8)
     noise: Image = rng.integers(0, 256, (128, 128, 3), dtype=np.uint8)
@@ -155,7 +155,7 @@ def _made_up() -> list[ImageView]:
 
 
 def _texture(rng: np.random.Generator, height: int, width: int) -> Image:
-    """Coloured blocks of several sizes."""
+    """Random coloured blocks of several sizes."""
     total = np.zeros((height, width, 3))
     for size in (4, 12, 32):
         coarse = rng.random((height // size + 1, width // size + 1, 3))

@@ -1,4 +1,4 @@
-"""Descriptors of many images by somebody's method: in batches, what breaks told for each image."""
+"""Descriptors of many images: computed in batches, with an error message for each image on which the method broke."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from numpy.typing import NDArray
 
 from relocbench.errors import one_line
 from relocbench.evaluation.common.worker import read_only
-from relocbench.evaluation.retrieval.asked import Asked, InThisProcess, InWorker
-from relocbench.evaluation.retrieval.checked import fault_of
+from relocbench.evaluation.retrieval.handles import LocalRetriever, RetrieverHandle, WorkerRetriever
+from relocbench.evaluation.retrieval.output_checks import fault_of
 from relocbench.execution import chunks
 from relocbench.retrieval import Descriptors, Image, ImageView, RetrievalTask, Retriever
 
 BATCH = 32
 _HOPELESS = 64
-"""so many images that break one by one, and none that does not: the rest is not tried singly"""
+"""if this many images broke one by one and none has succeeded, batches that break are not retried image by image"""
 
 
 @dataclass(frozen=True, eq=False)
 class Described:
-    """Descriptors of N images."""
+    """The descriptors of N images."""
 
     values: NDArray[np.floating]
-    """(N, D); a row of NaN where there is none; (N, 1) where there is none at all"""
+    """(N, D); a row of NaN for an image without a descriptor; (N, 1) where no image has one"""
     messages: tuple[str, ...]
     """(N,) how the method broke on an image; empty where it did not"""
     seconds: NDArray[np.float64]
-    """(N,) share of the batch's time, images read before"""
+    """(N,) an equal share of the batch's time, without reading the images"""
 
     def __len__(self) -> int:
         return len(self.values)
@@ -52,26 +52,28 @@ class _One:
 
 
 class Describer:
-    """Asks one retriever, and remembers what it will be asked again.
+    """Describes images with one retriever, and caches descriptors that will be needed again.
 
     Args:
-        retriever: as constructed, and fitted where it fits, or what asks one in another process.
-        shared: identities of images whose descriptors are kept for a later call.
+        retriever: constructed, and fitted if it can be; or a handle that calls one in another process.
+        shared: identities of the images whose descriptors are cached.
     """
 
-    def __init__(self, retriever: Retriever | Asked, shared: frozenset[str] = frozenset()) -> None:
-        self.asked: Asked = retriever if isinstance(retriever, InThisProcess | InWorker) else _asked_here(retriever)
+    def __init__(self, retriever: Retriever | RetrieverHandle, shared: frozenset[str] = frozenset()) -> None:
+        self.handle: RetrieverHandle = (
+            retriever if isinstance(retriever, LocalRetriever | WorkerRetriever) else _local_handle(retriever)
+        )
         self._shared = shared
         self._known: dict[str, _One] = {}
         self._dimensions: int | None = None
         self._broken = 0
 
     def __call__(self, images: Sequence[ImageView], advance: Callable[[int], None]) -> Described:
-        """Descriptors of all images; ``advance`` hears how many are done.
+        """Describe all images; ``advance`` is called with the number of images just done.
 
         Raises:
             DatasetError: an image cannot be read.
-            MethodError: the method says that it cannot go on.
+            MethodError: the method reports that it cannot go on.
         """
         out: list[_One] = []
         for batch in chunks(images, BATCH):
@@ -83,7 +85,7 @@ class Describer:
         return _stacked(out)
 
     def knows(self, images: Iterable[ImageView]) -> bool:
-        """Whether all of them were described before."""
+        """Whether the descriptors of all these images are cached."""
         return all(identity(image) in self._known for image in images)
 
     def _batch(self, images: Sequence[ImageView]) -> list[_One]:
@@ -106,19 +108,19 @@ class Describer:
         return [_One(row.copy(), seconds / count) for row in values]
 
     def _ask(self, views: list[ImageView]) -> tuple[Any, float, str]:
-        """Descriptors, the seconds they took, and how the method broke."""
-        values, seconds, broke = self.asked.describe(views)
+        """Return descriptors, the seconds they took, and how the method broke."""
+        values, seconds, broke = self.handle.describe(views)
         return values, seconds, broke or fault_of(values, len(views), self._dimensions) or ""
 
 
-def _asked_here(retriever: Any) -> Asked:
-    return InThisProcess(retriever)
+def _local_handle(retriever: Any) -> RetrieverHandle:
+    return LocalRetriever(retriever)
 
 
 def anonymous(images: Iterable[ImageView]) -> Iterator[ImageView]:
-    """The views that a method gets: a path may name the place, a digest of it does not.
+    """Yield the views that a method gets, whose keys are digests: a path may name the place, a digest does not.
 
-    They are new, so that an image is let go of with its view.
+    The views are new, so that an image is released together with its view.
     """
     for image in images:
         name = hashlib.blake2s(image.key.encode(), digest_size=8).hexdigest()
@@ -130,7 +132,7 @@ def _read_only(read: Callable[[], Image]) -> Image:
 
 
 class AnonymousViews(Sequence[ImageView]):
-    """A gallery to be looked at in any order, without holding more than the image in hand."""
+    """A gallery for ``fit`` that can be indexed in any order; it keeps no image in memory."""
 
     def __init__(self, images: Sequence[ImageView]) -> None:
         self._images = images
@@ -149,18 +151,18 @@ class AnonymousViews(Sequence[ImageView]):
 
 
 def identity(image: ImageView) -> str:
-    """The same of images that a retriever describes alike: what one shows, from where, or else its name."""
+    """A key that is equal for images with equal descriptors: the view and content, or the name if that is unknown."""
     return f"{image.view} {image.content}" if image.content else image.key
 
 
 def shared_images(tasks: Sequence[RetrievalTask]) -> frozenset[str]:
-    """Identities of images that more than one of the tasks shows, or that are query and gallery at once."""
+    """Identities of images that occur in more than one task, or both as query and in a gallery."""
     counts = Counter(identity(image) for task in tasks for side in (task.queries, task.gallery) for image in side)
     return frozenset(one for one, count in counts.items() if count > 1)
 
 
 def descriptor_variance(*described: Described) -> float | None:
-    """The variance of normalised descriptors about their mean, ``1 - |mean|^2``; None where there is no descriptor."""
+    """The variance of normalised descriptors about their mean, ``1 - |mean|^2``; None without any descriptor."""
     total, count = np.zeros(1), 0
     for each in described:
         values = each.values[each.finite].astype(np.float64)
@@ -173,7 +175,7 @@ def descriptor_variance(*described: Described) -> float | None:
 
 
 def nothing(count: int, message: str) -> Described:
-    """The result for images that were never described."""
+    """The result for images that could not be described at all."""
     return Described(np.full((count, 1), np.nan), (one_line(message),) * count, np.zeros(count))
 
 

@@ -1,4 +1,4 @@
-"""Both phases for several retrievers: run what is missing, then score what is there."""
+"""Both phases of an evaluation of retrievers: run what is missing, then score all answers."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.pairs.street_places import Positives
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.asking_options import LimitOptions
+from relocbench.evaluation.common.execution_options import LimitOptions
+from relocbench.evaluation.common.results import first_breakage
 from relocbench.evaluation.retrieval.answers import read_answers
-from relocbench.evaluation.retrieval.external import take_lists
+from relocbench.evaluation.retrieval.external import import_rankings
 from relocbench.evaluation.retrieval.opening import OpenedSet, SetOptions, open_set
 from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord, set_results, write_set_record
 from relocbench.evaluation.retrieval.run import BROKEN, run_retriever
@@ -32,7 +33,7 @@ class RetrievalOptions(LimitOptions):
     dataset: Path
     methods: tuple[str, ...] = ()
     set: tuple[str, ...] = ()
-    """key=value or LABEL.key=value"""
+    """parameters, as key=value or LABEL.key=value"""
     predictions: Path | None = None
     out: Path = Path("results")
     split: str | None = None
@@ -41,14 +42,14 @@ class RetrievalOptions(LimitOptions):
     overwrite: Overwrite = "never"
     keep: int = Field(KEEP, ge=1)
     radius: float | None = Field(None, gt=0, allow_inf_nan=False)
-    """metres"""
+    """metres within which a keyframe is right"""
     heading: float | None = Field(None, gt=0, le=180)
-    """degrees"""
+    """degrees within which a keyframe is right"""
     positives: Positives | None = None
     by_condition: bool = False
     seed: int = Field(0, ge=0)
     workers: int | None = Field(None, ge=0)
-    """None: a process for the method; 0: this process, without limits"""
+    """None: a worker process for the method; 0: this process, without limits"""
 
     @property
     def run(self) -> Run:
@@ -71,7 +72,7 @@ class RetrievalOptions(LimitOptions):
 
 @dataclass(frozen=True)
 class RetrievalReport:
-    """What an evaluation did."""
+    """The results of an evaluation of retrievers."""
 
     asked: OpenedSet
     record: SetRecord
@@ -80,15 +81,15 @@ class RetrievalReport:
     broken: list[tuple[str, str]]
     """label and message of each retriever that broke on queries"""
     suspicions: list[tuple[str, str]]
-    """label and what to look at, where R@1 is no better than chance"""
+    """label and advice for each retriever whose R@1 is no better than chance"""
 
     def scores(self, folder: RetrieverResults) -> dict[str, Values]:
-        """Scores of the tasks that were asked."""
+        """A retriever's scores on the evaluated tasks."""
         names = [task.name for task in self.asked.chosen]
         return {name: values for name, values in folder.retrieval_scores().tasks.items() if name in names}
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for scripts."""
+        """Scores, chance levels and broken methods, as plain values for scripts."""
         return {
             "task": "retrieval",
             "dataset": self.asked.name,
@@ -102,18 +103,18 @@ class RetrievalReport:
 
 
 def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> RetrievalReport:
-    """Run and score.
+    """Run the retrievers and score their answers.
 
     Raises:
         RelocbenchError: a bad dataset, method, option or prediction.
     """
-    # Methods are found and configured before anything is written: a typing error must not leave a folder.
+    # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed, RETRIEVERS)
     asked = open_set(options.dataset, options.out, _set_options(options), reporter)
     results = set_results(options.out, asked)
     if options.predictions is not None:
         label = _label(options)
-        folders = [take_lists(asked, asked.chosen, options.predictions, label, results)]
+        folders = [import_rankings(asked, asked.chosen, options.predictions, label, results)]
         write_set_record(results, asked, asked.chosen)
     else:
         with kept_workers():
@@ -158,11 +159,10 @@ def _label(options: RetrievalOptions) -> str:
 
 def _broken(folder: RetrieverResults, names: list[str]) -> list[tuple[str, str]]:
     answers = [a for name in names if folder.complete(name) for a in read_answers(folder.answers(name))]
-    broken = [a for a in answers if a.status == BROKEN]
-    if not broken:
-        return []
-    told = f"broke on {len(broken)} of {len(answers)} queries, counted as not found; first on {broken[0].query}"
-    return [(folder.label, f"{told}: {broken[0].message}")]
+    broken = [(a.query, a.message) for a in answers if a.status == BROKEN]
+    return first_breakage(
+        folder.label, f"broke on {len(broken)} of {len(answers)} queries, counted as not found", broken
+    )
 
 
 def _suspicions(record: SetRecord, folders: list[RetrieverResults], names: list[str]) -> list[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""Rankings made elsewhere: hloc's pairs, ``query db`` a line, taken into a results folder."""
+"""Importing rankings made elsewhere, as files of hloc's pairs (a line ``query db`` each), into a results folder."""
 
 from __future__ import annotations
 
@@ -6,30 +6,34 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import write_record
+from relocbench.evaluation.common.results import PREDICTIONS, adopted_run, write_record
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_lists, write_answers, write_lists
 from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults
-from relocbench.files import load_yaml
 from relocbench.metrics import NEVER, rank_lists
 from relocbench.retrieval import RetrievalSet, RetrievalTask
 
-PREDICTIONS = "predictions:"
 
-
-def take_lists(
+def import_rankings(
     asked: RetrievalSet, tasks: Sequence[RetrievalTask], source: Path, label: str, results: SetResults
 ) -> RetrieverResults:
-    """Check a file for the one task that is asked, or a folder of ``TASK.txt``, and keep it under ``label``.
+    """Check a file for a single task, or a folder of ``TASK.txt``, and copy it to the results under ``label``.
 
-    What a list leaves out is not retrieved; a query without a line has failed. A ``run.yaml`` in the folder must name
-    this set's fingerprint.
+    Images that a list leaves out are not retrieved; a query without a line has failed. A ``run.yaml`` in the folder
+    must name this set's fingerprint.
 
     Raises:
-        PredictionError: with file and line: no such file, one for a task that is not there, an unknown query or image,
-            an image twice for one query, another set's fingerprint, or the label is taken by other predictions.
+        PredictionError: with file and line: no such file, a file for an unknown task, an unknown query or image, an
+            image twice for one query, another set's fingerprint, or a label that other predictions have.
     """
     files = _files(asked, tasks, source)
-    record = _record(asked, source, label)
+    known = RetrievalRun(
+        method=label,
+        target=f"{PREDICTIONS}{source.resolve().name}",
+        dataset=asked.name,
+        fingerprint=asked.fingerprint,
+        question=getattr(asked, "question", ""),
+    )
+    record = adopted_run(source / "run.yaml", known, "the record of a retrieval run")
     folder = results.method(label)
     if source.resolve() == folder.root.resolve():
         raise PredictionError("is where the predictions of this label are kept; choose another label", source)
@@ -83,24 +87,3 @@ def _checked(task: RetrievalTask, path: Path) -> tuple[dict[str, list[str]], lis
         for key, q in queries.items()
     ]
     return {key: [task.gallery[i].key for i in kept] for key, kept in lists.items()}, answers
-
-
-def _record(asked: RetrievalSet, source: Path, label: str) -> RetrievalRun:
-    target, question = f"{PREDICTIONS}{source.resolve().name}", getattr(asked, "question", "")
-    theirs = source / "run.yaml"
-    if not theirs.is_file():
-        return RetrievalRun(
-            method=label, target=target, dataset=asked.name, fingerprint=asked.fingerprint, question=question
-        )
-    record = load_yaml(theirs, RetrievalRun, "the record of a retrieval run", PredictionError)
-    told: dict[str, str] = {"method": label}
-    if record.fingerprint != asked.fingerprint and question and record.question == question:
-        # Another machine's copy: images differ in last digits, the question is the same.
-        told |= {"fingerprint": asked.fingerprint, "answered_on": record.fingerprint}
-    elif record.fingerprint != asked.fingerprint:
-        raise PredictionError(
-            f"predictions are for {record.dataset}@{record.fingerprint[:12]}, "
-            f"the dataset asks {asked.name}@{asked.fingerprint[:12]}",
-            theirs,
-        )
-    return record.model_copy(update=told)

@@ -1,4 +1,4 @@
-"""The retrieval set that a folder holds: drives of a relocbench dataset, or places in University-1652's layout."""
+"""Opening the retrieval set of a folder: drives of a relocbench dataset, or places in University-1652's layout."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from relocbench.datasets.cross_view import CrossViewSet, is_cross_view, open_cross_view
 from relocbench.datasets.pairs.street_places import Positives, StreetPlaces
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.evaluation.common.opening import opened
+from relocbench.evaluation.common.opening import check_outside, open_for_evaluation
 from relocbench.evaluation.retrieval.run import check_task
 from relocbench.metrics.retrieval.relevance import PLACE_RADIUS_M
 from relocbench.progress import Reporter
@@ -18,7 +18,7 @@ from relocbench.retrieval import RetrievalTask
 
 @dataclass(frozen=True)
 class SetOptions:
-    """Which set and which of its tasks; None where nothing was said."""
+    """The options that choose a set and its tasks; None for one that was not given."""
 
     split: str | None = None
     tasks: tuple[str, ...] = ()
@@ -30,7 +30,7 @@ class SetOptions:
 
 @dataclass(frozen=True, eq=False)
 class OpenedSet:
-    """A :class:`~relocbench.retrieval.RetrievalSet` whose tasks were made once, and those that are asked."""
+    """A :class:`~relocbench.retrieval.RetrievalSet` with all of its tasks, and those that are to be evaluated."""
 
     name: str
     fingerprint: str
@@ -39,20 +39,20 @@ class OpenedSet:
     positives: str = ""
     splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     options: Mapping[str, float | str] = field(default_factory=dict)
-    """of the command line, that make this set"""
+    """command-line options that define this set"""
     question: str = ""
-    """what is asked, whatever the last digits of the images"""
+    """digest of what is asked, equal for copies whose images differ in last digits only"""
 
     def tasks(self) -> tuple[RetrievalTask, ...]:
         return self.all_tasks
 
 
 def open_set(folder: Path, out: Path, options: SetOptions, reporter: Reporter) -> OpenedSet:
-    """The set in a folder, for results that go to another one.
+    """Open the set in a folder, to be evaluated with results in another folder.
 
     Raises:
         DatasetError: the folder holds neither kind of set, or a bad one.
-        ConfigError: an option that the kind of set has no use for, or no task is left; ``out`` lies in the folder.
+        ConfigError: an option that does not apply to the kind of set, no task is left, or ``out`` lies in the folder.
     """
     if is_cross_view(folder):
         return _cross_view(folder, out, options, reporter)
@@ -69,10 +69,10 @@ def open_set(folder: Path, out: Path, options: SetOptions, reporter: Reporter) -
 
 def _street(folder: Path, out: Path, options: SetOptions, reporter: Reporter) -> OpenedSet:
     if options.by_condition:
-        raise ConfigError("--by-condition parts the queries of a cross-view set; each drive has one condition")
-    dataset = opened(folder, out)
+        raise ConfigError("--by-condition splits the queries of a cross-view set; a drive has a single condition")
+    dataset = open_for_evaluation(folder, out)
     if options.positives == "pairs" and options.radius_m is not None:
-        raise ConfigError("--radius has no meaning with --positives pairs")
+        raise ConfigError("--radius does not apply to --positives pairs")
     places = StreetPlaces(
         dataset,
         PLACE_RADIUS_M if options.radius_m is None else options.radius_m,
@@ -113,7 +113,7 @@ def _tell_left_out(places: StreetPlaces, task: RetrievalTask, reporter: Reporter
     if len(times) > len(task.queries):
         why = "are in no pair" if places.rule == "pairs" else "have no pose"
         reporter.note(
-            f"{task.name}: {len(times) - len(task.queries)} of {len(times)} query images {why}, and are not asked"
+            f"{task.name}: {len(times) - len(task.queries)} of {len(times)} query images {why} and are left out"
         )
 
 
@@ -127,8 +127,7 @@ def _cross_view(folder: Path, out: Path, options: SetOptions, reporter: Reporter
     for option, value in given.items():
         if value is not None:
             raise ConfigError(f"{option} is for the drives of a dataset; {folder} holds places with labels")
-    if out.resolve().is_relative_to(folder.resolve()):
-        raise ConfigError("--out lies inside the dataset, which results would change; choose another folder", out)
+    check_outside(out, folder)
     found: CrossViewSet = open_cross_view(folder, reporter)
     tasks = tuple(found.tasks(by_condition=options.by_condition))
     known = [task.name for task in tasks]

@@ -1,4 +1,4 @@
-"""From descriptors to what is kept of a task: the first images of each query, the exact ranks of its positives."""
+"""From descriptors to what is kept of a task: the first images of each query, and the exact ranks of its positives."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.evaluation.retrieval.answers import QueryAnswer
-from relocbench.evaluation.retrieval.asked import Asked
 from relocbench.evaluation.retrieval.describe import Described
+from relocbench.evaluation.retrieval.handles import RetrieverHandle
 from relocbench.metrics import NEVER, count_at_least, exact_scores, ranks_of_positives, sorted_finite
 from relocbench.retrieval import Descriptors, RetrievalTask
 
@@ -21,14 +21,14 @@ _BLOCK_BYTES = 64 * 2**20
 
 @dataclass(frozen=True, eq=False)
 class Ranked:
-    """One query's ranking."""
+    """The ranking of one query."""
 
     first: Indices
-    """gallery indices, best first; of equal scores the earlier image of the gallery"""
+    """gallery indices, best first; among equal scores the image that is earlier in the gallery comes first"""
     ranks: tuple[int, ...]
-    """1-based; of equal scores, images that are not positives stand first"""
+    """1-based ranks of the positives; among equal scores, images that are not positives come first"""
     seconds: float = 0.0
-    """to order the first anew"""
+    """of reranking"""
     broke: str = ""
 
 
@@ -36,22 +36,22 @@ def rank_task(
     task: RetrievalTask,
     queries: Described,
     gallery: Described,
-    retriever: Asked | None,
+    retriever: RetrieverHandle | None,
     keep: int | None,
     advance: Callable[[int], None] = lambda count: None,
 ) -> Iterator[tuple[QueryAnswer, list[str]]]:
-    """The row and the kept list of each query, in their order.
+    """Yield the row and the kept list of each query, in the order of the queries.
 
     Args:
-        retriever: orders the first of a ranking anew if it can.
-        keep: so many images of each query; None for all.
-        advance: hears how many queries are done.
+        retriever: reranks the first images if it can.
+        keep: number of images that are kept of each query; None for all.
+        advance: called with the number of queries just ranked.
     """
     live = np.flatnonzero(~task.relevance.junk)
     whole = len(live) == len(gallery)
     of_gallery = gallery.values if whole else gallery.values[live]
     if of_gallery.size == 0 or queries.values.shape[1] != of_gallery.shape[1]:
-        # Nothing at all was described on one side: there are no scores.
+        # One side has no descriptor at all: there are no scores.
         of_gallery, of_queries = np.full((max(len(live), 1), 1), np.nan), np.full((len(queries), 1), np.nan)
     else:
         of_queries = queries.values
@@ -76,11 +76,11 @@ def _ranked(
     scores: Array,
     positives: Indices,
     count: int,
-    again: Asked | None,
+    again: RetrieverHandle | None,
     query: Descriptors,
     gallery: Descriptors,
 ) -> Ranked:
-    """The ranking of one query from its scores (G,), NaN where not retrieved."""
+    """The ranking of one query from its scores (G,), NaN for images that are not retrieved."""
     top = 0 if again is None else again.rerank_top
     first = nearest(scores, max(count, top))
     if again is None or first.size == 0:
@@ -90,7 +90,7 @@ def _ranked(
     if broke:
         return Ranked(first[:0], (), seconds, broke)
     ordered = np.concatenate([head[np.argsort(-values, kind="stable")], first[top:]])
-    # Two rankings behind one another: those handed over by their new scores, the rest by the old ones.
+    # The reranked images by their new scores come first, and all others follow by the old ones.
     new = np.full(len(scores), np.nan)
     new[head] = values
     rest = scores.copy()
@@ -100,7 +100,7 @@ def _ranked(
 
 
 def nearest(scores: Array, count: int) -> Indices:
-    """Indices of the ``count`` largest finite scores, best first, ties in the order of the indices."""
+    """The indices of the ``count`` largest finite scores, best first, ties in the order of the indices."""
     known = np.flatnonzero(np.isfinite(scores))
     if len(known) > count > 0:
         threshold = np.partition(scores[known], len(known) - count)[len(known) - count]

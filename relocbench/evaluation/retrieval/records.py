@@ -1,8 +1,8 @@
-"""What a retriever left on one set: a folder of rankings, how each came about, the run and its scores.
+"""The records of a retriever on one set: rankings, run record and scores.
 
-``RESULTS/SET@FINGERPRINT/METHOD/`` holds, for each task, the retrieved images (``TASK.txt``: ``query db`` a line, best
-first, hloc's pairs) and one row a query with the exact ranks of its positives (``TASK.csv``); ``run.yaml`` and
-``scores.yaml`` for the method. ``retrieval.yaml`` beside the methods says what the set asks.
+For each task, ``RESULTS/SET@FINGERPRINT/METHOD/`` holds the retrieved images (``TASK.txt``: a line ``query db`` each,
+best first, as hloc's pairs) and a table with the exact ranks of each query's positives (``TASK.csv``). ``run.yaml`` and
+``scores.yaml`` describe the method; ``retrieval.yaml`` beside the methods describes the tasks.
 """
 
 from __future__ import annotations
@@ -18,14 +18,21 @@ from pydantic import Field
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Name, Strict
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import Count, MethodResults, RunRecord, method_folders, write_record
+from relocbench.evaluation.common.results import (
+    Count,
+    MethodResults,
+    RunRecord,
+    folders_with,
+    method_folders,
+    write_record,
+)
 from relocbench.files import MAX_FOLDER_BYTES, check_joined_name, load_yaml
 from relocbench.metrics import chance_level
 from relocbench.retrieval import RetrievalSet, RetrievalTask
 
 SET_FILE = "retrieval.yaml"
 METRICS = ("R@1", "R@5", "R@10", "R@20", "R@top1%", "AP", "MRR")
-"""in the order in which tables show them"""
+"""the metrics, in the order in which tables show them"""
 
 
 class TaskRecord(Strict):
@@ -33,12 +40,12 @@ class TaskRecord(Strict):
 
     queries: Count
     gallery: Count
-    """images, junk included"""
+    """number of images, junk included"""
     junk: Count = 0
     without_positives: Count
-    """queries that no image of the gallery answers; they count as not found"""
+    """number of queries without a right image in the gallery; they count as not found"""
     most_positives: Count
-    """of one query"""
+    """largest number of positives of a query"""
     view_query: str
     view_gallery: str
     condition_query: str = ""
@@ -46,58 +53,58 @@ class TaskRecord(Strict):
     grouped: bool = False
     """whether queries are resampled by groups rather than in blocks along the drive"""
     chance: dict[str, float] = Field(default_factory=dict)
-    """what a ranking in random order scores on average"""
+    """the average score of a gallery in random order, by metric"""
 
     @property
     def single_positive(self) -> bool:
-        """Whether each query has exactly one right answer."""
+        """Whether each query has exactly one positive."""
         return self.most_positives == 1 and not self.without_positives
 
     @property
     def direction(self) -> str:
-        """Views, as ``drone → satellite``."""
+        """The views of queries and gallery, as ``drone → satellite``."""
         return f"{self.view_query} → {self.view_gallery}"
 
     @property
     def conditions(self) -> str:
-        """Conditions, as ``rain → clear``; empty where they are not known."""
+        """The conditions of queries and gallery, as ``rain → clear``; empty where they are unknown."""
         known = self.condition_query or self.condition_gallery
         return f"{self.condition_query or '?'} → {self.condition_gallery or '?'}" if known else ""
 
 
 class SetRecord(Strict):
-    """``RESULTS/SET@FINGERPRINT/retrieval.yaml``."""
+    """``RESULTS/SET@FINGERPRINT/retrieval.yaml``: the tasks of one retrieval set."""
 
     name: FolderName
     fingerprint: Fingerprint
     question: str = ""
-    """what is asked, whatever the processor's last digits; empty in results of versions that did not tell"""
+    """digest of what the set asks, equal on all processors; empty in results of versions that did not record it"""
     positives: str = ""
     """which images are right, in words"""
     options: dict[str, float | str] = Field(default_factory=dict)
-    """of ``relocbench evaluate`` that make this set of its dataset"""
+    """the options of ``relocbench evaluate`` that make this set of its dataset"""
     splits: dict[Name, tuple[JoinedName, ...]] = Field(default_factory=dict)
     """split -> tasks"""
     tasks: dict[JoinedName, TaskRecord]
 
     @property
     def compared_by(self) -> str:
-        """The question, or the fingerprint where results do not tell it: results with the same one stand together."""
+        """The question, or the fingerprint where none is recorded: results with the same value are compared."""
         return self.question or self.fingerprint
 
 
 class TaskRun(Strict):
-    """How a task went: what tells a wrong network from a hard task."""
+    """Facts about a run on one task, which tell a wrong network from a hard task."""
 
     dimensions: int | None = None
-    """numbers a descriptor"""
+    """length of a descriptor"""
     queries_described: int
     gallery_described: int
     descriptor_variance: float | None = None
-    """of descriptors of norm 1 about their mean, 0..1: near 0 all images look alike to the method"""
+    """of normalised descriptors about their mean, 0..1: near 0 all images look alike to the method"""
     rerank_top: int = 0
     gallery_seconds: float | None = None
-    """to describe the gallery, images read before; None where an earlier task's descriptors were taken"""
+    """for describing the gallery, without reading images; None where descriptors of an earlier task were used"""
     fit_seconds: float | None = None
 
 
@@ -106,9 +113,9 @@ class RetrievalRun(RunRecord):
 
     task: Literal["retrieval"] = "retrieval"
     keep: int | None = None
-    """retrieved images that are kept of each query; None for all"""
+    """number of retrieved images that are kept of each query; None for all"""
     info: dict[str, Any] = Field(default_factory=dict)
-    """what the retriever tells of itself by its ``info``, as what it was trained on"""
+    """what the retriever reports in its ``info``, such as its training data"""
     tasks: dict[str, TaskRun] = Field(default_factory=dict)
 
 
@@ -125,14 +132,14 @@ class RetrievalScores(Strict):
 
 @dataclass(frozen=True)
 class RetrieverResults(MethodResults):
-    """The folder of one retriever: ``TASK.txt`` and ``TASK.csv`` where a tracker has its pair sets."""
+    """The folder of one retriever: ``TASK.txt`` and ``TASK.csv`` for each task."""
 
     def run_record(self) -> RetrievalRun:
-        """Raises PredictionError with file and line."""
+        """Read ``run.yaml``. Raises PredictionError with file and line."""
         return load_yaml(self.run_yaml, RetrievalRun, "the record of a retrieval run", PredictionError)
 
     def retrieval_scores(self) -> RetrievalScores:
-        """Raises PredictionError with file and line."""
+        """Read ``scores.yaml``. Raises PredictionError with file and line."""
         return load_yaml(self.scores_yaml, RetrievalScores, "the scores of a retriever", PredictionError)
 
 
@@ -144,19 +151,19 @@ class SetResults:
 
     @cached_property
     def record(self) -> SetRecord:
-        """Raises PredictionError with file and line."""
+        """The content of ``retrieval.yaml``. Raises PredictionError with file and line."""
         return load_yaml(self.root / SET_FILE, SetRecord, "the record of a retrieval set", PredictionError)
 
     def method(self, label: str) -> RetrieverResults:
         return RetrieverResults(self.root / label)
 
     def methods(self) -> list[RetrieverResults]:
-        """Every method with a run record, by name."""
+        """Every method that has a run record, sorted by name."""
         return [RetrieverResults(p.parent) for p in method_folders(self.root)]
 
 
 def set_results(results: Path, asked: RetrievalSet) -> SetResults:
-    """The folder for a set's results; nothing is written."""
+    """The folder for a set's results; nothing is created."""
     try:
         name = check_joined_name(asked.name, "name of a retrieval set", most_bytes=MAX_FOLDER_BYTES)
     except ValueError as bad:
@@ -165,7 +172,7 @@ def set_results(results: Path, asked: RetrievalSet) -> SetResults:
 
 
 def write_set_record(folder: SetResults, asked: RetrievalSet, tasks: Sequence[RetrievalTask]) -> None:
-    """Keep beside the results what the set asks: ``tasks``, and what is recorded of others of it already."""
+    """Write ``retrieval.yaml`` with these tasks, and those that it holds already."""
     path = folder.root / SET_FILE
     known: Mapping[str, TaskRecord] = folder.record.tasks if path.exists() else {}
     new = {task.name: known.get(task.name) or task_record(task) for task in tasks}
@@ -184,7 +191,7 @@ def write_set_record(folder: SetResults, asked: RetrievalSet, tasks: Sequence[Re
 
 
 def task_record(task: RetrievalTask) -> TaskRecord:
-    """What is worth knowing about a task; the chance level costs a pass over the gallery's size."""
+    """The record of a task; computing its chance level takes time proportional to the gallery's size."""
     positives = task.relevance.positives
     return TaskRecord(
         queries=len(task.queries),
@@ -203,9 +210,7 @@ def task_record(task: RetrievalTask) -> TaskRecord:
 
 def all_sets(results: Path) -> list[SetResults]:
     """Every retrieval set's folder below a results folder; empty where there is none."""
-    if (results / SET_FILE).exists():
-        return [SetResults(results)]
-    return [SetResults(p.parent) for p in sorted(results.glob(f"*@*/{SET_FILE}"))]
+    return list(map(SetResults, folders_with(SET_FILE, results)))
 
 
 def _views(images: Sequence[Any]) -> str:

@@ -1,6 +1,6 @@
-"""Phase one: ask a retriever about every task and keep what it retrieved.
+"""Phase one: run a retriever on every task and keep what it retrieved.
 
-A task is the unit: its two files appear whole when it is done, and a killed run loses the task in hand.
+The unit of work is a task: its two files appear whole when it is done, and a killed run loses the task in progress.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from relocbench.errors import DatasetError, PredictionError
-from relocbench.evaluation.common.results import STATUSES, write_record
+from relocbench.evaluation.common.results import write_record
+from relocbench.evaluation.common.tables import STATUSES
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers, write_lists
-from relocbench.evaluation.retrieval.asked import Asked, asked_of
 from relocbench.evaluation.retrieval.describe import (
     AnonymousViews,
     Describer,
@@ -20,6 +20,7 @@ from relocbench.evaluation.retrieval.describe import (
     nothing,
     shared_images,
 )
+from relocbench.evaluation.retrieval.handles import RetrieverHandle, retriever_handle
 from relocbench.evaluation.retrieval.ranking import rank_task
 from relocbench.evaluation.retrieval.records import (
     RetrievalRun,
@@ -40,7 +41,7 @@ BROKEN = STATUSES[2]
 
 @dataclass(frozen=True, eq=False)
 class TaskAnswers:
-    """What a retriever answered to one task."""
+    """A retriever's answers to one task."""
 
     answers: list[QueryAnswer]
     lists: dict[str, list[str]]
@@ -63,14 +64,14 @@ def run_retriever(
     """Run the tasks that a retriever has not answered yet.
 
     Args:
-        keep: so many retrieved images of each query are kept; None for all.
-        overwrite: ``never`` keeps every task there is, ``failed`` asks tasks again in which a query failed or broke,
-            ``always`` starts anew.
-        run: where it is asked: a worker process, or with 0 workers this one; and its limits.
+        keep: number of retrieved images that are kept of each query; None for all.
+        overwrite: ``never`` keeps every finished task, ``failed`` repeats tasks in which a query failed or broke,
+            ``always`` starts over.
+        run: where the method runs, in a worker process or, with 0 workers, in this process; and its limits.
 
     Raises:
-        MethodError: the retriever cannot be made, or says that it cannot go on.
-        PredictionError: the folder holds answers of the same label made otherwise, or another process is at it.
+        MethodError: the retriever cannot be made, or reports that it cannot go on.
+        PredictionError: the folder holds answers of this label that were made differently, or is in use.
         DatasetError: an image cannot be read.
     """
     folder = results.method(spec.label)
@@ -78,19 +79,21 @@ def run_retriever(
     todo = [task for task in tasks if overwrite == "always" or _open(folder, task, overwrite)]
     asking = None
     if overwrite == "always":
-        asking = Asking(lambda: asked_of(spec, run), todo, seed)  # what cannot be made should not cost what is there
+        asking = RetrieverSession(
+            lambda: retriever_handle(spec, run), todo, seed
+        )  # a method that cannot be made must not cost answers
         _clear(folder, tasks)
     refuse_mixture(folder, record, work_left=bool(todo))
     _refuse_other_lists(folder, record)
     if not todo:
         return folder
-    asking = asking or Asking(lambda: asked_of(spec, run), todo, seed)  # nor leave a folder
+    asking = asking or RetrieverSession(lambda: retriever_handle(spec, run), todo, seed)  # nor leave an empty folder
     folder.root.mkdir(parents=True, exist_ok=True)
     write_set_record(results, asked, tasks)
     with alone_in(folder.root, PredictionError):
         if not folder.run_yaml.exists():
             write_record(folder.run_yaml, record)
-        # Each query twice: when it is described, and when it is ranked.
+        # Each query counts twice: when it is described, and when it is ranked.
         steps = sum(2 * len(task.queries) + len(task.gallery) for task in todo)
         with reporter.stage(f"{spec.label} on {asked.name}", steps) as advance:
             for task in todo:
@@ -104,27 +107,29 @@ def run_retriever(
     return folder
 
 
-class Asking:
-    """Asks one retriever about several tasks; images that they share are described once, unless it fits.
+class RetrieverSession:
+    """Runs one retriever on several tasks; images that they share are described once, unless the retriever is fitted.
 
     Args:
-        make: the retriever, constructed; called again where it fits to another gallery.
-        tasks: all that will be asked.
+        make: returns the retriever, constructed; called again for each gallery that it is fitted to.
+        tasks: all tasks that it will run on.
         seed: for ``fit``.
     """
 
-    def __init__(self, make: Callable[[], Retriever | Asked], tasks: Sequence[RetrievalTask], seed: int) -> None:
+    def __init__(
+        self, make: Callable[[], Retriever | RetrieverHandle], tasks: Sequence[RetrievalTask], seed: int
+    ) -> None:
         self._make = make
         self._seed = seed
         self._shared = shared_images(tasks)
         self._describer = self._new()
         self._fitted_on: list[str] | None = None
-        """keys of a gallery"""
+        """keys of the gallery that the retriever is fitted to"""
 
     @property
     def info(self) -> dict[str, Any]:
-        """What the retriever tells of itself by a mapping ``info``, as plain values; empty where it does not."""
-        return self._describer.asked.info
+        """The retriever's own ``info`` as plain values; empty if it has none."""
+        return self._describer.handle.info
 
     def _new(self) -> Describer:
         return Describer(self._make(), self._shared)
@@ -132,41 +137,41 @@ class Asking:
     def ask(
         self, task: RetrievalTask, keep: int | None, advance: Callable[[int], None] = lambda count: None
     ) -> TaskAnswers:
-        """Fit if it fits, describe both sides, rank. Raises MethodError and DatasetError."""
+        """Fit the retriever if it can be fitted, describe both sides, and rank. Raises MethodError and DatasetError."""
         fit_seconds, broke = None, ""
         keys = [image.key for image in task.gallery]
-        if self._describer.asked.fits and self._fitted_on != keys:
+        if self._describer.handle.fits and self._fitted_on != keys:
             if self._fitted_on is not None:
                 self._describer = self._new()
-            _, seconds, broke = self._describer.asked.fit(AnonymousViews(task.gallery), self._seed)
+            _, seconds, broke = self._describer.handle.fit(AnonymousViews(task.gallery), self._seed)
             fit_seconds, broke = round(seconds, 3), f"fit: {broke}" if broke else ""
             self._fitted_on = keys
         describer = self._describer
         again = describer.knows(task.gallery)
         if broke:
-            self._fitted_on = []  # another task is fitted to anew
+            self._fitted_on = []  # so that it is fitted again for the next task
             queries, gallery = nothing(len(task.queries), broke), nothing(len(task.gallery), broke)
             advance(len(task.queries) + len(task.gallery))
         else:
             gallery = describer(task.gallery, advance)
             queries = describer(task.queries, advance)
-        rows = list(rank_task(task, queries, gallery, describer.asked, keep, advance))
+        rows = list(rank_task(task, queries, gallery, describer.handle, keep, advance))
         variance = descriptor_variance(queries, gallery)
         run = TaskRun(
             dimensions=None if variance is None else gallery.values.shape[1],
             queries_described=int(queries.finite.sum()),
             gallery_described=int(gallery.finite.sum()),
             descriptor_variance=None if variance is None else round(variance, 6),
-            rerank_top=describer.asked.rerank_top,
+            rerank_top=describer.handle.rerank_top,
             gallery_seconds=None if again else round(float(gallery.seconds.sum()), 3),
             fit_seconds=fit_seconds,
         )
-        answers = [_blamed(answer, gallery.messages) for answer, _ in rows]
+        answers = [_with_gallery_failure(answer, gallery.messages) for answer, _ in rows]
         return TaskAnswers(answers, {answer.query: kept for answer, kept in rows}, run)
 
 
 def check_task(task: RetrievalTask) -> None:
-    """Raises DatasetError where a task cannot be asked: no image, a key that occurs twice or holds a blank, ..."""
+    """Raise DatasetError for a task that cannot be run: no image, a key that occurs twice or holds a blank, ..."""
     for side, images in (("query", task.queries), ("gallery image", task.gallery)):
         keys = [image.key for image in images]
         if not keys:
@@ -177,15 +182,15 @@ def check_task(task: RetrievalTask) -> None:
         blank = next((key for key in keys if key.split() != [key] or key.startswith("#")), None)
         if blank is not None:
             raise DatasetError(
-                f"task '{task.name}': {side} '{blank}' has a blank in its name; lists part names by blanks"
+                f"task '{task.name}': {side} '{blank}' has a blank in its name, but blanks separate the names in lists"
             )
     sizes = (task.relevance.queries, task.relevance.gallery)
     if sizes != (len(task.queries), len(task.gallery)) or (task.groups and len(task.groups) != len(task.queries)):
         raise DatasetError(f"task '{task.name}': relevance or groups do not fit its {len(task.queries)} queries")
 
 
-def _blamed(answer: QueryAnswer, of_gallery: Sequence[str]) -> QueryAnswer:
-    """A query that found nothing because the method broke on the whole gallery says how."""
+def _with_gallery_failure(answer: QueryAnswer, of_gallery: Sequence[str]) -> QueryAnswer:
+    """The answer of a query that found nothing because the method broke on the whole gallery becomes an error."""
     if answer.status == "failed" and of_gallery and all(of_gallery):
         return QueryAnswer(
             answer.query, answer.group, BROKEN, answer.positives, (), answer.seconds, f"on the gallery: {of_gallery[0]}"
@@ -194,7 +199,7 @@ def _blamed(answer: QueryAnswer, of_gallery: Sequence[str]) -> QueryAnswer:
 
 
 def _open(folder: RetrieverResults, task: RetrievalTask, overwrite: Overwrite) -> bool:
-    """Whether a task is still to be asked."""
+    """Whether a task is still to be run."""
     if not folder.complete(task.name):
         return True
     answers = read_answers(folder.answers(task.name))

@@ -1,16 +1,15 @@
-"""Phase two: what the metrics make of the ranks, and what to look at where they are no better than chance."""
+"""Phase two: scores from ranks, and advice where they are no better than chance."""
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Sequence
 
 import numpy as np
 
 from relocbench import version
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.results import write_record
-from relocbench.evaluation.retrieval.answers import QueryAnswer, answers_hash, ranking_of, read_answers
+from relocbench.evaluation.common.results import check_made_for, write_record
+from relocbench.evaluation.retrieval.answers import QueryAnswer, ranking_of, read_answers
 from relocbench.evaluation.retrieval.records import (
     METRICS,
     RetrievalScores,
@@ -19,16 +18,17 @@ from relocbench.evaluation.retrieval.records import (
     TaskRecord,
     TaskRun,
 )
-from relocbench.metrics import Denominator, Interval, bootstrap_interval, per_group, score_retrieval
+from relocbench.files import sha256_file
+from relocbench.metrics import Denominator, Interval, bootstrap_interval, generator, per_group, score_retrieval
 from relocbench.metrics.retrieval.measures import RetrievalScores as QueryScores
 
 Values = dict[str, float | int | None]
 _MOST_POSITIVES = 100_000_000
-"""of all queries of a task: their positions take 8 bytes each"""
+"""limit over all queries of a task: each position takes 8 bytes"""
 
 
 def score_retriever(asked: SetRecord, folder: RetrieverResults, *, seed: int = 0) -> RetrievalScores:
-    """Score every task that a retriever answered; writes ``scores.yaml``.
+    """Score every task that a retriever answered, and write ``scores.yaml``.
 
     Args:
         seed: of the bootstrap of the intervals.
@@ -36,16 +36,11 @@ def score_retriever(asked: SetRecord, folder: RetrieverResults, *, seed: int = 0
     Raises:
         PredictionError: the answers are for another set, or a file is bad.
     """
-    run = folder.run_record()
-    if run.fingerprint != asked.fingerprint:
-        raise PredictionError(
-            f"answers are for {run.dataset}@{run.fingerprint[:12]}, the set is {asked.name}@{asked.fingerprint[:12]}",
-            folder.run_yaml,
-        )
+    check_made_for(folder.run_record(), asked.name, asked.fingerprint, folder.run_yaml)
     hashes, tasks = {}, {}
     for name, record in asked.tasks.items():
         if folder.complete(name):
-            hashes[name] = answers_hash(folder.answers(name))
+            hashes[name] = sha256_file(folder.answers(name))
             tasks[name] = summary(name, record, checked_answers(name, record, folder), seed)
     scores = RetrievalScores(
         relocbench=version.__version__, answers=hashes, denominator=str(Denominator.ALL), tasks=tasks
@@ -55,7 +50,7 @@ def score_retriever(asked: SetRecord, folder: RetrieverResults, *, seed: int = 0
 
 
 def checked_answers(name: str, record: TaskRecord, folder: RetrieverResults) -> list[QueryAnswer]:
-    """A task's table. Raises PredictionError unless it has a row for each query."""
+    """Read a task's table. Raises PredictionError unless it has a valid row for each query."""
     path = folder.answers(name)
     answers = read_answers(path)
     if len(answers) != record.queries:
@@ -72,7 +67,7 @@ def checked_answers(name: str, record: TaskRecord, folder: RetrieverResults) -> 
 
 
 def scores_of(answers: Sequence[QueryAnswer], record: TaskRecord) -> QueryScores:
-    """What each query scored."""
+    """The scores of each query."""
     return score_retrieval(ranking_of(answers, record.gallery))
 
 
@@ -99,23 +94,18 @@ def summary(name: str, record: TaskRecord, answers: Sequence[QueryAnswer], seed:
 
 
 def resampled(per_query: np.ndarray, answers: Sequence[QueryAnswer]) -> np.ndarray:
-    """What a bootstrap draws from: a value a group, or each query's along the drive."""
+    """The values that the bootstrap resamples: one for each group, or one for each query along the drive."""
     groups = [a.group for a in answers]
     return per_group(per_query, groups) if all(groups) else per_query
 
 
 def interval_of(values: np.ndarray, grouped: bool, rng: np.random.Generator) -> Interval | None:
-    """95 % interval of a mean; None where there is too little to say."""
+    """The 95 % interval of a mean; None where there are too few values."""
     return bootstrap_interval([values], rng, block_length=1 if grouped else None)
 
 
-def generator(seed: int, place: str, metric: str) -> np.random.Generator:
-    """One for each number, so that it does not depend on what else there is."""
-    return np.random.default_rng([seed, zlib.crc32(f"{place} {metric}".encode())])
-
-
 def suspicion(name: str, record: TaskRecord, values: Values, run: TaskRun | None) -> str | None:
-    """What to look at where R@1 is no better than chance; None where it is."""
+    """What to check when R@1 is no better than chance; None if it is better."""
     found, chance = values["R@1"], record.chance.get("R@1", 0.0)
     low = values["R@1_low"]
     if found is None or (found > chance and (low is None or low > chance)):

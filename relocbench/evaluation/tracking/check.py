@@ -1,4 +1,4 @@
-"""Does a method keep the contract? A few questions, easy and hopeless, and what must hold of the answers."""
+"""Checking that a tracker keeps the contract, on a few easy and hopeless pairs."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import DatasetError
-from relocbench.evaluation.common.answers import CheckedAnswer, ask, broken, checked, checked_pixels
-from relocbench.evaluation.common.guard import guarded, neighbours_of, offers
+from relocbench.evaluation.common.answers import CheckedAnswer, ask, checked_answer, checked_pixels, error_answer
+from relocbench.evaluation.common.guard import guarded, implements, neighbours_of
 from relocbench.evaluation.common.info_text import INFO_CHARACTERS
 from relocbench.execution import messages_to_stderr
 from relocbench.geometry import Camera
@@ -33,7 +33,7 @@ _WIDTH, _HEIGHT, _FOCAL, _WALL_M = 320, 240, 250.0, 4.0
 
 @dataclass(frozen=True)
 class Finding:
-    """One promise of the contract and whether it was kept."""
+    """A requirement of the contract, and whether the method met it."""
 
     check: str
     passed: bool
@@ -48,17 +48,16 @@ class _Question:
 
 
 def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
-    """Try a method. Made-up views show a textured wall; with a dataset, its first pairs are asked too.
+    """Try a tracker on synthetic views of a textured wall and, with a dataset, on its first pairs.
 
     Raises:
         MethodError: the method cannot be constructed.
         DatasetError: the dataset is bad.
     """
-    findings: list[Finding] = []
-    tracker, problem = guarded(spec.create)
-    if problem:
-        return [Finding("is constructed", False, problem)]
-    findings.append(Finding("is constructed", True, ", ".join(f"{k}={v}" for k, v in spec.parameters.items())))
+    tracker, finding = constructed(spec)
+    findings = [finding]
+    if not finding.passed:
+        return findings
     if guarded(lambda: callable(getattr(tracker, "track", None)))[0] is not True:
         return [*findings, Finding("has track()", False, f"{type(tracker).__name__} has none")]
     questions = _made_up() + (_from_dataset(dataset) if dataset else [])
@@ -71,17 +70,24 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
     usable = [i for i, answer in enumerate(answers) if answer.status != "error"]
     findings.append(_repeatable(spec, tracker, questions, answers, usable))
     findings.append(_leaves_input_alone(tracker, questions[0]))
-    if offers(tracker, SupportsBatch) and usable:
+    if implements(tracker, SupportsBatch) and usable:
         findings.append(_batch_agrees(tracker, questions[usable[0]], answers[usable[0]]))
-    if offers(tracker, SupportsMatching):
+    if implements(tracker, SupportsMatching):
         findings += [_matches(tracker, question) for question in questions]
         findings.append(_matches_by_pixel(spec, tracker, questions[0]))
     _close(tracker)
     return findings
 
 
+def constructed(spec: MethodSpec) -> tuple[Any, Finding]:
+    """The method, and whether it could be constructed."""
+    method, problem = guarded(spec.create)
+    parameters = ", ".join(f"{k}={v}" for k, v in spec.parameters.items())
+    return method, Finding("is constructed", not problem, problem or parameters)
+
+
 def _close(tracker: Any) -> None:
-    """Programs are asked to end."""
+    """Ask a tracker that is a program to end."""
     close, problem = guarded(lambda: getattr(tracker, "close", None))
     if problem is None and callable(close):
         _attempt(close)
@@ -89,23 +95,23 @@ def _close(tracker: Any) -> None:
 
 def _ask(tracker: Any, question: _Question) -> CheckedAnswer:
     result, problem = _attempt(lambda: tracker.track(_prepared(tracker, question), question.query, None))
-    return broken(problem) if problem else checked(result)
+    return error_answer(problem) if problem else checked_answer(result)
 
 
 def _attempt(call: Callable[[], Any]) -> tuple[Any, str | None]:
     with messages_to_stderr():
         value, problem = guarded(call)
-    return value, problem and f"raised {problem} (a failure is returned: TrackResult.failure)"
+    return value, problem and f"raised {problem} (to report a failure, return TrackResult.failure)"
 
 
 def _prepared(tracker: Any, question: _Question) -> Any:
-    return tracker.prepare(question.reference) if offers(tracker, SupportsPrepare) else question.reference
+    return tracker.prepare(question.reference) if implements(tracker, SupportsPrepare) else question.reference
 
 
 def _repeatable(
     spec: MethodSpec, tracker: Any, questions: list[_Question], answers: list[CheckedAnswer], usable: list[int]
 ) -> Finding:
-    """The same answer again, from the same and from a fresh tracker, with the questions in another order."""
+    """Ask the same tracker and a fresh one again, in another order: the answers must be equal."""
     name = "gives the same answer whatever was asked before"
     fresh, unmade = guarded(spec.create)
     if unmade is not None:
@@ -152,7 +158,7 @@ def _batch_agrees(tracker: Any, question: _Question, single: CheckedAnswer) -> F
 
 
 def _pixels(question: _Question) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Pixels of the reference and starts in the query: a grid that reaches into the corners, and starts beside it."""
+    """A grid of reference pixels that reaches into the corners, and start pixels in the query near them."""
     camera = question.reference.camera
     u, v = np.meshgrid(np.linspace(0, camera.width - 1, 9), np.linspace(0, camera.height - 1, 7))
     uv_ref = np.stack([u, v], axis=-1).reshape(-1, 2)
@@ -172,7 +178,7 @@ def _matches(tracker: Any, question: _Question) -> Finding:
 
 
 def _matches_by_pixel(spec: MethodSpec, tracker: Any, question: _Question) -> Finding:
-    """The same pixels to the last bit, from a fresh tracker, with half of the questions, with none at all."""
+    """Match from a fresh tracker, with half of the pixels, and with none: results must be equal to the last bit."""
     name = "match answers each pixel by itself, and the same again"
     fresh, problem = guarded(spec.create)
     if problem:
@@ -202,7 +208,7 @@ def _words(answer: CheckedAnswer) -> str:
 
 
 def _made_up() -> list[_Question]:
-    """A textured wall seen from 4 m, moved sideways; once with sparse points, once against noise, once in colour."""
+    """Synthetic pairs: a textured wall 4 m away, moved sideways, with dense and sparse depth, and hopeless variants."""
     camera = Camera("pinhole", _WIDTH, _HEIGHT, _FOCAL, _FOCAL, _WIDTH / 2 - 0.5, _HEIGHT / 2 - 0.5)
     rng = np.random.default_rng(0)
     texture = _smooth(rng.random((_HEIGHT + 80, _WIDTH + 80)))
@@ -227,7 +233,7 @@ def _made_up() -> list[_Question]:
 
 
 def _smooth(values: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Noise at several scales, so that corners and slopes are there for any method."""
+    """Smooth noise at several scales into a texture with corners and slopes."""
     total = np.zeros_like(values)
     for size in (3, 9, 27):
         kernel = np.ones(size) / size

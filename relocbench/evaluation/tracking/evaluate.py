@@ -1,4 +1,4 @@
-"""Both phases for several methods: run what is missing, then score what is there."""
+"""Both phases of an evaluation of trackers: run what is missing, then score all answers."""
 
 from __future__ import annotations
 
@@ -10,19 +10,21 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.asking_options import AskingOptions
+from relocbench.evaluation.common.capabilities import capabilities_of
+from relocbench.evaluation.common.execution_options import ExecutionOptions
 from relocbench.evaluation.common.matching_table import read_matching
-from relocbench.evaluation.common.offers import offers_of
-from relocbench.evaluation.common.opening import opened
+from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.results import (
     DatasetResults,
     MethodResults,
     dataset_results,
+    first_breakage,
     read_answers,
     write_dataset_record,
 )
-from relocbench.evaluation.tracking.external import take_predictions
+from relocbench.evaluation.tracking.external import import_predictions
 from relocbench.evaluation.tracking.matching import match_method
 from relocbench.evaluation.tracking.run import Overwrite, run_method
 from relocbench.evaluation.tracking.score import score_method
@@ -31,20 +33,20 @@ from relocbench.methods import MethodSpec, parse_methods
 from relocbench.progress import Reporter
 
 
-class EvaluateOptions(AskingOptions):
+class EvaluateOptions(ExecutionOptions):
     """Fields are options of ``relocbench evaluate`` and keys of its YAML file."""
 
     dataset: Path
     methods: tuple[str, ...] = ()
     set: tuple[str, ...] = ()
-    """key=value or LABEL.key=value"""
+    """parameters, as key=value or LABEL.key=value"""
     predictions: Path | None = None
     out: Path = Path("results")
     split: str | None = None
     pair_sets: tuple[str, ...] = ()
     overwrite: Overwrite = "never"
     matching: bool = False
-    """measure matching quality too, of methods that have ``match`` on pair sets with correspondences"""
+    """whether to measure matching quality, of methods that have ``match`` and on pair sets with correspondences"""
     seed: int = Field(0, ge=0)
 
     @model_validator(mode="after")
@@ -54,23 +56,23 @@ class EvaluateOptions(AskingOptions):
         if self.predictions is not None and len(self.methods) > 1:
             raise ValueError("--predictions takes one --method, the label to keep them under")
         if self.predictions is not None and self.matching:
-            raise ValueError("--matching asks a method, and predictions are only a file of answers")
+            raise ValueError("--matching runs a method, and --predictions come without one")
         return self
 
 
 @dataclass(frozen=True)
 class Report:
-    """What an evaluation did."""
+    """The results of an evaluation of trackers."""
 
     dataset: Dataset
     pair_sets: list[PairSet]
     folders: list[MethodResults]
     results: Path
     broken: list[tuple[str, str]]
-    """label and message for each method that broke on pairs (rather than saying that it failed)"""
+    """label and message of each method that broke on pairs, rather than reporting failures"""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for scripts."""
+        """Scores and broken methods, as plain values for scripts."""
         scored = {folder.label: folder.score_record() for folder in self.folders}
         return {
             "dataset": self.dataset.name,
@@ -84,19 +86,19 @@ class Report:
 
 
 def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
-    """Run and score.
+    """Run the trackers and score their answers.
 
     Raises:
         RelocbenchError: a bad dataset, method, option or prediction.
     """
-    dataset = opened(options.dataset, options.out)
+    dataset = open_for_evaluation(options.dataset, options.out)
     pair_sets = _chosen(dataset, options)
-    # Methods are found and configured before anything is written: a typing error must not leave a folder.
+    # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed)
     results = dataset_results(options.out, dataset)
     if options.predictions is not None:
         label = options.methods[0] if options.methods else options.predictions.resolve().name
-        folders = [take_predictions(dataset, pair_sets, options.predictions, label, results)]
+        folders = [import_predictions(dataset, pair_sets, options.predictions, label, results)]
         write_dataset_record(results, dataset)
     else:
         write_dataset_record(results, dataset)
@@ -137,14 +139,14 @@ def _match(
     options: EvaluateOptions,
     reporter: Reporter,
 ) -> None:
-    """Matching quality of the methods that offer it; what is left out is told."""
+    """Measure matching quality of the methods that offer it; whatever is left out is reported."""
     for name in (s.name for s in pair_sets if not dataset.layout.correspondence_file(s.name).exists()):
         reporter.note(f"{name} has no correspondences: no matching quality (build-dataset --correspondences N)")
     pairs = zip(specs, folders, strict=True)
-    able = [(spec, folder) for spec, folder in pairs if offers_of(spec, options.run).match]
+    able = [(spec, folder) for spec, folder in pairs if capabilities_of(spec, options.run).match]
     unable = [spec.label for spec in specs if spec.label not in {spec.label for spec, _ in able}]
     if unable:
-        reporter.note(f"no matching quality, for want of match(): {', '.join(unable)}")
+        reporter.note(f"matching quality is not measured without match(): {', '.join(unable)}")
     for spec, folder in able:
         match_method(
             dataset,
@@ -168,34 +170,22 @@ def _chosen(dataset: Dataset, options: EvaluateOptions) -> list[PairSet]:
 
 
 def _broken(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
-    return [*_broken_pairs(folder, pair_sets), *_broken_matching(folder, pair_sets)]
-
-
-def _broken_matching(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
-    paths = [path for s in pair_sets if (path := folder.matching(s.name)).exists()]
-    broken = {row.key: row.message for path in paths for row in read_matching(path) if row.message}
-    if not broken:
-        return []
-    key, message = next(iter(broken.items()))
-    told = f"match broke on {len(broken)} pairs, counted as not found; first on {key[0]} {key[1]}: {message}"
-    return [(folder.label, told)]
-
-
-def _broken_pairs(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, str]]:
     answers = [
         answer
         for pair_set in pair_sets
         if folder.answers(pair_set.name).exists()
         for answer in read_answers(folder.answers(pair_set.name)).values()
     ]
-    broken = [a for a in answers if a.status == "error"]
-    if not broken:
-        return []
-    first = broken[0]
+    broken = [(_pair_text(a.key), a.message) for a in answers if a.status == "error"]
+    tables = [path for s in pair_sets if (path := folder.matching(s.name)).exists()]
+    unmatched = {_pair_text(row.key): row.message for path in tables for row in read_matching(path) if row.message}
     return [
-        (
-            folder.label,
-            f"broke on {len(broken)} of {len(answers)} pairs, counted as failures; "
-            f"first on {first.key[0]} {first.key[1]}: {first.message}",
-        )
+        *first_breakage(folder.label, f"broke on {len(broken)} of {len(answers)} pairs, counted as failures", broken),
+        *first_breakage(
+            folder.label, f"match broke on {len(unmatched)} pairs, counted as not found", list(unmatched.items())
+        ),
     ]
+
+
+def _pair_text(key: PairKey) -> str:
+    return f"{key[0]} {key[1]}"

@@ -1,6 +1,6 @@
-"""Predicted (or true) query poses in other tools' formats: TUM and KITTI trajectories, COLMAP models, MLAD zips.
+"""Exporting predicted (or true) query poses to other tools' formats: TUM and KITTI trajectories, COLMAP, MLAD zips.
 
-A relative pose becomes an absolute one through the map's pose of its keyframe:
+A relative pose becomes an absolute one by the map's pose of its keyframe:
 ``T_world_query = T_world_ref @ inv(T_query_ref)``.
 """
 
@@ -34,11 +34,11 @@ _NS = 1_000_000_000
 
 @dataclass(frozen=True, eq=False)
 class QueryPose:
-    """The absolute pose of a query camera, in the frame of the reference traversal's map."""
+    """The absolute pose of a query camera, in the world frame of the reference traversal."""
 
     query_timestamp_ns: int
     ref_timestamp_ns: int
-    """the keyframe that it was found against"""
+    """the keyframe of the relative pose"""
     T_world_query: Array
     """(4, 4)"""
 
@@ -52,13 +52,13 @@ def export_poses(
     method: str | None,
     relocalization_files: Sequence[Path] = (),
 ) -> list[Path]:
-    """Export pair sets of a dataset; the files or folders that were written are returned.
+    """Export pair sets of a dataset; returns the files or folders that were written.
 
     Args:
-        out: folder for ``PAIRSET.txt`` (tum, kitti) or ``PAIRSET/`` (colmap); for mlad the zip itself.
+        out: folder for ``PAIRSET.txt`` (tum, kitti) or ``PAIRSET/`` (colmap); for mlad, the zip file itself.
         results: the results folder that holds the predictions.
-        method: whose predictions; None for the ground truth.
-        relocalization_files: for mlad, the challenge's files whose names and line order the zip takes.
+        method: the label of the predictions; None for the ground truth.
+        relocalization_files: for mlad, the challenge's files, whose names and line order the zip follows.
 
     Raises:
         PredictionError: no such predictions, none with a pose, or ground truth that is withheld.
@@ -90,15 +90,15 @@ def _lines_of(dataset: Dataset, pair_set: str, results: Path, method: str | None
 
 
 def truth_lines(dataset: Dataset, pair_set: str) -> list[PoseLine]:
-    """The ground truth of a pair set in the form of predictions; pairs whose truth is withheld are not among them."""
+    """The ground truth of a pair set in the form of predictions, without pairs whose truth is withheld."""
     pairs = dataset.pair_set(pair_set).pairs
     return [PoseLine(*p.key, p.T_query_ref) for p in pairs if p.T_query_ref is not None]
 
 
 def query_poses(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine]) -> list[QueryPose]:
-    """Absolute poses in time order, one a query.
+    """The absolute poses of a pair set's queries, in time order.
 
-    Of several answers for one query, the one whose keyframe is the nearest by the answer itself is taken.
+    Of several answers for one query, the one that is nearest to its own keyframe is taken.
 
     Raises:
         PredictionError: a pair that is not in the set, or none with a pose.
@@ -124,7 +124,9 @@ def query_poses(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine]
 
 
 def export_tum(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine], out: Path) -> int:
-    """A TUM trajectory, ``t tx ty tz qx qy qz qw``, seconds with nine decimals, world from camera; returns its length.
+    """Write a TUM trajectory, ``t tx ty tz qx qy qz qw``, world from camera, with times in seconds to nine decimals.
+
+    Returns the number of poses.
 
     Raises:
         PredictionError, DatasetError: see :func:`query_poses`.
@@ -136,9 +138,9 @@ def export_tum(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine],
 
 
 def export_kitti(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine], out: Path) -> int:
-    """KITTI poses, the upper three rows of ``T_world_query`` on a line; returns their number.
+    """Write KITTI poses, the upper three rows of ``T_world_query`` on a line each; returns their number.
 
-    The format has no times: they stand, in seconds, in ``NAME.times.txt`` beside it.
+    Since the format has no times, a file ``NAME.times.txt`` beside it holds them in seconds.
 
     Raises:
         PredictionError, DatasetError: see :func:`query_poses`.
@@ -150,12 +152,12 @@ def export_kitti(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine
 
 
 def export_colmap(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine], out: Path) -> int:
-    """A COLMAP text model in the folder ``out``: keyframes as the map has them, queries as predicted.
+    """Write a COLMAP text model to the folder ``out``: keyframes as in the map, queries as predicted.
 
-    ``images.txt`` holds cam-from-world poses with ``QW QX QY QZ``; pixels and principal points are moved by half a
-    pixel to COLMAP's centres. Sparse keyframe points become ``points3D.txt``; from dense depth it stays empty. Image
-    names are paths below the dataset's ``traversals``. A frame that is keyframe and query at once (pairs within one
-    traversal) stands as the map has it. Returns the number of queries.
+    ``images.txt`` holds cam-from-world poses with ``QW QX QY QZ``; pixels and principal points are shifted by half a
+    pixel to COLMAP's convention. Sparse keyframe points become ``points3D.txt``, which is empty for dense depth. Image
+    names are paths below the dataset's ``traversals``. A frame that is both keyframe and query (pairs within one
+    traversal) is written as in the map. Returns the number of queries.
 
     Raises:
         PredictionError, DatasetError: see :func:`query_poses`.
@@ -182,18 +184,18 @@ def export_mlad(
     out: Path,
     relocalization_files: Sequence[Path] = (),
 ) -> int:
-    """A submission to the MLAD challenges: one zip with a text file for each pair file in its root.
-
-    Args:
-        predictions: pair set -> its predictions.
-        relocalization_files: the challenge's own files. Where given, the zip holds files of their names with their
-            lines in their order, as far as they are answered; otherwise one file for each pair set.
+    """Write a submission to the MLAD challenges: a zip with one text file for each pair file, at the top level.
 
     The same predictions give the same bytes. Returns the number of poses written.
 
+    Args:
+        predictions: pair set -> its predictions.
+        relocalization_files: the challenge's own files. Where given, the zip holds files of the same names with their
+            answered lines in the same order; otherwise it holds one file for each pair set.
+
     Raises:
-        PredictionError: a pair that is not in its set, a file none of whose pairs is answered.
-        DatasetError: two relocalization files of one name.
+        PredictionError: a pair that is not in its set, or a file none of whose pairs is answered.
+        DatasetError: two relocalization files have the same name.
     """
     answered = {name: _answered(dataset.pair_set(name), lines) for name, lines in sorted(predictions.items())}
     texts: dict[str, list[PoseLine]] = {}
@@ -217,7 +219,7 @@ def export_mlad(
 
 
 class _ColmapModel:
-    """Lines of the three text files of one model."""
+    """The lines of the three text files of a model."""
 
     def __init__(self, camera: str) -> None:
         self.camera = camera
@@ -226,7 +228,7 @@ class _ColmapModel:
         self.points: list[str] = []
 
     def add_image(self, traversal: Traversal, time: int, T_world_cam: Array, *, with_points: bool) -> None:
-        """One image: its pose on a line, its points on the next."""
+        """Add an image: its pose on one line, its points on the next."""
         image_id = len(self.images) // 2 + 1
         path = traversal.layout.find_image(self.camera, time) or traversal.layout.image(self.camera, time)
         name = path.relative_to(traversal.layout.root.parent).as_posix()
@@ -238,7 +240,7 @@ class _ColmapModel:
         self.images.append(" ".join(seen))
 
     def _add_points(self, traversal: Traversal, time: int, T_world_cam: Array, image_id: int) -> list[str]:
-        """Sparse points of a keyframe, each seen by it alone; their entries on the image's line."""
+        """Add the sparse points of a keyframe, each observed by it alone; returns their entries on the image's line."""
         points = traversal.points(self.camera, time)
         if points is None or not len(points):
             return []
@@ -261,7 +263,7 @@ class _ColmapModel:
 
 
 def colmap_camera(camera: Camera) -> str:
-    """``MODEL WIDTH HEIGHT PARAMS...`` of a line of ``cameras.txt``."""
+    """``MODEL WIDTH HEIGHT PARAMS...``, as on a line of ``cameras.txt``."""
     k = [camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5]
     distortion = list(camera.distortion)
     if camera.model == "pinhole":
@@ -288,7 +290,7 @@ def _pose(line: PoseLine) -> Array:
 
 
 def _reach(line: PoseLine) -> float:
-    """Metres from the keyframe to the query, as predicted."""
+    """The predicted distance in metres from the keyframe to the query."""
     return float(np.linalg.norm(_pose(line)[:3, 3]))
 
 
@@ -298,7 +300,7 @@ def _seconds(timestamp_ns: int) -> str:
 
 
 def _digits(value: float) -> str:
-    """The fewest digits that read back to the same number."""
+    """A float in the fewest digits that read back as the same number."""
     return repr(float(value) + 0.0)
 
 

@@ -1,4 +1,4 @@
-"""The third door: predictions made elsewhere, in the nine columns, taken into a results folder."""
+"""Importing predictions made elsewhere, in files of nine columns, into a results folder."""
 
 from __future__ import annotations
 
@@ -9,42 +9,50 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import (
+    PREDICTIONS,
     Answer,
     DatasetResults,
     MethodResults,
     RunRecord,
+    adopted_run,
     read_answers,
     write_answers,
     write_record,
 )
 from relocbench.evaluation.tracking.score import read_predictions
-from relocbench.files import load_yaml
 
 
-def take_predictions(
+def import_predictions(
     dataset: Dataset, pair_sets: list[PairSet], source: Path, label: str, results: DatasetResults
 ) -> MethodResults:
-    """Check a folder of ``PAIRSET.txt`` (and optional ``PAIRSET.csv``) and keep it under ``label``.
+    """Check a folder of ``PAIRSET.txt`` (and optional ``PAIRSET.csv``) and copy it to the results under ``label``.
 
-    A ``run.yaml`` beside them must name this dataset's fingerprint. Pairs of a set that the file does not answer
+    A ``run.yaml`` in the folder must name this dataset's fingerprint. Pairs of a set that its file does not answer
     have failed.
 
     Raises:
-        PredictionError: with file and line: no prediction file, one for a pair set that is not there, an unknown or
-            duplicate pair, another dataset's fingerprint, or the label is taken by other predictions.
+        PredictionError: with file and line: no prediction file, a file for an unknown pair set, an unknown or
+            duplicate pair, another dataset's fingerprint, or a label that other predictions have.
     """
     if not source.is_dir():
         raise PredictionError("no such folder; expected prediction files PAIRSET.txt", source)
     theirs = MethodResults(source)
-    record = _their_record(theirs, dataset, label)
+    known = RunRecord(
+        method=label,
+        target=f"{PREDICTIONS}{source.name}",
+        dataset=dataset.name,
+        fingerprint=dataset.fingerprint,
+        question=dataset.question,
+    )
+    record = adopted_run(theirs.run_yaml, known, "the record of a run")
     wanted = {s.name: s for s in pair_sets}
     files = sorted(source.glob("*.txt"))
     if not files:
         raise PredictionError("holds no prediction file (PAIRSET.txt)", source)
     for path in files:
         if path.stem not in dataset.pair_set_names:
-            known = ", ".join(dataset.pair_set_names)
-            raise PredictionError(f"no pair set '{path.stem}' in {dataset.name}; there is {known}", path)
+            names = ", ".join(dataset.pair_set_names)
+            raise PredictionError(f"no pair set '{path.stem}' in {dataset.name}; there is {names}", path)
     ours = results.method(label)
     if source.resolve() == ours.root.resolve():
         return ours
@@ -75,27 +83,3 @@ def _checked(theirs: MethodResults, path: Path, pair_set: PairSet) -> tuple[list
 
 def _missing(answered: bool) -> str:
     return "" if answered else "not in the prediction file"
-
-
-def _their_record(theirs: MethodResults, dataset: Dataset, label: str) -> RunRecord:
-    target = f"predictions:{theirs.root.name}"
-    if not theirs.run_yaml.exists():
-        return RunRecord(
-            method=label,
-            target=target,
-            dataset=dataset.name,
-            fingerprint=dataset.fingerprint,
-            question=dataset.question,
-        )
-    record = load_yaml(theirs.run_yaml, RunRecord, "the record of a run", PredictionError)
-    told: dict[str, str] = {"method": label}
-    if record.fingerprint != dataset.fingerprint and record.question == dataset.question:
-        # Another machine's copy: images differ in last digits, the question is the same.
-        told |= {"fingerprint": dataset.fingerprint, "answered_on": record.fingerprint}
-    elif record.fingerprint != dataset.fingerprint:
-        raise PredictionError(
-            f"predictions are for {record.dataset}@{record.fingerprint[:12]}, "
-            f"the dataset is {dataset.name}@{dataset.fingerprint[:12]}",
-            theirs.run_yaml,
-        )
-    return record.model_copy(update=told)

@@ -1,13 +1,11 @@
-"""Ask a method where single pixels are: from starts a known distance off the truth, how often does it get there?
+"""Measuring matching quality: how often a method finds a pixel from starts at known distances from it.
 
-The starts are the same for every method and every run: they depend on the pair alone. Like answers to pairs, results go
-to a journal at once, and a complete pair set is written whole.
+The starts depend on the pair alone, so that they are the same for every method and every run. As with answers to pairs,
+results go to a journal at once, and the table of a complete pair set is written whole.
 """
 
 from __future__ import annotations
 
-import json
-import shutil
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import astuple, dataclass
@@ -25,7 +23,6 @@ from relocbench.datasets.pairs.correspondences import Correspondences, read_corr
 from relocbench.errors import PredictionError, one_line
 from relocbench.evaluation.common.answers import checked_pixels
 from relocbench.evaluation.common.guard import guarded
-from relocbench.evaluation.common.lost_pairs import LostPairs, ask_all
 from relocbench.evaluation.common.matching_table import (
     OFFSETS_PX,
     Found,
@@ -37,17 +34,23 @@ from relocbench.evaluation.common.matching_table import (
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.common.worker import (
     Unit,
+    answered_keys,
+    append_entry,
     journal_entries,
     open_journal,
     prepared,
     query_of,
     read_only,
+    remove_journal,
+    time_factor,
     tracker_of,
     traversal_of,
     units_of,
+    write_entry,
 )
+from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
 from relocbench.evaluation.tracking.run import new_record, refuse_mixture
-from relocbench.execution import MANY_TIMES, Run, step
+from relocbench.execution import Run, step
 from relocbench.files import alone_in
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
@@ -57,22 +60,22 @@ from relocbench.progress import Reporter
 Array = NDArray[np.float64]
 
 PER_PAIR = 200
-"""visible correspondences of a pair that are asked about, each from every offset"""
+"""the largest number of visible correspondences of a pair that are used, each from every offset"""
 _SEED = 1
 
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """What a method is asked about one pair, and the truth, which it is not shown."""
+    """The starts of one pair, and the true pixels, which the method does not see."""
 
     uv_ref: Array
     """(N, 2) pixels of the reference"""
     uv_query: Array
     """(N, 2) the true pixels of the query"""
     offset_px: NDArray[np.int64]
-    """(N,) how far the start is from the truth"""
+    """(N,) distance of the start from the true pixel"""
     uv_start: Array
-    """(N, 2)"""
+    """(N, 2) start pixels of the query"""
 
     def __len__(self) -> int:
         return len(self.offset_px)
@@ -86,10 +89,10 @@ def draw_starts(
     offsets_px: Sequence[int] = OFFSETS_PX,
     seed: int = _SEED,
 ) -> Starts:
-    """Up to ``per_pair`` of a pair's visible correspondences, each with a start at every offset, direction at random.
+    """Draw up to ``per_pair`` of a pair's visible correspondences, each with a start at every offset, in any direction.
 
-    A start that would lie outside the query's image is turned about the truth by quarters until it lies inside, so that
-    a pixel near the border is not lost by the question.
+    A start outside the query's image is rotated about the true pixel in quarter turns until it lies inside, so that
+    pixels near the border are not lost.
     """
     rng = np.random.default_rng([seed, *(time % 2**64 for time in key)])
     visible = np.nonzero(known.visible)[0]
@@ -116,11 +119,11 @@ def match_method(
     seed: int = 0,
     reporter: Reporter,
 ) -> None:
-    """Measure what is missing of a method's matching quality; pair sets without correspondences are passed over.
+    """Measure what is missing of a method's matching quality; pair sets without correspondences are skipped.
 
     Args:
-        folder: of the method, whose pairs were run before.
-        seed: of the run, to tell whether the folder was made with the same parameters. The starts do not depend on it.
+        folder: the results of the method, which has answered the pairs before.
+        seed: of the run, to check that the folder was made with the same parameters. The starts do not depend on it.
 
     Raises:
         PredictionError: the folder was made with other parameters or versions, or holds a bad ``PAIRSET.matching.csv``.
@@ -134,7 +137,7 @@ def match_method(
     refuse_mixture(folder, new_record(dataset, spec, run.workers, seed), work_left=True)
 
     def open_units() -> list[Unit]:
-        # All pair sets at once: starting worker processes for each would take longer than the work.
+        # Units of all pair sets together: starting worker processes for each set would take longer than the work.
         return [
             unit
             for pair_set in left
@@ -145,7 +148,7 @@ def match_method(
         for pair_set in left:
             alone.enter_context(alone_in(_journal(folder, pair_set), PredictionError))
         with reporter.stage(f"{spec.label}, matching on {dataset.name}", sum(map(len, todo.values()))) as advance:
-            ask_all(_match_unit, open_units, LostPairs(_write_broken), run, advance)
+            run_until_answered(_match_unit, open_units, LossHandler(_write_broken), run, advance)
         for pair_set in left:
             _collect(pair_set, folder)
 
@@ -157,7 +160,7 @@ def _journal(folder: MethodResults, pair_set: PairSet) -> Path:
 
 
 def _collect(pair_set: PairSet, folder: MethodResults) -> None:
-    """Journal -> ``PAIRSET.matching.csv``, in the pair set's order."""
+    """Turn the journal into ``PAIRSET.matching.csv``, in the pair set's order."""
     journal = folder.matching_journal(pair_set.name)
     entries = {entry["key"]: entry for entry in journal_entries(journal)}
     rows = [
@@ -166,9 +169,7 @@ def _collect(pair_set: PairSet, folder: MethodResults) -> None:
         for counts in entries[pair.key]["found"]
     ]
     write_matching(folder.matching(pair_set.name), rows)
-    shutil.rmtree(journal, ignore_errors=True)
-    if journal.parent.is_dir() and not any(journal.parent.iterdir()):
-        journal.parent.rmdir()
+    remove_journal(journal)
 
 
 def _open_pairs(folder: MethodResults, pair_set: PairSet) -> list[PairKey]:
@@ -177,20 +178,19 @@ def _open_pairs(folder: MethodResults, pair_set: PairSet) -> list[PairKey]:
     if path.exists():
         check_complete(read_matching(path), [p.key for p in pair_set.pairs], path)
         return []
-    done = {entry["key"] for entry in journal_entries(folder.matching_journal(pair_set.name))}
+    done = answered_keys(folder.matching_journal(pair_set.name))
     return [p.key for p in pair_set.pairs if p.key not in done]
 
 
 def _match_unit(unit: Unit) -> int:
-    """Measure the pairs of a unit; returns how many. Runs in a worker."""
+    """Measure the pairs of a unit in a worker; returns their number."""
     tracker = tracker_of(unit.spec)
     reference, broke = prepared(unit, tracker)
     with open_journal(unit.journal) as stream:
         for key in unit.keys:
             starts = _starts(unit, key)
             ends, message = (None, broke) if broke else _ask(tracker, reference, unit, key, starts)
-            stream.write(json.dumps(_entry(key, starts, ends, message)) + "\n")
-            stream.flush()
+            write_entry(stream, _entry(key, starts, ends, message))
     return len(unit.keys)
 
 
@@ -205,18 +205,18 @@ def _correspondence_file(dataset: Path, pair_set: str) -> Path:
 
 
 def _ask(tracker: Any, reference: Any, unit: Unit, key: PairKey, starts: Starts) -> tuple[Array | None, str | None]:
-    """Where the method ends (N, 2), or None and how it broke."""
+    """Return where the method's matches end (N, 2), or None and how it broke."""
     if not len(starts):
         return None, None
     query = query_of(unit, key)
     uv_ref, uv_start = read_only(starts.uv_ref), read_only(starts.uv_start)
-    with step("", (key,), _times(unit.spec)):
+    with step("", (key,), time_factor("match", unit.spec)):
         ends, broke = guarded(lambda: tracker.match(reference, query, uv_ref, uv_start))
         return checked_pixels(ends, broke, len(starts))
 
 
 def _entry(key: PairKey, starts: Starts, ends: Array | None, message: str | None) -> dict[str, Any]:
-    """One line of the journal; a method that broke has found nothing."""
+    """A line of the journal; a method that broke has found nothing."""
     where = np.full((len(starts), 2), np.nan) if ends is None else ends
     found = [_count(offset, starts, where) for offset in OFFSETS_PX]
     return {
@@ -238,17 +238,6 @@ def _count(offset: int, starts: Starts, ends: Array) -> Found:
     return Found(offset, count, answered, near, nearer_than_3, start_near, start_3)
 
 
-_warm: set[str] = set()
-
-
-def _times(spec: MethodSpec) -> float:
-    """How many times the time limit a call may take: the first of a process may compile."""
-    first = repr(spec) not in _warm
-    _warm.add(repr(spec))
-    return MANY_TIMES if first else 1.0
-
-
 def _write_broken(unit: Unit, key: PairKey, message: str) -> None:
-    """A pair that is lost, and how."""
-    with open_journal(unit.journal) as stream:
-        stream.write(json.dumps(_entry(key, _starts(unit, key), None, message)) + "\n")
+    """Write the entry of a lost pair."""
+    append_entry(unit.journal, _entry(key, _starts(unit, key), None, message))

@@ -1,7 +1,7 @@
-"""Phase one: ask a method about every pair and keep what it answers.
+"""Phase one: run a method on every pair and keep its answers.
 
-Every answer goes to a journal at once, so that a killed run loses only the pair in hand; a complete pair set is
-written whole and its journal removed. Nothing here knows the ground truth: workers get timestamps alone.
+Every answer goes to a journal at once, so that a killed run loses only the pair in progress; the files of a complete
+pair set are written whole and its journal is removed. Workers get no ground truth, only timestamps.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, number_fields, parse_pose_numbers
 from relocbench.datasets.core.writer import versions
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.answers import CheckedAnswer, ask, broken
-from relocbench.evaluation.common.guard import offers
-from relocbench.evaluation.common.lost_pairs import LostPairs, ask_all
-from relocbench.evaluation.common.offers import can_be_made
+from relocbench.evaluation.common.answers import CheckedAnswer, ask, error_answer
+from relocbench.evaluation.common.capabilities import construction_fault
+from relocbench.evaluation.common.guard import implements
 from relocbench.evaluation.common.results import (
     Answer,
     DatasetResults,
@@ -34,13 +33,20 @@ from relocbench.evaluation.common.results import (
 )
 from relocbench.evaluation.common.worker import (
     Unit,
+    answered_keys,
+    append_entry,
+    is_first_call,
     journal_entries,
     open_journal,
     prepared,
     query_of,
+    remove_journal,
+    time_factor,
     tracker_of,
     units_of,
+    write_entry,
 )
+from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
 from relocbench.execution import MANY_TIMES, Run, chunks, default_workers, kept_workers, step
 from relocbench.files import alone_in, read_rows, remove_parts, write_text
 from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
@@ -49,6 +55,7 @@ from relocbench.tracking import Query, SupportsBatch
 
 Overwrite = Literal["never", "failed", "always"]
 _BATCH = 8
+_TRACK = "track"
 
 
 def run_method(
@@ -62,27 +69,27 @@ def run_method(
     seed: int = 0,
     reporter: Reporter,
 ) -> MethodResults:
-    """Run what is missing of a method's predictions.
+    """Run a method on the pairs that it has not answered yet.
 
-    A method that takes more than the limits, or ends its process, breaks on the pair in hand; one that cannot even be
-    constructed without, on all its pairs.
+    A method that exceeds the limits or ends its process breaks on the pair in progress; one that does so in its
+    constructor breaks on all pairs.
 
     Args:
-        overwrite: ``never`` keeps every answer there is, ``failed`` asks again where the method failed or broke,
-            ``always`` starts anew.
+        overwrite: ``never`` keeps all answers, ``failed`` asks again where the method failed or broke, ``always``
+            starts over.
 
     Raises:
-        PredictionError: the folder holds answers of the same label made with other parameters or versions, or
-            another process is writing them.
-        MethodError: answers are to be made anew by a method that cannot be made.
+        PredictionError: the folder holds answers of this label that were made with other parameters or versions, or
+            another process is writing to it.
+        MethodError: answers are to be replaced, but the method cannot be made.
         DatasetError: an image, depth or description of the dataset is bad.
     """
     folder = results.method(spec.label)
     record = new_record(dataset, spec, run.workers, seed)
     if overwrite == "always":
-        # A method that cannot be made, over a mistyped path of weights say, costs no answers.
-        if _has_answers(folder) and (fault := can_be_made(spec, run)):
-            reporter.note(f"{spec.label} keeps the answers that it has: {fault}")
+        # A method that cannot be made, say because of a mistyped path of weights, must not cost earlier answers.
+        if _has_answers(folder) and (fault := construction_fault(spec, run)):
+            reporter.note(f"{spec.label} keeps its earlier answers: {fault}")
             return folder
         _clear(folder, pair_sets)
     todo = {s.name: _open_pairs(folder, s, overwrite) for s in pair_sets}
@@ -93,7 +100,7 @@ def run_method(
     if not folder.run_yaml.exists():
         write_record(folder.run_yaml, record)
     stage = reporter.stage(f"{spec.label} on {dataset.name}", sum(map(len, todo.values())))
-    lost = LostPairs(_write_broken)
+    lost = LossHandler(_write_broken)
     with stage as advance, kept_workers():
         for pair_set in pair_sets:
             _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, run, advance)
@@ -108,7 +115,7 @@ def _run_pair_set(
     spec: MethodSpec,
     folder: MethodResults,
     todo: list[PairKey],
-    lost: LostPairs[Unit],
+    lost: LossHandler[Unit],
     run: Run,
     advance: Callable[[int], None],
 ) -> None:
@@ -118,50 +125,38 @@ def _run_pair_set(
     journal.mkdir(parents=True, exist_ok=True)
 
     def open_units() -> list[Unit]:
-        answered = {entry["key"] for entry in journal_entries(journal)}
+        answered = answered_keys(journal)
         return units_of(dataset, pair_set, spec, journal, [key for key in todo if key not in answered])
 
     with alone_in(journal, PredictionError):
-        ask_all(_run_unit, open_units, lost, run, advance)
+        run_until_answered(_run_unit, open_units, lost, run, advance)
         _collect(pair_set, folder, journal)
 
 
 def _run_unit(unit: Unit) -> int:
-    """Answer the pairs of a unit; returns how many. Runs in a worker."""
+    """Answer the pairs of a unit in a worker; returns their number."""
     tracker = tracker_of(unit.spec)
     reference, broke = prepared(unit, tracker)
     with open_journal(unit.journal) as stream:
-        for batch in chunks(unit.keys, _BATCH if offers(tracker, SupportsBatch) else 1):
+        for batch in chunks(unit.keys, _BATCH if implements(tracker, SupportsBatch) else 1):
             views = [query_of(unit, key) for key in batch]
             seconds: float | None
             if broke is not None:
-                answered, seconds = [broken(broke)] * len(batch), None
+                answered, seconds = [error_answer(broke)] * len(batch), None
             else:
                 _warm_up(tracker, reference, views[0], unit.spec, batch)
-                with step("", tuple(batch), _times(unit.spec, len(batch))):
+                with step("", tuple(batch), time_factor(_TRACK, unit.spec, len(batch))):
                     answered, seconds = ask(tracker, reference, views)
             each = None if seconds is None else seconds / len(batch)
             for key, answer in zip(batch, answered, strict=True):
-                stream.write(json.dumps(_entry(key, answer, each)) + "\n")
-            stream.flush()
+                write_entry(stream, _entry(key, answer, each))
     return len(unit.keys)
 
 
-_warm: set[str] = set()
-
-
-def _times(spec: MethodSpec, count: int) -> float:
-    """How many times the time limit a call may take: a program is started by its first."""
-    first = repr(spec) not in _warm
-    _warm.add(repr(spec))
-    return MANY_TIMES if first else min(float(count), MANY_TIMES)
-
-
 def _warm_up(tracker: Any, reference: Any, view: Query, spec: MethodSpec, keys: Sequence[PairKey]) -> None:
-    """Compilation and first allocations are not the method's speed: one call a process goes untimed."""
-    if repr(spec) in _warm or spec.target.startswith(SUBPROCESS):
+    """Make one untimed call in each process: compilation and first allocations are not the method's speed."""
+    if spec.target.startswith(SUBPROCESS) or not is_first_call(_TRACK, spec):
         return
-    _warm.add(repr(spec))
     with step("", tuple(keys), MANY_TIMES):
         ask(tracker, reference, [view])
 
@@ -179,13 +174,12 @@ def _entry(key: PairKey, answer: CheckedAnswer, seconds: float | None) -> dict[s
 
 
 def _write_broken(unit: Unit, key: PairKey, message: str) -> None:
-    """A pair that is lost, and how."""
-    with open_journal(unit.journal) as stream:
-        stream.write(json.dumps(_entry(key, broken(message), None)) + "\n")
+    """Write the entry of a lost pair."""
+    append_entry(unit.journal, _entry(key, error_answer(message), None))
 
 
 def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
-    """Journal, and earlier answers that were kept -> prediction file and table, in the pair set's order."""
+    """Turn the journal, and earlier answers that are kept, into prediction file and table, in the pair set's order."""
     entries = {entry["key"]: entry for entry in _kept_entries(folder, pair_set)}
     entries |= {entry["key"]: entry for entry in journal_entries(journal)}
     lines, answers = [], []
@@ -198,9 +192,7 @@ def _collect(pair_set: PairSet, folder: MethodResults, journal: Path) -> None:
         )
     write_text(folder.predictions(pair_set.name), "".join(lines))
     write_answers(folder.answers(pair_set.name), answers)
-    shutil.rmtree(journal)
-    if not any(journal.parent.iterdir()):
-        journal.parent.rmdir()
+    remove_journal(journal)
 
 
 def _open_pairs(folder: MethodResults, pair_set: PairSet, overwrite: Overwrite) -> list[PairKey]:
@@ -209,19 +201,19 @@ def _open_pairs(folder: MethodResults, pair_set: PairSet, overwrite: Overwrite) 
     if overwrite == "failed" and done:
         answers = read_answers(folder.answers(pair_set.name))
         done = {key for key in done if answers[key].status == "ok"}
-    done |= {entry["key"] for entry in journal_entries(folder.journal(pair_set.name))}
+    done |= answered_keys(folder.journal(pair_set.name))
     return [p.key for p in pair_set.pairs if p.key not in done]
 
 
 def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str, Any]]:
-    """Answers of a pair set that was completed before, as journal entries."""
+    """The answers of a complete pair set, as journal entries."""
     from relocbench.evaluation.tracking.score import read_predictions
 
     if not folder.complete(pair_set.name):
         return
     path = folder.predictions(pair_set.name)
     read_predictions(path, pair_set)
-    # The numbers as they stand: what is kept is written again to the same bytes.
+    # The numbers as they are in the file, so that writing them again gives the same bytes.
     poses = {
         (int(fields[0]), int(fields[1])): parse_pose_numbers(fields[2:], path, number, PredictionError)
         for number, fields in read_rows(path, "predictions", PredictionError)
@@ -241,14 +233,14 @@ def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str
 
 
 def new_record(dataset: Dataset, spec: MethodSpec, workers: int, seed: int) -> RunRecord:
-    """What a run that begins now would say of itself."""
+    """The record of a run that begins now."""
     return RunRecord(
         dataset=dataset.name, fingerprint=dataset.fingerprint, question=dataset.question, **made_by(spec, workers, seed)
     )
 
 
 def made_by(spec: MethodSpec, workers: int, seed: int) -> dict[str, Any]:
-    """What a record of a run says of method and machine; it begins now."""
+    """The fields of a run's record that describe the method and the machine; the run begins now."""
     return {
         "method": spec.label,
         "target": spec.target,
@@ -263,10 +255,10 @@ def made_by(spec: MethodSpec, workers: int, seed: int) -> dict[str, Any]:
 
 
 def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool) -> None:
-    """Answers of two configurations never share a folder. Raises PredictionError."""
+    """Raise PredictionError if the folder holds answers of another configuration, which must never be mixed."""
     if not folder.run_yaml.exists():
         return
-    if not _has_answers(folder):  # a run that broke off before its first answer decides nothing
+    if not _has_answers(folder):  # the record of a run that stopped before its first answer does not matter
         folder.run_yaml.unlink()
         return
     before = folder.run_record()
@@ -294,7 +286,7 @@ def refuse_mixture(folder: MethodResults, record: RunRecord, *, work_left: bool)
             if before.versions.get(k) != v
         ]
     if changed:
-        raise PredictionError(f"holds predictions made otherwise ({'; '.join(changed)}); {way_out}", folder.run_yaml)
+        raise PredictionError(f"holds predictions made differently ({'; '.join(changed)}); {way_out}", folder.run_yaml)
 
 
 def _has_answers(folder: MethodResults) -> bool:
@@ -307,14 +299,14 @@ def _clear(folder: MethodResults, pair_sets: Sequence[PairSet]) -> None:
             path(pair_set.name).unlink(missing_ok=True)
         for journal in (folder.journal, folder.matching_journal):
             shutil.rmtree(journal(pair_set.name), ignore_errors=True)
-    # Other pair sets that stay keep their record: a mixture is then refused below.
+    # Pair sets that stay keep their record, so that a mixture is refused later.
     if folder.root.is_dir() and not any(folder.root.glob("*__*__*.txt")):
         folder.run_yaml.unlink(missing_ok=True)
         remove_parts(folder.root)
 
 
 def machine() -> dict[str, Any]:
-    """The machine that seconds are measured on."""
+    """A description of the machine that seconds are measured on."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -324,5 +316,5 @@ def machine() -> dict[str, Any]:
 
 
 def now() -> str:
-    """As records have it: UTC, to a second."""
+    """The current time as records have it: UTC, to the second."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")

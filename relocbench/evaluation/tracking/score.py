@@ -1,4 +1,4 @@
-"""Phase two: what the metrics make of predictions. Needs the ground truth and nothing of the method."""
+"""Phase two: scoring predictions against the ground truth, without the method."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from relocbench import version
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.datasets.core.pairfile import Pair, PairKey, distances_and_angles, read_pose_lines
+from relocbench.datasets.core.pairfile import PairKey, distances_and_angles, read_pose_lines
 from relocbench.errors import PredictionError
+from relocbench.evaluation.common.error_table import ErrorTable, PairErrors, groups_in, write_errors
 from relocbench.evaluation.common.matching_table import (
     ALL,
     MatchingRow,
@@ -25,13 +26,10 @@ from relocbench.evaluation.common.matching_table import (
 )
 from relocbench.evaluation.common.results import (
     Answer,
-    ErrorTable,
     MethodResults,
-    PairErrors,
     ScoreRecord,
-    groups_in,
+    check_made_for,
     read_answers,
-    write_errors,
     write_record,
 )
 from relocbench.files import plain_file, remove_parts
@@ -41,10 +39,10 @@ Array = NDArray[np.float64]
 
 
 def read_predictions(path: Path, pair_set: PairSet) -> dict[PairKey, Array]:
-    """Poses of a prediction file by pair; a pose that is not finite is no pose.
+    """Read the poses of a prediction file, by pair; a pose that is not finite counts as no pose.
 
     Raises:
-        PredictionError: with file and line: a line that cannot be read, an unknown pair, a pair that occurs twice.
+        PredictionError: with file and line: a line that cannot be read, an unknown pair, or a pair that occurs twice.
     """
     lines = read_pose_lines(path, PredictionError, allow_non_finite=True)
     align_predictions(
@@ -54,22 +52,15 @@ def read_predictions(path: Path, pair_set: PairSet) -> dict[PairKey, Array]:
 
 
 def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodResults) -> ScoreRecord:
-    """Score every complete pair set of a method; writes ``PAIRSET.errors.csv`` and ``scores.yaml``.
+    """Score every complete pair set of a method, and write ``PAIRSET.errors.csv`` and ``scores.yaml``.
 
-    ``scores.yaml`` also summarises matching quality where there is a ``PAIRSET.matching.csv``.
-
-    Pair sets without ground truth are passed over: their predictions can be exported, not scored.
+    ``scores.yaml`` also summarizes matching quality where there is a ``PAIRSET.matching.csv``. Pair sets without
+    ground truth are skipped: their predictions can be exported but not scored.
 
     Raises:
         PredictionError: the predictions are for another dataset, or a file is bad.
     """
-    record = folder.run_record()
-    if record.fingerprint != dataset.fingerprint:
-        raise PredictionError(
-            f"predictions are for {record.dataset}@{record.fingerprint[:12]}, "
-            f"the dataset is {dataset.name}@{dataset.fingerprint[:12]}",
-            folder.run_yaml,
-        )
+    check_made_for(folder.run_record(), dataset.name, dataset.fingerprint, folder.run_yaml)
     remove_parts(folder.root)
     before = folder.score_record() if folder.scores_yaml.exists() else None
     hashes = dict(before.predictions) if before else {}
@@ -81,7 +72,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
         rows = score_pair_set(pair_set, folder)
         write_errors(folder.errors(pair_set.name), rows)
         hashes[pair_set.name] = predictions_hash(folder, pair_set.name)
-        scores[pair_set.name] = {g: _plain(summarize_rows(rows, g)) for g in groups_of(rows)}
+        scores[pair_set.name] = {g: summarize_rows(rows, g).to_dict() for g in groups_of(rows)}
         if folder.matching(pair_set.name).exists():
             matching[pair_set.name] = matching_scores(pair_set, folder)
     known = {s for s in dataset.pair_set_names if folder.predictions(s).exists()}
@@ -95,8 +86,8 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
     return score_record
 
 
-def score_pair_set(pair_set: PairSet, folder: MethodResults) -> list[PairErrors]:
-    """Errors of every accepted pair, in the pair set's order. Raises PredictionError."""
+def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
+    """The errors of every accepted pair, in the pair set's order. Raises PredictionError."""
     poses = read_predictions(folder.predictions(pair_set.name), pair_set)
     path = folder.answers(pair_set.name)
     answers = read_answers(path) if path.exists() else {}
@@ -105,21 +96,35 @@ def score_pair_set(pair_set: PairSet, folder: MethodResults) -> list[PairErrors]
     T_pred = np.array([poses.get(p.key, np.full((4, 4), np.nan)) for p in pairs]).reshape(-1, 4, 4)
     T_gt = np.array([p.T_query_ref for p in pairs], dtype=np.float64).reshape(-1, 4, 4)
     errors = pose_errors(T_pred, T_gt, answered=[p.key in poses for p in pairs])
-    return [
-        _row(pair, answers.get(pair.key) or _unreported(pair, poses), *between, *values)
-        for pair, between, *values in zip(
-            pairs,
-            distances_and_angles(pairs),
-            errors.rotation_error_deg.tolist(),
-            errors.translation_error_m.tolist(),
-            errors.mlad_translation_error_m.tolist(),
-            strict=True,
+    values = zip(errors.rotation_error_deg, errors.translation_error_m, errors.mlad_translation_error_m, strict=True)
+    rows = []
+    for pair, (distance, angle), (rotation, translation, mlad) in zip(
+        pairs, distances_and_angles(pairs), values, strict=True
+    ):
+        # Predictions made elsewhere may come without a table.
+        answer = answers.get(pair.key) or Answer(pair.key, "failed")
+        status = "ok" if math.isfinite(translation) else "failed" if answer.status == "ok" else answer.status
+        rows.append(
+            PairErrors(
+                key=pair.key,
+                group=pair.group,
+                status=status,
+                rotation_error_deg=rotation,
+                translation_error_m=translation,
+                mlad_translation_error_m=mlad,
+                confidence=answer.confidence,
+                seconds=answer.seconds,
+                distance_m=distance,
+                angle_deg=angle,
+                sigma_translation_m=pair.sigma_translation_m,
+                sigma_rotation_deg=pair.sigma_rotation_deg,
+            )
         )
-    ]
+    return ErrorTable.of(rows)
 
 
 def matching_scores(pair_set: PairSet, folder: MethodResults) -> dict[str, Summary]:
-    """Matching quality of each group of a pair set. Raises PredictionError."""
+    """The matching quality of each group of a pair set. Raises PredictionError."""
     path = folder.matching(pair_set.name)
     rows = read_matching(path)
     check_complete(rows, [p.key for p in pair_set.pairs], path)
@@ -132,12 +137,12 @@ def summarize_rows(rows: Sequence[PairErrors], group: str = ALL) -> PairSetSumma
 
 
 def groups_of(rows: Sequence[PairErrors] | Sequence[MatchingRow]) -> list[str]:
-    """``all`` and the named groups, in order of appearance; a single group is the whole set and not repeated."""
+    """The groups of rows that are scored: ``all``, and the named groups in order of appearance if there are several."""
     return groups_in(rows.group_names if isinstance(rows, ErrorTable) else list(dict.fromkeys(r.group for r in rows)))
 
 
 def predictions_hash(folder: MethodResults, pair_set: str) -> str:
-    """SHA-256 over what was scored: a score whose predictions changed since is stale."""
+    """The SHA-256 of predictions and table, by which stale scores are recognized."""
     digest = hashlib.sha256()
     _add_file(digest, folder.predictions(pair_set))
     digest.update(b"\n")
@@ -148,43 +153,7 @@ def predictions_hash(folder: MethodResults, pair_set: str) -> str:
 
 
 def _add_file(digest: hashlib._Hash, path: Path) -> None:
-    """A block at a time: a file may be large."""
+    """Add a file in blocks, since it may be large."""
     with plain_file(path, "a table of answers", PredictionError).open("rb") as stream:
         while block := stream.read(2**20):
             digest.update(block)
-
-
-def _row(
-    pair: Pair,
-    answer: Answer,
-    distance_m: float | None,
-    angle_deg: float | None,
-    rotation: float,
-    translation: float,
-    mlad: float,
-) -> PairErrors:
-    answered = math.isfinite(translation)
-    status = answer.status if answered or answer.status != "ok" else "failed"
-    return PairErrors(
-        key=pair.key,
-        group=pair.group,
-        status=status if not answered else "ok",
-        rotation_error_deg=rotation,
-        translation_error_m=translation,
-        mlad_translation_error_m=mlad,
-        confidence=answer.confidence,
-        seconds=answer.seconds,
-        distance_m=distance_m,
-        angle_deg=angle_deg,
-        sigma_translation_m=pair.sigma_translation_m,
-        sigma_rotation_deg=pair.sigma_rotation_deg,
-    )
-
-
-def _unreported(pair: Pair, poses: dict[PairKey, Array]) -> Answer:
-    """A pair of predictions made elsewhere, which come without a table."""
-    return Answer(pair.key, "ok" if pair.key in poses else "failed")
-
-
-def _plain(summary: PairSetSummary) -> dict[str, float | int | None]:
-    return summary.to_dict()

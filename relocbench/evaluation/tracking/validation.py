@@ -1,4 +1,4 @@
-"""Every fault of predictions and results, with file and line."""
+"""Checking predictions and results for every fault, with file and line."""
 
 from __future__ import annotations
 
@@ -11,33 +11,34 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.errors import PredictionError
+from relocbench.evaluation.common.error_table import ERROR_COLUMNS
 from relocbench.evaluation.common.matching_table import read_matching
 from relocbench.evaluation.common.results import (
     ANSWER_COLUMNS,
-    ERROR_COLUMNS,
-    STATUSES,
+    PREDICTIONS,
     DatasetRecord,
     MethodResults,
     RunRecord,
     ScoreRecord,
 )
+from relocbench.evaluation.common.tables import KEY_COLUMNS, TableRow
 from relocbench.evaluation.tracking.score import predictions_hash
-from relocbench.files import parse_floats, parse_timestamp, read_csv, read_journal
+from relocbench.files import read_csv, read_journal
 from relocbench.progress import Reporter
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """What predictions are held against."""
+class _Expected:
+    """The pairs that predictions should answer."""
 
     record: DatasetRecord | None
-    """what the results folder says of its dataset"""
+    """the results folder's record of its dataset"""
     dataset: Dataset | None
     """the dataset itself, where it is at hand"""
 
     @property
     def pair_sets(self) -> dict[str, int] | None:
-        """Pair set -> number of pairs; None where nobody says."""
+        """Pair set -> number of pairs; None where neither the dataset nor a record of it is known."""
         if self.dataset is not None:
             return {s.name: len(s.pairs) for s in self.dataset.pair_sets()}
         return None if self.record is None else {n: p.pairs for n, p in self.record.pair_sets.items()}
@@ -50,16 +51,16 @@ class _Asked:
 
 
 def is_results_folder(path: Path) -> bool:
-    """Whether a folder holds what ``relocbench evaluate`` writes, of several datasets, of one, or of one method."""
+    """Whether a folder has the layout of ``relocbench evaluate``, for several datasets, for one, or for one method."""
     if any((path / name).exists() for name in ("run.yaml", "dataset.yaml", "scores.yaml")):
         return True
     return any(path.glob("*@*/dataset.yaml")) or any(path.glob("*@*/*/run.yaml"))
 
 
 def validate_results(root: Path, dataset: Dataset | None, reporter: Reporter) -> Findings:
-    """Check a results folder, one ``DATASET@FINGERPRINT`` of it, or one method's folder.
+    """Check a results folder, one ``DATASET@FINGERPRINT`` folder of it, or one method's folder.
 
-    Predictions are held against ``dataset`` where it is given: another dataset's results in the folder are noted and
+    Predictions are compared with ``dataset`` if it is given; another dataset's results in the folder are noted and
     checked on their own.
     """
     found = Findings()
@@ -80,16 +81,16 @@ def validate_results(root: Path, dataset: Dataset | None, reporter: Reporter) ->
             if dataset is not None and len(folders) > 1 and record and record.fingerprint != dataset.fingerprint:
                 found.note(f"is of another dataset than {dataset.root}", folder.root)
                 theirs = None
-            _check_method(folder, _Asked(record, theirs), found)
+            _check_method(folder, _Expected(record, theirs), found)
             advance(1)
     return found
 
 
 def validate_prediction_files(path: Path, dataset: Dataset | None) -> Findings:
-    """Check one pair or prediction file, or a folder of them; without a dataset, what a file says by itself."""
+    """Check one pair or prediction file, or a folder of them; without a dataset, each file by itself."""
     found = Findings()
     files = sorted(path.glob("*.txt")) if path.is_dir() else [path]
-    asked = _Asked(None, dataset)
+    asked = _Expected(None, dataset)
     for file in files:
         lines = read_pair_lines(file, found, PredictionError)
         _check_keys(file, file.stem, lines, asked, found)
@@ -101,11 +102,11 @@ def validate_prediction_files(path: Path, dataset: Dataset | None) -> Findings:
 def _dataset_record(top: Path, found: Findings) -> DatasetRecord | None:
     record = read_yaml(top / "dataset.yaml", DatasetRecord, "the record of a dataset", found)
     if record is not None and top.name != f"{record.name}@{record.fingerprint[:SHORT]}":
-        found.note(f"is named otherwise than its dataset, {record.name}@{record.fingerprint[:SHORT]}", top)
+        found.note(f"has another name than its dataset, {record.name}@{record.fingerprint[:SHORT]}", top)
     return record
 
 
-def _check_method(folder: MethodResults, asked: _Asked, found: Findings) -> None:
+def _check_method(folder: MethodResults, asked: _Expected, found: Findings) -> None:
     run = read_yaml(folder.run_yaml, RunRecord, "the record of a run", found)
     if run is not None and asked.fingerprint is not None and run.fingerprint != asked.fingerprint:
         found.fault(
@@ -126,8 +127,8 @@ def _check_method(folder: MethodResults, asked: _Asked, found: Findings) -> None
     _check_scores(folder, present - running, asked, found)
 
 
-def _check_pair_set(folder: MethodResults, name: str, asked: _Asked, found: Findings) -> None:
-    """The prediction file and the table of answers, by themselves and against each other."""
+def _check_pair_set(folder: MethodResults, name: str, asked: _Expected, found: Findings) -> None:
+    """Check the prediction file and the table of answers, each by itself and against each other."""
     predictions, table = folder.predictions(name), folder.answers(name)
     lines = read_pair_lines(predictions, found, PredictionError)
     _check_keys(predictions, name, lines, asked, found)
@@ -145,8 +146,8 @@ def _check_pair_set(folder: MethodResults, name: str, asked: _Asked, found: Find
             found.fault(f"pair {key[0]} {key[1]} is missing from {table.name}", predictions, line.line)
 
 
-def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], asked: _Asked, found: Findings) -> None:
-    """Whether the pair set is there, and every line answers one of its pairs."""
+def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], asked: _Expected, found: Findings) -> None:
+    """Check that the pair set exists, and that every line answers one of its pairs."""
     pair_sets = asked.pair_sets
     if pair_sets is None:
         return
@@ -165,26 +166,24 @@ def _check_keys(path: Path, name: str, lines: dict[PairKey, PoseLine], asked: _A
 
 
 def _read_answers(path: Path, found: Findings) -> dict[PairKey, tuple[str, int]]:
-    """Status and line of each pair in ``PAIRSET.csv``."""
+    """Read the status and line number of each pair in ``PAIRSET.csv``."""
     out: dict[PairKey, tuple[str, int]] = {}
-    for number, field in _table(path, ANSWER_COLUMNS, found):
+    for row in _rows(path, ANSWER_COLUMNS, found):
         with found.catching():
-            ref, query = (parse_timestamp(field[c], path, number, PredictionError) for c in ANSWER_COLUMNS[:2])
-            if (ref, query) in out:
-                raise PredictionError(
-                    f"pair {ref} {query} occurs again (first on line {out[ref, query][1]})", path, number
-                )
-            out[ref, query] = field["status"], number
-            if field["status"] not in STATUSES:
-                found.fault(f"status is '{field['status']}', expected {', '.join(STATUSES)}", path, number)
+            key = row.key()
+            if key in out:
+                raise row.fault(f"pair {key[0]} {key[1]} occurs again (first on line {out[key][1]})")
+            out[key] = row["status"], row.line
+            with found.catching():
+                row.status()
             for name in ("seconds", "confidence"):
-                if field[name]:
-                    with found.catching():
-                        parse_floats([field[name]], path, number, name, PredictionError)
+                with found.catching():
+                    row.number_or_none(name)
     return out
 
 
-def _table(path: Path, columns: tuple[str, ...], found: Findings) -> list[tuple[int, dict[str, str]]]:
+def _rows(path: Path, columns: tuple[str, ...], found: Findings) -> list[TableRow]:
+    """The rows of a table that have as many fields as columns; the other rows are faults."""
     out = []
     with found.catching():
         rows = read_csv(path, f"a table ({','.join(columns)})", PredictionError)
@@ -194,14 +193,19 @@ def _table(path: Path, columns: tuple[str, ...], found: Findings) -> list[tuple[
             if len(row) != len(columns):
                 found.fault(f"expected {len(columns)} columns, found {len(row)}", path, number)
             else:
-                out.append((number, dict(zip(columns, row, strict=True))))
+                out.append(TableRow(path, number, dict(zip(columns, row, strict=True))))
     return out
 
 
 def _note_unfinished(
-    folder: MethodResults, run: RunRecord | None, running: set[str], present: set[str], asked: _Asked, found: Findings
+    folder: MethodResults,
+    run: RunRecord | None,
+    running: set[str],
+    present: set[str],
+    asked: _Expected,
+    found: Findings,
 ) -> None:
-    """A run that was killed is not broken: say what is there and how it goes on."""
+    """Note what an unfinished run has done and how to resume it; that is no fault."""
     pair_sets = asked.pair_sets or {}
     for name in sorted(running):
         journal = folder.journal(name)
@@ -212,14 +216,12 @@ def _note_unfinished(
         )
     missing = sorted(pair_sets.keys() - present - running)
     if missing and run is not None:
-        state = (
-            "has no answers for" if run.end or run.target.startswith("predictions:") else "unfinished: not begun with"
-        )
+        state = "has no answers for" if run.end or run.target.startswith(PREDICTIONS) else "unfinished: not begun with"
         found.note(f"{state} {', '.join(missing)}{_resume(folder, run, asked)}", folder.root)
 
 
-def _resume(folder: MethodResults, run: RunRecord | None, asked: _Asked) -> str:
-    if run is None or run.target.startswith("predictions:"):
+def _resume(folder: MethodResults, run: RunRecord | None, asked: _Expected) -> str:
+    if run is None or run.target.startswith(PREDICTIONS):
         return ""
     dataset = str(asked.dataset.root) if asked.dataset is not None else run.dataset.upper()
     words = ["relocbench", "evaluate", "-d", dataset, "-m"]
@@ -231,8 +233,8 @@ def _resume(folder: MethodResults, run: RunRecord | None, asked: _Asked) -> str:
     return f"; to go on: {shlex.join(words)}"
 
 
-def _check_scores(folder: MethodResults, complete: set[str], asked: _Asked, found: Findings) -> None:
-    """Scores must be of the predictions that lie beside them."""
+def _check_scores(folder: MethodResults, complete: set[str], asked: _Expected, found: Findings) -> None:
+    """Check that scores belong to the predictions beside them."""
     if not folder.scores_yaml.exists():
         if complete:
             found.note("not scored yet: `relocbench evaluate` scores it", folder.root)
@@ -260,13 +262,12 @@ def _check_scores(folder: MethodResults, complete: set[str], asked: _Asked, foun
 
 
 def _check_errors(path: Path, found: Findings) -> None:
-    for number, field in _table(path, ERROR_COLUMNS, found):
-        for name in ERROR_COLUMNS[:2]:
+    for row in _rows(path, ERROR_COLUMNS, found):
+        for name in (*KEY_COLUMNS, *ERROR_COLUMNS[4:]):
             with found.catching():
-                parse_timestamp(field[name], path, number, PredictionError)
-        for name in ERROR_COLUMNS[4:]:
-            if field[name] == "inf" and name in ERROR_COLUMNS[4:7]:
-                continue
-            if field[name] or name in ERROR_COLUMNS[4:7]:
-                with found.catching():
-                    parse_floats([field[name]], path, number, name, PredictionError)
+                if name in KEY_COLUMNS:
+                    row.timestamp(name)
+                elif "_error_" in name:
+                    row.error(name)
+                else:
+                    row.number_or_none(name)

@@ -1,8 +1,8 @@
-"""What a page says where methods answered on several copies of one question."""
+"""Words for a page on methods that answered on several copies of one question."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import Protocol
 
 from relocbench.datasets.core.fingerprint import SHORT
@@ -11,7 +11,7 @@ from relocbench.leaderboard.common.text import code
 
 
 class Answered(Protocol):
-    """A method on one dataset."""
+    """A method with its results on one dataset."""
 
     @property
     def label(self) -> str: ...
@@ -20,16 +20,21 @@ class Answered(Protocol):
     def run(self) -> RunRecord: ...
 
 
+def distinct_label(label: str, known: Container[str], fingerprint: str) -> str:
+    """The label, or where another copy has the same one, the label with the fingerprint of its copy."""
+    return f"{label}@{fingerprint[:SHORT]}" if label in known else label
+
+
 def question_words(question: str) -> str:
-    """To stand behind a fingerprint; empty where results do not tell the question."""
+    """The question, to follow a fingerprint; empty where results do not record it."""
     return f", question {code(question[:SHORT])}" if question else ""
 
 
 def copies_words(methods: Sequence[Answered], copies: Sequence[str]) -> str:
-    """Which methods answered on which other copy; empty where there is none.
+    """A sentence on which methods answered on which other copy; empty where there is none.
 
     Args:
-        copies: fingerprints of copies other than the first.
+        copies: fingerprints of the copies other than the first.
     """
     parts = []
     for copy in copies:

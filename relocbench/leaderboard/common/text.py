@@ -1,33 +1,33 @@
-"""Numbers, Markdown and table cells as people read them.
+"""Formatting numbers, Markdown and table cells.
 
-Names, messages and parameters come from whoever made the results. In Markdown all of them go through :func:`escaped`,
-:func:`code` or :func:`fenced`, in tables for spreadsheets through :func:`cell`: what they hold is shown, and nothing of
-it acts.
+Names, messages and parameters come from whoever made the results. In Markdown all of them pass through :func:`escaped`,
+:func:`code` or :func:`fenced`, in tables for spreadsheets through :func:`cell`, so that they are shown as text and
+cannot act as markup or formulas.
 """
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from relocbench.files import atomic_write
+from relocbench.evaluation.common.tables import write_rows
+from relocbench.metrics import Interval
 
 Value = str | int | float | None
 _DIGITS = {"m": 3, "deg": 3, "s": 3}
 _FORMULA = re.compile(r"[\s'\"\x00-\x20]*[=+\-@＝＋－＠]|[\t\r\n]")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _STARTS_BLOCK = re.compile(r"(#{1,6}|[+-])(?= |$)|(- ?){2,}$|=+$|~~~|[0-9]{1,9}[.)](?= |$)")
-"""of a line that would be a heading, a list, a rule or code"""
+"""the beginning of a line that Markdown would take for a heading, a list, a rule or code"""
 _DEEPEST = 20
 
 
 def number(value: float | None, unit: str) -> str:
-    """A value in its unit without the unit's name; shares in percent, empty where there is none."""
+    """A value in its unit, without the unit's name; shares in percent, empty for None."""
     if value is None:
         return ""
     if math.isinf(value):
@@ -35,8 +35,16 @@ def number(value: float | None, unit: str) -> str:
     return f"{100 * value:.1f}" if unit == "share" else f"{value:.{_DIGITS[unit]}f}"
 
 
+def with_bounds(value: float | None, interval: Interval | None, unit: str) -> str:
+    """A value with its interval, as ``71.4 [65.0, 77.9]``; empty without a value."""
+    if value is None:
+        return ""
+    bounds = "" if interval is None else f" [{number(interval.low, unit)}, {number(interval.high, unit)}]"
+    return number(value, unit) + bounds
+
+
 def escaped(text: str) -> str:
-    """Text that Markdown shows as it is, in a table too and at the beginning of a line."""
+    """Text that Markdown shows literally, also in a table and at the beginning of a line."""
     plain = _one_line(text)
     for special in "\\`*_|<>[]":
         plain = plain.replace(special, f"\\{special}")
@@ -48,10 +56,10 @@ def escaped(text: str) -> str:
 
 
 def code(text: str) -> str:
-    """Text between backticks, more of them than it holds itself, in a table too."""
+    """Text as inline code in Markdown, also in a table; it is delimited by more backticks than it contains."""
     plain = _one_line(text)
     if "\\|" in plain or not plain:
-        # Markdown dialects differ on which of the two a backslash before the bar of a table escapes.
+        # Markdown dialects differ on which of the two a backslash before a table's bar escapes.
         return f"<code>{''.join(c if c.isalnum() or c == ' ' else f'&#{ord(c)};' for c in plain)}</code>"
     plain = plain.replace("|", "\\|")
     ticks = "`" * (_longest_run(plain) + 1)
@@ -60,27 +68,27 @@ def code(text: str) -> str:
 
 
 def fenced(lines: Sequence[str], language: str = "sh") -> str:
-    """Lines as they are; the fence is longer than any run of backticks among them."""
+    """Lines as a fenced code block; the fence is longer than any run of backticks in them."""
     fence = "`" * max(3, *(_longest_run(line) + 1 for line in lines), 3)
     return "\n".join([f"{fence}{language}", *lines, fence])
 
 
 def bullet(head: str, lines: Sequence[str]) -> str:
-    """A sentence and a list; empty without lines."""
+    """A sentence followed by a list; empty without lines."""
     return "\n".join([head, "", *(f"- {line}" for line in lines)]) if lines else ""
 
 
 def table_text(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int) -> str:
-    """A Markdown table whose first ``left`` columns are aligned left, the others right."""
+    """A Markdown table with its first ``left`` columns aligned left and the others right."""
     rule = [":--" if i < left else "--:" for i in range(len(columns))]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in [columns, rule, *rows])
 
 
 def cell(value: Value) -> Value:
-    """A value of a table for spreadsheets: floats in full, blank without one, and text that none takes for a formula.
+    """A value for a table for spreadsheets: floats with all digits, blank for None, and text that is never a formula.
 
-    Text that begins with ``= + - @`` (behind blanks or quotes too), or with a tab or line end, gets a ``'`` in front,
-    which spreadsheets take for "this is text". Numbers stay numbers.
+    Text that begins with ``= + - @`` (also after blanks or quotes), or with a tab or line end, is prefixed by ``'``,
+    by which spreadsheets mark text. Numbers stay numbers.
     """
     if value is None:
         return ""
@@ -91,14 +99,14 @@ def cell(value: Value) -> Value:
     return value
 
 
-def write_table(path: Path, rows: Iterable[Sequence[Value]]) -> None:
-    """A CSV file of :func:`cell` values, whole or not at all."""
-    with atomic_write(path) as stream:
-        csv.writer(stream, lineterminator="\n").writerows(list(map(cell, row)) for row in rows)
+def write_records(path: Path, records: Sequence[Mapping[str, Value]]) -> None:
+    """Write records of equal keys as a CSV table of :func:`cell` values; a file without records is empty."""
+    header = [list(records[0])] if records else []
+    write_rows(path, (map(cell, row) for row in [*header, *(record.values() for record in records)]))
 
 
 def json_text(value: object, *, sort_keys: bool = False, ascii_only: bool = False) -> str:
-    """A value out of a YAML file as JSON; what JSON does not know, as a date, stands as text."""
+    """A value from a YAML file as JSON; types that JSON lacks, such as dates, become strings."""
     return json.dumps(_plain(value, _DEEPEST), sort_keys=sort_keys, ensure_ascii=ascii_only)
 
 
@@ -106,7 +114,7 @@ def _plain(value: Any, deepest: int) -> Any:
     if value is None or isinstance(value, str | bool | float):
         return value
     if isinstance(value, int):
-        return value if value.bit_length() < 256 else hex(value)  # decimal digits of a huge one take minutes
+        return value if value.bit_length() < 256 else hex(value)  # decimal digits of a huge integer take minutes
     if isinstance(value, Mapping | list | tuple) and deepest == 0:
         return "..."
     if isinstance(value, Mapping):
@@ -117,7 +125,7 @@ def _plain(value: Any, deepest: int) -> Any:
 
 
 def _one_line(text: str) -> str:
-    """Blanks as single spaces; control characters, which a terminal or a reader would act on, as U+FFFD."""
+    """Text with white space as single spaces, and with control characters replaced by U+FFFD."""
     return "".join(c if c.isprintable() else "\ufffd" for c in " ".join(text.split()))
 
 

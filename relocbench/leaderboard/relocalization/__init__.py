@@ -1,1 +1,1 @@
-"""relocalization."""
+"""The leaderboard of chains: board, page and files."""

@@ -1,4 +1,4 @@
-"""Chains of a retriever and a tracker compared: on each task, on conditions, and who shares a place."""
+"""Comparing chains of a retriever and a tracker: on each task, by conditions, and with shared ranks."""
 
 from __future__ import annotations
 
@@ -29,12 +29,11 @@ from relocbench.evaluation.relocalization.score import (
     RANKING,
     basin_recall,
     per_query,
-    table_hash,
 )
-from relocbench.evaluation.retrieval.score import generator
-from relocbench.leaderboard.common.intake import check_file_names, check_folder
+from relocbench.files import sha256_file
+from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder, check_same_queries
 from relocbench.leaderboard.retrieval.board import holds_tracking
-from relocbench.metrics import Interval, bootstrap_interval, rank_with_ties
+from relocbench.metrics import Interval, bootstrap_interval, generator, rank_with_ties
 
 Array = NDArray[np.float64]
 SHARES = (basin_recall(1), HIT, "right_and_hit", "right_without_hit", "right_among_K", *FAILURES)
@@ -43,13 +42,13 @@ WITH_INTERVAL = (RANKING, "recall@(1m,5deg)", HIT)
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """One chain on one set."""
+    """The results of one chain on one set."""
 
     label: str
     run: ChainRun
     basins: Mapping[str, ChainBasin]
     answers: Mapping[str, Sequence[ChainAnswer]]
-    """by task; a task without results is absent"""
+    """by task; tasks without results are absent"""
 
     @property
     def knows_truth(self) -> bool:
@@ -58,14 +57,14 @@ class Chain:
 
 @dataclass(frozen=True, eq=False)
 class ChainRow:
-    """One chain in a table; blank where a task is missing."""
+    """A row for one chain; it has no values if the chain misses a task."""
 
     chain: Chain
     values: Mapping[str, float | None]
-    """means over the tasks of means over queries; medians over all queries together"""
+    """means over the tasks of means over queries; medians are over all queries together"""
     intervals: Mapping[str, Interval | None]
     rank: int | None
-    """None where a task is missing, and for a chain that knows the truth"""
+    """None if a task is missing, and for a chain that uses the truth"""
     failed: int | None = None
     broke: int | None = None
     missing: tuple[str, ...] = ()
@@ -73,13 +72,13 @@ class ChainRow:
 
 @dataclass(frozen=True, eq=False)
 class ChainTable:
-    """A row for each chain, on one task or in the mean over several."""
+    """A row for each chain, on one task or for the mean over several tasks."""
 
     name: str
     tasks: tuple[str, ...]
     records: tuple[ChainTask, ...]
     rows: tuple[ChainRow, ...]
-    """best first, chains without a value last"""
+    """best first; chains without a value come last"""
 
     @property
     def queries(self) -> int:
@@ -110,16 +109,16 @@ class ChainBoard:
 
 
 def load_chains(results: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0) -> ChainBoard | None:
-    """Everything that chains left in a results folder; None where there is nothing of theirs to show.
+    """Load the results of all chains in a results folder; None where there is nothing of theirs to show.
 
     Args:
-        metric: ranks chains; a mean over queries.
-        split: only the tasks of this split; sets that have no such split are left out.
+        metric: the metric that ranks chains, a mean over queries.
+        split: only the tasks of this split; sets without such a split are left out.
         seed: of the bootstrap.
 
     Raises:
-        PredictionError: with file and line: a bad file, scores that are missing or stale.
-        ConfigError: a metric that chains do not have.
+        PredictionError: with file and line: a bad file, or scores that are missing or stale.
+        ConfigError: a metric that chains do not have, or a split that no set has.
     """
     if metric not in (*POSE_METRICS, *SHARES):
         raise ConfigError(f"chains cannot be ranked by '{metric}'; expected one of {', '.join(POSE_METRICS)}")
@@ -143,14 +142,19 @@ def _set(folder: ChainSetResults, metric: str, split: str | None, seed: int) -> 
     used = {n: r for n, r in tasks.items() if any(n in chain.answers for chain in chains)}
     if not used:
         return None
-    _check_same_queries(folder, chains)
+    tables_of_tasks = (
+        (task, c.label, [a.query_timestamp_ns for a in answers], ChainResults(folder.root / c.label).answers(task))
+        for c in chains
+        for task, answers in c.answers.items()
+    )
+    check_same_queries(tables_of_tasks, "queries")
     plans = {**_means(used), **{name: (name,) for name in used}}
     tables = tuple(_table(record, name, of, chains, metric, seed) for name, of in plans.items())
     return ChainSetBoard(record, chains, tables)
 
 
 def _means(tasks: Mapping[str, ChainTask]) -> dict[str, tuple[str, ...]]:
-    """Tables over several tasks: all, those across conditions, those within one, each pair of conditions."""
+    """The tables of means: over all tasks, across conditions, within conditions, and for each pair of conditions."""
     out = {"mean over all tasks": list(tasks), "mean across conditions": [], "mean within a condition": []}
     for name, record in tasks.items():
         same = record.condition_gallery == record.condition_query
@@ -178,23 +182,12 @@ def _chain(folder: ChainResults, asked: ChainSet, tasks: Mapping[str, ChainTask]
         again = "run `relocbench evaluate-relocalization` again to score"
         if scores is None or name not in scores.answers:
             raise PredictionError(f"is not scored; {again}", path)
-        if scores.answers[name] != table_hash(path):
+        if scores.answers[name] != sha256_file(path):
             raise PredictionError(f"changed since it was scored; {again}", path)
         answers[name] = read_chain(path)
         if len(answers[name]) != record.queries:
             raise PredictionError(f"{len(answers[name])} rows, expected one for each of {record.queries} queries", path)
     return Chain(folder.label, run, scores.basins if scores else {}, answers)
-
-
-def _check_same_queries(folder: ChainSetResults, chains: Sequence[Chain]) -> None:
-    first: dict[str, tuple[str, list[int]]] = {}
-    for chain in chains:
-        for task, answers in chain.answers.items():
-            asked = [a.query_timestamp_ns for a in answers]
-            label, expected = first.setdefault(task, (chain.label, asked))
-            if asked != expected:
-                path = folder.root / chain.label / f"{task}.csv"
-                raise PredictionError(f"holds other queries than the table of '{label}'", path)
 
 
 def _table(

@@ -1,4 +1,4 @@
-"""``relocalization.md``: what a sceptical reader wants to know about chains, in one page."""
+"""``relocalization.md``: what a sceptical reader wants to know about chains, on one page."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import math
 import shlex
 from collections.abc import Sequence
 
-from relocbench.evaluation.common.results import RunRecord
+from relocbench.evaluation.common.results import PREDICTIONS, RunRecord
 from relocbench.evaluation.relocalization.basin import SAID
 from relocbench.evaluation.relocalization.chain import RIGHT
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, ChainRun
 from relocbench.evaluation.relocalization.score import FAILURES, HIT, RANKING
-from relocbench.evaluation.retrieval.external import PREDICTIONS
-from relocbench.leaderboard.common.text import bullet, code, escaped, fenced, json_text, number, table_text
+from relocbench.leaderboard.common.commands import RESUMES, again_section, labelled_target, settings_of
+from relocbench.leaderboard.common.text import bullet, code, escaped, json_text, number, table_text, with_bounds
 from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, ChainRow, ChainSetBoard, ChainTable
 from relocbench.leaderboard.tracking.load import machine_words
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
@@ -38,10 +38,10 @@ def relocalization_page(board: ChainBoard) -> str:
 
 
 def evaluate_commands(chains: Sequence[Chain]) -> list[str]:
-    """Commands that run chains as they were run, and go on where they stopped: one for all that can share one."""
+    """The commands that run or resume chains, one for all chains that can share it."""
     groups: dict[tuple[object, ...], list[Chain]] = {}
     for chain in chains:
-        floor = chain.run.tracker == KEYFRAME  # comes with every command
+        floor = chain.run.tracker == KEYFRAME  # every command evaluates it
         tops = {c.run.top for c in chains if c.run.retriever == chain.run.retriever and c.run.tracker != KEYFRAME}
         if not floor or not tops:
             groups.setdefault((chain.run.top, *_basin_words(chain)), []).append(chain)
@@ -49,7 +49,7 @@ def evaluate_commands(chains: Sequence[Chain]) -> list[str]:
 
 
 def _commands(chains: Sequence[Chain]) -> list[str]:
-    """One if methods of one name are the same in all chains, one a chain otherwise."""
+    """One command if methods of the same name are the same in all chains, otherwise one for each chain."""
     halves: dict[str, RunRecord | None] = {}
     for chain in chains:
         for name, half in _halves(chain.run):
@@ -65,9 +65,9 @@ def _commands(chains: Sequence[Chain]) -> list[str]:
     ):
         for name in names:
             half = halves[name]
-            words += [option, name if half is None or half.target == name else f"{name}={half.target}"]
+            words += [option, name if half is None else labelled_target(name, half)]
             if half is not None and not half.target.startswith(PREDICTIONS):
-                settings += _settings(name, half)
+                settings += settings_of(name, half)
     words += [word for setting in settings for word in ("--set", setting)]
     words += ["--top", str(chains[0].run.top), *_basin_words(chains[0])]
     return [shlex.join([*words, "--seed", str(max(seeds))] if seeds else words)]
@@ -84,21 +84,13 @@ def _same(a: RunRecord | None, b: RunRecord | None) -> bool:
 
 
 def _basin_words(chain: Chain) -> list[str]:
-    """Options that say the basin."""
+    """The options that define the basin."""
     sources = {b.source for b in chain.basins.values()}
     if sources == {"given"}:
         basin = next(iter(chain.basins.values()))
         metres = ["--radius", f"{basin.metres:g}"] if math.isfinite(basin.metres) else []
         return [*metres, "--heading", f"{basin.degrees:g}"]
     return ["--probe", "PROBE"] if "probe" in sources else []
-
-
-def _settings(name: str, half: RunRecord) -> list[str]:
-    return [
-        f"{name}.{key}={value if isinstance(value, str) else json_text(value, ascii_only=True)}"
-        for key, value in half.parameters.items()
-        if key != "seed" or value != half.seed
-    ]
 
 
 def _how_to_read(board: ChainBoard) -> list[str]:
@@ -201,13 +193,11 @@ def _head(row: ChainRow) -> list[str]:
 
 
 def _cell(row: ChainRow, metric: str) -> str:
-    value, interval = row.values.get(metric), row.intervals.get(metric)
-    bounds = f" [{number(interval.low, 'share')}, {number(interval.high, 'share')}]" if interval else ""
-    return "" if value is None else number(value, "share") + bounds
+    return with_bounds(row.values.get(metric), row.intervals.get(metric), "share")
 
 
 def _basin(row: ChainRow, table: ChainTable) -> str:
-    """The same on all tasks, or in words."""
+    """The size of the basin if it is the same on all tasks, else its source in words."""
     basins = [row.chain.basins[task] for task in table.tasks if task in row.chain.basins]
     if not basins:
         return ""
@@ -255,12 +245,9 @@ def _methods(asked: ChainSetBoard) -> list[str]:
 
 
 def _again(board: ChainBoard) -> list[str]:
-    parts = ["## Again", "A run that was stopped goes on with the same command."]
-    for asked in board.sets:
-        commands = evaluate_commands(asked.chains)
-        parts.append(f"{escaped(asked.title)}:\n\n" + fenced(commands))
+    commands = [(asked.title, evaluate_commands(asked.chains)) for asked in board.sets]
     split = f" --split {shlex.quote(board.split)}" if board.split else ""
     page = (
         f"relocbench leaderboard RESULTS --out DIR --relocalization-metric '{board.metric}' --seed {board.seed}{split}"
     )
-    return [*parts, "This page:\n\n" + fenced([page])]
+    return again_section(RESUMES, commands, page)

@@ -1,4 +1,4 @@
-"""``relocalization.csv`` and ``relocalization.md``: the same results give the same bytes."""
+"""Writing ``relocalization.csv`` and ``relocalization.md``: the same results give the same bytes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from relocbench.evaluation.relocalization.score import POSE_METRICS, RANKING
 from relocbench.files import remove_parts, write_text
-from relocbench.leaderboard.common.text import Value, write_table
+from relocbench.leaderboard.common.text import Value, write_records
 from relocbench.leaderboard.relocalization.board import (
     SHARES,
     WITH_INTERVAL,
@@ -23,11 +23,11 @@ from relocbench.progress import Reporter
 def write_relocalization_leaderboard(
     results: Path, out: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0, reporter: Reporter
 ) -> ChainBoard | None:
-    """Compare chains and write both files; None where a results folder has nothing of theirs.
+    """Compare chains and write both files; None where a results folder has no chains to show.
 
     Raises:
-        PredictionError: a bad file, scores that are missing or stale.
-        ConfigError: unknown metric.
+        PredictionError: a bad file, or scores that are missing or stale.
+        ConfigError: an unknown metric or split.
     """
     board = load_chains(results, metric=metric, split=split, seed=seed)
     if board is None:
@@ -36,15 +36,14 @@ def write_relocalization_leaderboard(
         for chain in asked.chains:
             for name in (t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in chain.answers):
                 reporter.note(f"{asked.title}: {chain.label} has no result on {name}")
-    rows = chain_rows(board)
     remove_parts(out, deep=False)
-    write_table(out / "relocalization.csv", [list(rows[0]), *(list(row.values()) for row in rows)] if rows else [])
+    write_records(out / "relocalization.csv", chain_rows(board))
     write_text(out / "relocalization.md", relocalization_page(board))
     return board
 
 
 def chain_rows(board: ChainBoard) -> list[dict[str, Value]]:
-    """Rows of ``relocalization.csv``: shares 0..1, metres, degrees, seconds; None where there is no value."""
+    """The rows of ``relocalization.csv``: shares 0..1, metres, degrees, seconds; None where there is no value."""
     return [_row(board, asked, t, row) for asked in board.sets for t in asked.tables for row in t.rows]
 
 

@@ -1,1 +1,1 @@
-"""retrieval."""
+"""The leaderboard of retrievers: board, page and files."""

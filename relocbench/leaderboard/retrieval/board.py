@@ -1,17 +1,17 @@
-"""Retrievers compared: what each scored on each task, on views and on conditions, and who shares a place."""
+"""Comparing retrievers: their scores on each task, by views and by conditions, and with shared ranks."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.retrieval.answers import QueryAnswer, answers_hash
+from relocbench.evaluation.common.results import folders_with
+from relocbench.evaluation.retrieval.answers import QueryAnswer
 from relocbench.evaluation.retrieval.records import (
     METRICS,
     SET_FILE,
@@ -22,9 +22,11 @@ from relocbench.evaluation.retrieval.records import (
     TaskRecord,
     all_sets,
 )
-from relocbench.evaluation.retrieval.score import checked_answers, generator, resampled, scores_of
-from relocbench.leaderboard.common.intake import check_file_names, check_folder
-from relocbench.metrics import Interval, bootstrap_interval, rank_with_ties, single_positive_fault
+from relocbench.evaluation.retrieval.score import checked_answers, resampled, scores_of
+from relocbench.files import sha256_file
+from relocbench.leaderboard.common.copies import distinct_label
+from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder, check_same_queries
+from relocbench.metrics import Interval, bootstrap_interval, generator, rank_with_ties, single_positive_fault
 
 Array = NDArray[np.float64]
 RANKING = "R@1"
@@ -34,21 +36,21 @@ _AGAIN = "run `relocbench evaluate-retrieval` again to score"
 
 @dataclass(frozen=True, eq=False)
 class Retriever:
-    """One method on one set."""
+    """The results of one method on one set."""
 
     label: str
     run: RetrievalRun
     answers: Mapping[str, Sequence[QueryAnswer]]
-    """by task; a task without results is absent"""
+    """by task; tasks without results are absent"""
 
     def per_query(self, task: str, record: TaskRecord, metric: str) -> Array:
-        """(Q,) values of a metric."""
+        """(Q,) the values of a metric on a task."""
         return scores_of(self.answers[task], record).per_query(metric)
 
 
 @dataclass(frozen=True, eq=False)
 class RetrievalRow:
-    """One method in a table; blank where a task is missing."""
+    """A row for one method; it has no values if the method misses a task."""
 
     method: Retriever
     values: Mapping[str, float | None]
@@ -57,19 +59,19 @@ class RetrievalRow:
     failed: int | None = None
     broke: int | None = None
     seconds: float | None = None
-    """a query, median"""
+    """median over the queries"""
     missing: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class RetrievalTable:
-    """A row for each method, on one task or in the mean over several."""
+    """A row for each method, on one task or for the mean over several tasks."""
 
     name: str
     tasks: tuple[str, ...]
     records: tuple[TaskRecord, ...]
     rows: tuple[RetrievalRow, ...]
-    """best first, methods without a value last"""
+    """best first; methods without a value come last"""
     chance: Mapping[str, float]
 
     @property
@@ -82,7 +84,7 @@ class RetrievalTable:
 
     @property
     def single_positive(self) -> bool:
-        """Whether each query has exactly one right answer, so that R@1 bounds AP."""
+        """Whether each query has exactly one positive, so that R@1 bounds AP."""
         return all(r.single_positive for r in self.records)
 
 
@@ -117,16 +119,16 @@ class RetrievalBoard:
 def load_retrieval(
     results: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0
 ) -> RetrievalBoard | None:
-    """Everything that retrievers left in a results folder; None where there is nothing of theirs to show.
+    """Load the results of all retrievers in a results folder; None where there is nothing of theirs to show.
 
     Args:
-        metric: ranks methods.
-        split: only the tasks of this split; sets that have no such split are left out.
-        seed: of the bootstrap. Each number has a generator of its own, so it does not depend on what else is there.
+        metric: the metric that ranks methods.
+        split: only the tasks of this split; sets without such a split are left out.
+        seed: of the bootstrap. Each number has a generator of its own and does not depend on what else is there.
 
     Raises:
-        PredictionError: with file and line: a bad file, scores that are missing or stale.
-        ConfigError: unknown metric, or no set has that split.
+        PredictionError: with file and line: a bad file, or scores that are missing or stale.
+        ConfigError: an unknown metric, or a split that no set has.
     """
     if metric not in METRICS:
         raise ConfigError(f"retrievers cannot be ranked by '{metric}'; expected one of {', '.join(METRICS)}")
@@ -138,22 +140,22 @@ def load_retrieval(
         check_file_names(folder.record.tasks, "the task", folder.root / SET_FILE)
     chosen = found if split is None else [s for s in found if split in s.record.splits]
     if not chosen and holds_tracking(results):
-        return None  # the split is of those datasets
+        return None  # the split is one of the trackers' datasets
     if not chosen:
         known = sorted({name for s in found for name in s.record.splits})
         raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    return RetrievalBoard(tuple(_set(s, metric, split, seed) for s in _copies(chosen)), metric, seed, split)
+    return RetrievalBoard(tuple(_set(s, metric, split, seed) for s in _group_copies(chosen)), metric, seed, split)
 
 
 def holds_tracking(results: Path) -> bool:
-    """Whether trackers left something too."""
-    return (results / "dataset.yaml").exists() or any(results.glob("*@*/dataset.yaml"))
+    """Whether the folder holds results of trackers."""
+    return bool(folders_with("dataset.yaml", results))
 
 
 def mean_tables(tasks: Mapping[str, TaskRecord]) -> dict[str, tuple[str, ...]]:
-    """Tables over several tasks: all of them, each direction of views, each pair of conditions.
+    """The tables of means: over all tasks, each direction of views, and each pair of conditions.
 
-    A task that holds part of the queries of another (``drone-satellite__Rain``) counts among its conditions alone.
+    A task with part of another one's queries (``drone-satellite__Rain``) counts only among its conditions.
     """
     whole = [name for name in tasks if not _is_part(name, tasks)]
     out = {"mean over all tasks": tuple(whole)}
@@ -169,8 +171,8 @@ def mean_tables(tasks: Mapping[str, TaskRecord]) -> dict[str, tuple[str, ...]]:
     return {name: of for name, of in out.items() if len(of) > 1}
 
 
-def plausible(table: RetrievalTable) -> None:
-    """Raises PredictionError where a row's AP is impossible for its R@1 with one positive a query."""
+def check_plausible(table: RetrievalTable) -> None:
+    """Raise PredictionError where a row's AP is impossible for its R@1 with one positive for each query."""
     if not table.single_positive:
         return
     for row in table.rows:
@@ -186,8 +188,8 @@ def _is_part(name: str, tasks: Mapping[str, TaskRecord]) -> bool:
     return whole in tasks
 
 
-def _copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
-    """Folders of one question together: the same recipe, images that differ in last digits."""
+def _group_copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
+    """Group the folders of one question: the same recipe, with images that differ in last digits."""
     found: dict[tuple[str, str], list[SetResults]] = {}
     for folder in folders:
         found.setdefault((folder.record.name, folder.record.compared_by), []).append(folder)
@@ -195,7 +197,7 @@ def _copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
 
 
 def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int) -> SetBoard:
-    """The board of all copies of a question; the first stands for all, and a label that occurs again is told apart."""
+    """The board of all copies of a question, of which the first is shown; repeated labels are made distinct."""
     record, *others = (folder.record for folder in copies)
     for folder, other in zip(copies[1:], others, strict=True):
         different = [n for n in other.tasks if other.tasks[n] != record.tasks.get(n, other.tasks[n])]
@@ -208,13 +210,18 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
     methods, path_of = _methods_of(copies, tasks)
     if not methods:
         raise PredictionError("holds no retriever's answers; expected results of `relocbench evaluate`", copies[0].root)
-    _check_same_queries(methods, path_of)
+    tables_of_tasks = (
+        (task, m.label, [(a.query, a.positives, a.group) for a in answers], path_of[m.label].answers(task))
+        for m in methods
+        for task, answers in m.answers.items()
+    )
+    check_same_queries(tables_of_tasks, "queries, positives or groups")
     used = {n: r for n, r in tasks.items() if any(n in m.answers for m in methods)}
     plans = {**{name: (name,) for name in used}, **mean_tables(used)}
     tables = []
     for name, of in plans.items():
         tables.append(_table(record, name, of, methods, metric, seed))
-        plausible(tables[-1])
+        check_plausible(tables[-1])
     unused = tuple(n for n in tasks if n not in used)
     return SetBoard(record, methods, tuple(tables), unused, tuple(other.fingerprint for other in others))
 
@@ -222,15 +229,14 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
 def _methods_of(
     copies: Sequence[SetResults], tasks: Mapping[str, TaskRecord]
 ) -> tuple[tuple[Retriever, ...], dict[str, RetrieverResults]]:
-    """Methods by label, and the folder of each."""
+    """The methods by label, and the folder of each."""
     found: dict[str, Retriever] = {}
     folders: dict[str, RetrieverResults] = {}
     for copy in copies:
         for folder in copy.methods():
             method = _method(folder, copy.record, tasks)
-            if method.label in found:
-                label = f"{method.label}@{copy.record.fingerprint[:SHORT]}"
-                method = Retriever(label, method.run.model_copy(update={"method": label}), method.answers)
+            label = distinct_label(method.label, found, copy.record.fingerprint)
+            method = replace(method, label=label, run=method.run.model_copy(update={"method": label}))
             found[method.label], folders[method.label] = method, folder
     return tuple(found[label] for label in sorted(found)), folders
 
@@ -254,20 +260,9 @@ def _method(folder: RetrieverResults, asked: SetRecord, tasks: Mapping[str, Task
 def _answers(folder: RetrieverResults, task: str, record: TaskRecord, scored: Mapping[str, str]) -> list[QueryAnswer]:
     if task not in scored:
         raise PredictionError(f"holds no scores of '{task}', which was answered; {_AGAIN}", folder.scores_yaml)
-    if scored[task] != answers_hash(folder.answers(task)):
+    if scored[task] != sha256_file(folder.answers(task)):
         raise PredictionError(f"changed since it was scored; {_AGAIN}", folder.answers(task))
     return checked_answers(task, record, folder)
-
-
-def _check_same_queries(methods: Sequence[Retriever], folders: Mapping[str, RetrieverResults]) -> None:
-    first: dict[str, tuple[str, list[tuple[str, int, str]]]] = {}
-    for method in methods:
-        for task, answers in method.answers.items():
-            asked = [(a.query, a.positives, a.group) for a in answers]
-            label, expected = first.setdefault(task, (method.label, asked))
-            if asked != expected:
-                path = folders[method.label].answers(task)
-                raise PredictionError(f"holds other queries, positives or groups than the table of '{label}'", path)
 
 
 def _table(

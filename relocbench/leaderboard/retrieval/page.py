@@ -1,16 +1,16 @@
-"""``retrieval.md``: what a sceptical reader wants to know about retrievers, in one page."""
+"""``retrieval.md``: what a sceptical reader wants to know about retrievers, on one page."""
 
 from __future__ import annotations
 
 import shlex
 
-from relocbench.evaluation.retrieval.external import PREDICTIONS
+from relocbench.evaluation.common.results import PREDICTIONS
 from relocbench.evaluation.retrieval.records import RetrievalRun, SetRecord
+from relocbench.leaderboard.common.commands import RESUMES, again_section, method_words
 from relocbench.leaderboard.common.copies import copies_words, question_words
-from relocbench.leaderboard.common.text import bullet, code, escaped, fenced, json_text, number, table_text
+from relocbench.leaderboard.common.text import bullet, code, escaped, json_text, number, table_text, with_bounds
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
 from relocbench.leaderboard.tracking.load import machine_words
-from relocbench.metrics import Interval
 from relocbench.metrics.statistics.significance import LEVEL
 
 CHANCE = "(chance)"
@@ -26,20 +26,15 @@ def retrieval_page(board: RetrievalBoard) -> str:
 
 
 def evaluate_command(asked: SetRecord, run: RetrievalRun) -> str:
-    """The command that runs a retriever as it was run, and goes on where it stopped."""
+    """The command that runs a retriever as it was run, or resumes a run that was stopped."""
     words = ["relocbench", "evaluate-retrieval", "--dataset", "DATASET", "--out", "RESULTS"]
     for key, value in asked.options.items():
         words += [f"--{key}", f"{value:g}" if isinstance(value, float) else value]
     words += ["--by-condition"] if any(name.rpartition("__")[0] in asked.tasks for name in asked.tasks) else []
-    if run.target.startswith(PREDICTIONS):
-        return shlex.join([*words, "--method", run.method, "--predictions", run.target.removeprefix(PREDICTIONS)])
-    words += ["--method", run.target if run.target == run.method else f"{run.method}={run.target}"]
-    for key, value in run.parameters.items():
-        if key != "seed" or value != run.seed:
-            text = value if isinstance(value, str) else json_text(value, ascii_only=True)
-            words += ["--set", f"{run.method}.{key}={text}"]
-    words += ["--seed", str(run.seed)] if run.seed else []
-    return shlex.join([*words, "--keep", str(run.keep)] if run.keep else words)
+    words += method_words(run)
+    return shlex.join(
+        [*words, "--keep", str(run.keep)] if run.keep and not run.target.startswith(PREDICTIONS) else words
+    )
 
 
 def _how_to_read(board: RetrievalBoard) -> list[str]:
@@ -125,15 +120,10 @@ def _table(board: RetrievalBoard, table: RetrievalTable) -> list[str]:
 
 def _row(board: RetrievalBoard, row: RetrievalRow) -> list[str]:
     name = escaped(row.method.label) + (" (missing)" if row.missing else "")
-    cells = [_cell(row.values[m], row.intervals.get(m)) for m in board.shown]
+    cells = [with_bounds(row.values[m], row.intervals.get(m), "share") for m in board.shown]
     counts = "" if row.missing else f"{row.failed} / {row.broke}"
     seconds = "" if row.seconds is None else f"{row.seconds:.3g}"
     return ["" if row.rank is None else str(row.rank), name, *cells, seconds, counts]
-
-
-def _cell(value: float | None, interval: Interval | None) -> str:
-    bounds = f" [{number(interval.low, 'share')}, {number(interval.high, 'share')}]" if interval else ""
-    return "" if value is None else number(value, "share") + bounds
 
 
 def _at_chance(board: RetrievalBoard, table: RetrievalTable, row: RetrievalRow) -> bool:
@@ -165,10 +155,7 @@ def _methods(asked: SetBoard) -> list[str]:
 
 
 def _again(board: RetrievalBoard) -> list[str]:
-    parts = ["## Again", "A run that was stopped goes on with the same command."]
-    for asked in board.sets:
-        commands = [evaluate_command(asked.record, m.run) for m in asked.methods]
-        parts.append(f"{escaped(asked.title)}:\n\n" + fenced(commands))
+    commands = [(asked.title, [evaluate_command(asked.record, m.run) for m in asked.methods]) for asked in board.sets]
     split = f" --split {shlex.quote(board.split)}" if board.split else ""
     page = f"relocbench leaderboard RESULTS --out DIR --retrieval-metric '{board.metric}' --seed {board.seed}{split}"
-    return [*parts, "This page:\n\n" + fenced([page])]
+    return again_section(RESUMES, commands, page)

@@ -1,11 +1,11 @@
-"""``retrieval.csv`` and ``retrieval.md``: the same results give the same bytes."""
+"""Writing ``retrieval.csv`` and ``retrieval.md``: the same results give the same bytes."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from relocbench.files import remove_parts, write_text
-from relocbench.leaderboard.common.text import Value, write_table
+from relocbench.leaderboard.common.text import Value, write_records
 from relocbench.leaderboard.retrieval.board import (
     RANKING,
     RetrievalBoard,
@@ -21,11 +21,11 @@ from relocbench.progress import Reporter
 def write_retrieval_leaderboard(
     results: Path, out: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0, reporter: Reporter
 ) -> RetrievalBoard | None:
-    """Compare retrievers and write both files; None where a results folder has nothing of theirs.
+    """Compare retrievers and write both files; None where a results folder has no retrievers to show.
 
     Raises:
-        PredictionError: a bad file, scores that are missing or stale.
-        ConfigError: unknown metric or split.
+        PredictionError: a bad file, or scores that are missing or stale.
+        ConfigError: an unknown metric or split.
     """
     board = load_retrieval(results, metric=metric, split=split, seed=seed)
     if board is None:
@@ -35,15 +35,14 @@ def write_retrieval_leaderboard(
             missing = [t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in method.answers]
             for name in missing:
                 reporter.note(f"{asked.title}: {method.label} has no result on {name}")
-    rows = retrieval_rows(board)
     remove_parts(out, deep=False)
-    write_table(out / "retrieval.csv", [list(rows[0]), *(list(row.values()) for row in rows)] if rows else [])
+    write_records(out / "retrieval.csv", retrieval_rows(board))
     write_text(out / "retrieval.md", retrieval_page(board))
     return board
 
 
 def retrieval_rows(board: RetrievalBoard) -> list[dict[str, Value]]:
-    """Rows of ``retrieval.csv``: shares 0..1, seconds; None where there is no value."""
+    """The rows of ``retrieval.csv``: shares 0..1, seconds; None where there is no value."""
     out = []
     for asked in board.sets:
         for table in asked.tables:
@@ -53,7 +52,7 @@ def retrieval_rows(board: RetrievalBoard) -> list[dict[str, Value]]:
 
 
 def _row(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable, row: RetrievalRow | None) -> dict[str, Value]:
-    """The row of a method, or of chance."""
+    """The row of a method, or of chance if ``row`` is None."""
     one = table.records[0] if len(table.records) == 1 else None
     place: dict[str, Value] = {
         "dataset": asked.record.name,

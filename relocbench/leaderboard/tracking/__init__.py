@@ -1,1 +1,1 @@
-"""tracking."""
+"""The leaderboard of trackers: results, tables, plots, page and files."""

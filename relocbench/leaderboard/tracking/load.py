@@ -1,4 +1,4 @@
-"""Read a results folder, and refuse scores that do not belong to the predictions beside them."""
+"""Reading a results folder, and refusing scores that do not belong to the predictions beside them."""
 
 from __future__ import annotations
 
@@ -16,64 +16,63 @@ import numpy as np
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.common.error_table import ErrorTable, read_errors
 from relocbench.evaluation.common.matching_table import MatchingRow, check_complete, read_matching, summarize_matching
 from relocbench.evaluation.common.results import (
+    PREDICTIONS,
     DatasetRecord,
     DatasetResults,
-    ErrorTable,
     MethodResults,
     PairSetRecord,
     RunRecord,
     ScoreRecord,
     all_results,
-    read_errors,
 )
 from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows
 from relocbench.files import read_journal
-from relocbench.leaderboard.common.intake import check_file_names, check_folder
-from relocbench.leaderboard.common.text import json_text
+from relocbench.leaderboard.common.commands import method_words
+from relocbench.leaderboard.common.copies import distinct_label
+from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder
 
-PREDICTIONS = "predictions:"
-"""target of predictions that were made elsewhere"""
 FLOOR = "identity"
-"""the method that every other is read against"""
+"""the method that every other one is compared with"""
 SEED = "seed"
 
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """One method on one dataset."""
+    """The results of one method on one dataset."""
 
     label: str
     run: RunRecord
     errors: dict[str, ErrorTable]
-    """by pair set, ordered by reference time; a pair set without results is absent"""
+    """by pair set, ordered by reference time; pair sets without results are absent"""
     missing: dict[str, str]
-    """why a pair set is absent"""
+    """pair set -> why its results are absent"""
     stopped: frozenset[str] = frozenset()
-    """the missing ones whose run was begun"""
+    """the missing pair sets on which a run was begun"""
     matching: dict[str, tuple[MatchingRow, ...]] = field(default_factory=dict)
     """matching quality by pair set, where it was measured"""
 
     @property
     def is_floor(self) -> bool:
-        """Whether it is the identity pose, whatever label it was given."""
+        """Whether the method is the identity pose, whatever its label."""
         return self.run.target.removeprefix(PREDICTIONS) == FLOOR or self.run.target.endswith(":Identity")
 
     @property
     def seed(self) -> int | None:
-        """The seed it ran with."""
+        """The seed of the run."""
         value = self.run.parameters.get(SEED, self.run.seed)
         return value if isinstance(value, int) else None
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Its parameters except the seed."""
+        """The method's parameters except the seed."""
         return {k: v for k, v in self.run.parameters.items() if k != SEED}
 
     @property
     def machine(self) -> str:
-        """The machine its seconds were measured on, in words; empty if that is not recorded."""
+        """The machine that the seconds were measured on, in words; empty if it is not recorded."""
         words = machine_words(self.run)
         workers = "" if self.run.workers is None else f", {self.run.workers} pairs at a time"
         return f"{words}{workers}" if words else ""
@@ -81,15 +80,15 @@ class Method:
 
 @dataclass(frozen=True, eq=False)
 class DatasetEntry:
-    """One dataset with everything that was scored on it."""
+    """One dataset with all results on it."""
 
     record: DatasetRecord
     methods: tuple[Method, ...]
-    """by label"""
+    """sorted by label"""
     pair_sets: dict[str, PairSetRecord]
-    """the pair sets that are compared, by name: chosen, with ground truth, and with at least one pair"""
+    """the pair sets that are compared: chosen, with ground truth, and with at least one pair"""
     splits: dict[str, tuple[str, ...]]
-    """the splits that a total is made for; one called '' over all pair sets where the dataset names none"""
+    """split -> pair sets of its total; one split called '' with all pair sets where the dataset has none"""
     withheld: tuple[str, ...] = ()
     """chosen pair sets that cannot be scored: the ground truth is withheld or no pair was accepted"""
     copies: tuple[str, ...] = ()
@@ -97,7 +96,7 @@ class DatasetEntry:
 
     @property
     def title(self) -> str:
-        """Name and short fingerprint, as the results folder is called."""
+        """The name and short fingerprint, as in the name of the results folder."""
         return f"{self.record.name}@{self.record.fingerprint[:SHORT]}"
 
     @cached_property
@@ -107,24 +106,24 @@ class DatasetEntry:
 
     @cached_property
     def used(self) -> tuple[str, ...]:
-        """The pair sets that at least one method was run on, if not to the end."""
+        """The pair sets on which at least one method was run, completely or not."""
         return tuple(n for n in self.pair_sets if any(n in m.errors or n in m.stopped for m in self.methods))
 
     def groups(self, pair_set: str) -> list[str]:
-        """Named groups of a pair set in natural order; none where all its pairs are one group."""
+        """The named groups of a pair set in natural order; none where all pairs are in one group."""
         return sorted(self.pair_sets[pair_set].groups, key=natural) if len(self.pair_sets[pair_set].groups) > 1 else []
 
 
 def load_results(results: Path, split: str | None = None) -> list[DatasetEntry]:
-    """Everything in a results folder.
+    """Read all results of trackers in a results folder.
 
     Args:
-        results: ``RESULTS``, or one ``DATASET@FINGERPRINT`` folder of it.
-        split: only the pair sets of this split; datasets that have no such split are left out.
+        results: ``RESULTS``, or one of its ``DATASET@FINGERPRINT`` folders.
+        split: only the pair sets of this split; datasets without such a split are left out.
 
     Raises:
-        PredictionError: with file and line: no results, a bad file, a method's scores are missing or stale.
-        ConfigError: no dataset has that split.
+        PredictionError: with file and line: no results, a bad file, or scores that are missing or stale.
+        ConfigError: a split that no dataset has.
     """
     check_folder(results)
     folders = all_results(results)
@@ -134,28 +133,28 @@ def load_results(results: Path, split: str | None = None) -> list[DatasetEntry]:
         folders = [folder for folder in folders if split in folder.record.splits]
         if not folders:
             raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    entries = together([_dataset(folder, split) for folder in folders])
+    entries = merge_copies([_dataset(folder, split) for folder in folders])
     if not any(entry.methods for entry in entries):
         raise PredictionError("holds no method's predictions; expected results of `relocbench evaluate`", results)
     return entries
 
 
-def together(entries: Sequence[DatasetEntry]) -> list[DatasetEntry]:
-    """One entry for all copies of a question: the same poses and pairs, images that differ in last digits.
+def merge_copies(entries: Sequence[DatasetEntry]) -> list[DatasetEntry]:
+    """Merge the entries of copies of one question: the same poses and pairs, with images that differ in last digits.
 
-    The first copy stands for all. A label that occurs on several copies is told apart by the copy's fingerprint.
+    The first copy represents all. A label that occurs on several copies is made distinct by the copy's fingerprint.
 
     Raises:
-        PredictionError: two results that claim the same question hold other pairs.
+        PredictionError: two results of the same question hold different pairs.
     """
     out: dict[tuple[str, str], DatasetEntry] = {}
     for entry in entries:
         key = entry.record.name, entry.record.compared_by
-        out[key] = _joined(out[key], entry) if key in out else entry
+        out[key] = _merged(out[key], entry) if key in out else entry
     return list(out.values())
 
 
-def _joined(first: DatasetEntry, other: DatasetEntry) -> DatasetEntry:
+def _merged(first: DatasetEntry, other: DatasetEntry) -> DatasetEntry:
     known = {method.label: method for method in first.methods}
     for method in other.methods:
         for name, rows in method.errors.items():
@@ -165,22 +164,20 @@ def _joined(first: DatasetEntry, other: DatasetEntry) -> DatasetEntry:
                     f"{other.title} claims to ask what {first.title} asks, and '{method.label}' answered other pairs "
                     f"of '{name}'; expected results of one question"
                 )
-        label = method.label
-        if label in known:
-            label = f"{label}@{other.record.fingerprint[:SHORT]}"
+        label = distinct_label(method.label, known, other.record.fingerprint)
         known[label] = replace(method, label=label, run=method.run.model_copy(update={"method": label}))
     methods = tuple(known[label] for label in sorted(known))
     return replace(first, methods=methods, copies=(*first.copies, other.record.fingerprint))
 
 
 def machine_words(run: RunRecord) -> str:
-    """Processor and number of cores; empty where the processor is not recorded."""
+    """The processor and number of cores; empty where the processor is not recorded."""
     cores = f", {run.machine['cores']} cores" if "cores" in run.machine else ""
     return f"{run.machine['cpu']}{cores}" if "cpu" in run.machine else ""
 
 
 def natural(text: str) -> list[tuple[bool, int, str]]:
-    """Sort key in which step_2 comes before step_10."""
+    """A sort key that puts step_2 before step_10."""
     parts = re.findall("[0-9]{1,18}|[^0-9]", text)
     return [(not part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
 
@@ -188,18 +185,9 @@ def natural(text: str) -> list[tuple[bool, int, str]]:
 def evaluate_command(
     method: RunRecord, dataset: str = "DATASET", results: str = "RESULTS", *, matching: bool = False
 ) -> str:
-    """The command that runs a method as it was run, and goes on where it stopped."""
-    words = ["relocbench", "evaluate", "--dataset", dataset, "--out", results]
-    if method.target.startswith(PREDICTIONS):
-        return shlex.join([*words, "--method", method.method, "--predictions", method.target.removeprefix(PREDICTIONS)])
-    named = method.target if method.target == method.method else f"{method.method}={method.target}"
-    words += ["--method", named]
-    for key, value in method.parameters.items():
-        if key != SEED or value != method.seed:
-            text = value if isinstance(value, str) else json_text(value, ascii_only=True)
-            words += ["--set", f"{method.method}.{key}={text}"]
-    words += ["--seed", str(method.seed)] if method.seed else []
-    return shlex.join([*words, *(["--matching"] if matching else [])])
+    """The command that runs a method as it was run, or resumes a run that was stopped."""
+    words = ["relocbench", "evaluate", "--dataset", dataset, "--out", results, *method_words(method)]
+    return shlex.join([*words, "--matching"] if matching and not method.target.startswith(PREDICTIONS) else words)
 
 
 def _dataset(folder: DatasetResults, split: str | None) -> DatasetEntry:
@@ -252,7 +240,7 @@ def _method(folder: MethodResults, dataset: DatasetRecord, pair_sets: dict[str, 
 
 
 def _complete(folder: MethodResults, pair_set: str) -> bool:
-    """Predictions made elsewhere may come without a table; a run that was killed between the two keeps a journal."""
+    """Whether the pair set is predicted: with a table, or elsewhere without one (a killed run has a journal)."""
     return folder.complete(pair_set) or (
         folder.predictions(pair_set).exists() and not folder.journal(pair_set).is_dir()
     )
@@ -282,7 +270,7 @@ def _again(folder: MethodResults, run: RunRecord, *, matching: bool = False) -> 
 
 
 def _errors(folder: MethodResults, run: RunRecord, name: str, record: PairSetRecord, scores: ScoreRecord) -> ErrorTable:
-    """Errors of one pair set by reference time. Raises PredictionError unless they fit predictions and scores."""
+    """The errors of one pair set by reference time. Raises PredictionError unless they fit predictions and scores."""
     again = _again(folder, run)
     if name not in scores.predictions or name not in scores.pair_sets:
         raise PredictionError(f"holds no scores of '{name}', which was predicted; {again}", folder.scores_yaml)
@@ -303,7 +291,7 @@ def _errors(folder: MethodResults, run: RunRecord, name: str, record: PairSetRec
 def _matching(
     folder: MethodResults, run: RunRecord, name: str, keys: Sequence[PairKey], scores: ScoreRecord
 ) -> tuple[MatchingRow, ...]:
-    """Matching quality of one pair set. Raises PredictionError unless its summary is the one in ``scores.yaml``."""
+    """The matching quality of one pair set. Raises PredictionError unless ``scores.yaml`` holds its summary."""
     path = folder.matching(name)
     rows = read_matching(path)
     check_complete(rows, keys, path)
@@ -315,7 +303,7 @@ def _matching(
 
 
 def _check_scores(rows: ErrorTable, scores: ScoreRecord, name: str, folder: MethodResults, again: str) -> None:
-    """The table of errors is not covered by a hash, but its summary must be the one in ``scores.yaml``."""
+    """Check that ``scores.yaml`` holds the summary of the table of errors, which is not covered by a hash."""
     for group in groups_of(rows):
         recorded = scores.pair_sets[name].get(group, {})
         for metric, value in summarize_rows(rows, group).to_dict().items():
@@ -343,7 +331,7 @@ def _check_same_pairs(folder: DatasetResults, methods: Sequence[Method]) -> None
 
 
 def _check_apart(folders: Sequence[DatasetResults]) -> None:
-    """Two folders of one dataset would write their pictures over each other's."""
+    """Refuse two folders of one dataset, whose pictures would overwrite each other."""
     first: dict[tuple[str, str], DatasetResults] = {}
     for folder in folders:
         check_file_names([folder.record.name, folder.record.fingerprint], "the name or fingerprint", _yaml(folder))

@@ -1,4 +1,4 @@
-"""The tables for programs: one row for each dataset, pair set, group and method, numbers in full."""
+"""The tables for programs: a row for each dataset, pair set, group and method, with numbers in full."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import replace
 from itertools import repeat
 from typing import Any
 
-from relocbench.evaluation.common.results import ERROR_COLUMNS, ErrorTable
-from relocbench.evaluation.common.table_file import CHUNK_ROWS
+from relocbench.evaluation.common.error_table import ERROR_COLUMNS, ErrorTable
+from relocbench.evaluation.common.tables import CHUNK_ROWS
 from relocbench.leaderboard.common.text import Value, cell, json_text
 from relocbench.leaderboard.tracking.model import TOTAL, Board, DatasetBoard, Row, Table
 from relocbench.metrics import METRICS
@@ -17,14 +17,14 @@ ERRORS_HEAD = ("dataset", "fingerprint", "pair_set", "method")
 
 
 def leaderboard_rows(board: Board) -> list[dict[str, Value]]:
-    """Rows of ``leaderboard.csv``: shares 0..1, metres, degrees, seconds; None where there is no value."""
+    """The rows of ``leaderboard.csv``: shares 0..1, metres, degrees, seconds; None where there is no value."""
     return [
         _row(board, dataset, table, row) for dataset in board.datasets for table in dataset.tables for row in table.rows
     ]
 
 
 def seed_rows(board: Board) -> list[dict[str, Value]]:
-    """Rows of ``seeds.csv``: mean and standard deviation of runs that differ by their seed alone."""
+    """The rows of ``seeds.csv``: mean and standard deviation over runs that differ by their seed alone."""
     return [
         {
             **_place(dataset, table),
@@ -43,7 +43,7 @@ def seed_rows(board: Board) -> list[dict[str, Value]]:
 
 
 def error_rows(board: Board) -> Iterator[Sequence[Value]]:
-    """Rows of ``errors.csv``, its header first: the errors of every pair and every method, as texts that are safe."""
+    """The rows of ``errors.csv``, with its header: the errors of every pair and every method, as safe texts."""
     yield [*ERRORS_HEAD, *ERROR_COLUMNS]
     for dataset in board.datasets:
         record = dataset.entry.record
@@ -55,7 +55,7 @@ def error_rows(board: Board) -> Iterator[Sequence[Value]]:
 
 
 def _error_rows(place: tuple[str, ...], rows: ErrorTable) -> Iterator[Sequence[Value]]:
-    """Texts ready for :func:`relocbench.leaderboard.common.text.cell`'s readers: each name is looked at once."""
+    """The rows of one method as texts made safe by :func:`relocbench.leaderboard.common.text.cell`, name by name."""
     words = [repeat(cell(word)) for word in place]
     named = replace(rows, group_names=tuple(str(cell(name)) for name in rows.group_names))
     for start in range(0, len(rows), CHUNK_ROWS):

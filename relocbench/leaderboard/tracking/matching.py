@@ -12,19 +12,19 @@ from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 
 
 def matching_lines(dataset: DatasetBoard, pair_set: str) -> list[tuple[Method, Summary]]:
-    """The methods that were measured on a pair set, best first (found to 3 px, over all starts)."""
+    """The methods measured on a pair set, best first by the share found within 3 px from all starts."""
     known = [(m, summarize_matching(m.matching[pair_set])) for m in dataset.entry.methods if pair_set in m.matching]
     known = [(method, summary) for method, summary in known if summary[ALL]["count"]]
     return sorted(known, key=lambda line: (-(line[1][ALL]["match@3px"] or 0.0), line[0].label))
 
 
 def matching_file(dataset: DatasetBoard, pair_set: str) -> str:
-    """Where the picture of a pair set lies, relative to the page."""
+    """The path of a pair set's picture, relative to the page."""
     return f"curves/{dataset.entry.title}__{pair_set}.matching.png"
 
 
 def matching_section(dataset: DatasetBoard, pair_set: str, *, plots: bool) -> list[str]:
-    """What the page says about a pair set; nothing where no method was measured."""
+    """The section of the page on a pair set; empty where no method was measured."""
     lines = matching_lines(dataset, pair_set)
     if not lines:
         return []
@@ -48,7 +48,7 @@ def matching_section(dataset: DatasetBoard, pair_set: str, *, plots: bool) -> li
 
 
 def matching_rows(board: Board) -> list[dict[str, Value]]:
-    """Rows of ``matching.csv``: one for each pair set, group, method and start offset; shares 0..1."""
+    """The rows of ``matching.csv``: one for each pair set, group, method and start offset; shares 0..1."""
     return [
         {
             "dataset": dataset.entry.record.name,

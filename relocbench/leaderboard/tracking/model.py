@@ -11,33 +11,33 @@ from relocbench.metrics import METRICS, Difference, Interval, Metric, Spread
 
 TOTAL = "total"
 INTERVALS = ("t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)", "recall@(0.5m,5deg)")
-"""the metrics that tables show with a 95 % interval, besides the one that ranks"""
+"""the metrics that tables show with a 95 % interval, besides the ranking metric"""
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One method in a table."""
+    """The row of one method in a table."""
 
     method: Method
     pairs: int
     answered: int | None
     failed: int | None
-    """pairs on which the method said that it failed"""
+    """number of pairs on which the method reported a failure"""
     broke: int | None
-    """pairs on which it raised, crashed or broke the contract"""
+    """number of pairs on which it raised, crashed or broke the contract"""
     values: Mapping[str, float | None]
     """by metric; all None where a pair set is missing"""
     intervals: Mapping[str, Interval | None]
     rank: int | None
     above_floor: Difference | None
-    """of the ranking metric, to the identity pose on the same pairs; positive is better"""
+    """difference of the ranking metric to the identity pose on the same pairs; positive is better"""
     missing: tuple[str, ...] = ()
     """the pair sets that are missing"""
 
 
 @dataclass(frozen=True, eq=False)
 class SeedRow:
-    """Runs of one method that differ by their seed alone."""
+    """The row of several runs of one method that differ by their seed alone."""
 
     target: str
     labels: tuple[str, ...]
@@ -55,20 +55,20 @@ class Table:
     """A row for each method: on a pair set, on one group of it, or in total."""
 
     pair_set: str
-    """``total`` over ``pair_sets``"""
+    """name, or ``total`` over ``pair_sets``"""
     pair_sets: tuple[str, ...]
     split: str
     group: str
     """``all`` for all pairs"""
     pairs: int
     rejected: int | None
-    """pairs whose ground truth was rejected; known of whole pair sets only"""
+    """number of pairs whose ground truth was rejected; known only of whole pair sets"""
     medians: Mapping[str, float | None]
-    """distance_m, angle_deg of the pairs, sigma_translation_m, sigma_rotation_deg of the ground truth"""
+    """distance_m and angle_deg of the pairs, sigma_translation_m and sigma_rotation_deg of the ground truth"""
     grey: frozenset[str]
     """metrics with a threshold finer than the ground truth allows"""
     rows: tuple[Row, ...]
-    """best first, methods without a value last"""
+    """best first; methods without a value come last"""
     seeds: tuple[SeedRow, ...]
 
 
@@ -78,16 +78,16 @@ class DatasetBoard:
 
     entry: DatasetEntry
     tables: tuple[Table, ...]
-    """each pair set followed by its groups, then each split's total followed by the groups that all its sets have"""
+    """each pair set followed by its groups, then each split's total followed by the groups that all its sets share"""
 
     @property
     def pair_sets(self) -> list[Table]:
-        """One table a pair set, over all its pairs."""
+        """The tables of pair sets, over all their pairs."""
         return [t for t in self.tables if t.pair_set != TOTAL and t.group == ALL]
 
     @property
     def totals(self) -> list[Table]:
-        """One table a split, over all pairs."""
+        """The tables of the splits' totals, over all pairs."""
         return [t for t in self.tables if t.pair_set == TOTAL and t.group == ALL]
 
     def groups_of(self, table: Table) -> list[Table]:
@@ -98,15 +98,15 @@ class DatasetBoard:
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """Everything that a leaderboard shows."""
+    """Everything that a leaderboard of trackers shows."""
 
     datasets: tuple[DatasetBoard, ...]
     metric: Metric
-    """that ranks"""
+    """the metric that ranks methods"""
     seed: int
     split: str | None = None
 
     @property
     def with_interval(self) -> tuple[Metric, ...]:
-        """The metrics that come with an interval, in the registry's order."""
+        """The metrics that are shown with an interval, in the registry's order."""
         return tuple(m for m in METRICS if m.name in {*INTERVALS, self.metric.name})

@@ -1,4 +1,4 @@
-"""``leaderboard.md``: what a sceptical reader wants to know, in one page."""
+"""``leaderboard.md``: what a sceptical reader wants to know about trackers, on one page."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from urllib.parse import quote
 
 from relocbench.leaderboard.common.copies import copies_words, question_words
-from relocbench.leaderboard.common.text import bullet, code, escaped, number, table_text
+from relocbench.leaderboard.common.text import bullet, code, escaped, number, table_text, with_bounds
 from relocbench.leaderboard.tracking.load import evaluate_command
 from relocbench.leaderboard.tracking.matching import matching_section
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, SeedRow, Table
 from relocbench.leaderboard.tracking.page_methods import methods_section, reproduce_section
-from relocbench.metrics import Interval, Metric, Spread, metric_named
+from relocbench.metrics import Metric, Spread, metric_named
 from relocbench.metrics.statistics.significance import LEVEL
 
 SHOWN = (
@@ -35,7 +35,7 @@ GREY = "†"
 
 
 def markdown(board: Board, *, plots: bool) -> str:
-    """The whole page; ``plots`` links the pictures of the curves."""
+    """The whole page; with ``plots``, it links the pictures of the curves."""
     parts = ["# Leaderboard", *_how_to_read(board)]
     for dataset in board.datasets:
         parts += _dataset(board, dataset, plots)
@@ -44,17 +44,17 @@ def markdown(board: Board, *, plots: bool) -> str:
 
 
 def curve_file(dataset: DatasetBoard, table: Table) -> str:
-    """Where the picture of a pair set's curves lies, relative to the page."""
+    """The path of the picture of a pair set's curves, relative to the page."""
     return f"curves/{dataset.entry.title}__{table.pair_set}.png"
 
 
-def drawn(table: Table) -> bool:
-    """Whether any method has a curve."""
+def has_curves(table: Table) -> bool:
+    """Whether any method has a curve on the pair set."""
     return any(not row.missing for row in table.rows)
 
 
 def shown_metrics(board: Board) -> list[Metric]:
-    """The columns, with the ranking metric among them, in the order of :data:`SHOWN`."""
+    """The metrics shown as columns, with the ranking metric among them, in the order of :data:`SHOWN`."""
     names = [*SHOWN] if board.metric.name in SHOWN else [SHOWN[0], board.metric.name, *SHOWN[1:]]
     return [metric_named(name) for name in names]
 
@@ -101,7 +101,7 @@ def _dataset(board: Board, dataset: DatasetBoard, plots: bool) -> list[str]:
             parts += [title, over, *_tables(board, table, dataset.groups_of(table))]
     for table in dataset.pair_sets:
         parts += [f"### {escaped(table.pair_set)}", *_tables(board, table, dataset.groups_of(table))]
-        if plots and drawn(table):
+        if plots and has_curves(table):
             address = quote(curve_file(dataset, table))
             parts.append(f"![Cumulative error curves of {escaped(table.pair_set)}]({address})")
         parts += matching_section(dataset, table.pair_set, plots=plots)
@@ -253,12 +253,7 @@ def _cell(metric: Metric, row: Row, table: Table) -> str:
     value = row.values[metric.name]
     if value is None:
         return ""
-    interval = row.intervals.get(metric.name)
-    return _greyed(number(value, metric.unit) + (_bounds(interval, metric) if interval else ""), metric, table)
-
-
-def _bounds(interval: Interval, metric: Metric) -> str:
-    return f" [{number(interval.low, metric.unit)}, {number(interval.high, metric.unit)}]"
+    return _greyed(with_bounds(value, row.intervals.get(metric.name), metric.unit), metric, table)
 
 
 def _spread_cell(metric: Metric, row: SeedRow, table: Table) -> str:
@@ -285,12 +280,12 @@ def _counts(row: Row) -> str:
 
 
 def _pivoted(board: Board) -> list[Metric]:
-    """What is shown against the groups: the metric that ranks, and the one a reader may know."""
+    """The metrics that are tabulated by group: the ranking metric and a recall that readers may know."""
     return list({m.name: m for m in (board.metric, metric_named("recall@(0.25m,2deg)"))}.values())
 
 
 def _pivot(table: Table, groups: Sequence[Table], metric: Metric) -> str:
-    """Methods in the order of the whole set, a column a group."""
+    """A table of one metric: methods in the order of the whole set, and a column for each group."""
     columns = [
         f"`{metric.name}`, %" if metric.unit == "share" else f"`{metric.name}`",
         f"all<br>{table.pairs} pairs",

@@ -1,17 +1,19 @@
-"""The part of the page on what was run: parameters, versions, machines, and the commands that do it again."""
+"""The page's section on the methods: parameters, versions, machines, and the commands that run them again."""
 
 from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
 
-from relocbench.leaderboard.common.text import bullet, code, escaped, fenced, json_text, table_text
-from relocbench.leaderboard.tracking.load import PREDICTIONS, Method, evaluate_command
+from relocbench.evaluation.common.results import PREDICTIONS
+from relocbench.leaderboard.common.commands import RESUMES, again_section
+from relocbench.leaderboard.common.text import bullet, code, escaped, json_text, table_text
+from relocbench.leaderboard.tracking.load import Method, evaluate_command
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
 
 
 def methods_section(dataset: DatasetBoard) -> list[str]:
-    """Every method with its version, seed and machine, and what sets runs of one method apart."""
+    """A table of all methods with version, seed and machine, and the parameters in which runs of one method differ."""
     methods = dataset.entry.methods
     rows = [
         [
@@ -34,18 +36,18 @@ def methods_section(dataset: DatasetBoard) -> list[str]:
 
 
 def reproduce_section(board: Board) -> list[str]:
-    """The commands that give this page again."""
-    parts = [
-        "## Again",
+    """The commands that reproduce the page."""
+    intro = (
         "`DATASET` is a folder whose `dataset.yaml` has the fingerprint above (`relocbench validate DATASET` checks "
-        "it), `RESULTS` a folder for the results. A run that was stopped goes on with the same command.",
+        f"it), `RESULTS` a folder for the results. {RESUMES}"
+    )
+    commands = [
+        (d.entry.title, [evaluate_command(m.run, matching=bool(m.matching)) for m in d.entry.methods])
+        for d in board.datasets
     ]
-    for dataset in board.datasets:
-        commands = [evaluate_command(m.run, matching=bool(m.matching)) for m in dataset.entry.methods]
-        parts.append(f"{escaped(dataset.entry.title)}:\n\n" + fenced(commands))
-    ranking = f" --metric '{board.metric.name}' --seed {board.seed}"
     split = f" --split {shlex.quote(board.split)}" if board.split else ""
-    return [*parts, "This page:\n\n" + fenced([f"relocbench leaderboard RESULTS --out DIR{ranking}{split}"])]
+    page = f"relocbench leaderboard RESULTS --out DIR --metric '{board.metric.name}' --seed {board.seed}{split}"
+    return again_section(intro, commands, page)
 
 
 def _machine_notes(methods: Sequence[Method]) -> list[str]:
@@ -58,7 +60,7 @@ def _machine_notes(methods: Sequence[Method]) -> list[str]:
 
 
 def _differences(methods: Sequence[Method]) -> list[str]:
-    """For each target that was run several times: a table of the parameters that differ."""
+    """For each target that was run several times, a table of the parameters that differ."""
     parts = []
     for target in dict.fromkeys(m.run.target for m in methods):
         runs = [m for m in methods if m.run.target == target]

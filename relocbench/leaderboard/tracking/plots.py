@@ -1,4 +1,4 @@
-"""Cumulative error curves: the share of all pairs against the error, translation beside rotation."""
+"""Plots of cumulative error curves (the share of all pairs against the error) and of matching quality."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ FLOOR_COLOUR = "#767676"
 
 
 _INCHES = (11.0, 4.2)
-"""of a picture of curves; long names make it wider, many of them higher"""
+"""size of a picture of curves; long names make it wider, many names make it taller"""
 _LEFT, _GAP, _RIGHT, _BELOW, _ABOVE, _EDGE = 0.78, 0.75, 0.25, 0.5, 0.66, 0.1
 """inches around and between the panels of a picture of curves"""
 _NARROWEST = 2.6
 LONGEST_LABEL = 60
-"""characters of a name in a picture; what is longer would leave no room for the curves"""
+"""characters of a name in a picture; a longer one would leave no room for the curves"""
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One method in the picture of a pair set."""
+    """The curves of one method in the picture of a pair set."""
 
     label: str
     translation_error_m: Array
     """(M,) ascending, up to the limit of the picture"""
     rotation_error_deg: Array
     translation_share: Array
-    """(M,) of all pairs"""
+    """(M,) percent of all pairs"""
     rotation_share: Array
     colour: str
     style: Style
@@ -59,7 +59,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class CurvePicture:
-    """What the picture of a pair set's cumulative error curves shows."""
+    """The content of the picture of a pair set's cumulative error curves."""
 
     title: str
     pairs: int
@@ -71,14 +71,14 @@ class CurvePicture:
 
 @dataclass(frozen=True, eq=False)
 class MatchingPicture:
-    """What the picture of matching quality shows: a line is a label, shares in percent by offset, colour and style."""
+    """The content of the picture of matching quality: for each line a label, percents by offset, colour and style."""
 
     title: str
     lines: tuple[tuple[str, tuple[float, ...], str, Style], ...]
 
 
 def curve_picture(board: Board, dataset: DatasetBoard, table: Table) -> CurvePicture:
-    """A pair set's curves; a method keeps its colour on all pair sets of a dataset."""
+    """The picture of a pair set's curves; a method has the same colour on all pair sets of a dataset."""
     record = dataset.entry.pair_sets[table.pair_set]
     conditions = f"{record.reference_condition} → {record.query_condition}"
     return CurvePicture(
@@ -92,7 +92,7 @@ def curve_picture(board: Board, dataset: DatasetBoard, table: Table) -> CurvePic
 
 
 def matching_picture(dataset: DatasetBoard, pair_set: str) -> MatchingPicture:
-    """The share of pixels found to 3 px against how far off the start was; colours as in the error curves."""
+    """The share of pixels found within 3 px against the offset of the start, in the colours of the error curves."""
     lines = []
     for method, summary in matching_lines(dataset, pair_set):
         shares = [summary[f"{offset}px"]["match@3px"] for offset in OFFSETS_PX]
@@ -102,19 +102,19 @@ def matching_picture(dataset: DatasetBoard, pair_set: str) -> MatchingPicture:
 
 
 def draw(picture: CurvePicture | MatchingPicture) -> bytes:
-    """PNG of a picture, the same bytes in any process."""
+    """Draw a picture as PNG, with the same bytes in any process."""
     with mpl.rc_context(), warnings.catch_warnings():
-        # Names may hold letters that the font does not have.
+        # Names may contain letters that the font lacks.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
-        mpl.rcdefaults()  # the reader's own settings must not change the picture
+        mpl.rcdefaults()  # the user's own settings must not change the picture
         mpl.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
-        mpl.rcParams["text.parse_math"] = False  # a $ in a name is a letter
+        mpl.rcParams["text.parse_math"] = False  # a $ in a name is not a formula
         return _png(_curves(picture) if isinstance(picture, CurvePicture) else _matching(picture))
 
 
 def _png(figure: Figure) -> bytes:
     stream = io.BytesIO()
-    # A twentieth larger than at the usual level, and drawn in seven eighths of the time.
+    # A twentieth larger than at the default level, and drawn in seven eighths of the time.
     figure.savefig(stream, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 1})
     return stream.getvalue()
 
@@ -130,7 +130,7 @@ def _curves(picture: CurvePicture) -> Figure:
     left.set_xlabel("translation error (m)")
     right.set_xlabel("rotation error (°)")
     left.set_ylabel(f"share of all {picture.pairs} pairs")
-    # Given one by one: a label that begins with _ would be left out of a legend that is made from the axes.
+    # Labels are passed explicitly: the legend made from the axes leaves out labels that begin with _.
     labels = [curve.label for curve in picture.curves]
     legend = figure.legend(
         handles,
@@ -141,7 +141,7 @@ def _curves(picture: CurvePicture) -> Figure:
         frameon=False,
         handlelength=3.2,
     )
-    # matplotlib's own layout would draw everything twice, which takes most of the time of a page of many sets.
+    # matplotlib's own layout would draw everything twice, which would dominate the time for a page of many sets.
     extent = legend.get_window_extent()
     around = _LEFT + _GAP + _RIGHT + extent.width / figure.dpi
     panel = max((_INCHES[0] - around) / 2, _NARROWEST), _INCHES[1] - _BELOW - _ABOVE
@@ -168,7 +168,7 @@ def _curve(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> Curve
 
 
 def _steps(error: Array, limit: float) -> tuple[Array, Array]:
-    """Corners of a curve from 0 to the limit: errors, and shares of all pairs in percent."""
+    """The corners of a curve from 0 to the limit: errors, and shares of all pairs in percent."""
     curve = cumulative_curve(error)
     inside = curve.error <= limit
     x = np.concatenate([[0.0], curve.error[inside], [limit]])
@@ -176,13 +176,13 @@ def _steps(error: Array, limit: float) -> tuple[Array, Array]:
 
 
 def _shown(name: str, times: int = 1) -> str:
-    """A name as a picture has room for it."""
+    """A name shortened to fit a picture."""
     plain = "".join(c if c.isprintable() else "\ufffd" for c in name)
     return plain if len(plain) <= times * LONGEST_LABEL else f"{plain[: times * LONGEST_LABEL - 1]}…"
 
 
 def _look(dataset: DatasetBoard, method: Method) -> tuple[str, Style]:
-    """Colour and line style of a method, the same in all pictures of a dataset."""
+    """The colour and line style of a method, the same in all pictures of a dataset."""
     if method.is_floor:
         return FLOOR_COLOUR, (0, (4, 2))
     place = [m.label for m in dataset.entry.methods if not m.is_floor].index(method.label)
@@ -211,7 +211,7 @@ def _matching(picture: MatchingPicture) -> Figure:
 def _panel(axes: Axes, curves: Sequence[tuple[Curve, Array, Array]], limit: float, sigma: float | None) -> list[Line2D]:
     lines: list[Line2D] = []
     for order, (curve, x, y) in enumerate(curves):
-        # The best is drawn last, so that it is not hidden where curves meet.
+        # The best is drawn last, so that it stays visible where curves meet.
         lines += axes.step(
             x,
             y,
@@ -226,7 +226,7 @@ def _panel(axes: Axes, curves: Sequence[tuple[Curve, Array, Array]], limit: floa
         axes.axvspan(0, finest, color="#000000", alpha=0.07, linewidth=0)
         axes.text(0, 103, "shaded: finer than 2σ of the ground truth", fontsize=7, va="bottom", color="#555555")
     axes.set_xlim(0, limit)
-    axes.set_ylim(0, 101.5)  # a curve at 100 % is seen in its full width
+    axes.set_ylim(0, 101.5)  # a curve at 100 % is visible in its full width
     axes.yaxis.set_major_formatter("{x:.0f} %")
     axes.grid(True, color="#dddddd", linewidth=0.6)
     axes.tick_params(labelleft=True)

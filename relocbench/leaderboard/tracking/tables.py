@@ -1,11 +1,10 @@
-"""From per-pair errors to ranked tables. Computes and does no I/O.
+"""Computing ranked tables from the errors of pairs, without I/O.
 
-A pair set is a total over one set, and a group is a set of fewer pairs: one function serves all tables.
+A pair set is a total over one set, and a group is a set of fewer pairs: one function computes all tables.
 """
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.results import STATUSES, ErrorTable
+from relocbench.evaluation.common.error_table import ErrorTable
+from relocbench.evaluation.common.tables import STATUSES
 from relocbench.evaluation.tracking.score import ALL
 from relocbench.leaderboard.tracking.load import DatasetEntry, Method
 from relocbench.leaderboard.tracking.model import INTERVALS, TOTAL, Board, DatasetBoard, Row, SeedRow, Table
@@ -22,6 +22,7 @@ from relocbench.metrics import (
     Metric,
     Spread,
     bootstrap_interval,
+    generator,
     metric_named,
     paired_difference,
     rank_with_ties,
@@ -32,12 +33,12 @@ from relocbench.progress import Reporter, Silent
 
 Array = NDArray[np.float64]
 RANKING = "t_auc@0.5m"
-"""Continuous, so that it tells methods apart with fewer pairs than a recall does, and coarse enough for ground truth
-of 0.25 m sigma."""
+"""The default ranking metric: continuous, so that it separates methods with fewer pairs than a recall does, and
+coarse enough for ground truth with a sigma of 0.25 m."""
 
 
 def ranking_metric(name: str) -> Metric:
-    """The metric of that name. Raises ConfigError unless it is a mean over pairs, as ranks need."""
+    """The metric of that name. Raises ConfigError unless it is a mean over pairs, as ranks require."""
     metric = metric_named(name)
     if metric.per_pair is None:
         able = ", ".join(m.name for m in METRICS if m.per_pair is not None)
@@ -53,17 +54,17 @@ def make_board(
     split: str | None = None,
     reporter: Reporter | None = None,
 ) -> Board:
-    """Compute every table.
+    """Compute all tables.
 
     Args:
-        entries: what :func:`relocbench.leaderboard.tracking.load.load_results` read.
-        metric: ranks methods; a mean over pairs.
-        seed: of the bootstrap. Each number has a generator of its own, so it does not depend on what else is there.
-        split: for the record, the split that ``entries`` were limited to.
-        reporter: hears how many tables are done.
+        entries: what :func:`relocbench.leaderboard.tracking.load.load_results` returned.
+        metric: the metric that ranks methods, a mean over pairs.
+        seed: of the bootstrap. Each number has a generator of its own and does not depend on what else is there.
+        split: the split that ``entries`` were limited to, to be recorded.
+        reporter: receives the number of tables that are done.
 
     Raises:
-        ConfigError: unknown metric, or one that is no mean over pairs.
+        ConfigError: an unknown metric, or one that is no mean over pairs.
     """
     ranking = ranking_metric(metric)
     plans = [_plan(entry) for entry in entries]
@@ -80,7 +81,7 @@ def make_board(
 
 @dataclass(frozen=True)
 class _Planned:
-    """A table to compute."""
+    """A table that is to be computed."""
 
     names: tuple[str, ...]
     group: str = ALL
@@ -89,7 +90,7 @@ class _Planned:
 
 
 def _plan(entry: DatasetEntry) -> list[_Planned]:
-    """Each pair set that was used and its groups; each split and the groups that all its pair sets have."""
+    """The tables of each used pair set and its groups, and of each split and the groups that all its sets share."""
     plan = [_Planned((name,), group) for name in entry.used for group in (ALL, *entry.groups(name))]
     for split, names in entry.splits.items():
         if any(name in entry.used for name in names):
@@ -107,7 +108,7 @@ def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) ->
     if group == ALL:
         ranks = rank_with_ties(
             {label: [None if rows is None else _per_pair(metric, rows) for rows in own] for label, own in sets.items()},
-            _generator(seed, place, metric.name),
+            generator(seed, place, metric.name),
             higher_is_better=metric.higher_is_better,
         )
     floor = sets[entry.floor.label] if entry.floor else None
@@ -144,7 +145,7 @@ def _row(
         return Row(method, sum(map(len, there)), None, None, None, values, {}, rank, None, missing)
     counts = {status: sum(rows.with_status(status) for rows in there) for status in STATUSES}
     intervals = {
-        m.name: bootstrap_interval([_per_pair(m, rows) for rows in there], _generator(seed, place, m.name))
+        m.name: bootstrap_interval([_per_pair(m, rows) for rows in there], generator(seed, place, m.name))
         for m in METRICS
         if m.name in {*INTERVALS, metric.name}
     }
@@ -153,7 +154,7 @@ def _row(
         above = paired_difference(
             [_sign(metric) * _per_pair(metric, rows) for rows in there],
             [_sign(metric) * _per_pair(metric, rows) for rows in floor if rows is not None],
-            _generator(seed, place, metric.name),
+            generator(seed, place, metric.name),
         )
     return Row(
         method=method,
@@ -179,10 +180,6 @@ def _per_pair(metric: Metric, rows: ErrorTable) -> Array:
     return metric.per_pair(rows.errors)
 
 
-def _generator(seed: int, place: str, metric: str) -> np.random.Generator:
-    return np.random.default_rng([seed, zlib.crc32(f"{place} {metric}".encode())])
-
-
 def _sign(metric: Metric) -> float:
     return 1.0 if metric.higher_is_better else -1.0
 
@@ -193,7 +190,7 @@ def _order(row: Row, metric: Metric) -> tuple[bool, float, str]:
 
 
 def _pairs_asked(sets: Mapping[str, Sequence[ErrorTable | None]]) -> list[ErrorTable]:
-    """The pairs of each set, from whichever method has it: all have the same."""
+    """The rows of each pair set, from any method that has it: all have the same pairs."""
     columns = zip(*sets.values(), strict=True)
     return [rows for column in columns if (rows := next((r for r in column if r is not None), None)) is not None]
 
@@ -208,7 +205,7 @@ def _medians(asked: Sequence[ErrorTable]) -> dict[str, float | None]:
 
 
 def _grey(entry: DatasetEntry, names: Sequence[str]) -> frozenset[str]:
-    """A total is grey where one of its pair sets is."""
+    """The metrics to be printed in grey; a total is grey where one of its pair sets is."""
     records = [entry.pair_sets[name] for name in names]
     return frozenset(
         m.name
@@ -219,7 +216,7 @@ def _grey(entry: DatasetEntry, names: Sequence[str]) -> frozenset[str]:
 
 
 def _seed_rows(rows: Sequence[Row]) -> list[SeedRow]:
-    """Runs of one target and version whose parameters are the same but for the seed."""
+    """Rows for runs of one target and version whose parameters differ by the seed alone."""
     alike: dict[str, dict[int, Row]] = {}
     for row in rows:
         run, seed = row.method.run, row.method.seed

@@ -1,23 +1,23 @@
-"""Write a leaderboard: the same results give the same bytes."""
+"""Writing the leaderboard of trackers: the same results give the same bytes."""
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
+from relocbench.evaluation.common.tables import write_rows
 from relocbench.execution import Run, default_workers, run_units
-from relocbench.files import atomic_write, remove_parts, write_bytes, write_text
-from relocbench.leaderboard.common.text import write_table
+from relocbench.files import remove_parts, write_bytes, write_text
+from relocbench.leaderboard.common.text import write_records
 from relocbench.leaderboard.tracking.load import load_results
 from relocbench.leaderboard.tracking.long_form import error_rows, leaderboard_rows, seed_rows
 from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_rows
 from relocbench.leaderboard.tracking.model import Board
-from relocbench.leaderboard.tracking.page import curve_file, drawn, markdown
+from relocbench.leaderboard.tracking.page import curve_file, has_curves, markdown
 from relocbench.leaderboard.tracking.tables import RANKING, make_board, ranking_metric
 from relocbench.progress import Reporter, Silent
 
 _MANY_PICTURES = 24
-"""from so many on, they are drawn in processes, whose start takes as long as some pictures"""
+"""number of pictures from which on they are drawn in processes, whose start takes as long as several pictures"""
 
 
 def write_leaderboard(
@@ -30,22 +30,22 @@ def write_leaderboard(
     plots: bool = True,
     reporter: Reporter | None = None,
 ) -> Board:
-    """Compare what a results folder holds, and write it.
+    """Compare the methods in a results folder, and write the leaderboard.
 
     Args:
-        results: ``RESULTS``, or one ``DATASET@FINGERPRINT`` folder of it; read only.
+        results: ``RESULTS``, or one of its ``DATASET@FINGERPRINT`` folders; it is only read.
         out: folder for the files of :func:`write_board`.
-        metric: ranks methods; a mean over pairs.
+        metric: the metric that ranks methods, a mean over pairs.
         split: only the pair sets of this split.
         seed: of the bootstrap.
-        plots: draw the curves.
-        reporter: hears of missing results and of progress.
+        plots: whether to draw the curves.
+        reporter: receives progress and notes on missing results.
 
     Raises:
-        PredictionError: no results, a bad file, scores that are missing or stale.
-        ConfigError: unknown metric or split.
+        PredictionError: no results, a bad file, or scores that are missing or stale.
+        ConfigError: an unknown metric or split.
     """
-    ranking_metric(metric)  # a typing error should not have to wait for the bootstrap
+    ranking_metric(metric)  # a mistyped metric is reported before the bootstrap runs
     report = Silent() if reporter is None else reporter
     entries = load_results(results, split)
     for entry in entries:
@@ -58,27 +58,20 @@ def write_leaderboard(
 
 
 def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Reporter) -> list[Path]:
-    """``leaderboard.csv``, ``leaderboard.md``, ``errors.csv`` and ``curves/*.png``.
+    """Write ``leaderboard.csv``, ``leaderboard.md``, ``errors.csv`` and ``curves/*.png``; returns the files.
 
-    Also ``seeds.csv`` and ``matching.csv``, if there is something to put into them.
-
-    Each file appears whole or not at all; there are no dates in them. Returns the files.
+    ``seeds.csv`` and ``matching.csv`` are written as well if they have rows. Each file appears whole or not at all,
+    and none contains a date.
     """
     for folder in (out, out / "curves"):
         remove_parts(folder, deep=False)
-    rows = leaderboard_rows(board)
     paths = [out / "leaderboard.csv", out / "errors.csv"]
-    write_table(paths[0], [list(rows[0]), *([row[c] for c in rows[0]] for row in rows)] if rows else [])
-    with atomic_write(paths[1]) as stream:
-        csv.writer(stream, lineterminator="\n").writerows(error_rows(board))
-    seeds = seed_rows(board)
-    if seeds:
-        paths.append(out / "seeds.csv")
-        write_table(paths[-1], [list(seeds[0]), *(list(row.values()) for row in seeds)])
-    matching = matching_rows(board)
-    if matching:
-        paths.append(out / "matching.csv")
-        write_table(paths[-1], [list(matching[0]), *(list(row.values()) for row in matching)])
+    write_records(paths[0], leaderboard_rows(board))
+    write_rows(paths[1], error_rows(board))
+    for name, records in (("seeds.csv", seed_rows(board)), ("matching.csv", matching_rows(board))):
+        if records:
+            paths.append(out / name)
+            write_records(paths[-1], records)
     if plots:
         paths += _write_plots(board, out, reporter)
     paths.append(out / "leaderboard.md")
@@ -95,7 +88,7 @@ def _write_plots(board: Board, out: Path, reporter: Reporter) -> list[Path]:
         matching_picture,
     )
 
-    tables = [(dataset, table) for dataset in board.datasets for table in dataset.pair_sets if drawn(table)]
+    tables = [(dataset, table) for dataset in board.datasets for table in dataset.pair_sets if has_curves(table)]
     paths: list[Path] = []
     pictures: list[CurvePicture | MatchingPicture] = []
     for dataset, table in tables:

@@ -1,4 +1,4 @@
-"""Does a method know when it is right? Precision and recall over the submitted confidence."""
+"""Whether a method knows when it is right: precision and recall over the confidence that it reports."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:
-    """One point for each distinct confidence, surest first."""
+    """A precision-recall curve with one point for each distinct confidence, highest confidence first."""
 
     precision: Array
-    """(K,) correct answers among the answers at least that sure"""
+    """(K,) share of correct answers among the answers whose confidence is at least that high"""
     recall: Array
-    """(K,) correct answers at least that sure, as a share of all pairs of the set"""
+    """(K,) correct answers whose confidence is at least that high, as a share of all pairs of the set"""
 
     @property
     def area(self) -> float:
@@ -26,17 +26,17 @@ class PrecisionRecall:
 
 
 def precision_recall(correct: ArrayLike, answered: ArrayLike, confidence: ArrayLike) -> PrecisionRecall:
-    """Precision and recall as the confidence that is asked for falls.
+    """Precision and recall as the required confidence falls.
 
-    An answer is correct or not; a pair without an answer is submitted at no confidence. The recall's
-    denominator is every pair of the set, as everywhere: the area is 1 only for a method that solves every
-    pair, and never above the share of correct answers. Equal confidences are one block: the order within it
-    is not the method's and must not count. Answers without a confidence (NaN) are one block after all others.
+    The denominator of the recall is every pair of the set, as in all metrics: the area is 1 only for a method that
+    solves every pair, and never above the share of correct answers. Answers of equal confidence enter together,
+    since the order among them is not the method's and must not count. Answers without a confidence (NaN) enter
+    together after all others; pairs without an answer never enter.
 
     Args:
         correct: (N,) bool.
         answered: (N,) bool.
-        confidence: (N,) higher is surer, any scale; NaN where not given; ignored where not answered.
+        confidence: (N,) higher is more certain, on any scale; NaN where not given; ignored where not answered.
 
     Raises:
         ValueError: no pairs, or the shapes do not fit.
@@ -46,7 +46,7 @@ def precision_recall(correct: ArrayLike, answered: ArrayLike, confidence: ArrayL
     if right.ndim != 1 or right.size == 0 or not right.shape == given.shape == sure.shape:
         raise ValueError("correct, answered and confidence must be non-empty arrays of one length")
     sure = np.where(np.isnan(sure), -np.inf, sure)[given]
-    distinct, block = np.unique(-sure, return_inverse=True)  # negated: surest first
+    distinct, block = np.unique(-sure, return_inverse=True)  # negated: highest confidence first
     submitted = np.cumsum(np.bincount(block, minlength=len(distinct)))
     solved = np.cumsum(np.bincount(block, weights=right[given], minlength=len(distinct)))
     return PrecisionRecall(precision=solved / submitted, recall=solved / right.size)

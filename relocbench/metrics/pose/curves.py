@@ -15,9 +15,9 @@ class CumulativeCurve:
     """Sorted errors against the share of all pairs: a step function that rises by 1/N at each error."""
 
     error: Array
-    """(M,) finite errors, ascending; M <= N"""
+    """(M,) the finite errors, ascending; M <= N"""
     share: Array
-    """(M,) share of all N pairs whose error is at most that; ends at the coverage"""
+    """(M,) share of all N pairs whose error is at most ``error``; the last entry is the coverage"""
 
     def at(self, threshold: float) -> float:
         """Share of all pairs with an error <= ``threshold``."""
@@ -26,7 +26,7 @@ class CumulativeCurve:
 
 
 def cumulative_curve(error: ArrayLike) -> CumulativeCurve:
-    """The curve of errors (N,), inf where there is no answer. Raises ValueError on NaN or no errors."""
+    """The cumulative curve of errors (N,), inf where there is no answer. Raises ValueError on NaN or no errors."""
     e = checked_errors(error)
     finite = np.sort(e[np.isfinite(e)])
     return CumulativeCurve(finite, np.arange(1, len(finite) + 1) / len(e))
@@ -35,9 +35,12 @@ def cumulative_curve(error: ArrayLike) -> CumulativeCurve:
 def area_shares(error: ArrayLike, threshold: float) -> Array:
     """``max(0, 1 - e / threshold)`` of each error (N,), in 0..1.
 
-    Their mean is the area under the cumulative curve from 0 to ``threshold``, divided by ``threshold``:
-    exactly, because the step function integrates to ``1/N sum max(0, threshold - e)``. Trapezoids through the
-    sorted errors and histograms give other numbers when N is small.
+    Their mean is the area under the cumulative curve from 0 to ``threshold``, divided by ``threshold``. It is exact,
+    because the step function integrates to ``1/N sum max(0, threshold - e)``; trapezoids through the sorted errors
+    and histograms give other numbers when N is small.
+
+    Raises:
+        ValueError: a threshold that is not positive, and as :func:`checked_errors`.
     """
     if not threshold > 0:
         raise ValueError(f"the threshold of an area must be positive, got {threshold}")
@@ -45,7 +48,7 @@ def area_shares(error: ArrayLike, threshold: float) -> Array:
 
 
 def checked_errors(error: ArrayLike) -> Array:
-    """Errors (N,) as float64; inf is allowed. Raises ValueError on NaN, negative, or no errors at all."""
+    """Errors (N,) as float64; inf is allowed. Raises ValueError on NaN, a negative error, or no errors at all."""
     e = np.asarray(error, dtype=np.float64)
     if e.ndim != 1 or e.size == 0 or not np.all(e >= 0):
         raise ValueError("errors must be a non-empty (N,) array of numbers >= 0 or inf")

@@ -3,12 +3,12 @@
 With ``T_query_ref = [[R, t], [0, 1]]`` the query camera's centre in the reference frame is ``c = -R^T t``.
 
 - ``rotation_error_deg``: angle of ``R_pred R_gt^T``.
-- ``translation_error_m`` (primary): ``||c_pred - c_gt||``, what a vehicle is off by. It does not depend on
-  the choice of the reference frame (both poses times one transform on the right).
-- ``mlad_translation_error_m``: ``||t_pred - t_gt||``, what hloc and the MLAD and 4Seasons challenges score.
+- ``translation_error_m`` (primary): ``||c_pred - c_gt||``, the position error of a vehicle that uses the answer. It
+  does not depend on the choice of the reference frame (both poses times one transform on the right).
+- ``mlad_translation_error_m``: ``||t_pred - t_gt||``, as scored by hloc and by the MLAD and 4Seasons challenges.
   It does not depend on the choice of the query frame (both poses times one transform on the left).
 
-The two translation errors are equal when the rotation is exact, and swap roles when poses are stored the
+The two translation errors are equal when the rotation is exact, and they swap roles when poses are stored the
 other way round. That is why each has its own name.
 """
 
@@ -46,17 +46,17 @@ class PoseErrors:
 
     @property
     def answered(self) -> NDArray[np.bool_]:
-        """(N,) which pairs hold an answer: under the failure policy exactly those with finite errors."""
+        """(N,) whether each pair has an answer: by the failure policy, exactly the pairs with finite errors."""
         return np.isfinite(self.translation_error_m)
 
 
 def pose_errors(T_pred: ArrayLike, T_gt: ArrayLike, answered: ArrayLike | None = None) -> PoseErrors:
-    """Errors of predicted against true poses.
+    """The errors of predicted against true poses.
 
     Args:
         T_pred: (N, 4, 4) predicted ``T_query_ref``, rigid where answered, anything where not.
         T_gt: (N, 4, 4) true ``T_query_ref``.
-        answered: (N,) False where the method failed or was never run; None if the poses alone tell (NaN).
+        answered: (N,) False where the method failed or was never run; None if NaN poses mark those pairs.
 
     Raises:
         ValueError: the shapes do not fit, or a true pose is not finite.
@@ -64,14 +64,14 @@ def pose_errors(T_pred: ArrayLike, T_gt: ArrayLike, answered: ArrayLike | None =
     pred, gt = np.asarray(T_pred, dtype=np.float64), np.asarray(T_gt, dtype=np.float64)
     valid = answered_pairs(pred, answered)
     if gt.shape != pred.shape:
-        raise ValueError(f"true poses must be {pred.shape} as the predicted ones, got {gt.shape}")
+        raise ValueError(f"true poses must have the shape {pred.shape} of the predicted ones, got {gt.shape}")
     if not np.isfinite(gt).all():
         raise ValueError("true poses must be finite: a pair without ground truth is not in the set")
-    pred = np.where(valid[:, None, None], pred, np.eye(4))  # a stand-in to compute with; its errors become inf
+    pred = np.where(valid[:, None, None], pred, np.eye(4))  # a placeholder to compute with; its errors become inf
 
     R_pred, t_pred = pred[:, :3, :3], pred[:, :3, 3]
     R_gt, t_gt = gt[:, :3, :3], gt[:, :3, 3]
-    with np.errstate(over="ignore", invalid="ignore"):  # an absurdly far answer overflows: infinite as well
+    with np.errstate(over="ignore", invalid="ignore"):  # a pose that is absurdly far off overflows to an infinite error
         rotation = np.degrees(rotation_angle(R_pred @ _transposed(R_gt)))
         centre = np.linalg.norm(_camera_centre(R_pred, t_pred) - _camera_centre(R_gt, t_gt), axis=-1)
         mlad = np.linalg.norm(t_pred - t_gt, axis=-1)

@@ -1,12 +1,12 @@
-"""What a failure costs, in one place.
+"""The failure policy: what a missing or failed answer costs.
 
 1. A missing, failed or non-finite answer has infinite error.
 2. The denominator of every share is every pair of the set, answered or not.
-3. An unknown pair or one answered twice is an error of the predictions, never dropped in silence.
+3. A prediction for an unknown pair, or a second one for the same pair, is an error and never dropped silently.
 4. A failure is never replaced by the prior or the identity: nothing here makes up a pose.
 5. No pair set is dropped from a mean: a method that misses one has no total, hence no rank.
 
-Rules 1 and 2 make every per-pair value below defined for every pair: a share is the plain mean of N values.
+By rules 1 and 2 every pair has a value in every metric below, so that a share is the plain mean of N values.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ Array = NDArray[np.float64]
 
 
 def answered_pairs(T_pred: ArrayLike, answered: ArrayLike | None = None) -> NDArray[np.bool_]:
-    """Which pairs hold an answer: said to be answered, and every number of the pose finite.
+    """Which pairs have an answer: those reported as answered whose pose is finite in every number.
 
     Args:
-        T_pred: (N, 4, 4) poses; anything at all where there is no answer, NaN by custom.
-        answered: (N,) False where the method failed or was never run; None if the poses alone tell.
+        T_pred: (N, 4, 4) poses; any values where there is no answer, by convention NaN.
+        answered: (N,) False where the method failed or was never run; None if NaN poses mark those pairs.
 
     Returns:
         (N,) bool.
@@ -60,10 +60,10 @@ def align_predictions(
     path: Path | str | None = None,
     lines: Sequence[int] | None = None,
 ) -> NDArray[np.int64]:
-    """Where the answer to each pair of the set stands among the predictions.
+    """The position of each pair's answer among the predictions.
 
     Args:
-        expected_keys: N keys of the set's pairs, by custom ``(ref_timestamp_ns, query_timestamp_ns)``.
+        expected_keys: N keys of the set's pairs, by convention ``(ref_timestamp_ns, query_timestamp_ns)``.
         predicted_keys: M keys of the predictions, in any order.
         path: the predictions file, for the message.
         lines: M 1-based line numbers in ``path``, for the message.
@@ -94,7 +94,7 @@ def align_predictions(
 
 
 def place_predictions(index: NDArray[np.int64], values: ArrayLike, missing: float = np.nan) -> Array:
-    """Predicted values (M, ...) in the order of the set's pairs (N, ...), ``missing`` where there is none.
+    """Predicted values (M, ...) rearranged to the order of the set's pairs (N, ...), ``missing`` where there is none.
 
     ``index`` is what :func:`align_predictions` returned.
     """
@@ -106,7 +106,7 @@ def place_predictions(index: NDArray[np.int64], values: ArrayLike, missing: floa
 
 
 def mean_over_pair_sets(values: Sequence[float | None]) -> float | None:
-    """Mean over every pair set, each counting the same; None (a blank total) when one set is missing."""
+    """The mean over all pair sets, each with equal weight; None (a blank total) when any of them has no value."""
     present = [value for value in values if value is not None]
     if not values or len(present) < len(values):
         return None
@@ -123,5 +123,5 @@ def _first_repeated(keys: Sequence[Hashable]) -> str:
 
 
 def _printed(key: Hashable) -> str:
-    """A pair as the predictions file writes it."""
+    """A pair's key as prediction files write it."""
     return " ".join(map(str, key)) if isinstance(key, tuple) else str(key)

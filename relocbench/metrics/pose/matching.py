@@ -1,8 +1,7 @@
-"""Matching quality: how often a per-pixel Gauss-Newton walks to the true pixel.
+"""Matching quality: how often a per-pixel Gauss-Newton converges to the true pixel.
 
-For each ground-truth correspondence the solver starts a known offset away from the true query pixel and ends
-somewhere. The metric is the share that ends within a threshold, over all starts and by the length of the
-start offset.
+For each ground-truth correspondence the solver starts at a known offset from the true query pixel. The metric is the
+share of solutions that end within a threshold of the truth, over all starts and by the length of the start offset.
 """
 
 from __future__ import annotations
@@ -19,29 +18,29 @@ from relocbench.metrics.pose.failure_policy import infinite_where_failed
 THRESHOLDS_PX: tuple[float, ...] = (1, 3)
 OFFSET_EDGES_PX: tuple[float, ...] = (0, 1, 2, 4, 8, 16)
 _DIGITS = 6
-"""a start meant to be 8 px off in some direction is 8 px off up to rounding, and so is the end of who does not move"""
+"""Distances are rounded to 1e-6 px, so that a start drawn 8 px from the truth lies in the group up to 8 px."""
 
 
 @dataclass(frozen=True)
 class OffsetShare:
-    """The correspondences whose start was between ``low_px`` (excluded) and ``high_px`` (included) off."""
+    """The correspondences whose start was more than ``low_px`` and at most ``high_px`` from the truth."""
 
     low_px: float
     high_px: float
     count: int
     share: Mapping[str, float | None]
-    """by name ``match@1px``; None when there is no such start"""
+    """by name such as ``match@1px``; None where no start lies in this range"""
 
 
 @dataclass(frozen=True)
 class MatchingQuality:
-    """Shares 0..1 of ground-truth correspondences found again."""
+    """Shares, 0..1, of ground-truth correspondences that a method found again."""
 
     count: int
     share: Mapping[str, float]
-    """by name ``match@1px``, over all starts"""
+    """by name such as ``match@1px``, over all starts"""
     start_share: Mapping[str, float]
-    """the same for the starts, as of a solver that does not move: read the shares against it"""
+    """the shares of the start pixels themselves, which a solver that does not move would get: the floor"""
     by_offset: tuple[OffsetShare, ...]
 
 
@@ -56,12 +55,11 @@ def matching_quality(
     """Shares of correspondences that end within each threshold of the truth.
 
     Args:
-        end_px: (N, 2) where the solver ended; NaN where it failed or left the image, which counts as
-            not found.
+        end_px: (N, 2) where the solver ended; NaN where it failed or left the image, which counts as not found.
         truth_px: (N, 2) the true query pixels.
         start_offset_px: (N, 2) start minus truth, or (N,) its length.
-        thresholds_px: distances that count as found, the threshold itself included.
-        offset_edges_px: ascending edges of the start offsets' groups; a start on an edge belongs below it.
+        thresholds_px: distances within which a correspondence is found, inclusive.
+        offset_edges_px: ascending edges of the groups of start offsets; a start on an edge belongs to the group below.
 
     Raises:
         ValueError: the shapes do not fit, there are no correspondences, or a start offset lies outside
@@ -75,7 +73,9 @@ def matching_quality(
         raise ValueError("matching needs end_px and truth_px (N, 2) and start_offset_px (N, 2) or (N,), N >= 1")
     start = np.round(start, _DIGITS)
     if not np.isfinite(truth).all() or not np.all((start >= offset_edges_px[0]) & (start <= offset_edges_px[-1])):
-        raise ValueError(f"start offsets must lie in {offset_edges_px[0]}..{offset_edges_px[-1]} px, truth be finite")
+        raise ValueError(
+            f"start offsets must lie in {offset_edges_px[0]}..{offset_edges_px[-1]} px and true pixels be finite"
+        )
     answered: NDArray[np.bool_] = np.all(np.isfinite(end), axis=1)
     distance = np.round(np.linalg.norm(np.where(answered[:, None], end, 0) - truth, axis=-1), _DIGITS)
     distance = infinite_where_failed(distance, answered)

@@ -1,11 +1,12 @@
-"""How far off may a start be? The offset at which the share of successes drops below a half.
+"""The radius of convergence: the start offset at which the share of successes falls below a half.
 
-Shares are known at a few offsets and are joined by straight lines. The radius is the first place, going outwards, where
-the line falls below the wanted share; behind it the share may rise again, which no user can rely on.
+Shares are known at a few offsets and interpolated linearly. The radius is the first place, going outwards, where the
+interpolated share falls below the wanted one; it may rise again further out, but no user can rely on that.
 
-Where fewer than half succeed even from the truth, that radius is 0 and compares nothing. ``relative`` radii measure the
-width of the basin apart from that: shares are divided by the one at the smallest offset first. A method that finds
-little can have a wide basin, so that the two numbers, the share from the truth and the relative radius, go together.
+Where fewer than half succeed even from the truth, that radius is 0 and does not compare methods. ``relative`` radii
+measure the width of the basin independently of its height: shares are first divided by the share at the smallest
+offset. A method that rarely succeeds can still have a wide basin, so the share from the truth and the relative radius
+should be read together.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ HALF = 0.5
 
 @dataclass(frozen=True)
 class Radius:
-    """An offset up to which a share of starts succeeds."""
+    """The offset up to which the wanted share of starts succeeds."""
 
     value: float
-    """in the unit of the offsets; 0 where fewer succeed even from the smallest offset"""
+    """in the unit of the offsets; 0 where the share is too low even at the smallest offset"""
     beyond: bool
-    """the share is not undercut at any offset: ``value`` is the largest of them, the radius is greater"""
+    """whether the share is high enough at every offset: ``value`` is then the largest offset, the radius greater"""
     interval: Interval | None = None
-    """over resampled drives, cut to the largest offset; None when there are too few pairs to say"""
+    """from resampled drives, clipped to the largest offset; None when there are too few pairs for one"""
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """How many times as far A may start as B."""
+    """The ratio of A's radius to B's."""
 
     value: float
     """inf where only B's radius is 0, NaN where both are"""
@@ -45,12 +46,12 @@ class Ratio:
 
 
 def success_radius(offsets: ArrayLike, shares: ArrayLike, share: float = HALF, *, relative: bool = False) -> Radius:
-    """Where the success falls below ``share``.
+    """The offset at which the share of successes falls below ``share``.
 
     Args:
         offsets: (K,) ascending, not negative.
-        shares: (K,) successes at each, 0..1.
-        relative: to the share at the smallest offset; where that is 0, so is the radius.
+        shares: (K,) share of successes at each offset, 0..1.
+        relative: divide shares by the one at the smallest offset; where that is 0, the radius is 0.
 
     Raises:
         ValueError: the shapes do not fit, offsets do not ascend, or something is not finite.
@@ -71,7 +72,7 @@ def radius_of(
     resamples: int = RESAMPLES,
     level: float = LEVEL,
 ) -> Radius:
-    """Radius of the mean over pair sets of the mean over their pairs, with a block-bootstrap interval.
+    """The radius of the mean over pair sets of the mean over their pairs, with a block-bootstrap interval.
 
     Args:
         pair_sets: (K, N_s) each: the share of successes at each offset of each pair, ordered by reference time.
@@ -99,9 +100,9 @@ def radius_ratio(
     resamples: int = RESAMPLES,
     level: float = LEVEL,
 ) -> Ratio:
-    """A's radius over B's on the same pairs in the same order; both are resampled with the same blocks.
+    """The ratio of A's radius to B's on the same pairs in the same order, resampled with the same blocks.
 
-    A radius beyond the largest offset counts as that offset. Arguments as in :func:`radius_of`.
+    A radius beyond the largest offset counts as that offset. The arguments are those of :func:`radius_of`.
     """
     both = [np.concatenate([np.asarray(a), np.asarray(b)]) for a, b in zip(pair_sets_a, pair_sets_b, strict=True)]
     k = len(np.asarray(offsets))
@@ -122,7 +123,7 @@ def radius_ratio(
 def _resampled(
     pair_sets: Sequence[ArrayLike], offsets: ArrayLike, rng: np.random.Generator, resamples: int
 ) -> tuple[Array, Array, Array | None]:
-    """Offsets (K,), means (K,), and (K, resamples) means over resampled drives."""
+    """The offsets (K,), the mean shares (K,), and the mean shares (K, resamples) of resampled drives."""
     x = np.asarray(offsets, dtype=np.float64)
     values = [np.asarray(v, dtype=np.float64) for v in pair_sets]
     for v in values:
@@ -142,13 +143,13 @@ def _checked(offsets: ArrayLike, shares: Array) -> tuple[Array, Array]:
 
 
 def _relative(y: Array) -> Array:
-    """Shares (..., K) as parts of the first one; 0 where that is 0."""
+    """Shares (..., K) divided by the first one; 0 where that is 0."""
     first = y[..., :1]
     return np.where(first > 0, y / np.where(first > 0, first, 1.0), 0.0)
 
 
 def _radii(x: Array, y: Array, share: float) -> Array:
-    """Radius of each row of shares (..., K)."""
+    """The radius of each row of shares (..., K)."""
     low = y < share
     first = np.where(low.any(axis=-1), low.argmax(axis=-1), len(x))
     after = np.clip(first, 1, len(x) - 1)
@@ -161,6 +162,6 @@ def _radii(x: Array, y: Array, share: float) -> Array:
 
 def _percentiles(values: Array, level: float) -> Interval:
     tail = 50 * (1 - level)
-    # An infinite ratio cannot be interpolated: take values that were drawn.
+    # An infinite ratio cannot be interpolated: take percentiles among the drawn values.
     low, high = np.percentile(values, [tail, 100 - tail], method="inverted_cdf")
     return Interval(float(low), float(high), level)

@@ -1,4 +1,4 @@
-"""Every metric of a pair set by its stable name: unit, direction, formula, thresholds it relies on."""
+"""The registry of pair-set metrics: stable name, unit, direction, formula and thresholds of each."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ MLAD_THRESHOLDS_M: tuple[float, ...] = (0.1, 0.2, 0.5)
 TRANSLATION_AUC_THRESHOLDS_M: tuple[float, ...] = (0.5, 1)
 ROTATION_AUC_THRESHOLDS_DEG: tuple[float, ...] = (0.5, 1)
 CORRECT: tuple[float, float] = (0.25, 2)
-"""(metres, degrees) of an answer that counts as correct when confidence is judged"""
+"""(metres, degrees) within which an answer counts as correct where confidence is assessed"""
 SIGMA_FACTOR = 2.0
-"""a threshold below this many ground-truth sigmas measures the ground truth rather than the method"""
+"""a threshold below this many ground-truth sigmas measures the errors of the ground truth rather than the method's"""
 
 
 @dataclass(frozen=True, eq=False)
 class PairScores:
-    """What is known of all N pairs of one set, in the order of reference time."""
+    """The errors, times and confidences of all N pairs of one set, in the order of reference time."""
 
     errors: PoseErrors
     seconds: Array | None = None
-    """(N,) wall-clock seconds of a pair, NaN where the method was not run; None if never measured"""
+    """(N,) wall-clock seconds of a pair, NaN where the method was not run; None if not measured at all"""
     confidence: Array | None = None
-    """(N,) higher is surer, NaN where not given; None if the method gives none"""
+    """(N,) higher is more certain, NaN where not given; None if the method gives none"""
 
     def __post_init__(self) -> None:
         for name, column in (("seconds", self.seconds), ("confidence", self.confidence)):
@@ -44,7 +44,7 @@ class PairScores:
 
 @dataclass(frozen=True)
 class Metric:
-    """One number of a pair set."""
+    """A metric of a pair set: what it is called, how it is computed, and what can be said of it."""
 
     name: str
     unit: str
@@ -52,9 +52,9 @@ class Metric:
     higher_is_better: bool
     description: str
     compute: Callable[[PairScores], float | None]
-    """the value over all pairs; None when what it needs was not given"""
+    """the value over all pairs; None when its inputs (seconds, confidence) were not given"""
     per_pair: Callable[[PoseErrors], Array] | None = None
-    """(N,) values whose plain mean is the metric, where there are such: what a bootstrap resamples"""
+    """(N,) values whose plain mean is the metric, for metrics that are such a mean: the bootstrap resamples them"""
     translation_threshold_m: float | None = None
     rotation_threshold_deg: float | None = None
 
@@ -63,20 +63,20 @@ class Metric:
     ) -> bool:
         """Whether a threshold of the metric is below ``factor`` times the ground truth's sigma.
 
-        Such a number is shown grey. ``sigma_m`` and ``sigma_deg`` are standard deviations of the pair set's
-        ground truth; None where unknown, which greys nothing.
+        Tables print such a number in grey. ``sigma_m`` and ``sigma_deg`` are standard deviations of the pair set's
+        ground truth; a threshold is never too fine for an unknown one (None).
         """
         limits = ((self.translation_threshold_m, sigma_m), (self.rotation_threshold_deg, sigma_deg))
         return any(t is not None and sigma is not None and t < factor * sigma for t, sigma in limits)
 
 
 def within(errors: PoseErrors, metres: float, degrees: float) -> NDArray[np.bool_]:
-    """(N,) both errors at most their thresholds; the threshold itself counts."""
+    """(N,) whether both errors are at most their thresholds."""
     return (errors.translation_error_m <= metres) & (errors.rotation_error_deg <= degrees)
 
 
 def metric_named(name: str) -> Metric:
-    """The metric of that name. Raises ConfigError, listing the names, if there is none."""
+    """The metric of that name. Raises ConfigError, which lists the names, if there is none."""
     for metric in METRICS:
         if metric.name == name:
             return metric

@@ -1,7 +1,7 @@
-"""A pair set in numbers: every metric of the registry over all pairs.
+"""The summary of a pair set: every metric of the registry over all pairs.
 
-Shares are 0..1 here; tables print percent. Values are plain ``float``, ``int`` or None, so a summary goes to
-JSON as it is; medians may be ``inf``, which Python's ``json`` writes as ``Infinity``.
+Shares are 0..1 here; tables print percent. Values are plain ``float``, ``int`` or None, so that a summary can be
+written as JSON; medians may be ``inf``, which Python's ``json`` writes as ``Infinity``.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ class PairSetSummary:
     """N, the denominator of every share"""
     answered: int
     values: Mapping[str, float | None]
-    """by metric name, in the registry's order; None where the method gave nothing to compute it from"""
+    """by metric name, in the registry's order; None where its inputs were not given"""
 
     def __getitem__(self, name: str) -> float | None:
         return self.values[name]
 
     def to_dict(self) -> dict[str, Any]:
-        """``pairs``, ``answered`` and every metric, flat."""
+        """``pairs``, ``answered`` and every metric as one flat mapping."""
         return {"pairs": self.pairs, "answered": self.answered, **self.values}
 
 
 def summarize(errors: PoseErrors, seconds: Array | None = None, confidence: Array | None = None) -> PairSetSummary:
-    """Every metric of the registry.
+    """Compute every metric of the registry over a pair set.
 
     Args:
         errors: N pairs.
-        seconds: (N,) seconds of a pair, NaN where the method was not run; None if never measured.
-        confidence: (N,) higher is surer, NaN where not given; None if the method gives none.
+        seconds: (N,) seconds of a pair, NaN where the method was not run; None if not measured at all.
+        confidence: (N,) higher is more certain, NaN where not given; None if the method gives none.
 
     Raises:
         DatasetError: there is no pair to score.
@@ -60,9 +60,9 @@ def summarize(errors: PoseErrors, seconds: Array | None = None, confidence: Arra
 
 
 def totals(summaries: Sequence[PairSetSummary | None]) -> dict[str, float | None]:
-    """Each metric's mean over the pair sets, each set counting the same.
+    """The mean of each metric over the pair sets, each set with equal weight.
 
-    One entry a pair set of the dataset, None where the method has no result: then every total is None.
+    ``summaries`` has one entry for each pair set; where one is None (no result), every total is None.
     """
     return {
         metric.name: mean_over_pair_sets([None if s is None else s[metric.name] for s in summaries])
@@ -72,18 +72,19 @@ def totals(summaries: Sequence[PairSetSummary | None]) -> dict[str, float | None
 
 @dataclass(frozen=True)
 class Spread:
-    """A metric of a method with randomness over several seeds."""
+    """The mean and standard deviation of a metric over runs that differ by their seed alone."""
 
     mean: float
     standard_deviation: float | None
-    """of the sample (n - 1); None for one seed, or where a value is infinite"""
+    """of the sample (divided by n - 1); None for a single seed, or where a value is infinite"""
     seeds: int
 
 
 def spread_over_seeds(values: Sequence[float]) -> Spread:
-    """Mean and standard deviation of one metric over runs that differ by seed alone.
+    """The mean and standard deviation of one metric over runs that differ by their seed alone.
 
-    Raises ValueError when there is none.
+    Raises:
+        ValueError: no values.
     """
     if not values:
         raise ValueError("a spread needs the value of at least one seed")

@@ -1,30 +1,28 @@
-"""What a ranking in random order scores on average: the level below which a retriever has learnt nothing.
+"""The chance level: what a gallery in random order scores on average. A retriever below it has learnt nothing.
 
-Of a query with n positives in a gallery of G images (junk taken out), all orders equally likely:
+For a query with n positives in a gallery of G images (junk removed), all orders being equally likely:
 
 - ``R@K``: ``1 - C(G - n, K) / C(G, K)``,
 - ``MRR``: ``sum_r P(r_0 = r) / (r + 1)`` with ``P(r_0 = r) = n / (G - r) prod_{j < r} (1 - n / (G - j))``,
-- ``AP``: position r holds a positive with probability n / G, and ``r (n - 1) / (G - 1)`` positives stand before it on
-  average; trapezoids and rectangles are linear in that number.
+- ``AP``: position r holds a positive with probability n / G, and ``r (n - 1) / (G - 1)`` positives precede it on
+  average; both variants of AP (trapezoids and rectangles) are linear in that number.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.errors import ConfigError
+from relocbench.metrics.retrieval.measures import recall_depth, unknown_metric
 from relocbench.metrics.retrieval.relevance import Relevance
 
 Array = NDArray[np.float64]
-_RECALL = re.compile(r"R@([1-9][0-9]*)")
 
 
 def chance_level(relevance: Relevance, metrics: Sequence[str]) -> dict[str, float]:
-    """Expected value of each metric, 0..1, over all queries; one without positives counts as not found.
+    """The expected value of each metric, 0..1, over all queries; a query without positives counts as not found.
 
     Raises:
         ConfigError: an unknown metric.
@@ -41,10 +39,10 @@ def chance_level(relevance: Relevance, metrics: Sequence[str]) -> dict[str, floa
 
 
 def _expected(metric: str, n: int, size: int, whole: int) -> float:
-    """The expected metric of one query with n positives among ``size`` images; ``whole`` counts junk too."""
-    recall = _RECALL.fullmatch(metric)
-    if recall is not None:
-        return _recall(n, size, int(recall[1]))
+    """The expected metric of one query with n positives among ``size`` images; ``whole`` includes junk."""
+    k = recall_depth(metric)
+    if k is not None:
+        return _recall(n, size, k)
     match metric:
         case "R@top1%":
             return _recall(n, size, round(0.01 * whole) + 1)
@@ -54,7 +52,7 @@ def _expected(metric: str, n: int, size: int, whole: int) -> float:
             return _average_precision(n, size, trapezoids=True)
         case "AP_rectangle":
             return _average_precision(n, size, trapezoids=False)
-    raise ConfigError(f"unknown retrieval metric '{metric}'; expected R@K, R@top1%, AP, AP_rectangle or MRR")
+    raise unknown_metric(metric)
 
 
 def _recall(n: int, size: int, k: int) -> float:
@@ -65,7 +63,7 @@ def _recall(n: int, size: int, k: int) -> float:
 
 
 def _first_position(n: int, size: int) -> Array:
-    """(size,) probability that the first positive stands at each position."""
+    """(size,) probability that the first positive is at each position."""
     r = np.arange(size)
     miss = np.maximum(size - n - r, 0) / (size - r)
     before = np.concatenate([[1.0], np.cumprod(miss)[:-1]])

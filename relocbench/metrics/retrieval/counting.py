@@ -1,8 +1,8 @@
-"""How many images score at least as much as a positive: from float32 products where they decide, exactly where not.
+"""How many images score at least as much as a positive: from float32 products, and exactly where those cannot decide.
 
 A float32 product of n numbers is off by at most ``n u / (1 - n u)`` times the product of the norms, with u = 2^-24,
-in whatever order it is added up (Higham, "Accuracy and Stability of Numerical Algorithms", 2002, section 3.1). Where
-it is nearer to a threshold than that, it decides nothing.
+whatever the order of its additions (Higham, "Accuracy and Stability of Numerical Algorithms", 2002, section 3.1).
+A product that is closer to a threshold than that leaves the comparison undecided.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ Indices = NDArray[np.int64]
 
 _UNIT = 2.0**-24
 _ROUNDINGS = 4
-"""of factors to float32, and a spare one for the bound's own arithmetic"""
+"""roundings beyond the additions: of the factors to float32, and one to spare for the arithmetic of the bound itself"""
 _MOST_ROUNDINGS = 2**20
 
 
 class Thresholds:
-    """Thresholds of some queries, and how many products reach each.
+    """Score thresholds of several queries, and a count of the products that reach each.
 
     Args:
-        of_queries: Q arrays, each ascending.
+        of_queries: one ascending array for each of Q queries.
     """
 
     def __init__(self, of_queries: Sequence[Array]) -> None:
@@ -35,12 +35,12 @@ class Thresholds:
         self._reached = np.zeros(len(self._values), dtype=np.int64)
 
     def counts(self, query: int) -> Indices:
-        """(n,) how many of the products that were counted are >= each threshold of a query."""
+        """(n,) how many of the counted products are >= each threshold of a query."""
         highest_reached = self._reached[self._starts[query] : self._starts[query + 1]]
         return np.cumsum(highest_reached[::-1])[::-1]
 
     def count_exact(self, products: Array) -> None:
-        """Count products (Q, G) that are exact."""
+        """Count products (Q, G) that are known exactly."""
         from relocbench.metrics.retrieval import kernels as retrieval_kernels
 
         nobody = np.zeros((0, 2), dtype=np.int64)
@@ -50,16 +50,17 @@ class Thresholds:
     def count_decided(
         self, products: NDArray[np.float32], query_norms: Array, gallery_norms: Array, length: int, most: int
     ) -> Indices | None:
-        """Count float32 products (Q, G), but those that are too near to a threshold.
+        """Count float32 products (Q, G), except those that are too close to a threshold to be decided.
 
         Args:
-            query_norms: (Q,), of the vectors whose products they are.
-            gallery_norms: (G,).
+            query_norms: (Q,) norms of the query vectors.
+            gallery_norms: (G,) norms of the gallery vectors.
             length: numbers in a vector.
-            most: so many may be too near.
+            most: the largest acceptable number of undecided products.
 
         Returns:
-            (N, 2) query and gallery image of those; None where they are more, and nothing is counted then.
+            (N, 2) query and gallery index of each undecided product; None where there are more than ``most``, in
+            which case nothing is counted.
         """
         from relocbench.metrics.retrieval import kernels as retrieval_kernels
 
@@ -75,12 +76,12 @@ class Thresholds:
         return pairs[:found]
 
     def count_pairs(self, pairs: Indices, query: Array, gallery: Scaled) -> None:
-        """Count single products, which are computed exactly.
+        """Compute single products exactly and count them.
 
         Args:
-            pairs: (N, 2) query and gallery image.
+            pairs: (N, 2) query and gallery index.
             query: (Q, D) integers.
-            gallery: (G, D), which is rounded to integers.
+            gallery: (G, D), rounded to integers here.
         """
         from relocbench.metrics.retrieval import kernels as retrieval_kernels
 
@@ -88,15 +89,15 @@ class Thresholds:
 
 
 def error_bound(length: int) -> tuple[float, float]:
-    """How far a float32 product is from that of the vectors rounded to integers.
+    """A bound on the difference between a float32 product and that of the vectors rounded to integers.
 
     Args:
         length: n, numbers in a vector.
 
     Returns:
         ``relative`` and ``absolute``: the product of vectors with norms a and b is off by at most
-        ``relative a b + absolute (a + b + sqrt(n))``, by its additions and as each factor is rounded by up to a half.
-        Infinity where float32 tells nothing.
+        ``relative a b + absolute (a + b + sqrt(n))``, from its additions and from rounding each factor by up to a
+        half. Infinity where n is so large that float32 decides nothing.
     """
     if length > _MOST_ROUNDINGS:
         return np.inf, np.inf
@@ -105,7 +106,7 @@ def error_bound(length: int) -> tuple[float, float]:
 
 
 def exact_products(pairs: Indices, query: Array, gallery: Scaled) -> Array:
-    """Products (N,) of pairs (N, 2) of integers (Q, D) and of rows (G, D), which are rounded to integers."""
+    """(N,) exact products of pairs (N, 2): integer rows of ``query`` (Q, D), and rows of ``gallery`` (G, D) rounded."""
     from relocbench.metrics.retrieval import kernels as retrieval_kernels
 
     products: Array = retrieval_kernels.exact_products(pairs, query, gallery)

@@ -1,14 +1,14 @@
-"""Ranking by the dot product of descriptors: by blocks, and the same to the last bit however it is computed.
+"""Ranking by the dot product of descriptors, block by block, with results that are the same to the last bit.
 
-In floating point a dot product depends on the order of its additions, hence on the block, on the number of threads
-and on where in the gallery an image stands: two copies of one image can differ, and near ties fall either way. Here
-every number is first rounded to a grid, fine enough for what descriptors hold and coarse enough that float64 adds up
-dot products without rounding. With ``|a_q| <= 4/3 2^26`` and ``|b_g| <= 4/3 2^26`` for integer vectors every partial
-sum is at most ``|a_q| |b_g| <= 16/9 2^52 < 2^53`` (Cauchy-Schwarz). For vectors of norm 1 a step of the grid is 2^-26
-= 1.5e-8, and a dot product is off by some 1e-8: a tenth of what a float32 product of 2048 numbers is off by.
+In floating point a dot product depends on the order of its additions, hence on the size of the block, on the number of
+threads and on the image's place in the gallery: two copies of one image can score differently, and near ties fall
+either way. Here every number is first rounded to a grid, fine enough for what descriptors hold and coarse enough that
+float64 adds up dot products without rounding. With ``|a_q| <= 4/3 2^26`` and ``|b_g| <= 4/3 2^26`` for integer vectors
+every partial sum is at most ``|a_q| |b_g| <= 16/9 2^52 < 2^53`` (Cauchy-Schwarz). For vectors of norm 1 a step of the
+grid is 2^-26 = 1.5e-8, and a dot product is off by some 1e-8: a tenth of what a float32 product of 2048 numbers is.
 
-Ranks need few of these products: float32 tells on which side of most scores an image stands, and only where it does not
-is the exact product taken.
+Ranks need few of these exact products: a float32 product decides most comparisons, and the exact one is computed only
+where it does not.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _BITS = 26
 _LARGEST_EXPONENT = 1000
 _SINGLE_EXPONENT = 100
 _UNDECIDED = 0.1
-"""of products; where float32 leaves more open, matrix products of float64 are faster than single ones"""
+"""share of all products; where float32 leaves more undecided, float64 matrix products beat single exact ones"""
 _CACHED = 128
-"""rows that stay in a processor's cache while their norms are taken"""
+"""rows that fit a processor's cache while their norms are computed"""
 
 
 def rank_descriptors(
@@ -44,18 +44,18 @@ def rank_descriptors(
     query_block: int = QUERY_BLOCK,
     gallery_block: int = GALLERY_BLOCK,
 ) -> Ranking:
-    """Positions of the positives when the gallery is ranked by descending dot product.
+    """The positions of the positives when the gallery is ranked by descending dot product.
 
     Memory beyond the descriptors: at most ``8 (query_block D + gallery_block D + query_block gallery_block)`` bytes and
-    about as much again while a block is rounded. Descriptors mapped from disk are read block by block.
+    about as much again while a block is rounded. Memory-mapped descriptors are read block by block.
 
     Args:
-        query: (Q, D), any real type; divide by the norms beforehand where the cosine is meant. One that is not
-            finite has retrieved nothing.
-        gallery: (G, D). One that is not finite is never retrieved. The grid is that of the longest: vectors
-            that are many times shorter are known as many times less well.
+        query: (Q, D), any real type; divide by the norms beforehand for cosine similarity. A query whose descriptor
+            is not finite retrieves nothing.
+        gallery: (G, D). An image whose descriptor is not finite is never retrieved. The longest vector sets the grid:
+            vectors that are many times shorter are resolved as many times less finely.
         relevance: of these queries in this gallery.
-        query_block, gallery_block: rows that are held at a time. They do not change the result.
+        query_block, gallery_block: rows in memory at a time. They do not change the result.
 
     Raises:
         ValueError: the shapes do not fit.
@@ -93,9 +93,9 @@ def rank_descriptors(
 def exact_scores(
     query: ArrayLike, gallery: ArrayLike, *, block: int = QUERY_BLOCK, gallery_block: int = GALLERY_BLOCK
 ) -> Iterator[tuple[slice, Array]]:
-    """The whole similarity matrix, block by block of queries, by the dot products that :func:`rank_descriptors` uses.
+    """The whole similarity matrix, by blocks of queries, from the dot products that :func:`rank_descriptors` uses.
 
-    Within a row scores compare exactly; rows have scales of their own. Take out junk beforehand.
+    Scores compare exactly within a row; each row has a scale of its own. Junk must be removed beforehand.
 
     Args:
         query: (Q, D), as in :func:`rank_descriptors`.
@@ -104,7 +104,7 @@ def exact_scores(
         gallery_block: rows of the gallery that are multiplied at a time.
 
     Yields:
-        which queries, and their scores (n, G); NaN where either descriptor is not finite.
+        the slice of queries, and their scores (n, G); NaN where either descriptor is not finite.
 
     Raises:
         ValueError: the shapes do not fit.
@@ -128,9 +128,9 @@ def exact_scores(
 
 
 def _compare(grid: Array, norms: Array, gallery: Scaled, gallery_norms: Array, at_least: Thresholds) -> None:
-    """Count images of the gallery (G, D), scaled to the grid, that reach the thresholds of queries (Q, D) on it.
+    """Count images of the gallery (G, D), scaled to the grid, that reach the thresholds of queries (Q, D) on the grid.
 
-    Where float32 cannot tell many of them apart, as where all descriptors are alike, all products are exact.
+    Where float32 leaves too many products undecided, as where all descriptors are alike, all are computed exactly.
     """
     products = grid.astype(np.float32) @ gallery.astype(np.float32, copy=False).T
     most = int(_UNDECIDED * products.size) + 1
@@ -142,7 +142,7 @@ def _compare(grid: Array, norms: Array, gallery: Scaled, gallery_norms: Array, a
 
 
 def _scaled(rows: NDArray[Any], scale: float) -> Scaled:
-    """Rows (n, D) times a power of two: float32 where that is exact, or what is lost is far below 1."""
+    """Rows (n, D) times a power of two: in float32 where that is exact or the loss is far below 1, else in float64."""
     exact = rows.dtype in (np.float16, np.float32) and 2.0**-_SINGLE_EXPONENT < scale < 2.0**_SINGLE_EXPONENT
     kind = np.float32 if exact else np.float64
     scaled: Scaled = np.multiply(rows, kind(scale), dtype=kind, order="C")
@@ -152,36 +152,36 @@ def _scaled(rows: NDArray[Any], scale: float) -> Scaled:
 def _scores_of_positives(
     grid: Array, positives: Sequence[Indices], gallery: NDArray[Any], known: NDArray[np.bool_], scale: float, block: int
 ) -> list[Array]:
-    """Exact scores of each query's positives, NaN where the descriptor is not finite.
+    """The exact scores of each query's positives, NaN where the descriptor is not finite.
 
     Args:
-        grid: (Q, D) queries.
-        positives: of each, in the gallery.
-        block: rows of the gallery that are held at a time.
+        grid: (Q, D) queries on the grid.
+        positives: the gallery indices of each query's positives.
+        block: rows of the gallery that are in memory at a time.
     """
     images, of = np.concatenate(positives), np.repeat(np.arange(len(grid)), [len(mine) for mine in positives])
     scores = np.full(len(images), np.nan)
     for chunk in _blocks(np.flatnonzero(known[images]), block):
-        needed, row = np.unique(images[chunk], return_inverse=True)  # many queries may have one positive
+        needed, row = np.unique(images[chunk], return_inverse=True)  # many queries may share a positive
         scores[chunk] = exact_products(np.column_stack([of[chunk], row]), grid, _scaled(gallery[needed], scale))
     return np.split(scores, np.cumsum([len(mine) for mine in positives])[:-1])
 
 
 def _on_grid(rows: NDArray[Any], scale: float | Array) -> Array:
-    """Rows (n, D) times ``scale``, rounded to integers, float64."""
+    """Rows (n, D) times ``scale``, rounded to integers, as float64."""
     grid = np.array(rows, dtype=np.float64, order="C")
     grid *= scale
     return np.rint(grid, out=grid)
 
 
 def _scales(norms: Array) -> Array:
-    """Powers of two (n,) that bring finite norms to (2/3 2^26, 4/3 2^26]; norm 1 is far from either end."""
+    """Powers of two (n,) that scale finite norms into (2/3 2^26, 4/3 2^26]; norm 1 is far from either end."""
     exponents = _BITS - np.frexp(0.75 * norms)[1]
     return np.ldexp(1.0, np.clip(exponents, -_LARGEST_EXPONENT, _LARGEST_EXPONENT))
 
 
 def _norms(rows: NDArray[Any]) -> Array:
-    """(n,) float64; NaN or inf where a row is not finite."""
+    """(n,) norms as float64; NaN or inf where a row is not finite."""
     norms = np.empty(len(rows))
     for start in range(0, len(rows), _CACHED):
         chunk = np.array(rows[start : start + _CACHED], dtype=np.float64, order="C")

@@ -1,4 +1,4 @@
-"""Loops of :mod:`relocbench.metrics.retrieval.counting`, compiled; loaded when something is ranked."""
+"""The compiled loops of :mod:`relocbench.metrics.retrieval.counting`, imported only when something is ranked."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def count_decided(
     reached: Indices,
     undecided: Indices,
 ) -> int:
-    """One is added to ``reached`` (M,) for each product at the highest threshold that it surely reaches.
+    """Add 1 to ``reached`` (M,) at the highest threshold that each product certainly reaches.
 
-    Returns how many are too near to a threshold, which then stand in ``undecided``; -1 where that has no room for them.
+    Returns the number of products too close to a threshold, listed in ``undecided``; -1 if that has too few rows.
     """
     found, longest = 0, np.max(gallery_norms)
     for q in range(products.shape[0]):
@@ -55,7 +55,7 @@ def count_decided(
 
 @njit(cache=True, fastmath={"reassoc", "contract"})
 def _exact_product(query: Array, row: Scaled) -> float:
-    """The product of integers whose partial sums float64 holds: the order of the additions changes nothing."""
+    """The product of integer vectors whose partial sums are exact in float64: the order of additions is irrelevant."""
     total = 0.0
     for i in range(len(query)):
         total += query[i] * np.rint(np.float64(row[i]))
@@ -64,7 +64,7 @@ def _exact_product(query: Array, row: Scaled) -> float:
 
 @njit(cache=True)
 def exact_products(pairs: Indices, query: Array, gallery: Scaled) -> Array:
-    """Products (N,) of pairs (N, 2) of integers (Q, D) and of rows (G, D), which are rounded to integers."""
+    """(N,) exact products of pairs (N, 2): integer rows of ``query`` (Q, D), and rows of ``gallery`` (G, D) rounded."""
     products = np.empty(len(pairs))
     for n in range(len(pairs)):
         products[n] = _exact_product(query[pairs[n, 0]], gallery[pairs[n, 1]])

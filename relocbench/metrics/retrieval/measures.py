@@ -1,16 +1,16 @@
 """Retrieval metrics by their formulas: recall at K, average precision, reciprocal rank.
 
-A query's positives stand at 0-based positions r_0 < r_1 < ... of the ranking without junk, n of them exist:
+For a query with n positives, at the 0-based positions r_0 < r_1 < ... of the ranking without junk:
 
 - ``R@K``: 1 where r_0 < K.
 - ``R@top1%``: 1 where r_0 <= round(0.01 G), as the authors of University-1652 index their cumulative match
   curve (Zheng, Wei and Yang, ACM MM 2020); G counts the whole gallery.
 - ``AP``: ``1/n sum_i 1/2 (old_i + (i+1)/(r_i+1))`` with ``old_i = i/r_i``, 1 where r_i = 0: trapezoids under
   precision against recall (Philbin et al., the Oxford buildings benchmark, CVPR 2007).
-- ``AP_rectangle``: ``1/n sum_i (i+1)/(r_i+1)``, which others call AP, and which is never the smaller one.
+- ``AP_rectangle``: ``1/n sum_i (i+1)/(r_i+1)``, which others call AP; it is never smaller than ``AP``.
 - ``MRR``: ``1/(r_0+1)``.
 
-A positive that was not retrieved adds 0; it stays in n. A query without positives has the value 0 in every metric.
+A positive that was not retrieved adds 0 but counts in n. A query without positives has the value 0 in every metric.
 With a single positive AP = (R@1 + MRR) / 2.
 """
 
@@ -32,36 +32,47 @@ from relocbench.metrics.retrieval.relevance import Indices, Mask
 Array = NDArray[np.float64]
 
 RETRIEVAL_METRICS: tuple[str, ...] = ("R@1", "R@5", "R@10", "R@top1%", "AP", "AP_rectangle", "MRR")
-"""of label sets such as University-1652, in the order in which tables show them"""
+"""metrics of label sets such as University-1652, in the order in which tables show them"""
 PLACE_METRICS: tuple[str, ...] = ("R@1", "R@5", "R@10", "R@20")
-"""of place recognition"""
+"""metrics of place recognition"""
 _RECALL = re.compile(r"R@([1-9][0-9]*)")
 
 
 class Denominator(StrEnum):
-    """Which queries a mean is over."""
+    """The queries that a mean is taken over."""
 
     ALL = "all queries"
     """a query without positives counts as not found"""
     WITH_POSITIVES = "queries with positives"
 
 
+def recall_depth(metric: str) -> int | None:
+    """The K of a metric ``R@K``; None for other metrics."""
+    recall = _RECALL.fullmatch(metric)
+    return None if recall is None else int(recall[1])
+
+
+def unknown_metric(metric: str) -> ConfigError:
+    """The error for a name that no metric has."""
+    return ConfigError(f"unknown retrieval metric '{metric}'; expected R@K, R@top1%, AP, AP_rectangle or MRR")
+
+
 @dataclass(frozen=True, eq=False)
 class RetrievalScores:
-    """What each of Q queries scored, 0..1, in the order of the queries."""
+    """The scores of each of Q queries, 0..1, in the order of the queries."""
 
     first: Indices
     """(Q,) 0-based position of the first positive; :data:`NEVER` where none was retrieved"""
     average_precision: Array
-    """(Q,) by trapezoids"""
+    """(Q,) average precision by trapezoids"""
     average_precision_rectangle: Array
-    """(Q,)"""
+    """(Q,) average precision by rectangles"""
     positives: Indices
-    """(Q,) how many positives there were to be found"""
+    """(Q,) number of positives of each query, retrieved or not"""
     answered: Mask
     """(Q,) False where nothing at all was retrieved"""
     gallery: int
-    """G, junk included"""
+    """G, the size of the gallery, junk included"""
 
     def __len__(self) -> int:
         return len(self.first)
@@ -77,9 +88,9 @@ class RetrievalScores:
         Raises:
             ConfigError: no metric has that name.
         """
-        recall = _RECALL.fullmatch(metric)
-        if recall is not None:
-            return ((self.first != NEVER) & (self.first < int(recall[1]))).astype(np.float64)
+        k = recall_depth(metric)
+        if k is not None:
+            return ((self.first != NEVER) & (self.first < k)).astype(np.float64)
         match metric:
             case "R@top1%":
                 return (self.first <= self.top1_index).astype(np.float64)
@@ -89,23 +100,23 @@ class RetrievalScores:
                 return self.average_precision_rectangle
             case "MRR":
                 return np.where(self.first == NEVER, 0.0, 1.0 / (np.minimum(self.first, NEVER - 1) + 1.0))
-        raise ConfigError(f"unknown retrieval metric '{metric}'; expected R@K, R@top1%, AP, AP_rectangle or MRR")
+        raise unknown_metric(metric)
 
 
 @dataclass(frozen=True)
 class RetrievalSummary:
-    """Metrics of one retriever on one query set, and over what they were taken."""
+    """The metrics of one retriever on one query set, with the number of queries that they average over."""
 
     queries: int
-    """all of them"""
+    """number of all queries"""
     without_positives: int
     unanswered: int
-    """queries for which nothing at all was retrieved; they have positives or not"""
+    """queries for which nothing at all was retrieved, whether or not they have positives"""
     denominator: Denominator
     counted: int
-    """how many queries each mean is over"""
+    """number of queries that each mean is over"""
     gallery: int
-    """images, junk included"""
+    """number of images, junk included"""
     values: Mapping[str, float]
     """by metric name, 0..1"""
 
@@ -113,14 +124,14 @@ class RetrievalSummary:
         return self.values[name]
 
     def to_dict(self) -> dict[str, Any]:
-        """Counts, the denominator by name and every metric, flat."""
+        """The counts, the denominator by name and every metric as one flat mapping."""
         counts = {"queries": self.queries, "without_positives": self.without_positives, "unanswered": self.unanswered}
         over = {"denominator": str(self.denominator), "counted": self.counted, "gallery": self.gallery}
         return {**counts, **over, **self.values}
 
 
 def score_retrieval(ranking: Ranking) -> RetrievalScores:
-    """Every query's values from the positions of its positives."""
+    """Score every query from the positions of its positives."""
     n = ranking.positives
     query = np.repeat(np.arange(ranking.queries), n)
     i = np.arange(len(query)) - ranking.starts[:-1][query]
@@ -152,12 +163,12 @@ def summarize_retrieval(
     *,
     denominator: Denominator = Denominator.ALL,
 ) -> RetrievalSummary:
-    """Means over the queries.
+    """The mean of each metric over the queries.
 
     Args:
         scores: of every query.
-        metrics: names, as in the module's list; R@K for any K.
-        denominator: all queries, or those that have positives; the summary tells which.
+        metrics: names from the module's list, or R@K for any K.
+        denominator: whether means are over all queries or over those that have positives.
 
     Raises:
         ConfigError: an unknown metric.
@@ -178,14 +189,15 @@ def summarize_retrieval(
 
 
 def per_group(values: ArrayLike, groups: ArrayLike) -> Array:
-    """One value a group of queries, whose plain mean is the mean over all queries: what a bootstrap resamples.
+    """One value for each group of queries, whose plain mean is the mean over all queries, for the bootstrap.
 
     Queries of one building or one place are not independent, so that whole groups are resampled:
     ``bootstrap_interval([per_group(scores.per_query("AP"), labels)], rng, block_length=1)``. Queries along a drive
-    need no groups: the bootstrap finds blocks of neighbours by itself.
+    need no groups: the bootstrap resamples blocks of neighbours.
 
     Args:
         values: (Q,) a metric's values.
+        groups: (Q,) the group of each query, by number or name.
         groups: (Q,) which group each query belongs to, by number or name.
 
     Returns:

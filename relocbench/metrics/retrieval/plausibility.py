@@ -1,11 +1,11 @@
-"""Can a published row of R@1 and AP be true? What a single positive allows, and nothing else.
+"""Whether a published row of R@1 and AP can be true, by what a single positive for each query allows.
 
-With one positive a query AP = (R@1 + MRR) / 2. A query that is not answered at the first position has a reciprocal
-rank of at most 1/2, so that, in percent, ``R@1 <= AP <= R@1 + (100 - R@1) / 4``. Published numbers are rounded: a row
-is at fault only if no numbers that round to what is printed keep the bounds.
+With one positive for each query AP = (R@1 + MRR) / 2. A query whose positive is not at the first position has a
+reciprocal rank of at most 1/2, so that, in percent, ``R@1 <= AP <= R@1 + (100 - R@1) / 4``. Published numbers are
+rounded: a row is at fault only if no numbers that round to the printed ones satisfy the bounds.
 
-The bounds hold for trapezoid AP and one positive a query, as from drone to satellite in University-1652. They do not
-hold for rectangle AP (which is the MRR there), nor where there are several positives, as from satellite to drone.
+The bounds hold for the trapezoid AP and one positive for each query, as from drone to satellite in University-1652.
+They do not hold for the rectangle AP (there, the MRR), nor with several positives, as from satellite to drone.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from relocbench.metrics.retrieval.tables import Table, TableRow, read_tables
 
 _NOT_REPORTED = frozenset({"", "-", "--", "–", "—", "n/a", "na", "none", "?"})
 _NUMBER = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*%?(?:\s*(?:±|\+-|\+/-)\s*[0-9.]+\s*%?|\s*\([0-9.]+\s*%?\))?")
-"""a number, which a deviation may follow: 75.93, 75.93 %, 75.93 ± 0.3, 75.93 (0.3)"""
+"""a number that may be followed by a deviation: 75.93, 75.93 %, 75.93 ± 0.3, 75.93 (0.3)"""
 _RECALL_NAMES = frozenset({"r@1", "recall@1", "r1", "rank1", "rank@1"})
 _AP_NAMES = frozenset({"ap", "map"})
 _HUNDRED = Decimal(100)
@@ -29,12 +29,12 @@ _HUNDRED = Decimal(100)
 
 @dataclass(frozen=True)
 class TableFault:
-    """What is wrong with one row; printed as one line."""
+    """A fault of one row of a table; it prints as one line."""
 
     path: Path | str
     line: int
     row: str
-    """the row's first cell, or which row it is"""
+    """the row's first cell, or its number where that is empty"""
     message: str
 
     def __str__(self) -> str:
@@ -43,13 +43,13 @@ class TableFault:
 
 @dataclass(frozen=True)
 class TableCheck:
-    """What became of the rows of a file."""
+    """The result of checking the rows of a file."""
 
     faults: tuple[TableFault, ...]
     checked: int
-    """rows with both numbers"""
+    """number of rows that report both numbers"""
     not_reported: int
-    """rows without one of them"""
+    """number of rows that lack one of them"""
 
 
 def check_single_positive_tables(
@@ -58,13 +58,13 @@ def check_single_positive_tables(
     """Check every row of every table that has columns for R@1 and AP, in percent.
 
     Args:
-        text: of a Markdown page or a CSV file, as :func:`read_tables` takes it.
+        text: the text of a Markdown page or a CSV file, as :func:`read_tables` takes it.
         path: the file, for messages.
-        recall_column, ap_column: how the columns are called, where it is not one of R@1, Recall@1, R1, Rank-1 and
-            AP, mAP; upper and lower case, blanks and a trailing % do not matter.
+        recall_column, ap_column: names of the columns, where they are not among R@1, Recall@1, R1, Rank-1 and AP, mAP.
+            Case, blanks and a trailing % do not matter.
 
     Returns:
-        Faults in the order of the file.
+        The faults, in the order of the file, and the number of rows.
 
     Raises:
         RelocbenchError: no table has both columns, or one has two of a name.
@@ -90,10 +90,10 @@ def check_single_positive_tables(
 
 
 def single_positive_fault(recall_at_1: str, average_precision: str) -> str | None:
-    """What is wrong with a pair of published numbers in percent, or None.
+    """The fault of a pair of published numbers in percent, or None if they can be true.
 
     Numbers are given as printed, since their digits tell how far they were rounded: "75.93" stands for 75.925 to
-    75.935. A deviation behind them is passed over.
+    75.935. A deviation behind a number is ignored.
     """
     numbers = []
     for name, cell in (("R@1", recall_at_1), ("AP", average_precision)):
@@ -153,7 +153,7 @@ def _largest_ap(recall: Decimal) -> Decimal:
 
 
 def _rounded_from(value: Decimal) -> tuple[Decimal, Decimal]:
-    """The interval that rounds to the printed digits."""
+    """The interval of numbers that round to the printed digits."""
     exponent = value.as_tuple().exponent
     assert isinstance(exponent, int)  # a finite number
     half = Decimal(5).scaleb(exponent - 1)
@@ -168,10 +168,10 @@ def _column(table: Table, names: frozenset[str], path: Path | str) -> int | None
     found = [number for number, name in enumerate(table.header) if _plain(name) in names]
     if len(found) > 1:
         shown = ", ".join(f"'{table.header[number]}'" for number in found)
-        raise RelocbenchError(f"columns {shown} are called alike; expected one: name the column", path, table.line)
+        raise RelocbenchError(f"columns {shown} have the same name; expected one: name the column", path, table.line)
     return found[0] if found else None
 
 
 def _plain(name: str) -> str:
-    """``Recall @1 (%)`` and ``recall@1`` are one."""
+    """A column's name without case, blanks and brackets: ``Recall @1 (%)`` and ``recall@1`` are the same."""
     return re.sub(r"[\s\-()\[\]%]", "", name).lower()

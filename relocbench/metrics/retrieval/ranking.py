@@ -1,10 +1,10 @@
-"""Where a query's positives stand in the ranking of the gallery, from scores or from ranked lists.
+"""The positions of a query's positives in the ranking of the gallery, from scores or from ranked lists.
 
-Ties: of equal scores, images that are not positives stand first. The rule does not depend on the order of the
-gallery, and a method that gives everything the same score earns nothing by it.
+Ties: among equal scores, images that are not positives come first. The rule does not depend on the order of the
+gallery, and a method that scores all images equally gains nothing by it.
 
-Failures: an image without a finite score for a query is not retrieved by it. It has no position, stands before
-nobody, and as a positive it stays among those that were to be found.
+Failures: an image without a finite score for a query is not retrieved by it. It has no position and precedes no other
+image; a positive that is not retrieved still counts among those to be found.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from relocbench.errors import PredictionError
 from relocbench.metrics.retrieval.relevance import Indices, Mask, Relevance
 
 NEVER = np.iinfo(np.int64).max
-"""position of a positive that was not retrieved"""
+"""the position of a positive that was not retrieved"""
 
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """0-based positions of each query's positives in the gallery without junk."""
+    """The 0-based positions of each query's positives in the gallery without junk."""
 
     starts: Indices
-    """(Q + 1,) query q's positions are ``position[starts[q] : starts[q + 1]]``"""
+    """(Q + 1,) the positions of query q are ``position[starts[q] : starts[q + 1]]``"""
     position: Indices
     """(M,) ascending for each query; :data:`NEVER` where not retrieved"""
     answered: Mask
@@ -42,19 +42,19 @@ class Ranking:
 
     @property
     def positives(self) -> Indices:
-        """(Q,) how many positives each query has, retrieved or not."""
+        """(Q,) the number of positives of each query, retrieved or not."""
         return np.diff(self.starts)
 
     def of(self, query: int) -> Indices:
-        """Positions of one query's positives."""
+        """The positions of one query's positives."""
         return self.position[self.starts[query] : self.starts[query + 1]]
 
 
 def rank_scores(scores: ArrayLike, relevance: Relevance) -> Ranking:
-    """Positions from similarities that a method made itself.
+    """Compute the positions of positives from a matrix of similarities that a method computed itself.
 
     Args:
-        scores: (Q, G), higher is nearer (negate distances); a matrix mapped from disk is read row by row.
+        scores: (Q, G), higher is nearer (negate distances); a memory-mapped matrix is read row by row.
         relevance: of these queries in this gallery.
 
     Raises:
@@ -77,15 +77,15 @@ def rank_scores(scores: ArrayLike, relevance: Relevance) -> Ranking:
 
 
 def rank_lists(lists: Sequence[ArrayLike], relevance: Relevance) -> Ranking:
-    """Positions from lists of gallery indices, best first, which may end before the gallery does.
+    """Compute the positions of positives from lists of gallery indices, best first, which may be incomplete.
 
     Args:
-        lists: Q lists; an empty one is a query that was not answered. Junk in a list is passed over.
+        lists: one for each of Q queries; an empty one is a query without an answer. Junk in a list is ignored.
         relevance: of these queries in this gallery.
 
     Raises:
         PredictionError: a list holds an index that the gallery does not have, or one twice.
-        ValueError: not one list a query.
+        ValueError: the number of lists is not the number of queries.
     """
     if len(lists) != relevance.queries:
         raise ValueError(f"expected {relevance.queries} ranked lists, one a query, got {len(lists)}")
@@ -103,14 +103,14 @@ def rank_lists(lists: Sequence[ArrayLike], relevance: Relevance) -> Ranking:
 
 
 def sorted_finite(scores: NDArray[Any]) -> NDArray[Any]:
-    """The finite ones of scores (n,), ascending."""
+    """The finite values of scores (n,), ascending."""
     return np.sort(scores[np.isfinite(scores)])
 
 
 def count_at_least(scores: NDArray[Any], thresholds: NDArray[Any]) -> Indices:
-    """How many of the scores (N,) are >= each of the ascending thresholds (n,).
+    """The number of scores (N,) that are >= each of the ascending thresholds (n,).
 
-    Only what is above the lowest threshold is sorted, and nothing for a single one.
+    Only the scores above the lowest threshold are sorted, and none for a single threshold.
     """
     if thresholds.size == 0:
         return np.zeros(0, dtype=np.int64)
@@ -122,16 +122,16 @@ def count_at_least(scores: NDArray[Any], thresholds: NDArray[Any]) -> Indices:
 
 
 def ranks_of_positives(scores: NDArray[Any], at_least: Indices) -> Indices:
-    """Ascending positions of a query's positives.
+    """The ascending positions of a query's positives.
 
     Args:
         scores: (n,) of the positives; the m finite ones are retrieved.
-        at_least: (m,) how many images of the gallery without junk, positives among them, score at least as much
-            as each of ``sorted_finite(scores)``.
+        at_least: (m,) the number of images in the gallery without junk, positives included, that score at least as
+            much as each of ``sorted_finite(scores)``.
 
     Returns:
-        (n,) the i-th best positive stands behind i positives and all others that score at least as much;
-        :data:`NEVER` for the n - m that were not retrieved.
+        (n,) the i-th best positive comes after i positives and after all other images that score at least as much;
+        :data:`NEVER` for the n - m positives that were not retrieved.
     """
     retrieved = sorted_finite(scores)
     m = len(retrieved)

@@ -1,4 +1,4 @@
-"""Which gallery images answer which query: by labels, by lists, or by where both were taken."""
+"""Relevance: which gallery images are right for which query, by labels, by lists, or by where both were taken."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 JUNK_LABEL = -1
-"""gallery images of this label are taken out before ranking: neither right nor wrong"""
+"""gallery images with this label are removed before ranking: they count neither as right nor as wrong"""
 PLACE_RADIUS_M = 25.0
 _DIGITS = 9
-"""a heading that is 40 degrees off is so up to rounding, also where it is computed in radians"""
+"""Headings are rounded to 1e-9 degrees, so that one that is meant to be 40 degrees off is within 40 degrees."""
 
 
 @dataclass(frozen=True, eq=False)
 class Relevance:
-    """The positives of Q queries in a gallery of G images. A junk image is nobody's positive."""
+    """The positives of Q queries in a gallery of G images. A junk image is a positive of no query."""
 
     starts: Indices
-    """(Q + 1,) query q's positives are ``indices[starts[q] : starts[q + 1]]``"""
+    """(Q + 1,) the positives of query q are ``indices[starts[q] : starts[q + 1]]``"""
     indices: Indices
     """(M,) gallery indices, ascending for each query"""
     junk: Mask
-    """(G,) taken out of the gallery before ranking"""
+    """(G,) the images that are removed from the gallery before ranking"""
 
     @property
     def queries(self) -> int:
@@ -36,23 +36,23 @@ class Relevance:
 
     @property
     def gallery(self) -> int:
-        """G, junk included."""
+        """G, the size of the gallery, junk included."""
         return len(self.junk)
 
     @property
     def positives(self) -> Indices:
-        """(Q,) how many positives each query has."""
+        """(Q,) the number of positives of each query."""
         return np.diff(self.starts)
 
     def of(self, query: int) -> Indices:
-        """Gallery indices of one query's positives."""
+        """The gallery indices of one query's positives."""
         return self.indices[self.starts[query] : self.starts[query + 1]]
 
 
 def relevance_from_labels(
     query_labels: ArrayLike, gallery_labels: ArrayLike, *, junk_label: int | None = JUNK_LABEL
 ) -> Relevance:
-    """Positives have the query's label.
+    """Relevance by labels: a query's positives are the gallery images with its label.
 
     Args:
         query_labels: (Q,) integers. A query whose label is the junk label has no positives.
@@ -75,11 +75,11 @@ def relevance_from_labels(
 
 
 def relevance_from_lists(positives: Sequence[ArrayLike], gallery: int, *, junk: ArrayLike | None = None) -> Relevance:
-    """Positives as listed.
+    """Relevance by lists of positives.
 
     Args:
         positives: Q lists of gallery indices, in any order; an empty one for a query without positives.
-        gallery: G, how many images the gallery holds.
+        gallery: G, the number of images in the gallery.
         junk: (G,) bool; None where there is no junk.
 
     Raises:
@@ -104,14 +104,14 @@ def relevance_within(
     gallery_heading_rad: ArrayLike | None = None,
     heading_limit_deg: float | None = None,
 ) -> Relevance:
-    """Place recognition: positives were taken within a radius of the query and, if asked, look the same way.
+    """Relevance for place recognition: positives lie within a radius of the query and, optionally, face the same way.
 
     Args:
         query_m: (Q, 2) or (Q, 3) positions; the distance is over all columns given.
         gallery_m: (G, 2) or (G, 3), the same columns.
-        radius_m: the radius itself is within.
-        query_heading_rad, gallery_heading_rad: (Q,) and (G,), about one axis, any multiple of a turn.
-        heading_limit_deg: the largest angle between the headings, itself included; None asks nothing of them.
+        radius_m: radius, inclusive.
+        query_heading_rad, gallery_heading_rad: (Q,) and (G,), about one axis, modulo a full turn.
+        heading_limit_deg: the largest angle between the headings, inclusive; None for no limit.
 
     Raises:
         ValueError: the shapes do not fit, a number is not finite, or a limit without headings.
@@ -129,7 +129,7 @@ def relevance_within(
             _headings(query_heading_rad, len(query), "query_heading_rad"),
             _headings(gallery_heading_rad, len(gallery), "gallery_heading_rad"),
         )
-    # Only a strip of the gallery can be near: it is found by one sorted coordinate.
+    # Only a strip of the gallery can be within the radius: it is found by one sorted coordinate.
     order = np.argsort(gallery[:, 0], kind="stable")
     x = gallery[order, 0]
     margin = radius_m * (1 + 1e-9) + 1e-9 * max(1.0, float(np.abs(x).max()))
@@ -146,7 +146,7 @@ def relevance_within(
 
 
 def angle_between_deg(heading_rad: ArrayLike, other_rad: ArrayLike) -> Array:
-    """Angle between two headings about one axis, 0..180 degrees."""
+    """The angle between two headings about one axis, 0..180 degrees."""
     turn = np.asarray(heading_rad, dtype=np.float64) - np.asarray(other_rad, dtype=np.float64)
     degrees: Array = np.rad2deg(np.abs(np.arctan2(np.sin(turn), np.cos(turn)))).astype(np.float64)
     return np.round(degrees, _DIGITS)

@@ -1,4 +1,4 @@
-"""Tables as people publish them: the rows of Markdown pages and of CSV files, each with its line."""
+"""Published tables: the rows of Markdown pages and CSV files, each with its line number."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _DELIMITERS = ",;\t"
 
 @dataclass(frozen=True)
 class TableRow:
-    """One row below the header."""
+    """A row below the header of a table."""
 
     line: int
-    """1-based, in the file"""
+    """1-based line number in the file"""
     cells: tuple[str, ...]
 
 
@@ -27,19 +27,20 @@ class Table:
     """A header and its rows, without markup and surrounding blanks."""
 
     line: int
-    """1-based line of the header"""
+    """1-based line number of the header"""
     header: tuple[str, ...]
     rows: tuple[TableRow, ...]
 
 
 def read_tables(text: str) -> tuple[Table, ...]:
-    """All tables of a Markdown page, or the one of a CSV file.
+    """Read all tables of a Markdown page, or the one table of a CSV file.
 
-    A text is Markdown if it holds a header with a rule of dashes below it. Tables in fenced blocks are examples and
-    are passed over. CSV may be separated by comma, semicolon or tab; lines that begin with # are comments.
+    A text is Markdown if it has a table header with a rule of dashes below it. Tables in fenced code blocks are
+    examples and are ignored. CSV fields may be separated by commas, semicolons or tabs; lines that begin with # are
+    comments.
 
     Returns:
-        empty where there is no table.
+        the tables in the order of the file; none where there is no table.
 
     Raises:
         ValueError: a cell of a CSV file is longer than ``csv.field_size_limit()``.
@@ -66,7 +67,7 @@ def _markdown_tables(lines: Sequence[str]) -> Iterator[Table]:
 
 
 def _is_header(lines: Sequence[str], number: int) -> bool:
-    """Whether a rule of as many cells stands below."""
+    """Whether the next line is a rule with as many cells."""
     if number + 1 >= len(lines) or "|" not in lines[number] or "|" not in lines[number + 1]:
         return False
     rule = lines[number + 1]
@@ -89,7 +90,7 @@ def _csv_table(lines: Sequence[str]) -> tuple[Table, ...]:
     reader = csv.reader((line + "\n" for _, line in filled), delimiter=delimiter, skipinitialspace=True)
     rows = []
     try:
-        for cells in reader:  # a quoted cell may go over several lines: a row stands where it ends
+        for cells in reader:  # a quoted cell may span several lines: a row's line number is that of its last line
             rows.append(TableRow(filled[reader.line_num - 1][0], tuple(" ".join(cell.split()) for cell in cells)))
     except csv.Error:
         most = csv.field_size_limit()

@@ -1,4 +1,4 @@
-"""How many neighbouring pairs to resample as one block.
+"""Automatic choice of the bootstrap's block length: how many neighbouring pairs are resampled together.
 
 Politis and White, "Automatic Block-Length Selection for the Dependent Bootstrap", Econometric Reviews 2004,
 with the correction of Patton, Politis and White, Econometric Reviews 2009, for the circular block bootstrap.
@@ -15,17 +15,17 @@ Array = NDArray[np.float64]
 
 
 def automatic_block_length(values: ArrayLike) -> int:
-    """Block length that minimises the mean squared error of the bootstrap variance of the mean.
+    """The block length that minimises the mean squared error of the bootstrap variance of the mean.
 
     ``b = (2 G^2 / D)^(1/3) N^(1/3)`` with ``G = sum w(k/M) |k| R(k)``, ``g = sum w(k/M) R(k)`` over |k| <= M,
-    ``D = 4/3 g^2``; R the autocovariance, w the flat-top window ``min(1, 2 (1 - |s|))``. M is twice the lag
-    beyond which the autocorrelation is not distinguishable from 0.
+    ``D = 4/3 g^2``, where R is the autocovariance and w the flat-top window ``min(1, 2 (1 - |s|))``. M is twice the
+    lag beyond which the autocorrelation cannot be distinguished from 0.
 
     Args:
         values: (N,) in the order of the drive.
 
     Returns:
-        at least 1, at most ``min(3 sqrt(N), N / 3)`` as the authors advise.
+        at least 1, and at most ``min(3 sqrt(N), N / 3)`` as the authors advise.
     """
     x = np.asarray(values, dtype=np.float64)
     n = len(x)
@@ -57,7 +57,7 @@ def _autocovariance(x: Array, max_lag: int) -> Array:
 
 
 def _last_correlated_lag(rho: Array, run: int, limit: float) -> int:
-    """The smallest lag after which ``run`` autocorrelations in a row (or all there are) are within ``limit``."""
+    """The smallest lag followed by ``run`` autocorrelations (or all that remain) whose magnitude is below ``limit``."""
     small = np.abs(rho[1:]) < limit
     for m in range(len(small)):
         if small[m : m + run].all():

@@ -1,22 +1,22 @@
-"""Is A better than B, or was it the stretch of road? Block bootstrap over the pairs of a drive.
+"""Whether method A is better than method B, or a stretch of road decided: block bootstrap over the pairs of a drive.
 
-Neighbouring pairs see the same street and are not independent, so blocks of consecutive pairs are resampled:
+Neighbouring pairs see the same street and are not independent, so that blocks of consecutive pairs are resampled:
 the circular block bootstrap (Politis and Romano, "A circular block-resampling procedure for stationary data",
-1992). The drive is closed to a circle, so that every pair is as likely to be drawn as any other; the moving
-blocks of Kuensch (1989) draw both ends of the drive too seldom. Intervals are percentile intervals (Efron
-1979).
+1992). The drive is closed to a circle, so that every pair is equally likely to be drawn; the moving blocks of Kuensch
+(1989) draw both ends of the drive too seldom. Intervals are percentile intervals (Efron 1979).
 
-Measured on simulated drives of 0/1 recalls (autoregressive, 95 % asked for): 94 % covered for 2000 pairs with a
-correlation of 0.8 from one to the next, 92 % with 0.9, and 88 % for 600 pairs with 0.9, where the drive holds
-some thirty independent stretches; resampling single pairs covers 36 to 58 % there.
+Measured on simulated drives of 0/1 recalls (autoregressive, nominal coverage 95 %), intervals cover the true value
+in 94 % of cases for 2000 pairs with a correlation of 0.8 from one to the next, in 92 % with 0.9, and in 88 % for 600
+pairs with 0.9, where the drive holds some thirty independent stretches; resampling single pairs covers 36 to 58 %.
 
-Pairs must be ordered by reference time. All methods are resampled with the same blocks: the difference of two
-is paired. Several pair sets are resampled apart and averaged, each set counting the same.
+Pairs must be ordered by reference time. All methods are resampled with the same blocks, so that the difference of two
+methods is paired. Several pair sets are resampled separately and averaged, each set with equal weight.
 """
 
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -30,11 +30,11 @@ Array = NDArray[np.float64]
 LEVEL = 0.95
 RESAMPLES = 1000
 MIN_BLOCKS = 6
-"""With fewer independent blocks nothing is significant at 5 %: even when all b of them speak for A, chance
-does the same with probability 2 * 2^-b, which is 0.06 for b = 5 and 0.03 for b = 6."""
+"""With fewer independent blocks nothing is significant at 5 %: that all b of them favour A happens by chance
+with probability 2 * 2^-b, which is 0.06 for b = 5 and 0.03 for b = 6."""
 
 _DRAWN_AT_ONCE = 2**15
-"""block starts that are held at a time; drawn one after another, they are the same numbers whatever this is"""
+"""block starts that are held in memory at a time; the number does not change which starts are drawn"""
 
 
 @dataclass(frozen=True)
@@ -46,22 +46,27 @@ class Interval:
     level: float
 
     def excludes(self, value: float) -> bool:
-        """Whether ``value`` lies outside."""
+        """Whether ``value`` lies outside the interval."""
         return value < self.low or value > self.high
 
 
 @dataclass(frozen=True)
 class Difference:
-    """How much A is above B, in the metric's unit."""
+    """By how much A exceeds B, in the metric's unit."""
 
     mean: float
     interval: Interval | None
-    """None when there are too few pairs to say"""
+    """None when there are too few pairs for one"""
 
     @property
     def significant(self) -> bool:
         """Whether the interval excludes 0."""
         return self.interval is not None and self.interval.excludes(0.0)
+
+
+def generator(seed: int, place: str, metric: str) -> np.random.Generator:
+    """The random generator for one metric in one table, so that a number does not depend on which others there are."""
+    return np.random.default_rng([seed, zlib.crc32(f"{place} {metric}".encode())])
 
 
 def bootstrap_interval(
@@ -72,15 +77,15 @@ def bootstrap_interval(
     resamples: int = RESAMPLES,
     level: float = LEVEL,
 ) -> Interval | None:
-    """Percentile interval of a metric that is a mean of per-pair values.
+    """The percentile interval of a metric that is a mean of per-pair values.
 
     Args:
-        pair_sets: one (N_s,) array a pair set, the metric's ``per_pair`` values ordered by reference time.
+        pair_sets: one (N_s,) array for each pair set, the metric's ``per_pair`` values ordered by reference time.
             The metric is the mean over the sets of the mean over a set's pairs.
-        rng: source of the resampling.
-        block_length: pairs a block; None chooses it from the values (:func:`common_block_length`).
-        resamples: how often the drive is resampled.
-        level: coverage of the interval.
+        rng: the source of randomness.
+        block_length: pairs in a block; None chooses it from the values (:func:`common_block_length`).
+        resamples: number of resampled drives.
+        level: nominal coverage of the interval.
 
     Returns:
         None when all pair sets together hold fewer than :data:`MIN_BLOCKS` blocks.
@@ -102,10 +107,13 @@ def paired_difference(
     resamples: int = RESAMPLES,
     level: float = LEVEL,
 ) -> Difference:
-    """Mean of A minus mean of B on the same pairs, and its percentile interval.
+    """The mean of A minus the mean of B on the same pairs, with its percentile interval.
 
-    Arguments as in :func:`bootstrap_interval`; ``pair_sets_a`` and ``pair_sets_b`` hold the same pairs in the
-    same order.
+    ``pair_sets_a`` and ``pair_sets_b`` hold the same pairs in the same order; the other arguments are those of
+    :func:`bootstrap_interval`.
+
+    Raises:
+        ValueError: the pairs differ, and as :func:`bootstrap_interval`.
     """
     a, b = [_checked(v) for v in pair_sets_a], [_checked(v) for v in pair_sets_b]
     if [len(v) for v in a] != [len(v) for v in b]:
@@ -124,19 +132,19 @@ def rank_with_ties(
     resamples: int = RESAMPLES,
     level: float = LEVEL,
 ) -> dict[str, int | None]:
-    """Ranks of methods; those that do not differ significantly from the best of their group share its place.
+    """The ranks of methods; methods that do not differ significantly from the best of their group share a rank.
 
-    From best mean to worst: a method joins the current group unless its paired difference to the group's best
-    is significant; then it opens the next group, whose rank is one more than the number of methods before it
-    (1, 1, 3).
+    Methods are taken from the best mean to the worst. A method joins the current group unless its paired difference
+    to the group's best is significant; then it opens the next group, whose rank is one more than the number of
+    methods before it (1, 1, 3).
 
     Args:
-        values: for each method one entry a pair set, in one order of sets for all methods: (N_s,) per-pair
-            values ordered by reference time, None where the method has no result on the set.
+        values: for each method one entry for each pair set, in the same order of sets for all methods: (N_s,) per-pair
+            values ordered by reference time, or None where the method has no result on the set.
         rng, block_length, resamples, level: as in :func:`bootstrap_interval`.
 
     Returns:
-        rank by method, in the order of ``values``; None for a method with a missing set.
+        the rank of each method, in the order of ``values``; None for a method that misses a set.
 
     Raises:
         ValueError: methods with different pairs, and as :func:`bootstrap_interval`.
@@ -167,23 +175,23 @@ def rank_with_ties(
 def resampled_set_means(
     pair_sets: Sequence[Array], rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> Array | None:
-    """Means of several per-pair values over resampled drives, the same blocks for all of them.
+    """The means of several per-pair values over resampled drives, with the same blocks for all of them.
 
     Args:
         pair_sets: (K, N_s) each, ordered by reference time: K values of each pair.
 
     Returns:
-        (K, resamples): of each value the mean over the sets of the mean over a set's resampled pairs; None when all
+        (K, resamples): for each value, the mean over the sets of the mean over a set's resampled pairs; None when all
         sets together hold fewer than :data:`MIN_BLOCKS` blocks.
     """
     return _bootstrap_means(pair_sets, rng, None, resamples)
 
 
 def common_block_length(values: ArrayLike) -> int:
-    """One block length for all methods on a pair set, (methods, N): the longest that any of them asks for.
+    """One block length for all methods (methods, N) on a pair set: the longest that any of them needs.
 
-    The automatic choice of each method's values and of their differences from the first method's, but short
-    enough that the set still makes :data:`MIN_BLOCKS` blocks.
+    It is the longest automatic choice among the methods' values and their differences from the first method's values,
+    but short enough for the set to hold :data:`MIN_BLOCKS` blocks.
     """
     v = np.asarray(values, dtype=np.float64)
     series = [*v, *(v[1:] - v[0])]
@@ -194,7 +202,7 @@ def common_block_length(values: ArrayLike) -> int:
 def _bootstrap_means(
     pair_sets: Sequence[Array], rng: np.random.Generator, block_length: int | None, resamples: int
 ) -> Array | None:
-    """Means (methods, resamples) of values (methods, N_s) for each pair set; None if too few blocks."""
+    """Bootstrap means (methods, resamples) of values (methods, N_s) of each pair set; None where blocks are too few."""
     if not pair_sets:
         raise ValueError("a bootstrap needs at least one pair set")
     if resamples < 1 or (block_length is not None and block_length < 1):
@@ -208,10 +216,10 @@ def _bootstrap_means(
 
 
 def _resampled_means(values: Array, block_length: int, rng: np.random.Generator, resamples: int) -> Array:
-    """Means over circular blocks. (methods, N) -> (methods, resamples); the same blocks for every method.
+    """Means over circular blocks, (methods, N) -> (methods, resamples), with the same blocks for every method.
 
-    A resample of N pairs is ``N // L`` whole blocks and, where L does not divide N, the beginning of one
-    more. Sums over blocks are made once for each of the N starts, so a resample costs N / L additions.
+    A resample of N pairs consists of ``N // L`` whole blocks and, where L does not divide N, the beginning of one
+    more. The sum over the block at each of the N starts is computed once, so that a resample costs N / L additions.
     """
     n = values.shape[1]
     whole, rest = divmod(n, block_length)
@@ -219,7 +227,7 @@ def _resampled_means(values: Array, block_length: int, rng: np.random.Generator,
     sums = _circular_window_sums(values, block_length)
     ends = _circular_window_sums(values, rest) if rest else None
     total = np.empty((len(values), resamples))
-    # Some resamples at a time: together they would take 8 bytes for every pair of every resample.
+    # Resamples are drawn in batches: all of them at once would take 8 bytes for every pair of every resample.
     step = max(1, _DRAWN_AT_ONCE // drawn)
     for first in range(0, resamples, step):
         span = slice(first, min(first + step, resamples))
@@ -232,7 +240,7 @@ def _resampled_means(values: Array, block_length: int, rng: np.random.Generator,
 
 
 def _circular_window_sums(values: Array, length: int) -> Array:
-    """Sum of the ``length`` values from each start on, around the circle. (methods, N) -> (methods, N)."""
+    """The sum of the ``length`` values from each start on, around the circle. (methods, N) -> (methods, N)."""
     closed = np.concatenate([values, values[:, : length - 1]], axis=1)
     return np.lib.stride_tricks.sliding_window_view(closed, length, axis=1).sum(axis=-1)
 

@@ -1,4 +1,4 @@
-"""Gauss-Newton on single pixels: known shifts, its basin, feature maps, light, and when there is no answer."""
+"""Gauss-Newton on single pixels: known shifts, its basin, feature maps, brightness, and when there is no answer."""
 
 from __future__ import annotations
 
@@ -81,12 +81,14 @@ def test_the_scale_of_features_does_not_matter() -> None:
     ("gain", "offset", "withstands"),
     [(1.0, 40.0, {"offset", "affine"}), (0.5, 40.0, {"affine"}), (1.8, -60.0, {"affine"})],
 )
-def test_what_the_light_may_do_is_what_the_setting_says(gain: float, offset: float, withstands: set[str]) -> None:
+def test_residuals_are_invariant_to_the_brightness_model(gain: float, offset: float, withstands: set[str]) -> None:
     uv, shift = pixels(), (1.2, -0.8)
     reference, query = levels(view()), levels(gain * view(shift) + offset)
-    for light in ("none", "offset", "affine"):
-        found = share_found(match_pixels(reference, query, uv, uv, MatchSettings(DSO_PATTERN, light)), uv + shift, 0.2)
-        assert found > 0.85 if light in withstands else found < 0.4, light
+    for brightness in ("none", "offset", "affine"):
+        found = share_found(
+            match_pixels(reference, query, uv, uv, MatchSettings(DSO_PATTERN, brightness)), uv + shift, 0.2
+        )
+        assert found > 0.85 if brightness in withstands else found < 0.4, brightness
 
 
 def test_pixels_without_contrast_out_of_the_image_or_not_finite_get_no_answer() -> None:
@@ -114,7 +116,7 @@ def test_too_few_residuals_and_wrong_shapes_are_refused() -> None:
     uv = pixels()
     with pytest.raises(ValueError, match="leave 1 residuals for two unknowns; take a larger pattern"):
         match_pixels(one, one, uv, uv, MatchSettings())
-    with pytest.raises(ValueError, match="as many channels"):
+    with pytest.raises(ValueError, match="equally many channels"):
         match_pixels(one, two, uv, uv, INTENSITY)
     with pytest.raises(ValueError, match=r"\(N, 2\)"):
         match_pixels(one, one, uv, uv[:-1], INTENSITY)

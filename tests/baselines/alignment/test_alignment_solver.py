@@ -55,7 +55,7 @@ def test_the_pose_is_recovered_from_the_identity(reference: list[LevelPoints]) -
     metres, degrees = error(found.T_query_ref, MOTION)
     assert metres < 0.005
     assert degrees < 0.03
-    assert not found.trouble
+    assert not found.failure
     assert [outcome.level for outcome in found.outcomes] == [3, 2, 1, 0]
     assert found.final.end == CONVERGED
     assert found.final.valid <= found.points == len(reference[0])
@@ -113,12 +113,12 @@ def test_the_lowest_final_energy_wins_among_starts(reference: list[LevelPoints])
 
 def test_a_start_that_sees_nothing_is_a_stated_trouble(reference: list[LevelPoints]) -> None:
     behind = motion((0, 0, -100), (0, 0, 0))
-    assert "no point falls into the query" in align(reference, query(MOTION), behind, Settings()).trouble
+    assert "no point falls into the query" in align(reference, query(MOTION), behind, Settings()).failure
 
 
 def test_a_query_without_texture_is_a_stated_trouble(reference: list[LevelPoints]) -> None:
     blank = image_pyramid(np.full(CAMERA.size[::-1], 100, dtype=np.uint8), CAMERA)
-    assert "singular" in align(reference, blank, np.eye(4), Settings()).trouble
+    assert "singular" in align(reference, blank, np.eye(4), Settings()).failure
 
 
 def test_a_cutoff_below_the_huber_threshold_is_refused() -> None:

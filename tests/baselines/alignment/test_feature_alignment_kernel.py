@@ -15,20 +15,20 @@ from numpy.typing import NDArray
 from plain_alignment import bilinear
 
 from baselines.alignment import linearize, with_gradients
-from baselines.alignment.features.kernel import (
+from baselines.alignment.features.kernel import linearize_features, workspace_for
+from baselines.alignment.features.problem import FeatureProblem
+from baselines.alignment.features.pyramid import FeatureLevel
+from baselines.alignment.features.reference import FeaturePoints
+from baselines.alignment.shared.levenberg import (
     COUNT,
     ENERGY,
-    NOT_FINITE,
+    NOT_FINITE_POINTS,
     SATURATED,
     SQUARES,
     STATISTICS,
     WEIGHT,
-    linearize_features,
-    working_room,
+    minimise_level,
 )
-from baselines.alignment.features.levenberg import minimise_feature_level
-from baselines.alignment.features.pyramid import FeatureLevel
-from baselines.alignment.features.reference import FeaturePoints
 from baselines.alignment.shared.pyramid import camera_intrinsics
 from baselines.alignment.shared.scratch import BLOCK
 from relocbench import geometry
@@ -70,7 +70,7 @@ def run(
         huber,
         cutoff,
         per_channel,
-        working_room(points),
+        workspace_for(points),
         H,
         g,
         statistics,
@@ -146,7 +146,7 @@ def test_agrees_with_plain_numpy_and_with_the_intensity_kernel(
     slow = plain.linearize(level, points, pose, huber, huber * ratio, per_channel)
     found = run(wide_map, wide_points, wide_values, pose, huber, huber * ratio, per_channel, wide_weights)
     statistics = found.statistics
-    assert (statistics[COUNT], statistics[SATURATED], statistics[NOT_FINITE]) == (slow.valid, slow.saturated, 0)
+    assert (statistics[COUNT], statistics[SATURATED], statistics[NOT_FINITE_POINTS]) == (slow.valid, slow.saturated, 0)
     if slow.valid:
         assert statistics[ENERGY] == pytest.approx(slow.energy, rel=1e-9)
     assert statistics[WEIGHT] == pytest.approx(slow.weight, rel=1e-9)
@@ -242,7 +242,7 @@ def test_a_point_that_reads_a_number_that_is_not_finite_is_told(
     level_map[30 + offset[0], 39 + offset[1], 1] = bad
     pose = geometry.se3_exp(np.array([0.01, 0, 0, 0, 0, 0]))
     found = run(level_map, points, np.zeros((2, 3)), pose, 9, 1e6, per_channel)
-    assert found.statistics[NOT_FINITE] == 1
+    assert found.statistics[NOT_FINITE_POINTS] == 1
 
 
 def test_iterating_allocates_nothing() -> None:
@@ -254,8 +254,9 @@ def test_iterating_allocates_nothing() -> None:
     def allocations(iterations: int) -> tuple[int, int]:
         before = rtsys.get_allocation_stats().alloc
         schedule = (0.01, 0.5, 4.0, 0.001, 0.001, 0.0)  # never small enough a step
-        arrays = (level_map, points, values, weights, camera_intrinsics(CAMERA), np.eye(4))
-        used = minimise_feature_level(*arrays, 1.0, 9.0, False, iterations, schedule)[3]
+        arrays = (level_map, points, values, weights, camera_intrinsics(CAMERA))
+        problem = FeatureProblem(*arrays, 1.0, False, workspace_for(points))
+        used = minimise_level(problem, np.eye(4), np.zeros(2), (6, 6), 9.0, iterations, schedule)[4]
         return used, rtsys.get_allocation_stats().alloc - before
 
     _nrt_python.memsys_enable_stats()

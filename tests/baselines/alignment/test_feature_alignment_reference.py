@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from alignment_scene import CAMERA, render, to_image
-from feature_alignment_scene import features, keyframe_points, pyramid, world_points
+from alignment_scene import CAMERA
+from feature_alignment_scene import features, keyframe_points, pyramid
 from plain_alignment import bilinear
 
-from baselines.alignment import coarse_points, image_pyramid
 from baselines.alignment.features.pyramid import FeaturePyramid, level_coordinates, sample
 from baselines.alignment.features.reference import FeaturePoints, ReferenceFeatures
 from baselines.alignment.shared.pyramid import level_camera
@@ -91,19 +90,6 @@ def test_points_without_a_positive_depth_are_left_out() -> None:
     uv = np.full((4, 2), 50.0)
     points = KeyframePoints(uv, np.array([0.2, 0.0, -1.0, np.nan]), np.zeros(4))
     assert [len(level) for level in ReferenceFeatures.at_points(points, pyramid()).levels] == [1] * 4
-
-
-def test_coarse_depth_gives_the_intensity_aligners_points_with_features() -> None:
-    whole = np.rint(keyframe_points().uv)
-    points = KeyframePoints(whole, keyframe_points().inverse_depth, np.full(len(whole), 0.01))
-    expected = coarse_points(points, image_pyramid(to_image(render(np.eye(4))[0]), CAMERA))
-    found = ReferenceFeatures.on_coarse_depth(points, pyramid())
-    assert len(found) == len(expected) == 4
-    for number, (ours, theirs) in enumerate(zip(found.levels, expected, strict=True)):
-        np.testing.assert_array_equal(ours.points, theirs.points)
-        exact = features(world_points(np.eye(4), level_camera(CAMERA, number)), number)
-        np.testing.assert_allclose(ours.values, exact[theirs.uv[:, 1], theirs.uv[:, 0]], atol=1e-6)
-        assert np.all(ours.weights == 1)
 
 
 def test_spread_is_the_features_robust_scale() -> None:

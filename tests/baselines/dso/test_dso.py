@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from alignment_scene import CAMERA, motion, render, to_image
+from answer_contract import fault_of
 from numpy.typing import NDArray
 
 from baselines.dso import Dso, DsoMultiStart, small_rotations
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera, compose, invert, rotation_angle
-from relocbench.tracking import KeyframePoints, Query, Reference, SupportsPrepare, Tracker, TrackResult, fault_of
+from relocbench.tracking import KeyframePoints, Query, Reference, SupportsPrepare, Tracker, TrackResult
 
 Array = NDArray[np.float64]
 

@@ -9,6 +9,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
+from answer_contract import fault_of
 from numpy.typing import NDArray
 
 from baselines.feature_pnp import OrbPnp, SiftPnp
@@ -16,7 +17,7 @@ from baselines.feature_pnp.features import Features, detect, match, spread_evenl
 from baselines.feature_pnp.keyframe_depth import inverse_depth_at
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose
 from relocbench.geometry import Camera, apply, invert, rotation_angle, se3_exp
-from relocbench.tracking import KeyframePoints, Query, Reference, TrackResult, fault_of
+from relocbench.tracking import KeyframePoints, Query, Reference, TrackResult
 
 PINHOLE = Camera("pinhole", 480, 360, 400.0, 405.0, 238.0, 181.0)
 RADTAN = Camera("radtan", 480, 360, 400.0, 405.0, 238.0, 181.0, (-0.25, 0.08, 0.001, -0.0005, 0.01))

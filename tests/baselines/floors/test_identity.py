@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from answer_contract import fault_of
 
 from baselines.identity import Identity
 from relocbench.geometry import Camera, se3_exp
-from relocbench.tracking import Query, Reference, Tracker, fault_of
+from relocbench.tracking import Query, Reference, Tracker
 
 
 def test_identity_answers_the_identity_whatever_it_is_shown() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from answer_contract import fault_of
 from numpy.typing import NDArray
 from small_dataset import WITHIN, make_small_dataset, render, small_camera, small_pose
 
@@ -20,7 +21,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera, make_transform, rotation_angle, so3_exp
 from relocbench.methods import parse_method
-from relocbench.tracking import KeyframePoints, Query, Reference, SupportsMatching, SupportsPrepare, fault_of
+from relocbench.tracking import KeyframePoints, Query, Reference, SupportsMatching, SupportsPrepare
 
 SMALL = NetworkOptions(widths=(8, 12, 16), dim=8, levels=3)
 

@@ -14,9 +14,9 @@ from made_pairs import TINY, MadePairs
 
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.tracker import GnNet
-from baselines.gn_net.training.ema import MeanNet
 from baselines.gn_net.training.presets import gn_net, gn_net_contrastive, lm_net
 from baselines.gn_net.weights import load_weights, read_card
+from baselines.training.ema import EmaNetwork
 from relocbench.errors import ConfigError, MethodError
 from relocbench.training import Trainer, TrainingReport, TrainingRun, ValidationScores
 
@@ -165,11 +165,11 @@ def test_pairs_without_correspondences_in_view_do_not_break_a_step(tmp_path: Pat
 
 def test_the_running_mean_follows_and_forgets_the_first_weights() -> None:
     net = FeatureNet()
-    mean = MeanNet(net, 0.99)
+    mean = EmaNetwork(net, 0.99)
     with torch.no_grad():
         for parameter in net.parameters():
             parameter.fill_(1.0)
     for step in range(1, 60):
         mean.follow(net, step)
-    off = max(float((p - 1).abs().max()) for p in mean.net.parameters())
+    off = max(float((p - 1).abs().max()) for p in mean.network.parameters())
     assert 0 < off < 1e-3  # a plain mean of factor 0.99 would keep more than half of them

@@ -287,7 +287,7 @@ def test_files_that_are_no_weights_are_refused_in_one_line(tmp_path: Path) -> No
     refused["shape.pth"] = r"'bn1.weight' is \(3,\), expected \(64,\)"
     torch.save({**state, "bn1.weight": torch.full((64,), torch.nan)}, tmp_path / "nan.pth")
     torch.save({**state, "bn1.weight": torch.ones(64, dtype=torch.int64)}, tmp_path / "whole-numbers.pth")
-    refused |= dict.fromkeys(("nan.pth", "whole-numbers.pth"), "'bn1.weight' holds something else")
+    refused |= dict.fromkeys(("nan.pth", "whole-numbers.pth"), "'bn1.weight' holds values that are not finite numbers")
     for name, said in refused.items():
         with pytest.raises(MethodError, match=said) as caught:
             load_backbone(tmp_path / name, backbone)

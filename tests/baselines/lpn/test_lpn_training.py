@@ -27,7 +27,7 @@ from baselines.lpn.training.trainer import LpnTrainer
 from baselines.lpn.weights import load_weights
 from baselines.options import options_from_dict
 from relocbench.errors import ConfigError, MethodError
-from relocbench.evaluation.retrieval.trial import PlaceTrial, hold_out
+from relocbench.evaluation.retrieval.training_validation import PlaceValidation, hold_out
 from relocbench.retrieval import PlaceData, PlaceImage
 from relocbench.training import ConfiguredTrainer, PlaceTrainer, Trainer, TrainingReport, TrainingRun, ValidationScores
 
@@ -135,7 +135,9 @@ def test_it_learns_places_it_can_tell_apart(tmp_path: Path) -> None:
         losses = [float(row["instance"]) for row in rows(out / "log.csv")]
         first.append(losses[0])
         last.append(np.mean(losses[-5:]))
-        found.append(PlaceTrial(data, ("drone", "satellite"))(Lpn(weights=out / "weights.safetensors")).together["R@1"])
+        found.append(
+            PlaceValidation(data, ("drone", "satellite"))(Lpn(weights=out / "weights.safetensors")).together["R@1"]
+        )
     assert sum(last) < 0.75 * sum(first)
     assert np.mean(found) > 2 / 6
 
@@ -223,7 +225,7 @@ def test_held_out_places_are_in_one_part_alone() -> None:
     with pytest.raises(ConfigError, match="too few to hold 2 out"):
         hold_out(made_places(3), 0.1, seed=0)
     with pytest.raises(ConfigError, match="no held-out image of view 'street'"):
-        PlaceTrial(held, ("drone", "street"))
+        PlaceValidation(held, ("drone", "street"))
 
 
 def test_a_trial_says_what_chance_scores_and_when_all_images_look_alike() -> None:
@@ -231,7 +233,7 @@ def test_a_trial_says_what_chance_scores_and_when_all_images_look_alike() -> Non
         def describe(self, images: Any) -> Any:
             return np.ones((len(images), 4))
 
-    scores = PlaceTrial(made_places(5, 2), ("drone", "satellite"))(Alike())
+    scores = PlaceValidation(made_places(5, 2), ("drone", "satellite"))(Alike())
     assert scores.by_conditions["drone-satellite"]["chance R@1"] == pytest.approx(1 / 5)
     assert scores.by_conditions["drone-satellite"]["feature variance"] == 0
     assert "all images are described alike" in scores.messages[0]
@@ -381,8 +383,8 @@ def test_paired_batches_show_the_same_places_and_each_view_leads_half() -> None:
 def test_rates_fall_after_two_thirds_of_each_stage_and_rise_in_the_beginning() -> None:
     options = replace(usual_options("lpn-rpp"), epochs={"uniform": 120, "classifier": 60, "refined": 50}, warm_up=4)
     schedule = Schedule(options, 2)
-    assert [(s.first, s.last) for s in schedule.stretches] == [(0, 240), (240, 360), (360, 460)]
-    assert [schedule.at(step) for step in (0, 240, 241, 360, 460)] == [0, 0, 1, 1, 2]
+    assert [(s.first, s.last) for s in schedule.stages] == [(0, 240), (240, 360), (360, 460)]
+    assert [schedule.stage_at(step) for step in (0, 240, 241, 360, 460)] == [0, 0, 1, 1, 2]
     assert [schedule.factor(step) for step in (0, 1, 4, 159, 160, 239)] == [0.25, 0.5, 1, 1, 0.1, 0.1]
     assert [schedule.factor(step) for step in (240, 244, 319, 320)] == [0.25, 1, 1, 0.1]
 

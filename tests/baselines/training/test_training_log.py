@@ -25,8 +25,8 @@ def test_rows_up_to_the_checkpoint_are_kept(tmp_path: Path) -> None:
         (b"", r"log.csv:1: expected a header with 'step'"),
         (b"step,loss\n1,2\n2\n", r"log.csv:3: expected 2 columns, found 1"),
         ("step,loss\n²²,2\n".encode(), r"log.csv:2: step is '²²', expected a whole number"),
-        (b"step,loss\n\xff,2\n", r"log.csv: no CSV table"),
-        (b'step,loss\n"1,2\n', r"log.csv: no CSV table"),
+        (b"step,loss\n\xff,2\n", r"log.csv: not a CSV table"),
+        (b'step,loss\n"1,2\n', r"log.csv: not a CSV table"),
     ],
 )
 def test_a_log_that_is_none_is_refused_in_one_line(tmp_path: Path, content: bytes, message: str) -> None:

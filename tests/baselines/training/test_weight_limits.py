@@ -214,8 +214,8 @@ def checkpoint(tmp_path: Path) -> tuple[nn.Module, torch.optim.AdamW, Path, dict
         ({"step": True}, "its 'step' is a bool"),
         ({"step": -1}, "negative"),
         ({"identity": [1]}, "its 'identity' is a list"),
-        ({"window": {"loss": "low"}}, "holds no numbers"),
-        ({"net": {"weight": 1}}, "its weights are no tensors"),
+        ({"window": {"loss": "low"}}, "holds values that are not numbers"),
+        ({"net": {"weight": 1}}, "its weights are not all tensors"),
         ({"best": {}}, "its 'best' has other entries"),
         ({"best": {"step": 1, "score": 1.0, "weights": {}, "scores": {"other": 1}}}, "its 'best' has other entries"),
         ({"more": 1}, "it has 'more'"),
@@ -313,7 +313,7 @@ def test_correspondences_that_do_not_tell_their_pair_are_refused(tmp_path: Path)
     pq.write_table(ROWS, path, write_statistics=False)
     assert len(read_correspondences(path)) == 3
     for read in (lambda: read_correspondences(path, (1, 1)), lambda: CorrespondenceIndex(path)):
-        with pytest.raises(DatasetError, match="does not tell the pair of each row group"):
+        with pytest.raises(DatasetError, match="has no Parquet statistics of the timestamps"):
             read()
 
 

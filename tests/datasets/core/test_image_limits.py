@@ -165,15 +165,12 @@ def test_an_error_of_the_decoder_is_one_line(tmp_path: Path, monkeypatch: pytest
 
 
 def test_the_size_is_checked_before_anything_is_decoded(tmp_path: Path, no_decoder: None) -> None:
-    def check(size: tuple[int, int]) -> None:
-        raise DatasetError(f"is {size}", path)
-
     path = tmp_path / "0.png"
     for data, size in ((png(30000, 30000, pixels=b"\0"), (30000, 30000)), (JPEG, (60, 40))):
         path.write_bytes(data)
         for read in (images.read_image, images.read_depth):
-            with pytest.raises(DatasetError, match=f"is \\({size[0]}, {size[1]}\\)"):
-                read(path, check)
+            with pytest.raises(DatasetError, match=f"image is {size[0]}x{size[1]}, expected 1x1"):
+                read(path, images.ExpectedSize((1, 1), "a test"))
 
 
 def a_folder(path: Path) -> None:

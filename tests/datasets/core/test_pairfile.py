@@ -157,7 +157,7 @@ def test_a_pair_file_from_elsewhere_needs_no_table(tmp_path: Path) -> None:
     [
         ("2,20,,,,,,,submap,false", "2,20,,,,,,,submap,true", r"pairs\.csv:3: pair 2 20 is missing from pairs\.txt"),
         ("1,10,step_1", "1,11,step_1", r"pairs\.csv:2: pair 1 11 is missing from"),
-        ("poses,true", "poses,false", r"pairs\.csv:2: pair 1 10 was rejected but stands in pairs\.txt"),
+        ("poses,true", "poses,false", r"pairs\.csv:2: pair 1 10 was rejected but is listed in pairs\.txt"),
         ("0.75", "much", r"pairs\.csv:2: overlap is 'much'"),
         ("submap,false", "submap,no", r"pairs\.csv:3: accepted is 'no', expected true or false"),
         ("group", "kind", r"pairs\.csv:1: expected the columns"),

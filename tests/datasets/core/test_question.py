@@ -21,7 +21,7 @@ from relocbench.evaluation.common.results import dataset_results
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.retrieval.records import all_sets
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
-from relocbench.evaluation.tracking.external import take_predictions
+from relocbench.evaluation.tracking.external import import_predictions
 from relocbench.evaluation.tracking.run import run_method
 from relocbench.execution import Run
 from relocbench.files import dump_yaml, load_yaml_values, write_text
@@ -136,7 +136,7 @@ def test_predictions_of_another_copy_of_the_question_are_scored_and_say_so(origi
     there = dataset_results(tmp_path / "theirs", other)
     answered = run_method(other, other.pair_sets(), parse_method("identity"), there, run=Run(0), reporter=Silent())
     here = dataset_results(tmp_path / "ours", original)
-    taken = take_predictions(original, original.pair_sets(), answered.root, "theirs", here)
+    taken = import_predictions(original, original.pair_sets(), answered.root, "theirs", here)
     assert taken.run_record().answered_on == other.fingerprint
     assert taken.run_record().fingerprint == original.fingerprint
 
@@ -182,7 +182,7 @@ def test_predictions_of_another_question_are_refused(original: Dataset, tmp_path
     there = dataset_results(tmp_path / "theirs", other)
     answered = run_method(other, other.pair_sets(), parse_method("identity"), there, run=Run(0), reporter=Silent())
     with pytest.raises(PredictionError, match="predictions are for small@"):
-        take_predictions(
+        import_predictions(
             original, original.pair_sets(), answered.root, "theirs", dataset_results(tmp_path / "ours", original)
         )
 

@@ -19,7 +19,7 @@ from relocbench.datasets.cross_view.rendered.plan import Views, choose_places, p
 from relocbench.datasets.cross_view.rendered.work import PhotoUnit, render_unit, seen_by
 from relocbench.datasets.importers.rendered import cross_view
 from relocbench.datasets.synthetic.conditions.condition import condition_named
-from relocbench.datasets.synthetic.jobs import stage
+from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.town.network import StreetNetwork
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
@@ -36,7 +36,7 @@ TINY = {
     "extent": 190.0,
     "conditions": ("Sunny", "Overcast"),
 }
-TOWN = stage.Place(0, "test", 190.0)
+TOWN = scenes.DistrictSpec(0, "test", 190.0)
 HOUSE = Building(7, np.array([12.0, -30.0]), np.array([9.0, 10.0]), 14.0)
 OPTICS = Optics(64, 80.0)
 
@@ -92,7 +92,7 @@ def test_street_views_stand_on_the_nearest_street_and_face_the_house() -> None:
 
 
 def test_places_keep_their_distance_and_none_is_of_a_row_of_equal_houses() -> None:
-    district = stage.district(TOWN)
+    district = scenes.district(TOWN)
     every, found = buildings(district, every=True), buildings(district)
     assert 5 < len(found) < len(every)
     for front in district.periodic.fronts:
@@ -189,7 +189,7 @@ def test_a_finished_set_is_not_made_again_but_mended(made: CrossViewSet, tmp_pat
     assert build(out).fingerprint == made.fingerprint
     assert times == {p: p.stat().st_mtime_ns for p in out.rglob("*.png")}
     (out / "test/gallery_satellite/5000/5000.png").unlink()
-    with pytest.raises(DatasetError, match=r"5000\.png: missing; it stands in manifest\.csv"):
+    with pytest.raises(DatasetError, match=r"5000\.png: missing; it is listed in manifest\.csv"):
         open_cross_view(out)
     assert build(out).fingerprint == made.fingerprint
     assert content(out) == content(made.root)
@@ -199,14 +199,14 @@ def test_what_was_added_or_changed_is_noticed(made: CrossViewSet, tmp_path: Path
     out = tmp_path / "out"
     shutil.copytree(made.root, out)
     shutil.copy(out / "test/gallery_street/5000/1.png", out / "test/gallery_street/5000/2.png")
-    with pytest.raises(DatasetError, match=r"2\.png: stands in no manifest\.csv"):
+    with pytest.raises(DatasetError, match=r"2\.png: is not listed in manifest\.csv"):
         open_cross_view(out)
-    with pytest.raises(DatasetError, match=r"2\.png: is no image of this build"):
+    with pytest.raises(DatasetError, match=r"2\.png: is not an image of this build"):
         build(out)
     (out / "test/gallery_street/5000/2.png").unlink()
     manifest = out / "manifest.csv"
     manifest.write_text(manifest.read_text().replace("gallery_street/5000", "gallery_street/5001", 1))
-    with pytest.raises(DatasetError, match="the fingerprint does not fit"):
+    with pytest.raises(DatasetError, match="the fingerprint does not match"):
         open_cross_view(out)
     with pytest.raises(DatasetError, match="holds a dataset made with other options"):
         build(out, seed=1)
@@ -219,7 +219,7 @@ def test_an_image_depends_on_nothing_that_was_rendered_before(made: CrossViewSet
     (place, network), (other, _) = choose_places("test", 3, 1, None, 25.0, 190.0, 0, Silent())[:2]
     chosen = [p for x in (other, place) for p in photos_of(x, network, views, "test", 0) if p.view == "drone"]
     spent = render_unit(PhotoUnit(tmp_path, views, factors, tuple(reversed(chosen))))
-    assert spent.images == 4
+    assert spent.files == 4
     before = content(made.root)
     after = content(tmp_path)
     assert sorted(after) == sorted(p.keys[0] for p in chosen)
@@ -230,9 +230,9 @@ def test_an_image_depends_on_nothing_that_was_rendered_before(made: CrossViewSet
     ("options", "words"),
     [
         (("--conditions", "Hail"), "no condition 'Hail'"),
-        (("--conditions", "Sunny,Rain,Rain"), "--conditions: Value error, conditions are the satellite's and then"),
-        (("--split", "train", "--distractors", "3"), "--distractors are of the test split"),
-        (("--places", "6000"), "there are labels for 5000 a split"),
+        (("--conditions", "Sunny,Rain,Rain"), "--conditions: Value error, conditions are the satellite's, then"),
+        (("--split", "train", "--distractors", "3"), "--distractors applies to the test split"),
+        (("--places", "6000"), "a split has at most 5000"),
         (("--size", "8"), "--size: Input should be greater than or equal to 32"),
         (("--drone-views", "0"), "--drone-views"),
     ],
@@ -244,7 +244,7 @@ def test_bad_options_are_one_line(tmp_path: Path, options: tuple[str, ...], word
 
 
 def test_more_places_than_the_towns_have_room_for_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"1 towns of 190 m have room for \d+ places 25 m apart, 90 are asked for"):
+    with pytest.raises(ConfigError, match=r"1 towns of 190 m have room for \d+ places 25 m apart, not for 90"):
         build(tmp_path / "o", places=90, distractors=0, towns=1)
 
 

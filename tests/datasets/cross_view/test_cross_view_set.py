@@ -129,7 +129,7 @@ def test_classes_of_train_that_are_tested_on_are_told(official: Path) -> None:
     put(official, "train/drone/0003/image-01.jpeg")
     opened = open_cross_view(official)
     assert opened.overlap == ("0003",)
-    assert "1 classes are in train and in test: 0003" in opened.notes
+    assert "1 classes are in both train and test: 0003" in opened.notes
 
 
 def test_the_fingerprint_covers_labels_and_pixels(official: Path) -> None:
@@ -164,11 +164,11 @@ def test_an_image_that_cannot_be_read_is_named(official: Path) -> None:
     ("made", "words"),
     [
         ("other/file.txt", "expected University-1652's layout"),
-        ("drone/0001/a.jpg", "given by its authors by e-mail"),
-        ("test/query_drone/a.jpg", "holds images such as a.jpg, but no class folders"),
+        ("drone/0001/a.jpg", "available from its authors by e-mail"),
+        ("test/query_drone/a.jpg", "holds images such as a.jpg but no class folders"),
         ("test/query_drone/00 01/a.jpg", "has white space"),
-        pytest.param("test/query_drone/0001/\udcff.jpg", "is no UTF-8, which rankings", id="image of other bytes"),
-        pytest.param("test/query_drone/00\udcff/a.jpg", "is no UTF-8", id="class of other bytes"),
+        pytest.param("test/query_drone/0001/\udcff.jpg", "is not UTF-8, but rankings", id="image of other bytes"),
+        pytest.param("test/query_drone/00\udcff/a.jpg", "is not UTF-8", id="class of other bytes"),
     ],
 )
 def test_a_folder_without_the_layout_is_refused(tmp_path: Path, made: str, words: str) -> None:
@@ -192,7 +192,7 @@ def test_what_is_wrong_with_a_folder_is_said(official: Path, tmp_path_factory: p
 
 def test_a_set_to_train_on_alone_has_nothing_to_ask_and_the_other_way_about(tmp_path: Path) -> None:
     put(tmp_path, "train/drone/0001/a.jpg", "train/satellite/0001/a.jpg")
-    with pytest.raises(DatasetError, match="it is a set to train on"):
+    with pytest.raises(DatasetError, match="it is for training only"):
         open_cross_view(tmp_path).tasks()
     other = tmp_path / "other"
     put(other, "test/query_drone/0001/a.jpg", "test/gallery_satellite/0001/a.jpg")

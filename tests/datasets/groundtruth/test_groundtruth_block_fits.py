@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
-from relocbench.datasets.groundtruth.pose_graph.block_fits import Contacts, meet
+from relocbench.datasets.groundtruth.pose_graph.block_fits import Matches, match_points
 from relocbench.datasets.groundtruth.pose_graph.edge_information import (
-    distorted,
-    held,
     minimum,
-    sandwich,
+    nearest_semidefinite,
+    sandwich_information,
     scatter_by_patch,
+    with_block_distortion,
 )
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
@@ -47,12 +47,12 @@ def walls(seed: int, flanks: float, noise_m: float = 0.01, tilt: float = 0.05) -
     kind = np.full(n, Surface.STRUCTURE, np.uint8)
     origins = np.tile(np.array([0, 0, 1.8], np.float32), (n, 1))
     ones, block = np.ones(n, np.float32), np.zeros(n, np.int32)
-    return Submap(0, points.astype(np.float32), normals.astype(np.float32), origins, kind, ones, block)
+    return Submap(points.astype(np.float32), normals.astype(np.float32), origins, kind, ones, block)
 
 
-def contacts(seed: int, flanks: float, T: NDArray[np.float64] | None = None) -> Contacts:
+def contacts(seed: int, flanks: float, T: NDArray[np.float64] | None = None) -> Matches:
     ref, query = (PlaneMap(walls(seed + k, flanks), OPTIONS) for k in (0, 100))
-    return meet(ref.level(0), query.sample(0), np.eye(4) if T is None else T)
+    return match_points(ref.level(0), query.sample(0), np.eye(4) if T is None else T)
 
 
 def test_a_bare_wall_does_not_claim_to_know_the_way_along_it() -> None:
@@ -76,7 +76,7 @@ def test_what_faces_along_the_street_still_counts_in_full() -> None:
 def test_the_step_leads_back_along_the_street() -> None:
     off = 0.03
     met = contacts(3, 1.0, se3_exp([off, 0.01, 0, 0, 0, 0]))
-    H = held(met.by_points.T @ (met.weights[:, None] * met.by_planes), LEVER_M)
+    H = nearest_semidefinite(met.by_points.T @ (met.weights[:, None] * met.by_planes), LEVER_M)
     step = minimum(H, met.by_points.T @ (met.weights * met.residuals), LEVER_M, 1e-4)
     assert step[0] == pytest.approx(-off, abs=0.01)
     assert step[1] == pytest.approx(-0.01, abs=0.003)
@@ -86,13 +86,13 @@ def test_information_promises_what_the_steps_show() -> None:
     steps, variances = [], []
     for seed in range(40):
         met = contacts(1000 + seed, 1.0)
-        H = held(met.by_points.T @ (met.weights[:, None] * met.by_planes), LEVER_M)
+        H = nearest_semidefinite(met.by_points.T @ (met.weights[:, None] * met.by_planes), LEVER_M)
         gradients = (met.weights * met.residuals)[:, None] * met.by_points
         step = minimum(H, gradients.sum(axis=0), LEVER_M, 1e-4)
         left = met.residuals + met.by_planes @ step
         scatter = scatter_by_patch((met.weights * left)[:, None] * met.by_points, met.patches)
         steps.append(step)
-        variances.append(np.diag(np.linalg.inv(sandwich(H, scatter, 0.0, LEVER_M))))
+        variances.append(np.diag(np.linalg.inv(sandwich_information(H, scatter, 0.0, LEVER_M))))
     # The noise of the planes' own normals, which all points of a plane share, is not in the scatter.
     ratio = np.mean(np.square(steps), axis=0) / np.mean(variances, axis=0)
     assert 0.3 < ratio[0] < 3.0
@@ -104,21 +104,23 @@ def test_information_promises_what_the_steps_show() -> None:
 def test_nothing_is_held_less_than_not_at_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
     H = rng.normal(size=(6, 6)) * np.outer(*[np.array([1, 1, 1, 10, 10, 10])] * 2)
-    out = held(H, LEVER_M)
+    out = nearest_semidefinite(H, LEVER_M)
     np.testing.assert_allclose(out, out.T)
     assert np.linalg.eigvalsh(out).min() > -1e-9 * np.abs(H).max()
     positive = H @ H.T
-    np.testing.assert_allclose(held(positive, LEVER_M), positive, rtol=1e-9, atol=1e-9 * np.abs(positive).max())
+    np.testing.assert_allclose(
+        nearest_semidefinite(positive, LEVER_M), positive, rtol=1e-9, atol=1e-9 * np.abs(positive).max()
+    )
 
 
 def test_the_odometry_inside_blocks_bounds_what_an_edge_is_worth() -> None:
     variance = np.array([1e-4, 4e-6, 4e-6, 1e-7, 1e-7, 1e-7])
-    worth = np.linalg.inv(distorted(1e12 * np.eye(6), variance))
+    worth = np.linalg.inv(with_block_distortion(1e12 * np.eye(6), variance))
     np.testing.assert_allclose(np.diag(worth), variance, rtol=1e-3)
-    np.testing.assert_allclose(distorted(np.eye(6), np.zeros(6)), np.eye(6))
+    np.testing.assert_allclose(with_block_distortion(np.eye(6), np.zeros(6)), np.eye(6))
 
 
 def test_points_face_their_planes_only() -> None:
     ref, query = walls(5, 0.0), walls(105, 0.0)
     turned = replace(query, normals=-query.normals)
-    assert len(meet(PlaneMap(ref, OPTIONS).level(0), PlaneMap(turned, OPTIONS).sample(0), np.eye(4))) == 0
+    assert len(match_points(PlaneMap(ref, OPTIONS).level(0), PlaneMap(turned, OPTIONS).sample(0), np.eye(4))) == 0

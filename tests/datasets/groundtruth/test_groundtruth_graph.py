@@ -24,7 +24,7 @@ from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.pairs.outcome import Outcomes
 from relocbench.datasets.groundtruth.pose_graph.consensus import RunOptions
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution, optimise
-from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalOptions, meeting, refine_locally
+from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalOptions, neighbouring_blocks, refine_locally
 from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise, estimate
 from relocbench.datasets.groundtruth.pose_graph.odometry_scale import scales_of
 from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions
@@ -132,9 +132,11 @@ def test_where_nothing_holds_the_way_the_error_of_the_scale_adds_up() -> None:
     noise = OdometryNoise(along_m=0.002)
     solution = optimise(reference.nodes, query.nodes, known, noise, options)
     last = max(r.query for r in known)
-    way = query.nodes.travelled_m - query.nodes.travelled_m[last]
+    arc_length = query.nodes.travelled_m - query.nodes.travelled_m[last]
     along = {
-        d: float(np.sqrt(solution.relative(n, n)[1][0, 0])) for d in (20, 40) for n in [int(np.argmin(np.abs(way - d)))]
+        d: float(np.sqrt(solution.relative(n, n)[1][0, 0]))
+        for d in (20, 40)
+        for n in [int(np.argmin(np.abs(arc_length - d)))]
     }
     # As a random walk it would grow by sqrt(2); an unknown scale doubles it, one that wanders does more.
     assert along[20] > 3 * np.sqrt(2 * 20) * 0.002
@@ -183,8 +185,8 @@ def test_a_run_that_agrees_with_itself_but_slid_along_the_street_is_left_out(met
     assert used(solution)[~wrong].mean() > 0.95
     assert "contradicts a longer run" in solution.verdicts[int(np.flatnonzero(wrong)[20])]
     middle = len(reference.nodes) + 97
-    assert solution.way_to_trusted[middle].min() > 30.0
-    assert solution.way_to_trusted[len(reference.nodes) + 40].max() < 10.0
+    assert solution.arc_length_to_trusted[middle].min() > 30.0
+    assert solution.arc_length_to_trusted[len(reference.nodes) + 40].max() < 10.0
 
 
 def test_of_two_runs_of_like_length_that_contradict_each_other_neither_is_believed() -> None:
@@ -204,7 +206,7 @@ def test_a_jump_that_all_registrations_share_shows_as_stress_in_the_odometry() -
     )
     solution = optimise(reference.nodes, query.nodes, found, options=nothing_is_thrown_out)
     assert used(solution).all()
-    stressed = {first % len(reference.nodes) for first, _, _ in solution.stressed_odometry()}
+    stressed = {first % len(reference.nodes) for first, _ in solution.contradicted_odometry()}
     assert 59 in stressed
     assert all(50 <= node <= 70 for node in stressed)
 
@@ -214,7 +216,7 @@ def test_stretches_between_gaps_are_tied_by_registrations_alone() -> None:
     piece = (np.arange(len(query.nodes)) >= 40).astype(np.int64)
     T_odom_node = query.nodes.T_odom_node.copy()
     T_odom_node[40:] = se3_exp([30.0, 5.0, 1.0, 0.1, 0.0, 2.0]) @ T_odom_node[40:]
-    broken = replace(query.nodes, T_odom_node=T_odom_node, stretch=piece)
+    broken = replace(query.nodes, T_odom_node=T_odom_node, segment=piece)
     solution = optimise(reference.nodes, broken, found)
     errors = [np.linalg.norm(true_error(reference, query, j, j, solution.pose(j, j))[:3]) for j in range(80)]
     assert max(errors) < 0.06
@@ -263,14 +265,14 @@ def test_blocks_meet_where_registrations_say_so_and_not_where_drift_puts_them() 
     known = [r for r in second if query.nodes.travelled_m[r.query] < tied]
     solution = optimise(nodes, query.nodes, first + known)
     options = LocalOptions()
-    pairs = meeting(solution, options)
+    pairs = neighbouring_blocks(solution, options)
     furthest = {again: max(q for r, q in pairs if (r >= count) == again) for again in (False, True)}
     assert furthest[False] == len(query.nodes) - 1
-    way = float(query.nodes.travelled_m[furthest[True]])
-    assert tied < way <= tied + options.trusted_within_m
+    arc_length = float(query.nodes.travelled_m[furthest[True]])
+    assert tied < arc_length <= tied + options.trusted_within_m
     apart = np.linalg.norm(solution.T_world_ref[count:, :3, 3] - solution.T_world_query[:, :3, 3], axis=1)
     assert (apart[furthest[True] + 1 :] < options.reach_m).any()  # near in space they would be
-    assert len(meeting(optimise(nodes, query.nodes, first + second), options)) > len(pairs)
+    assert len(neighbouring_blocks(optimise(nodes, query.nodes, first + second), options)) > len(pairs)
 
 
 def test_noise_of_odometry_is_found_again_whatever_was_assumed() -> None:
@@ -337,7 +339,7 @@ def test_pairs_come_out_camera_to_camera_with_sigmas_along_across_and_above_the_
         assert sigmas[0] > sigmas[2]
         assert outcome.sigma_translation_m == pytest.approx(float(np.sqrt(np.mean(sigmas**2))))
     assert 0.5 < np.mean(squares) < 2.0
-    pair = outcomes.of(int(reference.nodes.times_ns[8]), int(query.nodes.times_ns[10]), CAMERA, CAMERA).pair("step_4")
+    pair = outcomes.of(int(reference.nodes.times_ns[8]), int(query.nodes.times_ns[10]), CAMERA, CAMERA).pair()
     assert pair.sigma_along_m is not None
     assert pair.T_query_ref is not None
 

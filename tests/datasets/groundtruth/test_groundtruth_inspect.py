@@ -192,7 +192,7 @@ def test_a_pair_that_the_graph_does_not_tie_is_shown_by_what_was_refused(tmp_pat
     near = relative_pose(found, Pair(int(times[0][3]), int(times[1][3]), None, accepted=False, reason="not registered"))
     assert (near.ref, near.query) == (2, 2)
     assert near.T_ref_query is not None
-    assert "overlap 12 %" in near.said_by
+    assert "overlap 12 %" in near.source
     far = relative_pose(found, Pair(int(times[0][7]), int(times[1][7]), None, accepted=False, reason="not registered"))
     assert (far.ref, far.query, far.T_ref_query) == (7, 7, None)
     page = write_ground_truth(lost, [lost.pair_set(ACROSS)], tmp_path / "page", 1, 0, Silent())

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relocbench.datasets.groundtruth.registration.hypotheses import Outcome
-from relocbench.datasets.groundtruth.registration.journal import Journal, followed
+from relocbench.datasets.groundtruth.registration.hypotheses import SearchResult
+from relocbench.datasets.groundtruth.registration.journal import Journal, journal_progress
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
 
 
-def outcome(node: int) -> Outcome:
+def outcome(node: int) -> SearchResult:
     """With numbers that few digits do not hold, and some that are unknown."""
     rng = np.random.default_rng(node)
     pose = np.eye(4) if node % 2 else np.full((4, 4), np.nan)
@@ -22,7 +22,7 @@ def outcome(node: int) -> Outcome:
     a, b, c, d, e, f = rng.random(6).tolist()
     evidence = Evidence(a, b, c, d, e, f, float("nan"), (0.1, 0.2, 1 / 3), 0.3, 0.4, 0.5)
     found = Registration(node, node + 1, pose, rng.normal(size=(6, 6)), evidence, "" if node % 2 else "too far")
-    return Outcome(found if node != 3 else None, "" if node != 3 else "nothing there")
+    return SearchResult(found if node != 3 else None, "" if node != 3 else "nothing there")
 
 
 class Work:
@@ -31,15 +31,15 @@ class Work:
     def __init__(self) -> None:
         self.done: list[int] = []
 
-    def __call__(self, node: int) -> Callable[[], Outcome]:
-        def do() -> Outcome:
+    def __call__(self, node: int) -> Callable[[], SearchResult]:
+        def do() -> SearchResult:
             self.done.append(node)
             return outcome(node)
 
         return do
 
 
-def same(a: Outcome, b: Outcome) -> bool:
+def same(a: SearchResult, b: SearchResult) -> bool:
     if a.best is None or b.best is None:
         return a.best is b.best and a.reason == b.reason
     return (
@@ -50,7 +50,7 @@ def same(a: Outcome, b: Outcome) -> bool:
     )
 
 
-def run(path: Path, work: Work, nodes: range, prefix: str = "node") -> list[Outcome]:
+def run(path: Path, work: Work, nodes: range, prefix: str = "node") -> list[SearchResult]:
     journal = Journal(path)
     try:
         return [journal.remember(f"{prefix} {node}", work(node)) for node in nodes]
@@ -91,7 +91,7 @@ def test_a_journal_of_other_questions_is_not_believed(tmp_path: Path) -> None:
 def test_progress_is_counted_from_journals_and_ends_at_the_total(tmp_path: Path) -> None:
     paths = [tmp_path / "a.journal", tmp_path / "b.journal"]
     steps: list[int] = []
-    with followed(paths, [5, 3], steps.append) as complete:
+    with journal_progress(paths, [5, 3], steps.append) as complete:
         run(paths[0], Work(), range(4))
         until = time.monotonic() + 600
         while sum(steps) < 4 and time.monotonic() < until:

@@ -18,17 +18,17 @@ import pytest
 from scipy.spatial import cKDTree
 
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
-from relocbench.datasets.groundtruth.icp.icp import refine
+from relocbench.datasets.groundtruth.icp.icp import run_icp
 from relocbench.datasets.groundtruth.registration.global_registration import describe, guesses
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
-from relocbench.datasets.groundtruth.verification.alternatives import SlideOptions, fit
+from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions, fit
 from relocbench.datasets.groundtruth.verification.verification import gather_evidence, verdict
 from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp, transform_from_tq
 
 pytestmark = pytest.mark.slow
 FindData = Callable[[str], Path]
-Scans = dict[str, tuple[np.ndarray, list[Prepared]]]
+Scans = dict[str, tuple[np.ndarray, list[PreparedSubmap]]]
 Guessed = Callable[[str, int], list[np.ndarray]]
 
 FILES = {
@@ -48,7 +48,6 @@ def submap(points: np.ndarray) -> Submap:
     level = np.abs(normals[:, 2]) > 0.9
     surface = np.where(flat, np.where(level, Surface.GROUND, Surface.STRUCTURE), Surface.ROUGH)
     return Submap(
-        0,
         p.astype(np.float32),
         np.where(flat[:, None], normals, 0.0).astype(np.float32),
         np.zeros_like(p, dtype=np.float32),
@@ -59,13 +58,13 @@ def submap(points: np.ndarray) -> Submap:
 
 
 @pytest.fixture(scope="module")
-def scans(real_data: FindData) -> Scans:
+def scans(real_data: FindData) -> dict[str, tuple[np.ndarray, list[PreparedSubmap]]]:
     folder = real_data("lidar_submaps_with_graph")
     found = {}
     for name, files in FILES.items():
         rows = np.loadtxt(folder / name / "graph.txt", usecols=range(1, 8))
         clouds = [np.fromfile(folder / name / file, np.float32).reshape(-1, 3) for file in files]
-        found[name] = (transform_from_tq(rows[:, :3], rows[:, 3:]), [Prepared(submap(cloud)) for cloud in clouds])
+        found[name] = (transform_from_tq(rows[:, :3], rows[:, 3:]), [PreparedSubmap(submap(cloud)) for cloud in clouds])
     return found
 
 
@@ -77,7 +76,7 @@ def guessed(scans: Scans) -> Guessed:
     def refined(name: str, i: int) -> list[np.ndarray]:
         ref, query = scans[name][1][i : i + 2]
         found = guesses(describe(ref.submap), describe(query.submap))
-        return [refine(ref.planes, query.planes, T).T_ref_query for T in found]
+        return [run_icp(ref.planes, query.planes, T).T_ref_query for T in found]
 
     return refined
 
@@ -94,7 +93,7 @@ def test_neighbours_agree_with_the_graph_from_no_prior_at_all(
     poses, sides = scans[name]
     for i in range(4):
         ref, query = sides[i], sides[i + 1]
-        best = max(guessed(name, i), key=lambda T: fit(ref.planes, query.planes, T, SlideOptions()))
+        best = max(guessed(name, i), key=lambda T: fit(ref.planes, query.planes, T, ShiftOptions()))
         m, d = error(best, invert(poses[i]) @ poses[i + 1])
         assert m < metres, (i, m, d)
         assert d < degrees, (i, m, d)
@@ -107,8 +106,8 @@ def test_any_turn_and_a_coarse_place_lead_to_the_same_pose(scans: Scans, name: s
     for (i, j), yaw in zip(combinations(range(3), 2), (4.0, -3.0, 2.0), strict=True):
         truth = invert(poses[i]) @ poses[j]
         turn = make_transform(so3_exp([0, 0, np.radians(yaw)]), [0.3, -0.3, 0.1])
-        there = refine(sides[i].planes, sides[j].planes, truth)
-        again = refine(sides[i].planes, sides[j].planes, truth @ turn)
+        there = run_icp(sides[i].planes, sides[j].planes, truth)
+        again = run_icp(sides[i].planes, sides[j].planes, truth @ turn)
         m, d = error(again.T_ref_query, there.T_ref_query)
         assert m < 0.005
         assert d < 0.03
@@ -120,8 +119,8 @@ def test_from_the_identity_turned_by_up_to_thirty_degrees(scans: Scans, guessed:
     for (i, j), yaw in (((0, 1), 30.0), ((1, 2), -30.0), ((2, 3), 20.0), ((3, 4), -10.0)):
         start = make_transform(so3_exp([0, 0, np.radians(yaw)]), [0.0, 0.0, 0.0])
         ref, query = sides[i], sides[j]
-        refined = [refine(ref.planes, query.planes, start).T_ref_query, *guessed("newer_01", i)]
-        best = max(refined, key=lambda T: fit(ref.planes, query.planes, T, SlideOptions()))
+        refined = [run_icp(ref.planes, query.planes, start).T_ref_query, *guessed("newer_01", i)]
+        best = max(refined, key=lambda T: fit(ref.planes, query.planes, T, ShiftOptions()))
         m, d = error(best, invert(poses[i]) @ poses[j])
         assert m < 0.03
         assert d < 0.15
@@ -131,7 +130,7 @@ def test_far_pairs_close_the_cycle_of_near_ones(scans: Scans) -> None:
     poses, sides = scans["newer_01"]
 
     def registered(i: int, j: int) -> np.ndarray:
-        return refine(sides[i].planes, sides[j].planes, invert(poses[i]) @ poses[j]).T_ref_query
+        return run_icp(sides[i].planes, sides[j].planes, invert(poses[i]) @ poses[j]).T_ref_query
 
     chain = np.eye(4)
     for i in range(4):
@@ -145,7 +144,7 @@ def test_right_poses_of_a_dense_scene_are_trusted_and_wrong_ones_are_not(scans: 
     poses, sides = scans["newer_01"]
     for i in range(4):
         ref, query = sides[i], sides[i + 1]
-        found = refine(ref.planes, query.planes, invert(poses[i]) @ poses[i + 1])
+        found = run_icp(ref.planes, query.planes, invert(poses[i]) @ poses[i + 1])
         assert verdict(gather_evidence(ref, query, found.T_ref_query, found.information)) == ""
         for wrong in (
             make_transform(so3_exp([0, 0, np.pi]), [0, 0, 0]),

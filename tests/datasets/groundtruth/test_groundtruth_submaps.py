@@ -7,20 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lidar_street import RIG_HEIGHT_M, START_NS, WALL_M, Box, Street, drive_street
+from lidar_street import RIG_HEIGHT_M, START_NS, WALL_M, Box, Street, StreetLidar, drive_street
 from numpy.typing import NDArray
 
+from relocbench.datasets.groundtruth.blocks import store as store_module
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes, Surface
 from relocbench.datasets.groundtruth.blocks.deskewing import BeamReader
 from relocbench.datasets.groundtruth.blocks.making import BlockOptions, make_blocks, wheel_height
-from relocbench.datasets.groundtruth.blocks.nodes import make_nodes, way_along
+from relocbench.datasets.groundtruth.blocks.nodes import arc_length_along, make_nodes
 from relocbench.datasets.groundtruth.blocks.store import BlockStore, build_blocks, read_block, write_block
 from relocbench.datasets.groundtruth.blocks.surfaces import smallest_eigenvector
 from relocbench.datasets.groundtruth.submaps.submaps import Submap, SubmapWindow
 from relocbench.datasets.groundtruth.voxels.claims import VoxelClaims
 from relocbench.datasets.groundtruth.voxels.thinning import thin
 from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
-from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
+from relocbench.datasets.sensors.recording import FieldRecording, Scan, Trajectory
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import apply, invert, make_transform, se3_exp, so3_exp
@@ -32,9 +33,9 @@ _COARSE_M = 0.33
 
 
 def blocks_of(recording: FieldRecording, nodes: Nodes, wanted: range | None = None) -> dict[int, Block]:
-    way, options = way_along(recording), BlockOptions()
-    height = wheel_height(recording, way, nodes, options)
-    return dict(make_blocks(recording, way, nodes, wanted or range(len(nodes)), height, options))
+    arc_length, options = arc_length_along(recording), BlockOptions()
+    height = wheel_height(recording, arc_length, nodes, options)
+    return dict(make_blocks(recording, arc_length, nodes, wanted or range(len(nodes)), height, options))
 
 
 def in_street(block: Block, nodes: Nodes, node: int) -> tuple[Array, Array]:
@@ -61,7 +62,7 @@ def built(street: FieldRecording, tmp_path_factory: pytest.TempPathFactory) -> t
 # --- nodes
 
 
-def test_nodes_lie_at_equal_way(street: FieldRecording) -> None:
+def test_nodes_lie_at_equal_arc_lengths(street: FieldRecording) -> None:
     nodes = make_nodes(street, 2.0)
     assert len(nodes) == 19  # 40 m, less what the lidars do not cover at both ends
     np.testing.assert_allclose(np.diff(nodes.travelled_m), 2.0, atol=1e-9)
@@ -73,19 +74,28 @@ def test_nodes_lie_at_equal_way(street: FieldRecording) -> None:
 
 
 @pytest.mark.parametrize("wobble", [0.0, 0.002])
-def test_standing_still_makes_no_nodes_and_reads_no_scans(wobble: float) -> None:
+def test_standing_still_makes_no_nodes_and_reads_no_scans(wobble: float, monkeypatch: pytest.MonkeyPatch) -> None:
     going = drive_street(Street(wobble=wobble))
     stopping = drive_street(Street(wobble=wobble, stop_s=120.0))
     through, stopped = make_nodes(going), make_nodes(stopping)
     assert len(through) == len(stopped)
     np.testing.assert_allclose(stopped.T_odom_node[:, 0, 3], through.T_odom_node[:, 0, 3], atol=0.3)
+    read: list[int] = []
+    scan_of = StreetLidar.read
+
+    def counted(lidar: StreetLidar, index: int) -> Scan:
+        read.append(index)
+        return scan_of(lidar, index)
+
+    monkeypatch.setattr(StreetLidar, "read", counted)
     reads = []
     for recording, nodes in ((going, through), (stopping, stopped)):
-        reader = BeamReader(recording, way_along(recording), 1.0, 60.0, 0.02)
+        reader = BeamReader(recording, arc_length_along(recording), 1.0, 60.0, 0.02)
         for k in range(len(nodes)):
             begin, end = nodes.begins_and_ends()
             reader.between(int(begin[k]), int(end[k]), nodes.T_odom_node[k])
-        reads.append(reader.scans_read)
+        reads.append(len(read))
+        read.clear()
     assert reads[1] <= reads[0] + 40  # 12,000 scans were taken while the car stood
     assert reads[0] <= sum(len(lidar.times_ns) for lidar in going.lidars)  # none was read twice
 
@@ -93,13 +103,13 @@ def test_standing_still_makes_no_nodes_and_reads_no_scans(wobble: float) -> None
 def test_gap_of_the_odometry_parts_the_drive() -> None:
     recording = drive_street(Street(gap_s=1.0))
     nodes = make_nodes(recording)
-    stretches = nodes.stretches()
-    assert set(stretches.tolist()) == {0, 1}
+    segments = nodes.segments()
+    assert set(segments.tolist()) == {0, 1}
     begin, end = nodes.begins_and_ends()
     for k in range(len(nodes)):
         inside = begin[k] + (end[k] - begin[k]) * np.arange(51) // 50
         assert recording.odometry.covers(inside).all()
-    last, first = np.flatnonzero(stretches == 0)[-1], np.flatnonzero(stretches == 1)[0]
+    last, first = np.flatnonzero(segments == 0)[-1], np.flatnonzero(segments == 1)[0]
     assert begin[first] - end[last] >= 1_000_000_000
     assert np.all(np.diff(nodes.travelled_m) > 0)
 
@@ -109,15 +119,15 @@ def test_break_of_the_odometry_parts_the_drive(street: FieldRecording) -> None:
     nodes = make_nodes(broken)
     begin, end = nodes.begins_and_ends()
     before, after = street.odometry.times_ns[[79, 80]]
-    assert len(set(nodes.stretches().tolist())) == 2
+    assert len(set(nodes.segments().tolist())) == 2
     assert not np.any((begin < after) & (end > before))
 
 
-def test_submap_stays_within_its_stretch(tmp_path: Path) -> None:
+def test_submap_stays_within_its_segment(tmp_path: Path) -> None:
     recording = drive_street(Street(gap_s=1.0))
     nodes = make_nodes(recording)
     window = SubmapWindow(nodes, build_blocks(recording, nodes, tmp_path))
-    first = int(np.flatnonzero(nodes.stretches() == 1)[0])
+    first = int(np.flatnonzero(nodes.segments() == 1)[0])
     assert window.at(first).block.min() == first
     assert window.at(first - 1).block.max() == first - 1
 
@@ -145,7 +155,7 @@ def test_each_beam_is_placed_by_its_own_time(street: FieldRecording) -> None:
     rough = replace(street, odometry=Trajectory(street.odometry.times_ns, turned))
     begin, end = START_NS + 1_000_000_000, START_NS + 1_300_000_000
     T_odom_node = se3_exp(rng.normal(size=6))
-    beams = BeamReader(rough, way_along(rough), 1.0, 60.0, 1e-9).between(begin, end, T_odom_node)
+    beams = BeamReader(rough, arc_length_along(rough), 1.0, 60.0, 1e-9).between(begin, end, T_odom_node)
     points, origins = [], []
     for lidar in rough.lidars:
         for index in range(len(lidar.times_ns)):
@@ -230,7 +240,7 @@ def test_planes_of_the_street_are_exact(street: FieldRecording, built: tuple[Nod
 
 def test_height_of_the_road_under_the_rig_is_found(street: FieldRecording, built: tuple[Nodes, BlockStore]) -> None:
     nodes, _ = built
-    found = wheel_height(street, way_along(street), nodes, BlockOptions())
+    found = wheel_height(street, arc_length_along(street), nodes, BlockOptions())
     assert found == pytest.approx(-RIG_HEIGHT_M, abs=2e-3)
 
 
@@ -324,7 +334,7 @@ def test_workers_and_resumption_give_the_same_bytes(street: FieldRecording, tmp_
 def test_blocks_made_otherwise_are_not_mixed(street: FieldRecording, tmp_path: Path) -> None:
     nodes = make_nodes(street)
     build_blocks(street, nodes, tmp_path)
-    with pytest.raises(DatasetError, match=r"blocks\.yaml.*other settings"):
+    with pytest.raises(DatasetError, match=r"blocks\.yaml.*other options"):
         build_blocks(street, nodes, tmp_path, options=BlockOptions(voxel_m=0.2))
     with pytest.raises(DatasetError, match=r"blocks\.yaml"):
         build_blocks(street, make_nodes(street, 3.0), tmp_path)
@@ -346,7 +356,7 @@ def test_damaged_block_is_named(built: tuple[Nodes, BlockStore], tmp_path: Path)
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(data)
-    with pytest.raises(DatasetError, match=r"000000\.npz.*no whole block"):
+    with pytest.raises(DatasetError, match=r"000000\.npz.*not a complete block"):
         BlockStore(tmp_path).get(0)
     with pytest.raises(DatasetError, match=r"000001\.npz.*missing"):
         BlockStore(tmp_path).get(1)
@@ -431,12 +441,46 @@ def test_better_poses_lay_the_blocks_elsewhere(built: tuple[Nodes, BlockStore]) 
     nodes, store = built
     bent = nodes.T_odom_node.copy()
     bent[:, 2, 3] += 0.01 * np.arange(len(nodes))
-    submap = SubmapWindow(nodes, store, 8.0, voxel_m=0.0, T_odom_node=bent).at(9)
+    submap = SubmapWindow(replace(nodes, T_odom_node=bent), store, 8.0, voxel_m=0.0).at(9)
     plain = SubmapWindow(nodes, store, 8.0, voxel_m=0.0).at(9)
     np.testing.assert_allclose(submap.points[:, 2] - plain.points[:, 2], 0.01 * (submap.block - 9.0), atol=1e-4)
 
 
-def test_step_costs_the_same_however_long_the_drive(built: tuple[Nodes, BlockStore], tmp_path: Path) -> None:
+def count_reads(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """The block files that are read from now on."""
+    read: list[Path] = []
+
+    def counted(path: Path) -> Block:
+        read.append(path)
+        return read_block(path)
+
+    monkeypatch.setattr(store_module, "read_block", counted)
+    return read
+
+
+def count_claims(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
+    """(points, claims) of each block that enters or leaves a submap from now on."""
+    moved: list[tuple[int, int]] = []
+    sizes: dict[int, tuple[int, int]] = {}
+    enter, leave = VoxelClaims.enter, VoxelClaims.leave
+
+    def counted_enter(claims: VoxelClaims, block: int, keys: NDArray[np.int64], ranks: NDArray[np.float32]) -> None:
+        sizes[block] = len(keys), len(np.unique(keys))
+        moved.append(sizes[block])
+        enter(claims, block, keys, ranks)
+
+    def counted_leave(claims: VoxelClaims, block: int) -> None:
+        moved.append(sizes.pop(block))
+        leave(claims, block)
+
+    monkeypatch.setattr(VoxelClaims, "enter", counted_enter)
+    monkeypatch.setattr(VoxelClaims, "leave", counted_leave)
+    return moved
+
+
+def test_step_costs_the_same_however_long_the_drive(
+    built: tuple[Nodes, BlockStore], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Work is counted, not timed: points that enter or leave, claims on voxels, and files that are read."""
     # A drive of 120 blocks out of copies of one block each 2 m.
     store = BlockStore(tmp_path / "long")
@@ -447,25 +491,27 @@ def test_step_costs_the_same_however_long_the_drive(built: tuple[Nodes, BlockSto
         write_block(store.path(k), block)
     drive = Nodes(START_NS + np.arange(count) * 10**9, poses, 2.0 * np.arange(count, dtype=float))
     window = SubmapWindow(drive, store)
+    read, moved = count_reads(monkeypatch), count_claims(monkeypatch)
     work, claims = [], []
     for node in range(count):
-        before = window.work, window.claims_work, store.reads
         submap = window.at(node)
-        work.append(window.work - before[0])
-        claims.append(window.claims_work - before[1])
-        assert node == 0 or store.reads - before[2] <= 1
+        work.append(sum(points for points, _ in moved))
+        claims.append(sum(changed for _, changed in moved))
+        assert node == 0 or len(read) <= 1
+        moved.clear()
+        read.clear()
         assert len(submap) <= 31 * len(block)
     assert len(set(work[20:100])) == 1
     assert work[60] == 2 * len(block)  # one block enters, one leaves
     assert max(claims[20:100]) <= 2 * len(block)
 
 
-def test_store_keeps_the_last_blocks_used(built: tuple[Nodes, BlockStore]) -> None:
+def test_store_keeps_the_last_blocks_used(built: tuple[Nodes, BlockStore], monkeypatch: pytest.MonkeyPatch) -> None:
     _, whole = built
-    store = BlockStore(whole.folder, capacity=2)
+    store, read = BlockStore(whole.folder, capacity=2), count_reads(monkeypatch)
     for node in (0, 1, 0, 2, 0, 1):
         store.get(node)
-    assert store.reads == 4  # 1 was dropped for 2
+    assert len(read) == 4  # 1 was dropped for 2
 
 
 def test_node_that_is_not_there_is_refused(built: tuple[Nodes, BlockStore]) -> None:

@@ -13,9 +13,9 @@ import yaml
 from numpy.typing import NDArray
 
 from relocbench.datasets.core import images
-from relocbench.datasets.groundtruth.odometry.lidar_odometry import lidar_odometry, straightened
+from relocbench.datasets.groundtruth.odometry.lidar_odometry import deskewed, lidar_odometry
 from relocbench.datasets.importers.generic.recording import read_generic
-from relocbench.datasets.importers.kitti.files import Sequence
+from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG, VelodyneStream, raised, read_kitti
 from relocbench.datasets.importers.robotcar.sensors import LmsStream
 from relocbench.datasets.sensors.recording import Scan, Trajectory
@@ -55,7 +55,7 @@ def true_poses(root: Path) -> Array:
     """(N, 4, 4) ``T_world_lidar``"""
     rows = np.loadtxt(root / "truth" / "00" / "poses_cam0.txt").reshape(-1, 3, 4)
     T_world_cam0 = make_transform(rows[:, :, :3], rows[:, :, 3])
-    return np.asarray(T_world_cam0 @ Sequence(root, "00").calibration.T_cam0_lidar())
+    return np.asarray(T_world_cam0 @ KittiSequence(root, "00").calibration.T_cam0_lidar())
 
 
 @pytest.fixture(scope="module")
@@ -111,13 +111,13 @@ def test_the_files_own_poses_can_be_taken(simulated: tuple[Path, Any]) -> None:
     np.testing.assert_allclose(found.T_odom_rig[0], np.eye(4), atol=1e-12)
 
 
-def test_a_scan_is_straightened_to_its_time() -> None:
+def test_a_scan_is_deskewed_to_its_time() -> None:
     rng = np.random.default_rng(0)
     twist = np.array([10e-9, 1e-9, 0, 0, 0, 0.3e-9])
     still = rng.uniform(-30, 30, size=(500, 3))
     offsets = rng.integers(-50_000_000, 50_000_000, size=500)
     measured = np.array([apply(se3_exp(-twist * t), p[None])[0] for t, p in zip(offsets, still, strict=True)])
-    found = straightened(Scan(measured, 7 + offsets), 7, twist)
+    found = deskewed(Scan(measured, 7 + offsets), 7, twist)
     np.testing.assert_allclose(found, still, atol=1e-4)
 
 
@@ -132,7 +132,7 @@ def test_turning_beams_up_keeps_ranges_and_azimuths() -> None:
 
 def test_a_push_broom_lidar_has_no_odometry() -> None:
     lidar = LmsStream("lms_front", Path(), np.eye(4), np.array([0]))
-    with pytest.raises(ConfigError, match="needs a spinning one; lms_front is push-broom"):
+    with pytest.raises(ConfigError, match="needs a spinning lidar; lms_front is push-broom"):
         lidar_odometry(lidar)
 
 
@@ -213,7 +213,7 @@ def test_times_of_points_have_the_unit_that_is_said(tmp_path: Path) -> None:
     assert (lidar.read(1).times_ns - lidar.times_ns[1])[:3].tolist() == [0, 1000, 2000]
     values[0, 3] = 2e6
     np.save(path, values)
-    with pytest.raises(DatasetError, match="more than a second from the scan's time"):
+    with pytest.raises(DatasetError, match="more than a second away from the scan's time"):
         read_generic(folder).lidars[0].read(1)
 
 
@@ -256,7 +256,7 @@ def test_a_generic_scan_that_is_cut_off_is_named(tmp_path: Path, suffix: str) ->
         ({"time": "when"}, "has no when"),
         ({"columns": ["x", "y", "z"]}, "has 4 columns, lidar.yaml names 3"),
         ({"patern": "spinning"}, "unknown key 'lidars.top.patern'"),
-        ({"columns": ["x", "y"]}, "columns must name x, y and z"),
+        ({"columns": ["x", "y"]}, "columns must contain x, y and z"),
         ({"pattern": "push-broom"}, "no spinning lidar"),
     ],
 )

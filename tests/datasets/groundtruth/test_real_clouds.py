@@ -20,7 +20,7 @@ import pytest
 from numpy.typing import NDArray
 from repository import TRUTH
 
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.importers.kitti.recording import REAL_ELEVATION_DEG
 from relocbench.errors import DatasetError
 from relocbench.geometry import apply, invert, make_transform, rotation_angle, se3_exp, so3_exp
@@ -51,7 +51,7 @@ def posed_scans() -> Scans:
     twists = [[0.3 * k, -0.1 * k, 0.02 * k, 0.01 * k, -0.02 * k, 0.08 * k] for k in range(5)]
     poses = np.array([se3_exp(t) for t in twists])
     points = tuple(apply(invert(pose), room(12_000, seed)) for seed, pose in enumerate(poses))
-    return Scans(Source("room", "room", "", 1), points, tuple(Prepared(submap(p)) for p in points), poses)
+    return Scans(Source("room", "room", "", 1), points, tuple(PreparedSubmap(submap(p)) for p in points), poses)
 
 
 @pytest.mark.slow

@@ -198,7 +198,7 @@ def test_real_recording_without_images_is_imported_for_inspection_and_says_so(sa
     reporter = Notes()
     dataset = importer.build([sample], importer.Options(point_filter="none"), tmp_path / "out", reporter, Run())
     assert dataset.pair_set_names == []
-    assert any("no pair of it can be evaluated" in note for note in reporter.notes)
+    assert any("none of its pairs can be evaluated" in note for note in reporter.notes)
     assert any("path length ratio 1.0008" in note for note in reporter.notes)
     traversal = dataset.traversal(RECORDING)
     assert len(traversal.poses) == 2874
@@ -509,7 +509,7 @@ def test_relocalization_file_that_names_an_unknown_frame_is_refused(
     sources = [drive.write(tmp_path) for drive in two_drives]
     file = tmp_path / "pairs.txt"
     file.write_text(f"{two_drives[0].start_ns} {two_drives[1].start_ns}\n{two_drives[0].start_ns} 12345\n")
-    with pytest.raises(DatasetError, match=r"pairs.txt:2: query 12345 is a frame of none"):
+    with pytest.raises(DatasetError, match=r"pairs.txt:2: query 12345 is not a frame of any"):
         build(sources, tmp_path / "out", relocalization_files=(str(file),))
 
 

@@ -263,14 +263,14 @@ def test_unknown_key_of_the_camera_is_named_with_its_line(tmp_path: Path) -> Non
     [
         ("no_poses", r"poses.txt: missing"),
         ("bad_pose", r"poses.txt:3: expected 8 columns"),
-        ("backwards", r"poses.txt:3: time .* does not come after"),
+        ("backwards", r"poses.txt:3: time .* is not later than"),
         ("other_clock", r"poses.txt: no image has a pose"),
         ("no_images", r"images: holds no image"),
         ("bad_name", r"first.png: the file's name 'first' is not a time"),
-        ("wrong_size", r"\.png: is 48x36, camera.yaml says 96x72"),
+        ("wrong_size", r"\.png: image is 48x36, expected 96x72"),
         ("truncated", r"\.png: truncated"),
         ("no_scale", r"camera.yaml: key 'depth_scale' is missing"),
-        ("orphan_depth", r"5\.png: depth of a time that has no image"),
+        ("orphan_depth", r"5\.png: there is no image at the time of this depth file"),
         ("no_depth", r"no frame has both depth and a pose"),
     ],
 )
@@ -333,7 +333,7 @@ def test_what_is_no_time_is_refused(text: str) -> None:
 def test_two_files_of_one_time_are_refused(tmp_path: Path) -> None:
     (tmp_path / "1000000000.png").touch()
     (tmp_path / "1.0.png").touch()
-    with pytest.raises(DatasetError, match="has the time of"):
+    with pytest.raises(DatasetError, match="has the same time as"):
         timed_files(tmp_path)
 
 

@@ -57,8 +57,8 @@ def test_frames_keep_their_numbers_times_and_poses(recording: Path, tmp_path: Pa
     for pair, step in zip(pairs, (1, 2, 1, 2), strict=True):
         assert pair.T_query_ref is not None
         np.testing.assert_allclose(pair.T_query_ref[:3, 3], [-0.2 * step, 0, 0], atol=2e-9)
-    assert any("1 images left out" in note for note in notes.notes)
-    assert any("1 of 4 frames are no keyframes" in note for note in notes.notes)
+    assert any("1 images without a pose or time are left out" in note for note in notes.notes)
+    assert any("1 of 4 frames are not keyframes" in note for note in notes.notes)
 
 
 def test_stereo_depth_of_a_wall_is_its_distance(recording: Path, tmp_path: Path) -> None:
@@ -138,7 +138,7 @@ def replace_line(path: Path, number: int, line: str | None) -> None:
 
 def test_a_missing_calibration_line_is_named(recording: Path, tmp_path: Path) -> None:
     replace_line(recording / "sequences/03/calib.txt", 2, None)
-    with pytest.raises(DatasetError, match=r"calib\.txt: line 'P1:' is missing; stereo depth needs it"):
+    with pytest.raises(DatasetError, match=r"calib\.txt: line 'P1:' is missing, which stereo depth needs"):
         build(recording, tmp_path / "out")
 
 
@@ -147,7 +147,7 @@ def test_a_missing_lidar_calibration_is_named(recording: Path, tmp_path: Path) -
     scans = recording / "sequences/03/velodyne"
     scans.mkdir()
     (scans / "000002.bin").write_bytes(np.array([[5, 0, 0, 0]], dtype="<f4").tobytes())
-    with pytest.raises(DatasetError, match=r"calib\.txt: line 'Tr:' is missing; velodyne depth needs it"):
+    with pytest.raises(DatasetError, match=r"calib\.txt: line 'Tr:' is missing, which velodyne depth needs"):
         build(recording, tmp_path / "out", depth="velodyne")
 
 
@@ -163,7 +163,7 @@ def test_a_calibration_without_names_is_read_in_order(recording: Path, tmp_path:
     [
         ("1 0 0 nan 0 1 0 0 0 0 1 0", r"03\.txt:3: m03 is nan, expected a finite number"),
         ("1 0 0 0 0 1 0 0 0 0 1", r"03\.txt:3: expected 12 numbers .* found 11"),
-        ("1 0 0 0 0 1 0 0 0 0 2 0", r"03\.txt:3: the left 3x3 of the pose is no rotation"),
+        ("1 0 0 0 0 1 0 0 0 0 2 0", r"03\.txt:3: the left 3x3 of the pose is not a rotation"),
         ("1 0 0 0 0 one 0 0 0 0 1 0", r"03\.txt:3: m11 is 'one', expected a number"),
     ],
 )
@@ -192,12 +192,12 @@ def test_missing_times_are_said_and_replaced_by_the_rate(recording: Path, tmp_pa
     notes = Notes()
     dataset = build(recording, tmp_path / "out", notes, rate_hz=5.0)
     assert dataset.traversal("kitti_03").timestamps("image_0")[0] == 400_000_000
-    assert any("no times.txt" in note and "5 a second" in note for note in notes.notes)
+    assert any("no times.txt" in note and "5 frames per second" in note for note in notes.notes)
 
 
 def test_times_that_go_back_are_named(recording: Path, tmp_path: Path) -> None:
     replace_line(recording / "sequences/03/times.txt", 4, "1.0e-01")
-    with pytest.raises(DatasetError, match=r"times\.txt:4: time 1\.0e-01 does not come after"):
+    with pytest.raises(DatasetError, match=r"times\.txt:4: time 1\.0e-01 is not later than"):
         build(recording, tmp_path / "out")
 
 
@@ -245,7 +245,7 @@ def test_a_road_does_not_hide_itself() -> None:
 def test_half_a_scan_is_named(tmp_path: Path) -> None:
     path = tmp_path / "000000.bin"
     path.write_bytes(b"\0" * 30)
-    with pytest.raises(DatasetError, match=r"000000\.bin: 30 bytes are no whole number of points"):
+    with pytest.raises(DatasetError, match=r"000000\.bin: 30 bytes are not a whole number of points"):
         read_scan(path)
 
 
@@ -272,7 +272,7 @@ def test_real_stereo_depth_carries_pose_estimation_to_centimetres(
 ) -> None:
     notes = Notes()
     dataset = build(real_data("kitti_odometry"), tmp_path / "out", notes, sequence=("06",), max_disparity=128)
-    assert any("20 of 25 frames are no keyframes" in note for note in notes.notes)
+    assert any("20 of 25 frames are not keyframes" in note for note in notes.notes)
     pair_set = dataset.pair_sets()[0]
     assert len(pair_set.pairs) == 5
     sift = cv2.SIFT.create(3000)

@@ -139,11 +139,11 @@ def test_generic_folders_with_lidar_are_brought_together(kitti: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("kind", "arguments", "words"),
     [
-        ("kitti-lidar", ["--sequence", "00"], "two sequences or more"),
+        ("kitti-lidar", ["--sequence", "00"], "two or more sequences"),
         ("kitti-lidar", ["--sequence", "00,00"], "names a sequence twice"),
         ("kitti-lidar", ["--sequence", "00,07"], "sequences/07: no such folder"),
         ("kitti-lidar", ["--sequence", "00,01", "--cameras", "image_7"], "has no images of a camera 'image_7'"),
-        ("generic-lidar", [], "needs a reference and at least one other, got 1"),
+        ("generic-lidar", [], "needs a reference and at least one query, got 1"),
     ],
 )
 def test_what_cannot_be_built_is_one_line_and_status_2(

@@ -423,7 +423,7 @@ def out_inside_a_recording(reference: Path, query: Path) -> list[object]:
 
 
 DAMAGES: list[tuple[Damage, str]] = [
-    (cut_scan, r"lms_front/\d+\.bin: \d+ bytes are no whole number of points"),
+    (cut_scan, r"lms_front/\d+\.bin: \d+ bytes are not a whole number of points"),
     (scan_of_nans, r"lms_front/\d+\.bin: holds a value that is not finite"),
     (scan_without_bytes, r"lms_rear/\d+\.bin: is empty"),
     (scans_without_returns, r"no (road|point)|could be accepted"),
@@ -435,8 +435,8 @@ DAMAGES: list[tuple[Damage, str]] = [
     (unknown_camera, r"no camera 'stereo_top'; there is stereo_left"),
     (camera_that_is_not_there, r"mono_rear: no such folder; expected images"),
     (no_images, r"--cameras: 2024-03-02-10-00-00 has no images of a camera 'stereo_left'"),
-    (first_pose_of_another_day, r"--first-pose: 1 is no time \(in nanoseconds\) of 2024-03-01-10-00-00"),
-    (first_pose_that_is_none, r"--first-pose is 'REF_NS QUERY_NS tx ty tz qx qy qz qw'"),
+    (first_pose_of_another_day, r"--first-pose: 1 \(nanoseconds\) is outside the times of 2024-03-01-10-00-00"),
+    (first_pose_that_is_none, r"--first-pose: expected 'REF_NS QUERY_NS tx ty tz qx qy qz qw'"),
     (stereo_without_a_partner, r"--depth stereo: 2024-03-02-10-00-00 has no camera to the right of stereo_left"),
     (out_inside_a_recording, r"lies inside the recording"),
 ]

@@ -155,9 +155,9 @@ def test_solutions_that_are_not_good_are_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "line", "message"),
     [
-        ([VO_HEADER, "2,1,0,0,0,0,0,0", "3,1,0,0,0,0,0,0"], 3, "begins before the one above has ended"),
-        ([VO_HEADER, "2,1,0,0,0,0,0,0", "2,1,0,0,0,0,0,0"], 3, "begins before the one above has ended"),
-        ([VO_HEADER, "1,2,0,0,0,0,0,0"], 2, "does not come after destination_timestamp"),
+        ([VO_HEADER, "2,1,0,0,0,0,0,0", "3,1,0,0,0,0,0,0"], 3, "begins before the previous one ends"),
+        ([VO_HEADER, "2,1,0,0,0,0,0,0", "2,1,0,0,0,0,0,0"], 3, "begins before the previous one ends"),
+        ([VO_HEADER, "1,2,0,0,0,0,0,0"], 2, "is not later than destination_timestamp"),
         ([VO_HEADER, "2,1,0,0,0,0,0"], 2, "expected 8 columns, found 7"),
         ([VO_HEADER, "2,1,0,nan,0,0,0,0"], 2, "y is nan"),
         ([VO_HEADER, "2.5,1,0,0,0,0,0,0"], 2, "'2.5' is not a time"),
@@ -174,8 +174,8 @@ def test_damaged_odometry_is_named_by_line(tmp_path: Path, lines: list[str], lin
 @pytest.mark.parametrize(
     ("rows", "line", "message"),
     [
-        ([ins_row(2, 0, 0, 0), ins_row(2, 0, 0, 0)], 3, "does not come after the one before"),
-        ([ins_row(2, 0, 0, 0), ins_row(1, 0, 0, 0)], 3, "does not come after the one before"),
+        ([ins_row(2, 0, 0, 0), ins_row(2, 0, 0, 0)], 3, "is not later than the previous one"),
+        ([ins_row(2, 0, 0, 0), ins_row(1, 0, 0, 0)], 3, "is not later than the previous one"),
         ([ins_row(1, 0, 0, 0), ins_row(2, 0, 0, 0, zone="31U")], 3, "utm_zone changes from 30U to 31U"),
         ([ins_row(1, 0, 0, 0, status="INS_INACTIVE")], None, "holds no good solution"),
     ],
@@ -189,8 +189,8 @@ def test_damaged_solutions_are_named_by_line(tmp_path: Path, rows: list[str], li
 @pytest.mark.parametrize(
     ("text", "line", "message"),
     [
-        ("10 1\n20 1\n20 1\n", 3, "does not come after"),
-        ("10 1\n5 1\n", 2, "does not come after"),
+        ("10 1\n20 1\n20 1\n", 3, "is not later than"),
+        ("10 1\n5 1\n", 2, "is not later than"),
         ("ten 1\n", 1, "not a time"),
         ("10 1 1\n", 1, "found 3 columns"),
     ],
@@ -220,5 +220,5 @@ def test_interpolation_agrees_with_the_chain_at_every_step(tmp_path: Path) -> No
 def test_a_scan_that_is_a_link_to_nowhere_is_named(tmp_path: Path) -> None:
     (tmp_path / "lms").mkdir()
     (tmp_path / "lms" / "1416316800100000.bin").symlink_to("nowhere")
-    with pytest.raises(DatasetError, match=r"1416316800100000\.bin: a link to a file that is gone; expected a scan"):
+    with pytest.raises(DatasetError, match=r"1416316800100000\.bin: is a link to a file that does not exist"):
         present_times(tmp_path / "lms", tmp_path / "lms.timestamps", ".bin", "scans", Silent())

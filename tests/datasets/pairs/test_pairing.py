@@ -76,9 +76,9 @@ def test_frames_of_two_traversals_may_have_the_same_time() -> None:
 @pytest.mark.parametrize(
     ("query", "said", "widen"),
     [
-        (row_of_cameras([7.0], 3.0, 100), r"6 m and 3 deg", r"widen --max-distance$"),
+        (row_of_cameras([7.0], 3.0, 100), r"6 m and 3 deg", r"increase --max-distance$"),
         (row_of_cameras([7.0], 90.0, 100), r"6 m and 90 deg", r"--max-distance and --max-angle$"),
-        (row_of_cameras([1.5], 75.0, 100), r"0\.5 m and 75 deg", r"widen --max-angle$"),
+        (row_of_cameras([1.5], 75.0, 100), r"0\.5 m and 75 deg", r"increase --max-angle$"),
     ],
 )
 def test_an_empty_result_says_how_near_the_nearest_were(query: PosedFrames, said: str, widen: str) -> None:

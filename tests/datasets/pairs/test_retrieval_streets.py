@@ -121,7 +121,7 @@ def test_drives_in_different_worlds_are_refused_by_radius_alone(tmp_path: Path) 
     fault = np.eye(4)
     fault[0, 3] = 30.0
     made = make_small_dataset(tmp_path / "d", frames=4, pose_fault=fault)
-    with pytest.raises(DatasetError, match=r"30\.\d m from what the pairs say.*--positives pairs"):
+    with pytest.raises(DatasetError, match=r"by 30\.\d m.*--positives pairs"):
         StreetPlaces(made).tasks()
     assert len(StreetPlaces(made, rule="pairs").tasks()[0].queries) == 4
 
@@ -129,7 +129,7 @@ def test_drives_in_different_worlds_are_refused_by_radius_alone(tmp_path: Path) 
 def test_options_that_contradict_each_other_are_refused(dataset: Dataset, tmp_path: Path) -> None:
     for options, words in (
         (SetOptions(positives="pairs", radius_m=3.0), "--radius has no meaning"),
-        (SetOptions(positives="pairs", heading_deg=3.0), "--heading limits positives within a radius"),
+        (SetOptions(positives="pairs", heading_deg=3.0), "--heading applies to --positives radius only"),
         (SetOptions(by_condition=True), "--by-condition"),
         (SetOptions(split="absent"), "no split 'absent'"),
         (SetOptions(tasks=("absent",)), "no pair set 'absent'"),

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from relocbench.datasets.core import images
 from relocbench.datasets.core.schema import Transform
-from relocbench.datasets.groundtruth.odometry.plane_map import plane_normals
+from relocbench.datasets.groundtruth.odometry.local_map import plane_normals
 from relocbench.datasets.importers.robotcar.recording import read_robotcar, read_robotcar_drives
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
 from relocbench.datasets.synthetic.conditions.condition import condition_named
@@ -257,7 +257,7 @@ def test_missing_scans_are_left_out_and_counted(copied: Path) -> None:
     assert any(note.startswith(f"1 of {len(lidar.times_ns) + 1} scans") for note in notes.notes)
 
 
-@pytest.mark.parametrize(("size", "message"), [(0, "is empty"), (1000, "no whole number of points")])
+@pytest.mark.parametrize(("size", "message"), [(0, "is empty"), (1000, "not a whole number of points")])
 def test_a_scan_that_is_cut_off_is_named_before_any_work(copied: Path, size: int, message: str) -> None:
     path = scan_file(copied, 5)
     path.write_bytes(path.read_bytes()[:size])
@@ -381,7 +381,7 @@ def test_the_look_up_table_says_where_pixels_come_from(
     assert not shifted[:, -3:].any()
     short = tmp_path / "short.bin"
     short.write_bytes(b"\0" * 16)
-    with pytest.raises(DatasetError, match="no look-up table of images"):
+    with pytest.raises(DatasetError, match="not a look-up table for images"):
         replace(stream, look_up_table=short).read(0)
 
 

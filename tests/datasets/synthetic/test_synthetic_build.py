@@ -24,11 +24,12 @@ from relocbench.datasets.synthetic.conditions.presets import conditions_of
 from relocbench.datasets.synthetic.drives.drive import Drive, DriveStyle, drive, route_length
 from relocbench.datasets.synthetic.drives.rig import RIGS
 from relocbench.datasets.synthetic.drives.traffic import moving_cars
-from relocbench.datasets.synthetic.jobs import stage
-from relocbench.datasets.synthetic.jobs.extras import extra_path, read_instance
+from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.estimates import Spent, duration
+from relocbench.datasets.synthetic.jobs.extras import extra_path
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
 from relocbench.datasets.synthetic.jobs.plan import make_plans
-from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, Spent, StepWork, duration, estimate
+from relocbench.datasets.synthetic.jobs.rendering import FrameWork, RenderUnit, StepWork, estimate
 from relocbench.datasets.synthetic.renderer.render import Renderer
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
 from relocbench.datasets.synthetic.town.town import compose
@@ -38,7 +39,7 @@ from relocbench.geometry import Camera, apply, invert, is_rotation, rotation_ang
 from relocbench.progress import Silent
 
 SMOKE = {"preset": "smoke", "extras": ("changed", "instance", "semantic", "normals")}
-PLACE = stage.Place(0, "test", 190.0)
+PLACE = scenes.DistrictSpec(0, "test", 190.0)
 REFERENCE, QUERY = "test-Neutral-0", "test-WetNoon-0"
 ACROSS = f"{REFERENCE}__{QUERY}__front"
 
@@ -74,7 +75,7 @@ def resumed(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 @pytest.fixture(scope="module")
 def wet() -> Mesh:
     """What stands still in the query's condition."""
-    return compose(stage.district(PLACE), condition_named("WetNoon").factors)
+    return compose(scenes.district(PLACE), condition_named("WetNoon").factors)
 
 
 class Straight:
@@ -219,7 +220,7 @@ def test_depth_is_that_of_an_independent_ray_cast(town: Dataset, wet: Mesh) -> N
 def test_correspondences_hold_forward_and_backward_on_static_surfaces(town: Dataset) -> None:
     pair_set = town.pair_set(ACROSS)
     factors = condition_named("WetNoon").factors
-    scene = stage.static_scene(PLACE, factors)
+    scene = scenes.static_scene(PLACE, factors)
     for pair in pair_set.pairs:
         rows = read_correspondences(town.layout.correspondence_file(ACROSS), pair.key)
         assert pair.T_query_ref is not None
@@ -228,7 +229,7 @@ def test_correspondences_hold_forward_and_backward_on_static_surfaces(town: Data
         seen = rows.uv_query[rows.visible]
         camera = town.traversal(QUERY).camera("front")
         T_world_query = town.traversal(QUERY).T_world_cam("front", pair.query_timestamp_ns)
-        origins, directions, stretch = stage.pixel_rays(camera, T_world_query, seen)
+        origins, directions, stretch = scenes.pixel_rays(camera, T_world_query, seen)
         depth = np.asarray(scene.cast(origins, directions)[0]) / stretch
         back, _, valid = warp(np.column_stack([seen, depth]), camera, camera, invert(pair.T_query_ref))
         error = np.linalg.norm(back - rows.uv_ref[rows.visible], axis=1)
@@ -257,7 +258,7 @@ def test_what_is_called_hidden_is_hidden(town: Dataset, wet: Mesh) -> None:
 
 def test_conditions_share_what_stands_still(town: Dataset) -> None:
     """Where nothing is marked as changed, the query's surfaces are those of the reference's condition."""
-    mesh = compose(stage.district(PLACE), condition_named("Neutral").factors)
+    mesh = compose(scenes.district(PLACE), condition_named("Neutral").factors)
     traversal, camera = town.traversal(QUERY), town.traversal(QUERY).camera("front")
     time_ns = traversal.timestamps("front")[0]
     changed = images.read_image(extra_path(town.root, QUERY, "changed", "front", time_ns)) > 0
@@ -280,7 +281,10 @@ def test_extras_are_exact_and_outside_of_the_fingerprint(
     town: Dataset, resumed: Dataset, wet: Mesh, tmp_path: Path
 ) -> None:
     time_ns = town.traversal(QUERY).timestamps("front")[0]
-    instance = read_instance(extra_path(town.root, QUERY, "instance", "front", time_ns))
+    r, g, b = np.moveaxis(
+        images.read_image(extra_path(town.root, QUERY, "instance", "front", time_ns)).astype(np.uint32), -1, 0
+    )
+    instance = r + 256 * g + 65536 * b
     assert np.isin(instance, wet.instance).all()
     assert len(np.unique(instance)) > 3
     assert resumed.fingerprint == town.fingerprint
@@ -299,9 +303,9 @@ def test_a_frame_is_the_same_when_rendered_on_its_own(town: Dataset, wet: Mesh, 
     traversal, layout = town.traversal(QUERY), town.traversal(QUERY).layout
     first, _, third, _ = traversal.timestamps("front")
     number = int(first // 10**12 - 1)
-    alone = Renderer(wet, condition_named("WetNoon").factors, stage.district(PLACE).lamps, PLACE.seed)
+    alone = Renderer(wet, condition_named("WetNoon").factors, scenes.district(PLACE).lamps, PLACE.seed)
     T_world_cam = traversal.T_world_cam("front", third)
-    frame = alone.render(traversal.camera("front"), T_world_cam, stage.frame_seed(0, number, 2, 0))
+    frame = alone.render(traversal.camera("front"), T_world_cam, scenes.frame_seed(0, number, 2, 0))
     images.write_image(tmp_path / "image.png", frame.rgb)
     images.write_depth(tmp_path / "depth.png", frame.depth)
     assert (tmp_path / "image.png").read_bytes() == layout.image("front", third).read_bytes()
@@ -372,8 +376,8 @@ def test_a_sweep_takes_the_place_of_conditions(tmp_path: Path) -> None:
 
 
 def test_splits_and_seeds_have_districts_of_their_own() -> None:
-    places = [PLACE, stage.Place(0, "train", 190.0), stage.Place(1, "test", 190.0)]
-    nodes = [set(map(tuple, np.round(stage.district(place).network.nodes, 3))) for place in places]
+    places = [PLACE, scenes.DistrictSpec(0, "train", 190.0), scenes.DistrictSpec(1, "test", 190.0)]
+    nodes = [set(map(tuple, np.round(scenes.district(place).network.nodes, 3))) for place in places]
     assert all(not one & other for one, other in combinations(nodes, 2))
 
 
@@ -384,12 +388,12 @@ def test_mistakes_are_named(tmp_path: Path) -> None:
     assert "WIDTHxHEIGHT" in relocbench(*command, "--size", "big", *out).complaint
     assert "no sweep 'mud'" in relocbench(*command, "--sweep", "mud", *out).complaint
     assert "--preset" in relocbench("build-dataset", "synthetic", "--preset", "big", *out).complaint
-    assert "give one of them" in relocbench("preview", *out).complaint
+    assert "takes exactly one of" in relocbench("preview", *out).complaint
     assert not (tmp_path / "out").exists()
 
 
 def test_the_estimate_counts_what_is_left() -> None:
-    spent = [Spent(images=9, setup_s=10.0, seconds=4.0, bytes=9_000_000)] * 2
+    spent = [Spent(files=9, setup_s=10.0, seconds=4.0, bytes=9_000_000)] * 2
     camera = Camera("pinhole", 32, 32, 30, 30, 15.5, 15.5)
     frame = FrameWork(camera, np.eye(4), 0, {"image": Path("x")})
     sunny = condition_named("Sunny").factors

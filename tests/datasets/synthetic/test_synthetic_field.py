@@ -23,7 +23,8 @@ from relocbench.datasets.synthetic.conditions.condition import Factors, conditio
 from relocbench.datasets.synthetic.drives.drive import MARGIN_M, DriveStyle, drive, route_length
 from relocbench.datasets.synthetic.drives.routes import RouteName, route
 from relocbench.datasets.synthetic.jobs import recording_jobs
-from relocbench.datasets.synthetic.jobs.recording_work import Spent, Unit
+from relocbench.datasets.synthetic.jobs.estimates import Spent
+from relocbench.datasets.synthetic.jobs.recording_work import Unit
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.datasets.synthetic.town.network import Path as Route
 from relocbench.datasets.synthetic.town.network import StreetNetwork, make_network
@@ -251,17 +252,17 @@ def test_the_kitti_importer_makes_datasets_of_recordings(kitti: Path, tmp_path: 
     ("options", "message"),
     [
         (("--recording", "euroc"), "--recording: Input should be 'robotcar' or 'kitti'"),
-        (("--recording", "robotcar", "--cameras", "stereo"), "--cameras is of datasets"),
-        (("--recording", "kitti", "--pair-step", "1,2"), "--pair-step is of datasets"),
-        (("--recording", "robotcar", "--rings", "32"), "--rings is of --recording kitti"),
-        (("--rings", "32"), "--rings is of recordings (--recording)"),
-        (("--route", "detour"), "--route is of recordings (--recording)"),
+        (("--recording", "robotcar", "--cameras", "stereo"), "--cameras applies to datasets"),
+        (("--recording", "kitti", "--pair-step", "1,2"), "--pair-step applies to datasets"),
+        (("--recording", "robotcar", "--rings", "32"), "--rings applies to --recording kitti"),
+        (("--rings", "32"), "--rings applies to recordings (--recording)"),
+        (("--route", "detour"), "--route applies to recordings (--recording)"),
         (("--recording", "kitti", "--rings", "12"), "--rings: Input should be greater than or equal to 16"),
         (("--recording", "kitti", "--image-scale", "2"), "--image-scale: Input should be less than or equal to 1"),
         (("--recording", "kitti", "--recording-cameras", "left"), "no KITTI camera 'left'"),
-        (("--recording", "robotcar", "--recording-cameras", "mono_rear,mono_rear"), "names one twice"),
-        (("--recording", "kitti", "--route", "common,common"), "--route: each at most once"),
-        (("--recording", "kitti", "--route", "detour"), "no detour leaves and meets again a route of"),
+        (("--recording", "robotcar", "--recording-cameras", "mono_rear,mono_rear"), "names a camera twice"),
+        (("--recording", "kitti", "--route", "common,common"), "--route takes one or more different routes"),
+        (("--recording", "kitti", "--route", "detour"), "has no detour that leaves and rejoins it"),
         (("--recording", "kitti", "--conditions", "Hail"), "no condition 'Hail'"),
     ],
 )

@@ -12,11 +12,11 @@ from small_street import box, quads
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.lidar.echo import extinction, signal
 from relocbench.datasets.synthetic.lidar.lidar import (
-    Hits,
     Lidar,
     LidarScene,
     Motion,
     MovingObject,
+    RayHits,
     compensate,
     push_broom,
     scan,
@@ -254,5 +254,5 @@ def test_the_same_seed_gives_the_same_scan_and_another_seed_another() -> None:
 
 def test_hits_of_no_rays_are_empty() -> None:
     hits = LidarScene(ROOM).hits(np.zeros((0, 3)), np.zeros((0, 3)))
-    assert isinstance(hits, Hits)
+    assert isinstance(hits, RayHits)
     assert len(hits.range) == 0

@@ -546,7 +546,7 @@ def test_another_recording_of_the_name_is_refused(tmp_path: Path) -> None:
     drive(tmp_path, cameras=(), frames=3)
     with pytest.raises(DatasetError, match="another recording of this name"):
         drive(tmp_path, cameras=(), frames=4)
-    with pytest.raises(DatasetError, match="another size"):
+    with pytest.raises(DatasetError, match="another image size"):
         drive(tmp_path, cameras=(), frames=3, number=1, scale=0.2)
 
 
@@ -558,7 +558,7 @@ def test_another_recording_of_the_name_is_refused(tmp_path: Path) -> None:
         ({"scale": 0.0}, "scale of the images"),
         ({"cameras": ("stereo/top",)}, "no RobotCar camera 'stereo/top'"),
         ({"cameras": ("left",), "layout": "kitti"}, "no KITTI camera 'left'"),
-        ({"path": StraightRoad(90.0)}, r"needs 9\d.\d m of road, the path is 90.0 m"),
+        ({"path": StraightRoad(90.0)}, r"needs 9\d.\d m of road, but the path is 90.0 m"),
     ],
 )
 def test_what_cannot_be_recorded_is_told(tmp_path: Path, options: dict[str, Any], message: str) -> None:

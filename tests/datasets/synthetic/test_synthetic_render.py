@@ -11,7 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.renderer.lamps import NIGHT_LUX, Beam, beam_light, make_lamps, strongest
+from relocbench.datasets.synthetic.renderer.lamps import (
+    NIGHT_LUX,
+    Beam,
+    headlight_irradiance,
+    make_lamps,
+    strongest_lamp,
+)
 from relocbench.datasets.synthetic.renderer.render import Frame, Renderer
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, merge
 from relocbench.errors import ConfigError
@@ -388,7 +394,7 @@ def test_a_row_of_lamps_lights_the_road_as_town_streets_are_lit() -> None:
     lux = []
     for along in np.arange(0.0, 23.0, 0.5):
         for across in np.arange(-3.25, 3.5, 0.5):
-            _, most, rest = strongest(lamps, along, across, 0.0, 0.0, 0.0, 1.0)
+            _, most, rest = strongest_lamp(lamps, along, across, 0.0, 0.0, 0.0, 1.0)
             lux.append(NIGHT_LUX * (most + rest))
     assert 10 <= np.mean(lux) <= 30
     assert np.min(lux) / np.mean(lux) >= 0.4
@@ -399,7 +405,9 @@ def test_dipped_headlights_end_at_a_cut_off() -> None:
     beam = Beam(np.array([0, 0, 0.65], np.float32), np.array([1, 0, 0], np.float32))
 
     def lux(left: float, up_deg: float) -> float:
-        return NIGHT_LUX * beam_light(beam, 25.0, left, 0.65 + 25 * np.tan(np.radians(up_deg)), -1.0, 0.0, 0.0)
+        return NIGHT_LUX * headlight_irradiance(
+            beam, 25.0, left, 0.65 + 25 * np.tan(np.radians(up_deg)), -1.0, 0.0, 0.0
+        )
 
     assert lux(0.0, -0.86) >= 2 * 12, "50R: the road 50 m ahead"
     assert lux(0.0, 0.57) <= 2 * 0.7, "zone III"

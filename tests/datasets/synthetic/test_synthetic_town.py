@@ -17,7 +17,7 @@ from relocbench.datasets.synthetic.town.cars import CAR_TYPES, car_shape
 from relocbench.datasets.synthetic.town.furniture import bench, bin_shape, bollard, fountain
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
 from relocbench.datasets.synthetic.town.network import make_network
-from relocbench.datasets.synthetic.town.shapes import Shape, boxes, ear_clip, prism, tube
+from relocbench.datasets.synthetic.town.shapes import Shape, boxes, ear_clip, join, quads, triangle_shape, tube
 from relocbench.datasets.synthetic.town.streets import KERB_M
 from relocbench.datasets.synthetic.town.town import District, Periodic, compose, make_district
 from relocbench.datasets.synthetic.town.vegetation import TREE_TYPES, hedge_shapes, tree_shapes
@@ -86,6 +86,19 @@ def open_edges(shape: Shape) -> int:
 def poses_along(district: District, length: float, seed: int, step: float) -> NDArray[np.float64]:
     path = district.network.drive(length, seed)
     return np.stack([path.pose(float(s)) for s in np.arange(0, path.length, step)])
+
+
+def prism(outline: list[list[float]], y0: float, y1: float, material: int) -> Shape:
+    """An outline (P, 2) in the x-z plane, counter-clockwise seen from -y, drawn out from y0 to y1 > y0."""
+    polygon = np.asarray(outline, dtype=float)
+    count = len(polygon)
+    near = np.insert(polygon, 1, y0, axis=1)
+    far = np.insert(polygon, 1, y1, axis=1)
+    faces = ear_clip(polygon)
+    after = np.roll(np.arange(count), -1)
+    rim = np.stack([near, far, far[after], near[after]], axis=1)
+    ends = triangle_shape(np.concatenate([near, far]), np.concatenate([faces, faces[:, ::-1] + count]), material)
+    return join([quads(rim, material), ends])
 
 
 def test_bars_boxes_and_prisms_are_closed_and_face_outward() -> None:
@@ -200,7 +213,7 @@ def test_bad_requests_are_told(district: District) -> None:
         make_district(0, "evaluation")
     with pytest.raises(ConfigError, match="at least 180 m"):
         make_district(0, "test", 100.0)
-    with pytest.raises(ConfigError, match="not negative"):
+    with pytest.raises(ConfigError, match="must not be negative"):
         make_district(-1)
     with pytest.raises(ConfigError, match="positive length"):
         district.network.drive(0.0, 0)

@@ -13,9 +13,9 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.rendered import dataset as synthetic
 from relocbench.datasets.pairs.pairing import PosedFrames
 from relocbench.datasets.synthetic.conditions.condition import condition_named
-from relocbench.datasets.synthetic.jobs import stage
-from relocbench.datasets.synthetic.jobs.stage import Place
-from relocbench.datasets.synthetic.jobs.truth import View
+from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.exact_correspondences import View
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
 from relocbench.datasets.synthetic.town.mesh import Mesh
 from relocbench.execution import Run
@@ -120,10 +120,10 @@ def test_a_plate_a_millimetre_before_a_wall_hides_it(monkeypatch: pytest.MonkeyP
     plate = quad((189.999, 190.0, -1.0), (0.0, 12.0, 0.0), (0.0, 0.0, 9.0))
     ground = quad((80.0, 190.0, 0.0), (100.0, 0.0, 0.0), (0.0, 30.0, 0.0))
     scene = LidarScene(triangles(np.concatenate([wall, plate, ground])))
-    monkeypatch.setattr(stage, "static_scene", lambda place, factors: scene)
+    monkeypatch.setattr(scenes, "static_scene", lambda place, factors: scene)
     T_world_cam = np.eye(4)
     T_world_cam[:3, 3] = eye
-    view = View(Place(0, "test", 250.0), condition_named("Sunny").factors, CAMERA, T_world_cam)
+    view = View(DistrictSpec(0, "test", 250.0), condition_named("Sunny").factors, CAMERA, T_world_cam)
     rng = np.random.default_rng(0)
     sides = rng.uniform([191, 0], [212, 7], (500, 2))
     sides = sides[np.abs(sides[:, 0] - 202) > 0.1]

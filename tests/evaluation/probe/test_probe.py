@@ -369,5 +369,5 @@ def test_a_parameter_called_features_is_not_taken_for_features(dataset: Dataset,
         *("--feature-maps", 1, "--no-poses", "--no-pixels"),
     )
     assert outcome.status == 0, outcome.err
-    assert "b shows no features" in outcome.err
+    assert "b offers no feature maps" in outcome.err
     assert [path.name[:11] for path in tmp_path.glob("*.png")] == ["features_s_"]

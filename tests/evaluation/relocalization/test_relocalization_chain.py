@@ -13,7 +13,7 @@ from small_dataset import ACROSS, CAMERA, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, PredictionError
-from relocbench.evaluation.common.results import read_errors
+from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.relocalization.answers import ChainAnswer, read_chain, write_chain
 from relocbench.evaluation.relocalization.chain import most_confident
 from relocbench.evaluation.relocalization.evaluate import (
@@ -180,7 +180,7 @@ def test_an_answer_that_cannot_be_judged_is_wrong(tmp_path: Path) -> None:
     writable.write_text(writable.read_text().splitlines(keepends=True)[0])
     from relocbench.evaluation.common.results import Answer
     from relocbench.evaluation.relocalization.basin import Basin
-    from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chained
+    from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chain_answers
     from relocbench.evaluation.relocalization.truth import MapTruth
 
     again = Dataset(made.root)
@@ -191,7 +191,7 @@ def test_an_answer_that_cannot_be_judged_is_wrong(tmp_path: Path) -> None:
     off[0, 3] = 1.0  # far from any threshold: the identity is 0.25 m wrong to the last digit
     tracked = Tracked({key: Answer(key, "ok") for key in keys}, dict.fromkeys(keys, off))
     found = [Retrieved([3]), Retrieved([0]), Retrieved([0, 2]), Retrieved([])]
-    got, _ = chained(truth, found, tracked, 2, Basin(9.0, 9.0, "given"))
+    got, _ = chain_answers(truth, found, tracked, 2, Basin(9.0, 9.0, "given"))
     assert [r.outcome for r in got] == ["unreachable", "tracking", "unreachable", "retrieval"]
     assert [np.isinf(r.translation_error_m) for r in got] == [True, False, True, True]
 
@@ -282,7 +282,7 @@ def test_tables_are_read_as_they_were_written_and_bad_ones_are_named(tmp_path: P
         ("ok,right", "fine,right", "status is 'fine'"),
         ("ok,right", "ok,lucky", "outcome is 'lucky'"),
         ("0.25", "nan", "expected a finite number"),
-        ("0.25", "", "an error is blank"),
+        ("0.25", "", "translation_error_m is .., expected a number"),
         (",2,1,2,3,", ",2,x,2,3,", "hit_rank is 'x'"),
         ("status", "state", "expected the header"),
     ):

@@ -18,12 +18,12 @@ from small_views import make_small_views
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import DatasetError, MethodError, PredictionError
 from relocbench.evaluation.retrieval.answers import read_answers, read_lists
-from relocbench.evaluation.retrieval.asked import asked_of
 from relocbench.evaluation.retrieval.check import check_retriever
 from relocbench.evaluation.retrieval.describe import BATCH
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, RetrievalReport, evaluate_retrievers
+from relocbench.evaluation.retrieval.handles import retriever_handle
 from relocbench.evaluation.retrieval.ranking import nearest, rank_task
-from relocbench.evaluation.retrieval.run import Asking, check_task
+from relocbench.evaluation.retrieval.run import RetrieverSession, check_task
 from relocbench.execution import Run, Scheduler, kept_workers
 from relocbench.methods import RETRIEVERS, parse_method
 from relocbench.metrics import (
@@ -84,7 +84,7 @@ def test_an_image_under_two_names_is_described_once() -> None:
     queries = (view("q0", "a"), view("q1", "a"), view("q2", ""))
     gallery = (view("g0", "b"), view("g1", "a"), view("g2", ""), view("g3", "a", "satellite"))
     task = RetrievalTask("made", queries, gallery, relevance_from_labels([0, 0, 0], [0, 0, 1, 1]))
-    asking = Asking(Thumbnail, [task], 0)
+    asking = RetrieverSession(Thumbnail, [task], 0)
     done = asking.ask(task, None)
     assert read == ["g0", "g1", "g2", "g3", "q2"]  # q0 and q1 hold what g1 holds; the satellite's view is another
     assert (done.run.queries_described, done.run.gallery_described) == (3, 4)
@@ -139,7 +139,7 @@ def test_images_that_tasks_share_are_described_once(views: Path, tmp_path: Path)
     one = opened.tasks()[0]
     other = RetrievalTask("again", one.gallery, one.queries, relevance_from_labels(range(9), [0] * 16))
     log = tmp_path / "log"
-    asking = Asking(lambda: Thumbnail(log=str(log)), [one, other], 0)
+    asking = RetrieverSession(lambda: Thumbnail(log=str(log)), [one, other], 0)
     first, second = asking.ask(one, None), asking.ask(other, None)
     seen = log.read_text().split()
     images = {digest(v.key) for v in (*one.queries, *one.gallery)}
@@ -202,7 +202,7 @@ def test_a_retriever_lives_in_one_process_wherever_the_rest_of_the_work_runs(vie
     images = open_cross_view(views).tasks()[0].gallery[:3]
     nobody = Scheduler(address="tcp://127.0.0.1:9")
     with kept_workers():
-        asked = asked_of(parse_method(f"{HERE}:OfItsProcess", kind=RETRIEVERS), Run(2, scheduler=nobody))
+        asked = retriever_handle(parse_method(f"{HERE}:OfItsProcess", kind=RETRIEVERS), Run(2, scheduler=nobody))
         before = asked.info
         assert asked.fit(images, 0)[2] == ""
         described = [asked.describe((one,)) for one in images for _ in range(3)]
@@ -235,7 +235,7 @@ def test_a_fault_in_reranking_is_the_querys_failure(views: Path, tmp_path: Path,
 
 def test_equal_scores_put_wrong_images_first() -> None:
     task = made_task([[9, 9, 9, 9]] * 5, [1, 0, 1, 0, 0])
-    same = Asking(Constant4, [task], 0).ask(task, None)
+    same = RetrieverSession(Constant4, [task], 0).ask(task, None)
     assert same.answers[0].ranks == (4,)
     assert same.lists == {"i0": ["i1", "i2", "i3", "i4"]}
 
@@ -261,7 +261,7 @@ def test_ranks_after_reranking_follow_the_rule_of_ties_on_both_sides() -> None:
             return (candidates[:, 0] + query[0]).astype(np.float64)
 
     method = Coarse()
-    answers = Asking(lambda: method, [task], 0).ask(task, None).answers
+    answers = RetrieverSession(lambda: method, [task], 0).ask(task, None).answers
     a, b = method.describe(task.queries), method.describe(task.gallery)
     scores = a @ b.T
     for q, row in enumerate(scores):
@@ -273,7 +273,7 @@ def test_ranks_after_reranking_follow_the_rule_of_ties_on_both_sides() -> None:
 
 def test_junk_is_neither_retrieved_nor_in_the_way() -> None:
     task = made_task([[9, 0, 0, 0], [9, 0, 0, 0], [9, 0, 0, 0], [0, 9, 0, 0]], [5, -1, 5, 0])
-    done = Asking(lambda: Thumbnail(side=2), [task], 0).ask(task, None)
+    done = RetrieverSession(lambda: Thumbnail(side=2), [task], 0).ask(task, None)
     assert done.answers[0].ranks == (1,)
     assert done.lists == {"i0": ["i2", "i3"]}
 
@@ -285,7 +285,7 @@ def test_a_gallery_without_descriptors_leaves_nothing_retrieved() -> None:
         def describe(self, images: Sequence[ImageView]) -> Any:
             return np.array([[1.0] if one.key == digest("i0") else [np.nan] for one in images])
 
-    done = Asking(Blind, [task], 0).ask(task, None)
+    done = RetrieverSession(Blind, [task], 0).ask(task, None)
     assert (done.answers[0].status, done.answers[0].ranks, done.lists) == ("failed", (), {"i0": []})
 
 
@@ -360,7 +360,7 @@ def test_what_is_there_is_not_asked_again(views: Path, tmp_path: Path) -> None:
 
 def test_answers_made_otherwise_are_refused(views: Path, tmp_path: Path) -> None:
     run(views, tmp_path, f"t={HERE}:Thumbnail", keep=5)
-    with pytest.raises(PredictionError, match=r"made otherwise \(side: 8 there, 4 now\)"):
+    with pytest.raises(PredictionError, match=r"made differently \(side: 8 there, 4 now\)"):
         run(views, tmp_path, f"t={HERE}:Thumbnail", set=("side=4",), keep=5)
     with pytest.raises(PredictionError, match="holds predictions of 'retrievers_for_tests:Thumbnail'"):
         run(views, tmp_path, f"t={HERE}:Constant", keep=5)
@@ -401,7 +401,7 @@ def test_a_method_that_cannot_go_on_ends_the_run(views: Path, tmp_path: Path) ->
 
     task = open_cross_view(views).tasks()[0]
     with pytest.raises(MethodError, match="4 parts"):
-        Asking(Stops, [task], 0).ask(task, None)
+        RetrieverSession(Stops, [task], 0).ask(task, None)
 
 
 def test_images_are_let_go_of_batch_by_batch() -> None:
@@ -427,7 +427,7 @@ def test_images_are_let_go_of_batch_by_batch() -> None:
     task = RetrievalTask(
         "t", (view(0),), tuple(view(i) for i in range(1, count)), relevance_from_labels([0], [0] * (count - 1))
     )
-    done = Asking(Weak, [task], 0).ask(task, 5)
+    done = RetrieverSession(Weak, [task], 0).ask(task, 5)
     assert done.answers[0].status == "ok", done.answers[0].message
     assert len(held) >= count
 
@@ -443,7 +443,7 @@ def test_descriptors_of_changing_length_are_a_fault_of_the_later_images() -> Non
             self.calls += 1
             return np.ones((len(images), 2 if self.calls <= 2 else 3))
 
-    done = Asking(Growing, [task], 0).ask(task, None)
+    done = RetrieverSession(Growing, [task], 0).ask(task, None)
     assert "3 numbers an image, 2 before" in done.answers[0].message
 
 
@@ -514,7 +514,7 @@ def test_answers_keep_their_order_and_their_digits(views: Path, tmp_path: Path) 
     text = path.read_text()
     for old, new, words in (
         (",ok,", ",fine,", r"csv:2: status is 'fine'"),
-        (",1,1,", ",1,1 2,", r"csv:2: 2 ranks of '1' positives"),
+        (",1,1,", ",1,1 2,", r"csv:2: 2 ranks of 1 positives"),
         (",1,1,", ",1,0,", r"csv:2: ranks are '0'"),
         ("query,group", "query,grp", r"csv:1: expected the header"),
     ):

@@ -18,8 +18,10 @@ from small_dataset import ACROSS, WITHIN, make_small_dataset
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PoseLine, read_pose_lines, write_pose_lines
 from relocbench.errors import DatasetError, MethodError, PredictionError
-from relocbench.evaluation.common.results import DatasetResults, read_answers, read_errors
+from relocbench.evaluation.common.error_table import read_errors
+from relocbench.evaluation.common.results import DatasetResults, read_answers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
+from relocbench.evaluation.tracking.validation import validate_results
 from relocbench.files import alone_in, read_journal
 from relocbench.progress import Silent
 
@@ -236,7 +238,7 @@ def test_overwrite_always_asks_for_everything_again(dataset: Dataset, tmp_path: 
 def test_two_configurations_never_share_a_folder(dataset: Dataset, tmp_path: Path) -> None:
     evaluate(dataset, tmp_path, f"m={HERE}:Shift", settings=("metres=0.1",))
     before = predictions(DatasetResults(next(tmp_path.iterdir())).root, "m")
-    with pytest.raises(PredictionError, match=r"run\.yaml: holds predictions made otherwise \(metres: 0.1 there"):
+    with pytest.raises(PredictionError, match=r"run\.yaml: holds predictions made differently \(metres: 0.1 there"):
         evaluate(dataset, tmp_path, f"m={HERE}:Shift", settings=("metres=0.2",))
     with pytest.raises(PredictionError, match="holds predictions of"):
         evaluate(dataset, tmp_path, "m=identity")
@@ -344,6 +346,18 @@ def test_a_pose_that_is_not_finite_is_a_failure(dataset: Dataset, tmp_path: Path
     (theirs / f"{ACROSS}.txt").write_text(f"{ref} {query} nan 0 0 0 0 0 1\n")
     report = evaluate(dataset, tmp_path / "out", predictions=theirs)
     assert {r.status for r in read_errors(report.folders[0].errors(ACROSS))} == {"failed"}
+
+
+def test_validation_names_a_negative_error_as_reading_does(dataset: Dataset, tmp_path: Path) -> None:
+    report = evaluate(dataset, tmp_path, "identity")
+    path = report.folders[0].errors(ACROSS)
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    rows[1][4] = "-0.5"
+    path.write_text("".join(",".join(row) + "\n" for row in rows))
+    with pytest.raises(PredictionError, match=r"errors\.csv:2: rotation_error_deg is -0\.5, expected an error"):
+        read_errors(path)
+    faults = validate_results(report.results, dataset, Silent()).faults
+    assert [fault.line for fault in faults if "rotation_error_deg is -0.5" in fault.message] == [2]
 
 
 @pytest.mark.parametrize(

@@ -173,7 +173,7 @@ def _journal_line(rows: list[MatchingRow]) -> str:
 def test_overwriting_everything_measures_again(dataset: Dataset, tmp_path: Path) -> None:
     evaluate(dataset, tmp_path, MATCHING)
     settings = ("moves_px=2.5",)
-    with pytest.raises(PredictionError, match="holds predictions made otherwise"):
+    with pytest.raises(PredictionError, match="holds predictions made differently"):
         evaluate(dataset, tmp_path, MATCHING, settings=settings)
     folder = evaluate(dataset, tmp_path, MATCHING, settings=settings, overwrite="always").folders[0]
     assert folder.score_record().matching[ACROSS]["all"]["1px"]["match@1px"] == 0.0
@@ -214,7 +214,7 @@ def test_a_pair_that_raises_or_kills_its_worker_costs_that_pair_alone(dataset: D
 def test_methods_and_pair_sets_without_matching_are_told_and_left_out(dataset: Dataset, tmp_path: Path) -> None:
     notes = Notes()
     report = evaluate(dataset, tmp_path / "a", "identity", MATCHING, notes=notes)
-    assert any("for want of match(): identity" in note for note in notes.notes)
+    assert any("not measured without match(): identity" in note for note in notes.notes)
     assert not report.folders[0].matching(ACROSS).exists()
     assert list(report.to_dict()["matching"]) == ["m"]
     bare, notes = make_small_dataset(tmp_path / "bare"), Notes()
@@ -224,7 +224,7 @@ def test_methods_and_pair_sets_without_matching_are_told_and_left_out(dataset: D
 
 
 def test_files_of_predictions_cannot_be_asked(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="--matching asks a method"):
+    with pytest.raises(ValueError, match="--matching runs a method"):
         EvaluateOptions(dataset=tmp_path, predictions=tmp_path, matching=True)
 
 

@@ -490,4 +490,4 @@ def test_an_interruption_while_a_worker_starts_comes_when_it_has_started(monkeyp
         idle.join()
     assert len(begun) == 1, "not before it had started"
     (started,) = worker_process._live - live
-    started.bury()
+    started.end()

@@ -17,16 +17,17 @@ from small_dataset import ACROSS, STEP_NS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import PredictionError, one_line
-from relocbench.evaluation.common.answers import ask, checked, checked_pixels
+from relocbench.evaluation.common.answers import ask, checked_answer, checked_pixels
+from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.guard import guarded, neighbours_of
 from relocbench.evaluation.common.info_text import INFO_CHARACTERS
 from relocbench.evaluation.common.matching_table import MATCHING_COLUMNS, read_matching
-from relocbench.evaluation.common.results import Answer, read_answers, read_errors
+from relocbench.evaluation.common.results import Answer, read_answers
 from relocbench.evaluation.relocalization.basin import read_basins
 from relocbench.evaluation.retrieval.answers import read_answers as read_retrieved
 from relocbench.evaluation.retrieval.describe import Describer
 from relocbench.evaluation.retrieval.ranking import rank_task
-from relocbench.evaluation.retrieval.run import Asking
+from relocbench.evaluation.retrieval.run import RetrieverSession
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.leaderboard.tracking.load import load_results
@@ -96,7 +97,7 @@ def test_check_and_validation_see_what_a_run_sees(case: Case, answers: dict[str,
 
 def test_a_checked_answer_holds_copies() -> None:
     pose = np.eye(4)
-    answer = checked(TrackResult(pose))
+    answer = checked_answer(TrackResult(pose))
     pose[0, 3] = 9
     assert answer.pose == [0, 0, 0, 0, 0, 0, 1]
 
@@ -239,7 +240,7 @@ def task() -> RetrievalTask:
     ],
 )
 def test_what_a_retriever_says_of_its_reordering_costs_its_queries_alone(retriever: Any, words: str) -> None:
-    asking = Asking(lambda: retriever, [task()], 0)
+    asking = RetrieverSession(lambda: retriever, [task()], 0)
     done = asking.ask(task(), None)
     assert [answer.status for answer in done.answers] == ["error"] * 2
     assert all(words in answer.message for answer in done.answers), done.answers[0].message
@@ -282,7 +283,7 @@ def test_descriptors_that_overflow_retrieve_nothing_or_something_but_end_nothing
     for value in (1e300, np.inf, np.nan):
         describer = Describer(Describing(lambda n, value=value: np.full((n, 3), value)))
         queries, gallery = (describer(side, lambda count: None) for side in (task().queries, task().gallery))
-        rows = list(rank_task(task(), queries, gallery, describer.asked, None))
+        rows = list(rank_task(task(), queries, gallery, describer.handle, None))
         assert len(rows) == 2
 
 

@@ -1,8 +1,8 @@
-"""What is seen from above alone: on roofs and in yards, so that no two houses look alike to a drone.
+"""Details that only aerial views show, on roofs and in yards, so that no two houses look alike to a drone.
 
-Streets were made to be driven through, and the datasets of drives do not have these: windows, solar panels and machines
-on roofs; sheds, terraces, beds, hedges and parking in the yards. They stand only where rays from above find a plane
-roof or a free lawn.
+The towns were designed for drives, whose datasets do not contain these details: windows, solar panels and machines on
+roofs; sheds, terraces, beds, hedges and parking in the yards. They are placed only where rays from above hit a flat
+part of a roof or a free lawn.
 """
 
 from __future__ import annotations
@@ -21,38 +21,38 @@ from relocbench.datasets.synthetic.town.town import SPLITS, District
 
 Array = NDArray[np.float64]
 _FROM_M = 80.0
-"""rays begin above all roofs"""
+"""height at which rays begin, above all roofs"""
 _FIRST_INSTANCE = 2**30
-_TRIES_A_ROOF, _MOST_A_ROOF = 14, 5
-_YARD_M2 = 35.0
-"""one try to each so much of the town"""
-_LAWN_STRETCH = 0.07
-"""of the lawns' pattern: its tile of 1.7 m makes a grid to who sees many of them at once"""
+_TRIES_PER_ROOF, _MOST_PER_ROOF = 14, 5
+_AREA_PER_TRY_M2 = 35.0
+"""area of the town per attempt to place a detail in a yard"""
+_LAWN_UV_SCALE = 0.07
+"""stretches the lawns' pattern, whose 1.7 m tile would be visible as a grid from above"""
 
 
 @dataclass(frozen=True, eq=False)
-class _Thing:
-    """A shape about the origin, and the half sides of the ground that it needs."""
+class _Detail:
+    """A shape around the origin, and half the sides of the rectangle of ground that it needs."""
 
     shape: Shape
     half: tuple[float, float]
     semantic: Semantic
 
 
-def seen_from_above(district: District) -> District:
-    """The town with details on roofs and in yards, and lawns without a grid; the same town gives the same bytes."""
+def with_aerial_details(district: District) -> District:
+    """The town with details on roofs and in yards, and lawns without a visible grid. Deterministic in the town."""
     rng = np.random.default_rng([district.seed, SPLITS.index(district.split), 41])
     probe = _Probe(district.static)
     found = [*_on_roofs(district, probe, rng), *_in_yards(district, probe, rng)]
     meshes = [
         instances(
-            thing.shape,
+            detail.shape,
             transform[None],
             np.array([_FIRST_INSTANCE + k]),
             np.array([rng.integers(1, 2**31)]),
-            thing.semantic,
+            detail.semantic,
         )
-        for k, (thing, transform) in enumerate(found)
+        for k, (detail, transform) in enumerate(found)
     ]
     return replace(district, static=merge([_lawns(district.static), *meshes]))
 
@@ -60,21 +60,21 @@ def seen_from_above(district: District) -> District:
 def _lawns(mesh: Mesh) -> Mesh:
     uv = mesh.uv.copy()
     lawn = (mesh.material == Material.GRASS) & (mesh.semantic == Semantic.TERRAIN)
-    uv[lawn] *= np.float32(_LAWN_STRETCH)
+    uv[lawn] *= np.float32(_LAWN_UV_SCALE)
     return replace(mesh, uv=uv)
 
 
 class _Probe:
-    """Rays straight down on a mesh."""
+    """Casts rays straight down on a mesh."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
         self.scene = Scene(mesh)
 
     def plane(self, middle: Array, along: Array, half: tuple[float, float]) -> tuple[int, Array, float] | None:
-        """Material, unit normal and height of the plane on which a rectangle lies as a whole; None where there is none.
+        """Material, unit normal and height of the single plane below a rectangle; None if there is no such plane.
 
-        ``along`` (2,) is the direction of its first side.
+        ``along`` (2,) is the direction of the rectangle's first side.
         """
         across = np.array([-along[1], along[0]])
         steps = np.array([(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)], dtype=float) * half
@@ -99,12 +99,12 @@ class _Probe:
         return int(material[4]), n, float(height)
 
 
-def _on_roofs(district: District, probe: _Probe, rng: np.random.Generator) -> list[tuple[_Thing, Array]]:
-    found: list[tuple[_Thing, Array]] = []
+def _on_roofs(district: District, probe: _Probe, rng: np.random.Generator) -> list[tuple[_Detail, Array]]:
+    found: list[tuple[_Detail, Array]] = []
     for building in buildings(district, every=True):
         taken: list[tuple[Array, float]] = []
-        most = int(rng.integers(0, _MOST_A_ROOF + 1))
-        for _ in range(_TRIES_A_ROOF):
+        most = int(rng.integers(0, _MOST_PER_ROOF + 1))
+        for _ in range(_TRIES_PER_ROOF):
             middle = building.centre + rng.uniform(-0.5, 0.5, 2) * building.sides_m
             kind = float(rng.random())
             sizes = rng.random(3)
@@ -115,28 +115,28 @@ def _on_roofs(district: District, probe: _Probe, rng: np.random.Generator) -> li
                 continue
             if here[1][2] < 0.97:
                 along = np.array([-here[1][1], here[1][0]]) / float(np.hypot(*here[1][:2]))
-                thing = _on_slope(kind, sizes)
+                detail = _on_slope(kind, sizes)
             else:
                 along = nearest_street(middle, district.network)[1]
-                thing = _on_flat(kind, sizes)
-            room = (thing.half[0] + 0.2, thing.half[1] * float(here[1][2]) + 0.2)
+                detail = _on_flat(kind, sizes)
+            room = (detail.half[0] + 0.2, detail.half[1] * float(here[1][2]) + 0.2)
             if _place(probe, middle, along, room, taken, here[0]) is not None:
-                found.append((thing, _frame(middle, here[2], along, here[1])))
+                found.append((detail, _frame(middle, here[2], along, here[1])))
     return found
 
 
-def _in_yards(district: District, probe: _Probe, rng: np.random.Generator) -> list[tuple[_Thing, Array]]:
-    found: list[tuple[_Thing, Array]] = []
+def _in_yards(district: District, probe: _Probe, rng: np.random.Generator) -> list[tuple[_Detail, Array]]:
+    found: list[tuple[_Detail, Array]] = []
     taken: list[tuple[Array, float]] = []
     low, high = district.network.nodes.min(0) - 12.0, district.network.nodes.max(0) + 12.0
-    for _ in range(int(np.prod(high - low) / _YARD_M2)):
+    for _ in range(int(np.prod(high - low) / _AREA_PER_TRY_M2)):
         middle, kind, sizes = rng.uniform(low, high), float(rng.random()), rng.random(3)
         _, along = nearest_street(middle, district.network)
-        thing = _in_yard(kind, sizes)
-        room = (thing.half[0] + 0.4, thing.half[1] + 0.4)
+        detail = _in_yard(kind, sizes)
+        room = (detail.half[0] + 0.4, detail.half[1] + 0.4)
         height = _place(probe, middle, along, room, taken, Material.GRASS)
         if height is not None:
-            found.append((thing, _frame(middle, height, along, np.array([0.0, 0.0, 1.0]))))
+            found.append((detail, _frame(middle, height, along, np.array([0.0, 0.0, 1.0]))))
     return found
 
 
@@ -148,7 +148,7 @@ def _place(
     taken: list[tuple[Array, float]],
     material: int,
 ) -> float | None:
-    """The height at which a thing finds room on one plane of a material; its circle is then taken."""
+    """Height at which a detail fits on a plane of the material, or None; its circle is added to ``taken``."""
     radius = float(np.hypot(*room))
     if any(np.hypot(*(middle - other)) < radius + size for other, size in taken):
         return None
@@ -160,7 +160,7 @@ def _place(
 
 
 def _frame(middle: Array, height: float, along: Array, normal: Array) -> Array:
-    """T_world_thing (4, 4): x along, z the plane's normal."""
+    """T_world_detail (4, 4): x along the given direction, z along the plane's normal."""
     x = np.array([*along, 0.0])
     pose = np.eye(4)
     pose[:3, :3] = np.stack([x, np.cross(normal, x), normal], axis=1)
@@ -172,57 +172,57 @@ def _slab(a: float, b: float, low: float, high: float, material: Material) -> Sh
     return boxes([-a, -b, low], [a, b, high], material, without="bottom")
 
 
-def _on_slope(kind: float, sizes: Array) -> _Thing:
+def _on_slope(kind: float, sizes: Array) -> _Detail:
     if kind < 0.5:
-        return _Thing(_slab(0.4, 0.6, -0.05, 0.06, Material.WINDOW), (0.4, 0.6), Semantic.FURNITURE)
+        return _Detail(_slab(0.4, 0.6, -0.05, 0.06, Material.WINDOW), (0.4, 0.6), Semantic.FURNITURE)
     columns, rows = 2 + int(4 * sizes[0]), 1 + int(2 * sizes[1])
     a, b = 0.55 * columns, 0.85 * rows
     x, y = np.meshgrid(np.linspace(-a, a, columns + 1)[:-1], np.linspace(-b, b, rows + 1)[:-1])
     low = np.stack([x.ravel() + 0.03, y.ravel() + 0.03, np.zeros(x.size)], axis=1)
     panels = boxes(low, low + np.array([1.04, 1.64, 0.1]), Material.CAR_GLASS, without="bottom")
-    return _Thing(panels, (a, b), Semantic.FURNITURE)
+    return _Detail(panels, (a, b), Semantic.FURNITURE)
 
 
-def _on_flat(kind: float, sizes: Array) -> _Thing:
+def _on_flat(kind: float, sizes: Array) -> _Detail:
     if kind < 0.35:
         a, b, h = 0.5 + 1.2 * sizes[0], 0.4 + 0.7 * sizes[1], 0.6 + 1.2 * sizes[2]
-        return _Thing(_slab(a, b, 0.0, h, Material.METAL), (a, b), Semantic.FURNITURE)
+        return _Detail(_slab(a, b, 0.0, h, Material.METAL), (a, b), Semantic.FURNITURE)
     if kind < 0.55:
         a, b = 0.5 + 0.6 * sizes[0], 0.5 + 0.3 * sizes[1]
         dome = join([_slab(a, b, 0.0, 0.25, Material.CONCRETE), _slab(a - 0.1, b - 0.1, 0.25, 0.35, Material.WINDOW)])
-        return _Thing(dome, (a, b), Semantic.FURNITURE)
+        return _Detail(dome, (a, b), Semantic.FURNITURE)
     if kind < 0.8:
         count, a = 2 + int(3 * sizes[0]), 1.0 + 1.5 * sizes[1]
         y = np.arange(count) * 1.4 - 0.7 * (count - 1)
         rows = [[(-a, v - 0.4, 0.1), (a, v - 0.4, 0.1), (a, v + 0.4, 0.5), (-a, v + 0.4, 0.5)] for v in y]
-        return _Thing(quads(np.array(rows), Material.CAR_GLASS), (a, 0.7 * count), Semantic.FURNITURE)
+        return _Detail(quads(np.array(rows), Material.CAR_GLASS), (a, 0.7 * count), Semantic.FURNITURE)
     a, b = 1.5 + 2.0 * sizes[0], 1.2 + 1.5 * sizes[1]
     material = Material.GRASS if sizes[2] < 0.5 else Material.WOOD
-    return _Thing(_slab(a, b, 0.0, 0.06, material), (a, b), Semantic.FURNITURE)
+    return _Detail(_slab(a, b, 0.0, 0.06, material), (a, b), Semantic.FURNITURE)
 
 
-def _in_yard(kind: float, sizes: Array) -> _Thing:
+def _in_yard(kind: float, sizes: Array) -> _Detail:
     if kind < 0.25:
         a, b = 1.0 + 1.2 * sizes[0], 0.9 + 0.8 * sizes[1]
         material = Material.WOOD if sizes[2] < 0.6 else Material.ROOF_FLAT
         top = _slab(a + 0.15, b + 0.15, 2.1, 2.25, Material.ROOF_TILES if sizes[2] < 0.3 else Material.ROOF_FLAT)
-        return _Thing(join([_slab(a, b, 0.0, 2.1, material), top]), (a + 0.15, b + 0.15), Semantic.FURNITURE)
+        return _Detail(join([_slab(a, b, 0.0, 2.1, material), top]), (a + 0.15, b + 0.15), Semantic.FURNITURE)
     if kind < 0.5:
         a, b = 1.2 + 2.5 * sizes[0], 1.0 + 1.5 * sizes[1]
         material = (Material.PAVEMENT, Material.COBBLES, Material.WOOD)[int(3 * sizes[2])]
-        return _Thing(_flat(a, b, material), (a, b), Semantic.TERRAIN)
+        return _Detail(_flat(a, b, material), (a, b), Semantic.TERRAIN)
     if kind < 0.68:
         a, b = 1.0 + 2.5 * sizes[0], 0.6 + 1.0 * sizes[1]
-        return _Thing(_flat(a, b, Material.SOIL), (a, b), Semantic.TERRAIN)
+        return _Detail(_flat(a, b, Material.SOIL), (a, b), Semantic.TERRAIN)
     if kind < 0.9:
         a = 2.0 + 3.5 * sizes[0]
-        thing = _slab(a, 0.4, 0.0, 1.0 + sizes[1], Material.HEDGE)
+        detail = _slab(a, 0.4, 0.0, 1.0 + sizes[1], Material.HEDGE)
         if sizes[2] < 0.5:
-            turned = thing.vertices[:, [1, 0, 2]] * np.array([-1.0, 1.0, 1.0])
-            return _Thing(replace(thing, vertices=turned), (0.4, a), Semantic.HEDGE)
-        return _Thing(thing, (a, 0.4), Semantic.HEDGE)
+            turned = detail.vertices[:, [1, 0, 2]] * np.array([-1.0, 1.0, 1.0])
+            return _Detail(replace(detail, vertices=turned), (0.4, a), Semantic.HEDGE)
+        return _Detail(detail, (a, 0.4), Semantic.HEDGE)
     a, b = 3.0 + 4.0 * sizes[0], 2.5 + 2.5 * sizes[1]
-    return _Thing(_flat(a, b, Material.ASPHALT), (a, b), Semantic.TERRAIN)
+    return _Detail(_flat(a, b, Material.ASPHALT), (a, b), Semantic.TERRAIN)
 
 
 def _flat(a: float, b: float, material: Material) -> Shape:

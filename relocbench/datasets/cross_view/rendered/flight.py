@@ -1,7 +1,7 @@
-"""Where the cameras are: a drone's descending rounds, a satellite straight above, somebody on the street.
+"""Camera poses: a drone on descending circles, a satellite straight above, a pedestrian on the street.
 
-University-1652's drone flies three rounds around its building while it comes down from 256 m to 121.5 m. Its buildings
-are campus blocks; those of the town are houses, so that the rounds are smaller here, in the same proportion.
+University-1652's drone flies three circles around its building while it descends from 256 m to 121.5 m. Its buildings
+are campus blocks; those of the town are houses, so the circles are smaller here, in the same proportion.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from relocbench.geometry import Camera
 Array = NDArray[np.float64]
 ROUNDS = 3
 FAR_TO_NEAR = 256.0 / 121.5
-"""University-1652's"""
+"""ratio in University-1652"""
 ELEVATION_DEG = 50.0
-"""of the drone, seen from the building"""
+"""elevation of the drone above the horizon, seen from the building"""
 DRONE_VIEW_DEG = 45.0
 STREET_VIEW_DEG = 75.0
 SATELLITE_M = 400.0
-"""far enough that houses hardly lean"""
+"""so far that perspective hardly shows the walls of houses"""
 _EYE_M = 1.6
 _STRIDE_M = 5.0
 
@@ -34,12 +34,12 @@ class Optics:
     """The cameras of all views."""
 
     size: int
-    """pixels of a side"""
+    """width and height in pixels"""
     satellite_side_m: float
     """metres of ground that the satellite's image covers"""
 
     def camera(self, view: str) -> Camera:
-        """Pinhole, square."""
+        """The square pinhole camera of a view."""
         if view == "satellite":
             focal = self.size * SATELLITE_M / self.satellite_side_m
         else:
@@ -50,7 +50,7 @@ class Optics:
 
 
 def drone(building: Building, views: int, far_m: float, start_rad: float) -> list[Array]:
-    """T_world_cam (4, 4) of each view: evenly along three rounds, from ``far_m`` down, always facing the building."""
+    """T_world_cam (4, 4) of each view: evenly along three circles, descending from ``far_m``, facing the building."""
     share = np.arange(views) / max(views - 1, 1)
     distance = far_m + (far_m / FAR_TO_NEAR - far_m) * share
     bearing = start_rad + 2 * np.pi * ROUNDS * np.arange(views) / views
@@ -61,7 +61,7 @@ def drone(building: Building, views: int, far_m: float, start_rad: float) -> lis
 
 
 def satellite(building: Building, turn_rad: float = 0.0) -> Array:
-    """T_world_cam (4, 4): straight down on the building, north up, or turned counter-clockwise from it."""
+    """T_world_cam (4, 4) looking straight down on the building, north up or turned counter-clockwise by an angle."""
     c, s = np.cos(turn_rad), np.sin(turn_rad)
     pose = np.eye(4)
     pose[:3, :3] = np.stack([[c, s, 0], [s, -c, 0], [0, 0, -1]], axis=1)
@@ -70,7 +70,7 @@ def satellite(building: Building, turn_rad: float = 0.0) -> Array:
 
 
 def street(building: Building, views: int, network: StreetNetwork) -> list[Array]:
-    """T_world_cam (4, 4) from the middle of the nearest street, some metres apart along it, facing the house."""
+    """T_world_cam (4, 4) of each view: from the middle of the nearest street, 5 m apart, facing the house."""
     foot, along = nearest_street(building.centre, network)
     target = np.array([*building.centre, 0.45 * building.height_m])
     steps = (np.arange(views) - (views - 1) / 2) * _STRIDE_M
@@ -78,7 +78,7 @@ def street(building: Building, views: int, network: StreetNetwork) -> list[Array
 
 
 def facing(eye: Array, target: Array) -> Array:
-    """T_world_cam (4, 4) of a level camera at ``eye`` (3,) that looks at ``target`` (3,)."""
+    """T_world_cam (4, 4) of a camera without roll at ``eye`` (3,) that looks at ``target`` (3,)."""
     z = (target - eye) / np.linalg.norm(target - eye)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
@@ -89,7 +89,7 @@ def facing(eye: Array, target: Array) -> Array:
 
 
 def nearest_street(point: Array, network: StreetNetwork) -> tuple[Array, Array]:
-    """The nearest point (2,) of the streets' centre lines, and the direction (2,) of that street."""
+    """The nearest point (2,) on the streets' centre lines, and the direction (2,) of that street."""
     best, found = np.inf, (point, np.array([1.0, 0.0]))
     for u, v in sorted(network.street):
         a, along = network.nodes[u], network.nodes[v] - network.nodes[u]

@@ -1,4 +1,4 @@
-"""Which buildings of a town become places."""
+"""Selection of the buildings of a town that become places."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.synthetic.jobs.stage import Place as Town
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.town.mesh import Semantic
-from relocbench.datasets.synthetic.town.planting import inside
+from relocbench.datasets.synthetic.town.polylines import inside
 from relocbench.datasets.synthetic.town.rows import PeriodicFront
 from relocbench.datasets.synthetic.town.town import District
 
 Array = NDArray[np.float64]
 _LEAST_FOOTPRINT_M = 4.5
-"""shorter side of the smallest building that is a place: links between houses are none"""
+"""least shorter side of a building that is a place; excludes the links between houses"""
 _FROM_PERIODIC_M = 14.0
-"""houses with repeating facades are one model many times over: nobody could tell two of them apart"""
+"""distance to keep from rows with repeating facades, whose houses are copies of one model and indistinguishable"""
 
 
 @dataclass(frozen=True, eq=False)
 class Building:
-    """A house as the views see it: the box around it."""
+    """The bounding box of a house."""
 
     instance: int
-    """its number in the town"""
+    """instance number in the town"""
     centre: Array
     """(2,) metres"""
     sides_m: Array
@@ -38,17 +38,17 @@ class PlaceOfTown:
     """One class of the set."""
 
     label: str
-    """the folder's name: four digits"""
-    town: Town
+    """the folder's name, four digits"""
+    town: DistrictSpec
     building: Building
     distractor: bool = False
-    """in galleries alone"""
+    """whether it is in galleries only"""
 
 
 def buildings(district: District, *, every: bool = False) -> list[Building]:
-    """The houses of a town that can be places, or ``every`` one, by their numbers.
+    """The houses of a town that can be places, or ``every`` house, ordered by instance number.
 
-    Those beyond the outer streets are none: half of what is seen around them is open land.
+    Houses beyond the outer streets are excluded, because half of their surroundings is open land.
     """
     mesh = district.static
     chosen = mesh.semantic == Semantic.BUILDING
@@ -73,7 +73,7 @@ def _building(name: int, middle: Array, size: Array, high: Array) -> Building:
 
 
 def spread(found: list[Building], spacing_m: float, rng: np.random.Generator) -> list[Building]:
-    """Buildings in random order, none nearer to one before it than the spacing."""
+    """Buildings in random order, leaving out those nearer than the spacing to an earlier one."""
     chosen: list[Building] = []
     for k in rng.permutation(len(found)):
         if all(np.hypot(*(found[k].centre - other.centre)) >= spacing_m for other in chosen):
@@ -82,7 +82,7 @@ def spread(found: list[Building], spacing_m: float, rng: np.random.Generator) ->
 
 
 def _distance(points: Array, front: PeriodicFront) -> Array:
-    """The distances of points (N, 2) from the row's line of facades."""
+    """Distances (N,) of points (N, 2) from the row's line of facades."""
     along = front.end - front.start
     t = np.clip((points - front.start) @ along / float(along @ along), 0, 1)
     return np.asarray(np.linalg.norm(points - front.start - t[:, None] * along, axis=1))

@@ -1,4 +1,4 @@
-"""Everything that is decided before anything is rendered: towns, places, and each image's camera and condition."""
+"""The plan of a rendered set: towns, places, and each image's camera and condition."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from numpy.typing import NDArray
 from relocbench.datasets.cross_view.rendered import flight
 from relocbench.datasets.cross_view.rendered.flight import Optics
 from relocbench.datasets.cross_view.rendered.places import Building, PlaceOfTown, buildings, spread
-from relocbench.datasets.synthetic.jobs import stage
-from relocbench.datasets.synthetic.jobs.stage import Place as Town
+from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.town.network import StreetNetwork
 from relocbench.errors import ConfigError
 from relocbench.progress import Reporter
 
 Array = NDArray[np.float64]
 MOST_PLACES = 5000
-"""of one split: labels have four digits, and those of test begin here"""
-PLACES_A_TOWN = 50
-"""unless told otherwise; fewer where a town has no more room"""
-_SEEDS_A_SET = 1000
-"""a set of another seed has other towns"""
+"""places in one split; labels have four digits, and those of test begin at this number"""
+PLACES_PER_TOWN = 50
+"""default; fewer if a town has no more room"""
+_SEEDS_PER_SET = 1000
+"""towns of sets with different seeds are different"""
 
 
 @dataclass(frozen=True)
 class Views:
-    """What is taken of each place."""
+    """The images to take of each place."""
 
     optics: Optics
     drone: int
@@ -36,11 +36,10 @@ class Views:
     far_m: float
     """distance at which the drone's flight begins"""
     random_heading: bool
-    """whether satellite images are turned at random; else north is up"""
-    above: str
-    """condition of the satellite's images"""
-    below: tuple[str, ...]
-    """conditions of the drone's and the street's, one after the other"""
+    """whether satellite images are turned at random; otherwise north is up"""
+    satellite_condition: str
+    other_conditions: tuple[str, ...]
+    """conditions that drone and street images take in turn"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,14 +47,14 @@ class Photo:
     """One image to render."""
 
     keys: tuple[str, ...]
-    """where it lies in the set; from the second on the same file by other names"""
+    """paths in the set; the second and later ones are other names of the same file"""
     label: str
     view: str
     condition: str
-    town: Town
+    town: DistrictSpec
     T_world_cam: Array
     seed: int
-    """of noise and falling weather"""
+    """seed of noise and of falling rain and snow"""
 
 
 def choose_places(
@@ -68,26 +67,26 @@ def choose_places(
     seed: int,
     reporter: Reporter,
 ) -> list[tuple[PlaceOfTown, StreetNetwork]]:
-    """Places of a split with the streets of their towns: each town gives as many as the others, if it can.
+    """Places of a split with the streets of their towns, spread evenly over the towns as far as these have room.
 
     Raises:
-        ConfigError: more places than labels, or than the towns asked for have room for.
+        ConfigError: there are more places than labels, or than the towns have room for.
     """  # fmt: skip
     wanted = count + distractors
     if wanted > MOST_PLACES:
-        raise ConfigError(f"--places and --distractors: {wanted} places; there are labels for {MOST_PLACES} a split")
-    planned = towns if towns is not None else -(-wanted // PLACES_A_TOWN)
-    chosen: list[tuple[Town, Building, StreetNetwork]] = []
+        raise ConfigError(f"--places and --distractors ask for {wanted} places; a split has at most {MOST_PLACES}")
+    planned = towns if towns is not None else -(-wanted // PLACES_PER_TOWN)
+    chosen: list[tuple[DistrictSpec, Building, StreetNetwork]] = []
     with reporter.stage(f"laying out towns of {split}", planned) as advance:
         k = 0
         while len(chosen) < wanted:
-            if k >= _SEEDS_A_SET or (towns is not None and k >= towns):
+            if k >= _SEEDS_PER_SET or (towns is not None and k >= towns):
                 raise ConfigError(
                     f"--places: {k} towns of {extent_m:g} m have room for {len(chosen)} places {spacing_m:g} m apart, "
-                    f"{wanted} are asked for; raise --towns or --extent, or lower --spacing"
+                    f"not for {wanted}; increase --towns or --extent, or decrease --spacing"
                 )
-            town = Town(seed * _SEEDS_A_SET + k, split, extent_m)
-            district = stage.district(town)
+            town = DistrictSpec(seed * _SEEDS_PER_SET + k, split, extent_m)
+            district = scenes.district(town)
             rng = np.random.default_rng([seed, 31, k, _number(split)])
             share = -(-(wanted - len(chosen)) // max(planned - k, 1))
             found = spread(buildings(district), spacing_m, rng)[:share]
@@ -113,7 +112,8 @@ def photos_of(place: PlaceOfTown, network: StreetNetwork, views: Views, split: s
     found = []
     for v, (view, taken) in enumerate(poses.items()):
         for k, T_world_cam in enumerate(taken):
-            condition = views.above if view == "satellite" else views.below[k % len(views.below)]
+            others = views.other_conditions
+            condition = views.satellite_condition if view == "satellite" else others[k % len(others)]
             number = int(np.random.SeedSequence([seed, 33, int(place.label), v, k]).generate_state(1)[0])
             keys = tuple(f"{f}/{place.label}/{_file(view, k, place.label)}" for f in _folders(view, split, place))
             found.append(Photo(keys, place.label, view, condition, place.town, T_world_cam, number))
@@ -127,7 +127,7 @@ def _folders(view: str, split: str, place: PlaceOfTown) -> Sequence[str]:
 
 
 def _file(view: str, k: int, label: str) -> str:
-    """As University-1652 calls them."""
+    """File name of an image, as in University-1652."""
     return {"drone": f"image-{k + 1:02d}.png", "satellite": f"{label}.png"}.get(view, f"{k + 1}.png")
 
 

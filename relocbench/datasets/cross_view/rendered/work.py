@@ -1,4 +1,4 @@
-"""Rendering the images that are missing: a town in a condition is made ready once and photographed many times."""
+"""Rendering of the missing images. Each town is prepared once per condition and then rendered from many cameras."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from itertools import groupby
 from pathlib import Path
 
 from relocbench.datasets.core import images
-from relocbench.datasets.cross_view.rendered.details import seen_from_above
+from relocbench.datasets.cross_view.rendered.details import with_aerial_details
 from relocbench.datasets.cross_view.rendered.plan import Photo, Views
 from relocbench.datasets.synthetic.conditions.condition import Factors
-from relocbench.datasets.synthetic.jobs import stage
-from relocbench.datasets.synthetic.jobs.rendering import duration, rate
-from relocbench.datasets.synthetic.jobs.stage import Place as Town
+from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.estimates import Spent, duration, rate, workers_text
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.renderer.render import Renderer, Surroundings
 from relocbench.datasets.synthetic.renderer.sky import make_sky
 from relocbench.datasets.synthetic.renderer.skylight import Skylight
@@ -22,17 +22,17 @@ from relocbench.datasets.synthetic.town.town import District, compose
 from relocbench.execution import Run, chunks, run_units
 from relocbench.progress import Reporter
 
-_MOST_A_UNIT = 96
-"""images: a worker that changes town or condition has to make it ready, which takes as long as dozens of images"""
+_IMAGES_PER_UNIT = 96
+"""many, because preparing another town or condition takes as long as rendering dozens of images"""
 _WORTH_WORKERS = 12
 _WORTH_AN_ESTIMATE = 200
-_SEEN_THROUGH = 1.0
-"""optical depth of fog at the flight's farthest point: in denser fog nobody would fly"""
+_FOG_OPTICAL_DEPTH = 1.0
+"""greatest optical depth of fog at the flight's farthest point; nobody would fly in denser fog"""
 
 
 @dataclass(frozen=True, eq=False)
 class PhotoUnit:
-    """Images of one town in one condition."""
+    """Images of one town in one condition, rendered by one worker."""
 
     root: Path
     views: Views
@@ -43,44 +43,35 @@ class PhotoUnit:
         return f"{len(self.photos)} images from {self.photos[0].keys[0]} on"
 
 
-@dataclass(frozen=True)
-class Spent:
-    """What a unit took."""
-
-    images: int
-    setup_s: float
-    seconds: float
-
-
 def seen_by(view: str, factors: Factors, views: Views) -> Factors:
-    """The condition as a view is taken in it.
+    """The condition adapted to a view.
 
-    No camera here has a car's headlights. Satellite images are those of a clear moment: without falling rain or snow,
-    drops and fog, over a ground as wet or white as the condition has it. Drones fly in fog in which they see.
+    No camera here has headlights. Satellite images are taken in clear moments: without falling rain or snow, drops or
+    fog, but with the condition's wet or white ground. Drones fly only in fog that they can see through.
     """
     changed: dict[str, object] = {"headlights": False}
     if view == "satellite":
         changed |= {"fog_density": 0.0, "rain_mm_h": 0.0, "snowfall_mm_h": 0.0, "lens_drops": 0.0, "vignetting": 0.0}
     elif view == "drone":
-        changed |= {"fog_density": min(factors.fog_density, _SEEN_THROUGH / views.far_m)}
+        changed |= {"fog_density": min(factors.fog_density, _FOG_OPTICAL_DEPTH / views.far_m)}
     return factors.model_copy(update=changed)
 
 
 def render_missing(
     root: Path, photos: Sequence[Photo], conditions: dict[str, Factors], views: Views, reporter: Reporter, run: Run
 ) -> None:
-    """Render what is missing or torn; each image is written whole on its own."""
+    """Render the images that are missing or truncated."""
     missing = [photo for photo in photos if not images.is_whole(root / photo.keys[0])]
     units = []
     order = sorted(missing, key=lambda p: (p.town.split, p.town.seed, p.condition, p.view, p.label))
     for (_, condition), group in groupby(order, key=lambda p: (p.town, p.condition)):
-        for part in chunks(list(group), _MOST_A_UNIT):
+        for part in chunks(list(group), _IMAGES_PER_UNIT):
             units.append(PhotoUnit(root, views, conditions[condition], tuple(part)))
     run = run if len(missing) >= _WORTH_WORKERS else run.alone()
     done_before: list[Spent] = []
     with reporter.stage("rendering", len(missing)) as advance:
         for _, spent in run_units(render_unit, units, run):
-            advance(spent.images)
+            advance(spent.files)
             done_before.append(spent)
             if len(done_before) == min(run.workers, len(units)) and len(missing) >= _WORTH_AN_ESTIMATE:
                 reporter.note(_estimate(done_before, len(missing), len(units), run.workers))
@@ -99,18 +90,18 @@ def render_unit(unit: PhotoUnit) -> Spent:
     return Spent(len(unit.photos), ready - start, time.perf_counter() - ready)
 
 
-_district: stage.Latest[District] = stage.Latest()
-_renderer: stage.Latest[Renderer] = stage.Latest()
-_skylight: stage.Latest[Skylight] = stage.Latest()
+_district: scenes.Latest[District] = scenes.Latest()
+_renderer: scenes.Latest[Renderer] = scenes.Latest()
+_skylight: scenes.Latest[Skylight] = scenes.Latest()
 
 
-def renderer_of(town: Town, condition: Factors, seen: Factors) -> Renderer:
-    """The renderer of a town in a condition as a view sees it; what stands there, and so the skylight, is the same."""
+def renderer_of(town: DistrictSpec, condition: Factors, seen: Factors) -> Renderer:
+    """The renderer of a town under a view's factors; objects and skylight are those of the condition itself."""
     return _renderer.get((town, seen), lambda: _make_renderer(town, condition, seen))
 
 
-def _make_renderer(town: Town, condition: Factors, seen: Factors) -> Renderer:
-    district = _district.get(town, lambda: seen_from_above(stage.district(town)))
+def _make_renderer(town: DistrictSpec, condition: Factors, seen: Factors) -> Renderer:
+    district = _district.get(town, lambda: with_aerial_details(scenes.district(town)))
     mesh = compose(district, seen)
     light = _skylight.get(
         (town, condition), lambda: Renderer(mesh, condition, district.lamps, town.seed).surroundings.skylight
@@ -119,14 +110,14 @@ def _make_renderer(town: Town, condition: Factors, seen: Factors) -> Renderer:
 
 
 def _estimate(spent: Sequence[Spent], total: int, units: int, workers: int) -> str:
-    measured = sum(max(s.images - 1, 0) for s in spent)
-    left = total - sum(s.images for s in spent)
+    measured = sum(max(s.files - 1, 0) for s in spent)
+    left = total - sum(s.files for s in spent)
     if not measured or not left:
         return f"{left} images are left to render"
     per_image = sum(s.seconds for s in spent) / measured
     setup = sum(s.setup_s for s in spent) / len(spent)
     seconds = (left * per_image + (units - len(spent)) * setup) / workers
     return (
-        f"{left} images are left to render: about {duration(seconds)} with {workers} worker{'s' * (workers != 1)}, "
-        f"{rate(1, per_image)} each once a town is ready, which takes {duration(setup)}"
+        f"{left} images are left to render: about {duration(seconds)} with {workers_text(workers)}, "
+        f"{rate(1, per_image)} each once a town is prepared, which takes {duration(setup)}"
     )

@@ -1,4 +1,4 @@
-"""What a rendered set says of itself: poses, places, manifest and ``dataset.yaml``."""
+"""Writing the tables and descriptions of a rendered set: poses, places, manifest and ``dataset.yaml``."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _POSES = ("image", "class", "view", "condition", "town", "tx", "ty", "tz", "qx",
 _PLACES = ("class", "split", "role", "town", "instance", "x_m", "y_m", "height_m")
 
 
-def link_again(root: Path, photos: Sequence[Photo]) -> None:
-    """Give images that are query and gallery both their other names: hard links, or copies where there are none."""
+def link_other_names(root: Path, photos: Sequence[Photo]) -> None:
+    """Add the second names of images that are both query and gallery, as hard links or, if impossible, copies."""
     for photo in photos:
         source = root / photo.keys[0]
         for key in photo.keys[1:]:
@@ -37,17 +37,17 @@ def link_again(root: Path, photos: Sequence[Photo]) -> None:
                     stream.write(source.read_bytes())
 
 
-def refuse_strangers(root: Path, photos: Sequence[Photo]) -> None:
-    """Raises DatasetError on an image that is none of the build's."""
+def refuse_other_files(root: Path, photos: Sequence[Photo]) -> None:
+    """Raise DatasetError if the set's folders hold a file that is not one of the build's images."""
     own = {root / key for photo in photos for key in photo.keys}
     for part in ("train", "test"):
         for path in sorted((root / part).rglob("*")):
             if path.is_file() and not path.name.startswith(".") and path not in own:
-                raise DatasetError("is no image of this build; remove it, or choose another --out", path)
+                raise DatasetError("is not an image of this build; remove it or choose another --out", path)
 
 
 def write_poses(root: Path, photos: Sequence[Photo]) -> None:
-    """``poses.csv``: T_world_cam of each image, in the frame of its town."""
+    """Write ``poses.csv``: T_world_cam of each image, in the frame of its town."""
     with atomic_write(root / content.POSES_FILE) as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(_POSES)
@@ -58,7 +58,7 @@ def write_poses(root: Path, photos: Sequence[Photo]) -> None:
 
 
 def write_places(root: Path, places: Sequence[PlaceOfTown]) -> None:
-    """``places.csv``: which building of which town each class is."""
+    """Write ``places.csv``: the town and building of each class."""
     with atomic_write(root / "places.csv") as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(_PLACES)
@@ -83,7 +83,7 @@ def write_places(root: Path, places: Sequence[PlaceOfTown]) -> None:
 def finish(
     root: Path, name: str, licence: str, configuration: dict[str, Any], made: dict[str, Any], photos: Sequence[Photo]
 ) -> None:
-    """Hash all images; ``dataset.yaml``, with the fingerprint, is written last."""
+    """Hash all images and write the manifest and, last, ``dataset.yaml`` with the fingerprint."""
     remove_parts(root)
     rows = content.rows_of(root, [key for photo in photos for key in photo.keys])
     content.write_manifest(root, rows)

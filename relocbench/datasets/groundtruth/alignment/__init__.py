@@ -1,1 +1,1 @@
-"""Two drives brought together: registered, kept on disk, solved."""
+"""The alignment of two drives: registrations, which are kept on disk, and the pose graph."""

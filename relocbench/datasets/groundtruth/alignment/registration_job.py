@@ -1,4 +1,4 @@
-"""Registrations of all query drives against the reference, kept on disk as they are found."""
+"""Registration of all query drives against the reference by worker processes, with the results kept on disk."""
 
 from __future__ import annotations
 
@@ -6,9 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, FirstPose, TrackUnit, track_drive
+from relocbench.datasets.groundtruth.alignment.two_drives import (
+    AlignmentOptions,
+    FirstPose,
+    RegistrationUnit,
+    register_query,
+)
 from relocbench.datasets.groundtruth.registration import files as track_files
-from relocbench.datasets.groundtruth.registration.journal import Journal, followed
+from relocbench.datasets.groundtruth.registration.journal import Journal, journal_progress
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.execution import Run, run_units
@@ -17,7 +22,7 @@ from relocbench.progress import Reporter
 
 @dataclass(frozen=True, eq=False)
 class _Unit:
-    drives: TrackUnit
+    drives: RegistrationUnit
     journal: Path
 
     def __str__(self) -> str:
@@ -33,22 +38,25 @@ def register_drives(
     reporter: Reporter,
     run: Run,
 ) -> dict[str, list[Registration]]:
-    """Registrations of each query drive; those that a former run found are read.
+    """Register each query drive; the registrations of an earlier run are read from disk.
 
-    ``folder`` holds ``REF__QUERY.csv`` of drives that are done, and ``REF__QUERY.journal`` of those that are not.
+    ``folder`` holds ``REF__QUERY.csv`` for drives that are complete and ``REF__QUERY.journal`` for those that are not.
+
+    Returns:
+        name of the query drive -> its registrations.
     """
-    folder = folder.resolve()  # workers of a cluster start in folders of their own
+    folder = folder.resolve()  # workers of a cluster run in other working directories
     tables = {q.name: folder / f"{reference.name}__{q.name}.csv" for q in queries}
     found = {name: track_files.read_registrations(path) for name, path in tables.items() if path.exists()}
     units = [
-        _Unit(TrackUnit(reference, q, options, _of(q, first)), tables[q.name].with_suffix(".journal"))
+        _Unit(RegistrationUnit(reference, q, options, _of(q, first)), tables[q.name].with_suffix(".journal"))
         for q in queries
         if q.name not in found
     ]
     steps = [unit.drives.steps for unit in units]
     with (
         reporter.stage("registering drives", sum(steps)) as advance,
-        followed([unit.journal for unit in units], steps, advance) as complete,
+        journal_progress([unit.journal for unit in units], steps, advance) as complete,
     ):
         for index, (registrations, messages) in run_units(_track, units, run):
             unit = units[index]
@@ -58,13 +66,13 @@ def register_drives(
             track_files.write_registrations(tables[query.name], registrations, reference.nodes, query.nodes)
             complete(index)
             unit.journal.unlink(missing_ok=True)
-            # What is used is what a resumed build would read.
+            # Always use the file, so that a fresh build and a resumed one use the same numbers.
             found[query.name] = track_files.read_registrations(tables[query.name])
     return found
 
 
 def _of(query: Drive, first: FirstPose | None) -> FirstPose | None:
-    """The first pair, if it is of this drive."""
+    """The pose given by hand, if its time lies in this drive."""
     times = query.recording.odometry.times_ns
     return first if first is not None and times[0] <= first[1] <= times[-1] else None
 
@@ -73,6 +81,6 @@ def _track(unit: _Unit) -> tuple[list[Registration], list[str]]:
     messages: list[str] = []
     journal = Journal(unit.journal)
     try:
-        return track_drive(unit.drives, messages.append, journal.remember), messages
+        return register_query(unit.drives, messages.append, journal.remember), messages
     finally:
         journal.close()

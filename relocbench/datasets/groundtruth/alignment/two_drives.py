@@ -1,4 +1,4 @@
-"""Two drives brought together: blocks, registrations, pose graph, local edges, in this order."""
+"""The alignment of two drives: registrations between their submaps, and the pose graph that they are solved in."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from relocbench.datasets.groundtruth.pose_graph.block_fits import BlockFits
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution, optimise
 from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalOptions, refine_locally
 from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions
-from relocbench.datasets.groundtruth.registration.along_drive import Remember, TrackingOptions, track
+from relocbench.datasets.groundtruth.registration.along_drive import DriveRegistrationOptions, Remember, register_along
 from relocbench.datasets.groundtruth.registration.place_recognition import MapPrior
 from relocbench.datasets.groundtruth.registration.submap_pair import nodes_every
 from relocbench.datasets.groundtruth.submaps.drive import Drive
@@ -22,25 +22,26 @@ from relocbench.geometry import invert
 
 Array = NDArray[np.float64]
 FirstPose = tuple[int, int, Array]
-"""(reference time, query time, ``T_ref_query`` rig to rig), nanoseconds"""
+"""(reference time, query time, ``T_ref_query`` between the rigs), times in nanoseconds"""
 
 
 @dataclass(frozen=True)
 class AlignmentOptions:
-    """Options of everything between two recordings and the poses of one in the other."""
+    """Options of all steps from two recordings to the poses of one drive relative to the other."""
 
     block_m: float = 2.0
+    """length of road of a block"""
     submap_m: float = 60.0
-    """length of road that a submap shows"""
+    """length of road of a submap"""
     blocks: BlockOptions = field(default_factory=BlockOptions)
-    tracking: TrackingOptions = field(default_factory=TrackingOptions)
+    registration: DriveRegistrationOptions = field(default_factory=DriveRegistrationOptions)
     graph: GraphOptions = field(default_factory=GraphOptions)
     local: LocalOptions = field(default_factory=LocalOptions)
 
 
 @dataclass(frozen=True, eq=False)
-class TrackUnit:
-    """One query drive against the reference, as a worker needs it."""
+class RegistrationUnit:
+    """One query drive and the reference: what a worker needs to register them."""
 
     reference: Drive
     query: Drive
@@ -52,28 +53,28 @@ class TrackUnit:
 
     @property
     def steps(self) -> int:
-        """Nodes of the query that are registered."""
-        return len(nodes_every(self.query.nodes, self.options.tracking.step_m))
+        """Number of query nodes that are registered."""
+        return len(nodes_every(self.query.nodes, self.options.registration.step_m))
 
 
-def track_drive(
-    unit: TrackUnit,
+def register_query(
+    unit: RegistrationUnit,
     say: Callable[[str], None] = lambda message: None,
-    remember: Remember = lambda asked, work: work(),
+    remember: Remember = lambda key, work: work(),
 ) -> list[Registration]:
-    """Registrations of a query drive's nodes, in the order of its road.
+    """Register the nodes of a query drive. Returns the registrations in the order of the drive.
 
     Args:
-        say, remember: as :func:`relocbench.datasets.groundtruth.registration.along_drive.track` has them.
+        say, remember: see :func:`relocbench.datasets.groundtruth.registration.along_drive.register_along`.
     """
     reference, query, length = unit.reference, unit.query, unit.options.submap_m
-    return track(
+    return register_along(
         reference.window(length),
         query.window(length),
         reference.nodes,
         query.nodes,
         map_prior(reference, query),
-        unit.options.tracking,
+        unit.options.registration,
         first=None if unit.first is None else at_nodes(reference, query, unit.first),
         say=say,
         remember=remember,
@@ -81,7 +82,7 @@ def track_drive(
 
 
 def map_prior(reference: Drive, query: Drive) -> MapPrior | None:
-    """Where GNSS puts both drives' nodes; None where one of them has none."""
+    """The positions of both drives' nodes by GNSS; None if one of the drives has none."""
     poses = []
     for drive in (reference, query):
         prior, times = drive.recording.prior, drive.nodes.times_ns
@@ -95,7 +96,7 @@ def map_prior(reference: Drive, query: Drive) -> MapPrior | None:
 
 
 def at_nodes(reference: Drive, query: Drive, first: FirstPose) -> tuple[int, int, Array]:
-    """A pose of two moments, carried along both odometries to the nodes nearest in time."""
+    """A pose between two times, transferred by both odometries to the nodes nearest in time."""
     out, moved = [], []
     for drive, time in ((reference, first[0]), (query, first[1])):
         node = int(np.argmin(np.abs(drive.nodes.times_ns - time)))
@@ -110,7 +111,7 @@ def at_nodes(reference: Drive, query: Drive, first: FirstPose) -> tuple[int, int
 def solve_drive(
     reference: Drive, query: Drive, registrations: Sequence[Registration], options: AlignmentOptions
 ) -> Solution:
-    """Both drives' nodes by all registrations at once, then block by block."""
+    """Poses of both drives' nodes: a pose graph of all registrations, then of edges between single blocks."""
     solution = optimise(reference.nodes, query.nodes, registrations, options=options.graph)
     if not solution.trusted.any():
         return solution

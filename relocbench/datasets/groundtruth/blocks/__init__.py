@@ -1,1 +1,1 @@
-"""Drives cut into blocks: the points of a few metres of road each, without what moved."""
+"""Drives cut into blocks: the lidar points of a few metres of road each, with a score of how static they are."""

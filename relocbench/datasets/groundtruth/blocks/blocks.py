@@ -1,6 +1,6 @@
-"""Points of a drive, piece by piece: what the lidar measured along each few metres of road, in the frame of its middle.
+"""Blocks: the points that the lidar measured along each few metres of road, in the frame of the block's node.
 
-Odometry is good to millimetres within a piece; how pieces lie to each other is left to the pose graph.
+Odometry is good to millimetres within a block; the poses of blocks relative to each other are left to the pose graph.
 """
 
 from __future__ import annotations
@@ -16,42 +16,42 @@ Times = NDArray[np.int64]
 
 
 class Surface(IntEnum):
-    """What a point probably lies on, as far as its neighbours tell."""
+    """The kind of surface that a point probably lies on, judged by its neighbours."""
 
     ROUGH = 0
-    """leaves, wires, edges, noise: no plane fits"""
+    """no plane fits: leaves, wires, edges, noise"""
     GROUND = 1
-    """flat and at the height of the wheels"""
+    """a level plane at the height of the wheels"""
     STRUCTURE = 2
-    """plane, upright or high: facades, roofs, poles' sides, cars"""
+    """any other plane: facades, roofs, sides of poles, cars"""
 
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Where a drive was cut: the poses to which its blocks belong."""
+    """The K nodes of a drive: the poses, at equal distances along the road, in whose frames its blocks are given."""
 
     times_ns: Times
     """(K,)"""
     T_odom_node: Array
-    """(K, 4, 4) rig poses at these times"""
+    """(K, 4, 4) pose of the rig at each node, by the odometry"""
     travelled_m: Array
-    """(K,) metres driven up to each"""
-    stretch: NDArray[np.int64] | None = None
-    """(K,) number of the piece of odometry without a gap that each lies in; None: there is no gap"""
+    """(K,) arc length: metres driven up to each node"""
+    segment: NDArray[np.int64] | None = None
+    """(K,) number of the segment, a part of the odometry without a gap, that each node lies in; None: one segment"""
     begin_ns: Times | None = None
-    """(K,) beams fired from here on belong to the node's block; None: from half-way to the node before"""
+    """(K,) when each block begins; None: half-way between nodes"""
     end_ns: Times | None = None
-    """(K,) up to here, itself left out"""
+    """(K,) when each block ends, exclusive"""
 
     def __len__(self) -> int:
         return len(self.times_ns)
 
-    def stretches(self) -> NDArray[np.int64]:
-        """(K,) ``stretch``, 0 if there is no gap."""
-        return np.zeros(len(self), dtype=np.int64) if self.stretch is None else self.stretch
+    def segments(self) -> NDArray[np.int64]:
+        """(K,) number of the segment that each node lies in."""
+        return np.zeros(len(self), dtype=np.int64) if self.segment is None else self.segment
 
     def begins_and_ends(self) -> tuple[Times, Times]:
-        """(K,), (K,) times from which and up to which beams belong to each block."""
+        """(K,), (K,) when each block begins, and when it ends, exclusive; beams fired in between belong to it."""
         if self.begin_ns is not None and self.end_ns is not None:
             return self.begin_ns, self.end_ns
         times = self.times_ns
@@ -64,18 +64,18 @@ class Nodes:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """What was measured along one piece of road, thinned to one point a voxel."""
+    """The points measured along one piece of road, thinned to one point a voxel."""
 
     points: NDArray[np.float32]
     """(N, 3) in the node's frame"""
     normals: NDArray[np.float32]
-    """(N, 3) unit, towards the sensor; 0 where no plane fits"""
+    """(N, 3) unit vectors towards the sensor; 0 where no plane fits"""
     origins: NDArray[np.float32]
-    """(N, 3) where the sensor was when it measured each"""
+    """(N, 3) position of the sensor when it measured each point"""
     surface: NDArray[np.uint8]
     """(N,) :class:`Surface`"""
     steady: NDArray[np.float32]
-    """(N,) in [0, 1]: 0 where other beams of the same drive went through the point, so that it moved"""
+    """(N,) static score in [0, 1]: 1 for a static point, 0 for a dynamic one, through which other beams went"""
 
     def __len__(self) -> int:
         return len(self.points)

@@ -1,15 +1,15 @@
-"""Beams of a moving lidar, each placed by where the lidar was when it was fired."""
+"""Deskewing: each beam of a moving lidar is placed by the lidar's pose at the time when it was fired."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.blocks.nodes import Way
-from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Scan, Trajectory
+from relocbench.datasets.groundtruth.blocks.nodes import ArcLength
+from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
 from relocbench.geometry import invert, so3_log
 from relocbench.kernels import njit
 
@@ -17,48 +17,56 @@ Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 _KEPT_SCANS = 8
-"""of each lidar, so that a scan that two blocks share is read once"""
+"""of each lidar, so that a scan which two blocks share is read once"""
 
 
-@dataclass(frozen=True, eq=False)
-class Beams:
-    """What returned, and whence it was seen."""
+class Beams(NamedTuple):
+    """Beams that returned, in one frame."""
 
-    points: Array
-    """(N, 3)"""
-    origins: Array
-    """(N, 3)"""
+    points: NDArray[Any]
+    """(N, 3) where each beam ended, metres"""
+    origins: NDArray[Any]
+    """(N, 3) where the sensor was"""
     times_ns: Times
-    """(N,)"""
+    """(N,) when each beam was fired"""
 
-    def __len__(self) -> int:
-        return len(self.points)
+    def rows(self, which: NDArray[np.int64]) -> Beams:
+        """Some of the beams."""
+        return Beams(self.points[which], self.origins[which], self.times_ns[which])
 
 
 class BeamReader:
-    """Reads the scans of a drive, those that several blocks share once."""
+    """Reads the scans of a drive and deskews them. A scan that neighbouring blocks share is read once."""
 
     def __init__(
-        self, recording: FieldRecording, way: Way, min_range_m: float, max_range_m: float, min_step_m: float
+        self,
+        recording: FieldRecording,
+        arc_length: ArcLength,
+        min_range_m: float,
+        max_range_m: float,
+        min_step_m: float,
     ) -> None:
         """
         Args:
-            min_range_m: nearer ones are the own car's.
-            min_step_m: a scan is used if the car came on by so much since the last one; while it stands, none is.
+            min_range_m: nearer points are left out, since they belong to the car itself.
+            max_range_m: points further away are left out.
+            min_step_m: a scan is used if the car has moved by so much since the last one; none is while it stands.
         """
         self._lidars = recording.lidars
-        self._odometry = _segments(recording.odometry)
+        self._odometry = _pose_intervals(recording.odometry)
         self._ranges = [(min_range_m, min(max_range_m, lidar.max_range_m)) for lidar in recording.lidars]
-        self._moved = [_moving(lidar, way, min_step_m) for lidar in recording.lidars]
+        self._moved = [_moving(lidar, arc_length, min_step_m) for lidar in recording.lidars]
         self._slack = [_period(lidar) for lidar in recording.lidars]
-        self._scans: list[OrderedDict[int, Scan]] = [OrderedDict() for _ in recording.lidars]
-        self.scans_read = 0
+        self._read = [lru_cache(maxsize=_KEPT_SCANS)(lidar.read) for lidar in recording.lidars]
 
     def between(self, begin_ns: int, end_ns: int, T_odom_node: Array) -> Beams:
-        """What beams fired in [begin, end) measured, in the frame of the node (4, 4).
+        """The beams of all lidars fired in [begin, end), in the frame of the node.
+
+        Args:
+            T_odom_node: (4, 4).
 
         Raises:
-            DatasetError: a scan that is damaged.
+            DatasetError: a scan is damaged.
         """
         parts = [self._of_lidar(i, begin_ns, end_ns) for i in range(len(self._lidars))]
         points, origins, times = (np.concatenate([part[k] for part in parts]) for k in range(3))
@@ -70,7 +78,7 @@ class BeamReader:
         lidar, (nearest, farthest) = self._lidars[i], self._ranges[i]
         first = int(np.searchsorted(lidar.times_ns, begin_ns - self._slack[i]))
         last = int(np.searchsorted(lidar.times_ns, end_ns + self._slack[i], side="right"))
-        scans = [self._scan(i, s) for s in range(first, last) if self._moved[i][s]]
+        scans = [self._read[i](s) for s in range(first, last) if self._moved[i][s]]
         points = np.concatenate([s.points for s in scans]) if scans else np.zeros((0, 3))
         times = np.concatenate([s.times_ns for s in scans]) if scans else np.zeros(0, np.int64)
         squared = np.einsum("ni,ni->n", points, points)
@@ -79,30 +87,21 @@ class BeamReader:
         placed, origins = _place(points, times, *self._odometry, np.asarray(lidar.T_rig_lidar, dtype=np.float64))
         return placed, origins, times
 
-    def _scan(self, i: int, index: int) -> Scan:
-        kept = self._scans[i]
-        if index not in kept:
-            kept[index] = self._lidars[i].read(index)
-            self.scans_read += 1
-            if len(kept) > _KEPT_SCANS:
-                kept.popitem(last=False)
-        return kept[index]
-
 
 def _period(lidar: LidarStream) -> int:
-    """Beams are fired within so long of a scan's time."""
+    """Nanoseconds within which of a scan's time its beams are fired."""
     gaps = np.diff(lidar.times_ns)
     return int(np.median(gaps)) if len(gaps) else 200_000_000
 
 
-def _moving(lidar: LidarStream, way: Way, min_step_m: float) -> NDArray[np.bool_]:
-    """(M,) scans before which the car came on."""
-    steps = np.floor(way.at(lidar.times_ns) / min_step_m)
+def _moving(lidar: LidarStream, arc_length: ArcLength, min_step_m: float) -> NDArray[np.bool_]:
+    """(M,) whether the car moved on before each scan."""
+    steps = np.floor(arc_length.at(lidar.times_ns) / min_step_m)
     return np.diff(steps, prepend=-1.0) != 0 if len(steps) else np.zeros(0, np.bool_)
 
 
-def _segments(odometry: Trajectory) -> tuple[Times, Array, Array]:
-    """Times (N,), poses (N, 4, 4) and the turns (N - 1, 3) between them."""
+def _pose_intervals(odometry: Trajectory) -> tuple[Times, Array, Array]:
+    """Times (N,), poses (N, 4, 4) and the rotation vectors (N - 1, 3) between them."""
     rotation = odometry.T_odom_rig[:, :3, :3]
     turns = so3_log(np.swapaxes(rotation[:-1], -1, -2) @ rotation[1:]) if len(rotation) > 1 else np.zeros((0, 3))
     return odometry.times_ns, np.ascontiguousarray(odometry.T_odom_rig), np.ascontiguousarray(turns)
@@ -112,23 +111,24 @@ def _segments(odometry: Trajectory) -> tuple[Times, Array, Array]:
 def _place(
     points: Array, times_ns: Times, pose_times: Times, poses: Array, turns: Array, T_rig_lidar: Array
 ) -> tuple[Array, Array]:
-    """Points (N, 3) of a lidar and their origins in the odometry's frame: what ``Trajectory.at`` says for each beam.
+    """Points (N, 3) of a lidar and their origins (N, 3), in the odometry's frame.
 
-    Along a line and a great arc between poses; the turn of a share of an arc by Rodrigues' formula.
+    Each beam is placed by the pose that ``Trajectory.at`` gives for its time: positions are interpolated along a line
+    and rotations along a great arc, by Rodrigues' formula.
     """
     n, last = len(points), len(pose_times) - 1
     placed, origins = np.empty((n, 3)), np.empty((n, 3))
     q, lever, p = np.empty(3), np.empty(3), np.empty(3)
-    segment = 0
+    interval = 0
     for i in range(n):
         time = times_ns[i]
-        if last > 0 and not (pose_times[segment] <= time <= pose_times[segment + 1]):
-            segment = min(max(int(np.searchsorted(pose_times, time, side="right")) - 1, 0), last - 1)
+        if last > 0 and not (pose_times[interval] <= time <= pose_times[interval + 1]):
+            interval = min(max(int(np.searchsorted(pose_times, time, side="right")) - 1, 0), last - 1)
         share = 0.0
         vx = vy = vz = 0.0
         if last > 0:
-            share = (time - pose_times[segment]) / (pose_times[segment + 1] - pose_times[segment])
-            vx, vy, vz = share * turns[segment, 0], share * turns[segment, 1], share * turns[segment, 2]
+            share = (time - pose_times[interval]) / (pose_times[interval + 1] - pose_times[interval])
+            vx, vy, vz = share * turns[interval, 0], share * turns[interval, 1], share * turns[interval, 2]
         angle = np.sqrt(vx * vx + vy * vy + vz * vz)
         a = np.sin(angle) / angle if angle > 1e-8 else 1.0
         b = (1 - np.cos(angle)) / (angle * angle) if angle > 1e-4 else 0.5
@@ -147,11 +147,11 @@ def _place(
             q[1] += a * cy + b * ey
             q[2] += a * cz + b * ez
             for row in range(3):
-                value = poses[segment, row, 3]
+                value = poses[interval, row, 3]
                 if last > 0:
-                    value += share * (poses[segment + 1, row, 3] - poses[segment, row, 3])
+                    value += share * (poses[interval + 1, row, 3] - poses[interval, row, 3])
                 for column in range(3):
-                    value += poses[segment, row, column] * q[column]
+                    value += poses[interval, row, column] * q[column]
                 if which == 0:
                     placed[i, row] = value
                 else:

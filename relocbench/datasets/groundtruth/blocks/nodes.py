@@ -1,4 +1,4 @@
-"""Where a drive is cut into blocks: at equal way, however fast it went and however long it stood."""
+"""Nodes at equal arc length along a drive, whatever its speed and however long it stood."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 _ANCHOR_M = 0.25
-"""way is measured between poses so far apart, so that the noise of odometry while standing adds up to nothing"""
+"""arc length is measured between anchor poses so far apart, so that it does not grow by the odometry's noise while the
+car stands"""
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
-    """How far a drive had come at each time."""
+class ArcLength:
+    """Metres driven up to each time of a drive."""
 
     times_ns: Times
     """(N,)"""
     travelled_m: Array
-    """(N,) never falls; stays while the car stands; nothing is added across a gap"""
-    stretch: NDArray[np.int64]
-    """(N,) number of the piece of odometry without a gap"""
+    """(N,) metres, never decreasing; constant while the car stands and across gaps of the odometry"""
+    segment: NDArray[np.int64]
+    """(N,) number of the segment, a part of the odometry without a gap, that each time lies in"""
 
     def at(self, times_ns: Times) -> Array:
-        """(M,) metres; times outside are those of the ends."""
+        """(M,) metres driven up to each time; times before and after the drive get the values of its ends."""
         if not len(self.times_ns):
             return np.zeros(len(times_ns))
         origin = self.times_ns[0]
@@ -39,23 +40,23 @@ class Way:
 
 
 def make_nodes(recording: FieldRecording, block_m: float = 2.0) -> Nodes:
-    """Cut a drive at equal way. What is left at the end of a stretch and shorter than a block belongs to none.
+    """Cut a drive into blocks of equal arc length. A shorter rest at the end of a segment belongs to no block.
 
     Args:
-        block_m: way through each block.
+        block_m: length of each block, metres.
 
     Raises:
-        ConfigError: blocks without length.
-        DatasetError: nothing measured while the odometry knew where.
+        ConfigError: ``block_m`` is too small.
+        DatasetError: the drive is shorter than a block, or odometry and lidars have no time in common.
     """
     if block_m < _ANCHOR_M:
         raise ConfigError(f"blocks are at least {_ANCHOR_M} m long, got {block_m} m")
-    way = way_along(recording)
-    begin, middle, end, travelled, stretch = [], [], [], [], []
-    for number in np.unique(way.stretch):
-        mine = way.stretch == number
-        times, metres = way.times_ns[mine], way.travelled_m[mine]
-        # A hair's breadth, so that a stretch of exactly n blocks is cut into n.
+    total = arc_length_along(recording)
+    begin, middle, end, travelled, segment = [], [], [], [], []
+    for number in np.unique(total.segment):
+        mine = total.segment == number
+        times, metres = total.times_ns[mine], total.travelled_m[mine]
+        # The tolerance makes a segment of exactly n blocks give n in spite of rounding.
         count = int(np.floor((metres[-1] - metres[0]) / block_m + 1e-9))
         cuts = _times_at(times, metres, metres[0] + block_m * np.arange(count + 1))
         centres = metres[0] + block_m * (np.arange(count) + 0.5)
@@ -63,7 +64,7 @@ def make_nodes(recording: FieldRecording, block_m: float = 2.0) -> Nodes:
         end.append(cuts[1:])
         middle.append(_times_at(times, metres, centres))
         travelled.append(centres)
-        stretch.append(np.full(count, number, dtype=np.int64))
+        segment.append(np.full(count, number, dtype=np.int64))
     times_ns = np.concatenate(middle)
     if not len(times_ns):
         raise DatasetError(f"the drive is shorter than one block of {block_m} m", recording.folder)
@@ -71,17 +72,17 @@ def make_nodes(recording: FieldRecording, block_m: float = 2.0) -> Nodes:
         times_ns,
         recording.odometry.at(times_ns),
         np.concatenate(travelled),
-        np.concatenate(stretch),
+        np.concatenate(segment),
         np.concatenate(begin),
         np.concatenate(end),
     )
 
 
-def way_along(recording: FieldRecording) -> Way:
-    """The way driven while a lidar measured. Raises DatasetError if odometry and lidars share no time."""
+def arc_length_along(recording: FieldRecording) -> ArcLength:
+    """Arc length driven while a lidar measured. Raises DatasetError if odometry and lidars have no time in common."""
     spans = [(int(lidar.times_ns[0]), int(lidar.times_ns[-1])) for lidar in recording.lidars if len(lidar.times_ns)]
     if not spans:
-        raise DatasetError("no lidar scans; the ground truth is made from them", recording.folder)
+        raise DatasetError("has no lidar scans, which the ground truth is made from", recording.folder)
     odometry = recording.odometry
     first, last = min(s[0] for s in spans), max(s[1] for s in spans)
     between = odometry.times_ns[(odometry.times_ns > first) & (odometry.times_ns < last)]
@@ -91,26 +92,32 @@ def way_along(recording: FieldRecording) -> Way:
         raise DatasetError("the odometry covers no time at which a lidar measured", recording.folder)
     positions = odometry.at(knots)[:, :3, 3]
     starts = np.concatenate([[True], ~_joined(odometry, knots)])
-    stretch = np.cumsum(starts, dtype=np.int64) - 1
-    return Way(knots, _travelled(np.ascontiguousarray(positions), starts, _ANCHOR_M), stretch)
+    segment = np.cumsum(starts, dtype=np.int64) - 1
+    return ArcLength(knots, _travelled(np.ascontiguousarray(positions), starts, _ANCHOR_M), segment)
 
 
 def _joined(odometry: Trajectory, knots: Times) -> NDArray[np.bool_]:
-    """(N - 1,) whether poses are told between neighbouring knots."""
+    """(N - 1,) whether the odometry covers the time between neighbouring knots."""
     return odometry.covers(knots[:-1] + (knots[1:] - knots[:-1]) // 2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _travelled(positions: Array, starts: NDArray[np.bool_], anchor_m: float) -> Array:
-    """(N,) way along poses; between anchors it grows by how far poses came in the direction of the next anchor."""
+    """(N,) arc length along positions (N, 3).
+
+    Between anchors, which are ``anchor_m`` apart, it grows by the motion in the direction of the next anchor.
+
+    Args:
+        starts: (N,) whether each position begins a new segment.
+    """
     n = len(positions)
-    way = np.zeros(n)
+    total = np.zeros(n)
     anchor = 0
     for i in range(1, n):
         if starts[i]:
             for k in range(anchor + 1, i):
-                way[k] = way[anchor]
-            way[i] = way[anchor]
+                total[k] = total[anchor]
+            total[i] = total[anchor]
             anchor = i
             continue
         leg = positions[i] - positions[anchor]
@@ -119,16 +126,16 @@ def _travelled(positions: Array, starts: NDArray[np.bool_], anchor_m: float) -> 
             continue
         for k in range(anchor + 1, i):
             come = np.sum((positions[k] - positions[anchor]) * leg) / length
-            way[k] = max(way[k - 1], way[anchor] + min(max(come, 0.0), length))
-        way[i] = way[anchor] + length
+            total[k] = max(total[k - 1], total[anchor] + min(max(come, 0.0), length))
+        total[i] = total[anchor] + length
         anchor = i
     for k in range(anchor + 1, n):
-        way[k] = way[anchor]
-    return way
+        total[k] = total[anchor]
+    return total
 
 
 def _times_at(times_ns: Times, metres: Array, wanted: Array) -> Times:
-    """(M,) when each way had first been driven."""
+    """(M,) times at which the arc lengths wanted (M,) were first reached."""
     right = np.clip(np.searchsorted(metres, wanted, side="left"), 0, len(metres) - 1)
     left = np.maximum(right - 1, 0)
     step = metres[right] - metres[left]

@@ -1,15 +1,15 @@
-"""The blocks of a drive on disk: one file each, made once, whatever the number of workers.
+"""The blocks of a drive on disk, one file each: ``FOLDER/NODE.npz`` holds the arrays of a :class:`Block`.
 
-``FOLDER/blocks.yaml`` says what they were made of; ``FOLDER/NODE.npz`` holds the arrays of a :class:`Block`.
+``FOLDER/blocks.yaml`` says what drive they were made from and with which options.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from relocbench.datasets.core.npy import parse_npz
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes
 from relocbench.datasets.groundtruth.blocks.making import BlockOptions, make_blocks, wheel_height, without_cameras
-from relocbench.datasets.groundtruth.blocks.nodes import Way, way_along
+from relocbench.datasets.groundtruth.blocks.nodes import ArcLength, arc_length_along
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.errors import DatasetError
 from relocbench.execution import Run, chunks, run_units
@@ -26,40 +26,29 @@ from relocbench.progress import Reporter, Silent
 
 _FORMAT = 1
 _NODES_A_UNIT = 32
+"""nodes of a unit of work; the scans of ``reach`` nodes at its ends are read by the neighbouring units as well"""
 _MOST_BYTES = 2**28
-"""of a block: 5 million points; it has some thousand"""
-"""the scans of ``reach`` nodes at both ends of a unit are read by the next one as well"""
+"""largest file that is read: 5 million points, where a block has some thousand"""
 _TYPES = {"points": (np.float32, 3), "normals": (np.float32, 3), "origins": (np.float32, 3),
           "surface": (np.uint8, 0), "steady": (np.float32, 0)}  # fmt: skip
 
 
 class BlockStore:
-    """Blocks of a folder, the last ones used in memory."""
+    """The blocks of a folder; those used last are kept in memory."""
 
     def __init__(self, folder: Path, capacity: int = 128) -> None:
         self.folder = folder
-        self._capacity = capacity
-        self._kept: OrderedDict[int, Block] = OrderedDict()
-        self.reads = 0
-        """files read so far"""
+        self._read = lru_cache(maxsize=capacity)(lambda node: read_block(self.path(node)))
 
     def path(self, node: int) -> Path:
         return self.folder / f"{node:06d}.npz"
 
     def get(self, node: int) -> Block:
         """The block of a node. Raises DatasetError with the file if it is missing or damaged."""
-        if node in self._kept:
-            self._kept.move_to_end(node)
-            return self._kept[node]
-        block = read_block(self.path(node))
-        self.reads += 1
-        self._kept[node] = block
-        while len(self._kept) > self._capacity:
-            self._kept.popitem(last=False)
-        return block
+        return self._read(node)
 
     def is_whole(self, node: int) -> bool:
-        """Whether the block is there and undamaged."""
+        """Whether the file of a block exists and is undamaged."""
         try:
             read_block(self.path(node))
         except DatasetError:
@@ -69,10 +58,10 @@ class BlockStore:
 
 @dataclass(frozen=True, eq=False)
 class BlockUnit:
-    """Blocks to make, in one go."""
+    """Blocks that a worker makes as one unit of work."""
 
     recording: FieldRecording
-    way: Way
+    arc_length: ArcLength
     nodes: Nodes
     wanted: tuple[int, ...]
     wheel_height_m: float
@@ -91,21 +80,21 @@ def build_blocks(
     reporter: Reporter | None = None,
     options: BlockOptions | None = None,
 ) -> BlockStore:
-    """Make the blocks of a drive that are missing or damaged. The bytes are the same for any number of workers.
+    """Make the blocks of a drive that are missing or damaged. The files are the same for any number of workers.
 
     Raises:
-        DatasetError: the folder holds blocks of another drive or made otherwise; a scan is damaged.
+        DatasetError: the folder holds blocks of another drive or of other options, or a scan is damaged.
     """
     run, reporter, options = run or Run(), reporter or Silent(), options or BlockOptions()
-    folder = folder.resolve()  # workers of a cluster start in folders of their own
+    folder = folder.resolve()  # workers of a cluster run in other working directories
     folder.mkdir(parents=True, exist_ok=True)
     remove_parts(folder)
-    way = way_along(recording)
-    height = _claim(folder, recording, way, nodes, options, reporter)
+    arc_length = arc_length_along(recording)
+    height = _claim(folder, recording, arc_length, nodes, options, reporter)
     store = BlockStore(folder)
     missing = [k for k in range(len(nodes)) if not store.is_whole(k)]
     small = without_cameras(recording)
-    units = [BlockUnit(small, way, nodes, wanted, height, options, folder) for wanted in _runs(missing)]
+    units = [BlockUnit(small, arc_length, nodes, wanted, height, options, folder) for wanted in _runs(missing)]
     with reporter.stage(f"points of {recording.name}", len(missing)) as advance:
         for _, done in run_units(make_unit, units, run):
             advance(done)
@@ -113,28 +102,28 @@ def build_blocks(
 
 
 def make_unit(unit: BlockUnit) -> int:
-    """Make and write the blocks of a unit; how many."""
+    """Make and write the blocks of a unit. Returns their number."""
     store = BlockStore(unit.folder)
-    made = make_blocks(unit.recording, unit.way, unit.nodes, unit.wanted, unit.wheel_height_m, unit.options)
+    made = make_blocks(unit.recording, unit.arc_length, unit.nodes, unit.wanted, unit.wheel_height_m, unit.options)
     for node, block in made:
         write_block(store.path(node), block)
     return len(unit.wanted)
 
 
 def write_block(path: Path, block: Block) -> None:
-    """The same bytes for the same block: the archive's entries carry no times."""
+    """Write a block. The same block gives the same bytes, since the entries of the archive carry no times."""
     arrays = {f.name: getattr(block, f.name) for f in fields(Block)}
     with atomic_write(path, "wb") as stream:
         np.savez(stream, allow_pickle=False, **arrays)
 
 
 def read_block(path: Path) -> Block:
-    """Raises DatasetError with the file if it is missing or no whole block."""
+    """The block in a file. Raises DatasetError with the file if it is missing or damaged."""
     data = read_bytes(path, "a block of points", DatasetError, _MOST_BYTES)
     try:
         arrays = parse_npz(data, _TYPES, path)
     except DatasetError as bad:
-        raise DatasetError(f"no whole block of points ({bad.expected})", path) from None
+        raise DatasetError(f"is not a complete block of points ({bad.expected})", path) from None
     count = len(arrays["points"]) if arrays["points"].ndim else 0
     for name, (kind, width) in _TYPES.items():
         if arrays[name].dtype != kind or arrays[name].shape != ((count, width) if width else (count,)):
@@ -143,7 +132,7 @@ def read_block(path: Path) -> Block:
 
 
 def _runs(missing: Sequence[int]) -> list[tuple[int, ...]]:
-    """Units of nodes side by side, as even as the fixed borders between units allow."""
+    """The missing nodes by unit of work; units begin at multiples of :data:`_NODES_A_UNIT`."""
     groups: dict[int, list[int]] = {}
     for node in missing:
         groups.setdefault(node // _NODES_A_UNIT, []).append(node)
@@ -151,9 +140,14 @@ def _runs(missing: Sequence[int]) -> list[tuple[int, ...]]:
 
 
 def _claim(
-    folder: Path, recording: FieldRecording, way: Way, nodes: Nodes, options: BlockOptions, reporter: Reporter
+    folder: Path,
+    recording: FieldRecording,
+    arc_length: ArcLength,
+    nodes: Nodes,
+    options: BlockOptions,
+    reporter: Reporter,
 ) -> float:
-    """Say what the blocks of a folder are made of, or see that it is this; the height of the road under the rig."""
+    """Write what the blocks of a folder are made from, or check that it agrees. Returns the height of the road."""
     path = folder / "blocks.yaml"
     made_of = {
         "format_version": _FORMAT,
@@ -165,18 +159,18 @@ def _claim(
         known, _ = load_yaml_values(path, "what blocks were made of", DatasetError)
         height = known.pop("wheel_height_m", None)
         if known != made_of or not isinstance(height, float):
-            raise DatasetError("blocks of another drive or with other settings lie here; choose another folder", path)
+            raise DatasetError("the folder holds blocks of another drive or other options; choose another folder", path)
         return height
-    height = wheel_height(recording, way, nodes, options)
+    height = wheel_height(recording, arc_length, nodes, options)
     if not np.isfinite(height):
-        reporter.note(f"{recording.name}: no road was found under the car; nothing is classed as ground")
+        reporter.note(f"{recording.name}: no road was found under the car, so no points are classified as ground")
     write_text(path, dump_yaml(made_of | {"wheel_height_m": height}))
     return height
 
 
 def _digest(nodes: Nodes) -> str:
-    """A digest of all that blocks depend on."""
+    """SHA-256 of the nodes that blocks depend on."""
     digest = hashlib.sha256(json.dumps(len(nodes)).encode())
-    for part in (nodes.times_ns, nodes.T_odom_node, nodes.travelled_m, nodes.stretches(), *nodes.begins_and_ends()):
+    for part in (nodes.times_ns, nodes.T_odom_node, nodes.travelled_m, nodes.segments(), *nodes.begins_and_ends()):
         digest.update(np.ascontiguousarray(part).tobytes())
     return digest.hexdigest()

@@ -1,7 +1,7 @@
-"""What points lie on: planes fitted to their neighbours, and whether those are the ground.
+"""The surfaces that points lie on: planes fitted to their neighbours, and which of these are ground.
 
-A normal is the direction in which the neighbours of a point spread least (the eigenvector of the smallest eigenvalue
-of their covariance). A plane fits if that spread is no more than noise and the others are much larger.
+The normal at a point is the direction in which its neighbours spread least: the eigenvector of the smallest eigenvalue
+of their covariance. A plane fits if that spread is no larger than noise and the other two are much larger.
 """
 
 from __future__ import annotations
@@ -21,44 +21,44 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class SurfaceOptions:
-    """When neighbours lie in a plane, and which planes are ground."""
+    """Options that decide when neighbours lie in a plane, and which planes are ground."""
 
     radius_m: float = 0.35
-    """of the neighbourhood"""
+    """radius of the neighbourhood of a point"""
     wide_radius_m: float = 0.8
-    """where the first holds too few points, or points on a line: far from the lidar"""
+    """radius that is used instead where the first one holds too few points, or only points on a line"""
     fewest: int = 8
-    """neighbours that tell a plane, the point itself among them"""
+    """least number of neighbours, the point itself included, to fit a plane to"""
     plane_m: float = 0.04
-    """standard deviation of distances from a plane, at most"""
+    """largest standard deviation of the distances of neighbours from their plane"""
     flatness: float = 0.3
-    """thickness over breadth, at most, both as standard deviations"""
+    """largest ratio of thickness to breadth, both as standard deviations"""
     line: float = 0.2
-    """breadth over length below which the neighbours lie on a line, which tells no plane"""
+    """ratio of breadth to length below which neighbours lie on a line, which determines no plane"""
     ground_m: float = 0.25
-    """by how much ground may be higher or lower than the wheels"""
+    """largest difference in height between ground and wheels, under the car"""
     ground_slope: float = 0.06
-    """and by how much more for each metre away from the path"""
+    """growth of that difference for each metre away from the path"""
     ground_tilt_deg: float = 20.0
-    """between the ground and the car's floor"""
+    """largest angle between the ground and the floor of the car"""
 
 
 def fit_normals(points: Array, wanted: Indices, options: SurfaceOptions) -> NDArray[np.float32]:
-    """Normals (M, 3) of the wanted points, of either sign; 0 where no plane fits.
+    """Normals (M, 3) of some points, of either sign; 0 where no plane fits.
 
     Args:
         points: (N, 3) of several blocks, in one frame.
-        wanted: (M,) rows.
+        wanted: (M,) rows of the points whose normals are wanted.
     """
     normals = np.zeros((len(wanted), 3), dtype=np.float32)
-    open_ = np.arange(len(wanted))
+    undecided = np.arange(len(wanted))
     for radius in (options.radius_m, options.wide_radius_m):
         grid = make_grid(points, radius)
-        found, told = _fit(
-            points, wanted[open_], grid, radius, options.fewest, options.plane_m, options.flatness, options.line
+        found, decided = _fit(
+            points, wanted[undecided], grid, radius, options.fewest, options.plane_m, options.flatness, options.line
         )
-        normals[open_] = found
-        open_ = open_[~told]
+        normals[undecided] = found
+        undecided = undecided[~decided]
     return normals
 
 
@@ -66,9 +66,9 @@ def fit_normals(points: Array, wanted: Indices, options: SurfaceOptions) -> NDAr
 def _fit(
     points: Array, wanted: Indices, grid: Grid, radius: float, fewest: int, plane_m: float, flatness: float, line: float
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Normals (M, 3), and (M,) whether the neighbours were enough to tell."""
+    """Normals (M, 3), and (M,) whether the neighbours determine a plane at all."""
     normals = np.zeros((len(wanted), 3), dtype=np.float32)
-    told = np.zeros(len(wanted), dtype=np.bool_)
+    decided = np.zeros(len(wanted), dtype=np.bool_)
     size = grid.size_m
     for w in range(len(wanted)):
         i = wanted[w]
@@ -105,19 +105,19 @@ def _fit(
         low, middle, high, nx, ny, nz = smallest_eigenvector(cov)
         if middle < line * line * high:
             continue
-        told[w] = True
+        decided[w] = True
         if low <= plane_m * plane_m and low <= flatness * flatness * middle:
             normals[w, 0], normals[w, 1], normals[w, 2] = nx, ny, nz
-    return normals, told
+    return normals, decided
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def smallest_eigenvector(
     cov: tuple[float, float, float, float, float, float],
 ) -> tuple[float, float, float, float, float, float]:
-    """Eigenvalues of a symmetric matrix (xx, xy, xz, yy, yz, zz), rising, and the unit eigenvector of the first.
+    """Eigenvalues of a symmetric matrix (xx, xy, xz, yy, yz, zz), ascending, and the unit eigenvector of the smallest.
 
-    Jacobi's method: turns in one plane after another make the matrix diagonal; exact to rounding.
+    Jacobi's method: rotations in one coordinate plane after another make the matrix diagonal.
     """
     a = np.empty((3, 3))
     a[0, 0], a[0, 1], a[0, 2], a[1, 1], a[1, 2], a[2, 2] = cov
@@ -155,7 +155,7 @@ def smallest_eigenvector(
 def towards(
     normals: NDArray[np.float32], points: NDArray[np.float32], origins: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Normals (N, 3) turned to the side from which their points were seen."""
+    """Normals (N, 3), flipped where necessary to point towards the sensor."""
     away = np.einsum("ni,ni->n", normals, origins - points) < 0
     return np.where(away[:, None], -normals, normals).astype(np.float32)
 
@@ -167,11 +167,11 @@ def classify(
     wheel_height_m: float,
     options: SurfaceOptions,
 ) -> NDArray[np.uint8]:
-    """:class:`Surface` of points (N, 3) with normals (N, 3; 0 where no plane fits).
+    """:class:`Surface` (N,) of points (N, 3) with normals (N, 3), which are 0 where no plane fits.
 
     Args:
-        T_node_path: (P, 4, 4) poses of the rig along the drive, in the points' frame.
-        wheel_height_m: of the road under the rig, in the rig's frame; nan where it is not known: nothing is ground.
+        T_node_path: (P, 4, 4) poses of the rig along the drive, in the frame of the points.
+        wheel_height_m: height of the road in the rig's frame; if it is nan, nothing is classified as ground.
     """
     plane = np.any(normals != 0, axis=1)
     out = np.where(plane, Surface.STRUCTURE, Surface.ROUGH).astype(np.uint8)
@@ -186,7 +186,7 @@ def classify(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _over_path(points: Array, normals: Array, poses: Array) -> tuple[Array, Array, Array]:
-    """By the pose nearest in plan, for each point: height over its floor, share of up in the normal, distance."""
+    """Relative to the pose that is nearest in plan, for each point: height, cosine of the normal with up, distance."""
     n = len(points)
     height, level, away = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
@@ -206,15 +206,15 @@ def _over_path(points: Array, normals: Array, poses: Array) -> tuple[Array, Arra
 
 
 def level_under(points: Array, beside_m: float = 6.0, bin_m: float = 0.04, fewest: int = 200) -> float:
-    """Height of the road under the rig: where most points (N, 3) near it lie, in its frame; nan if there are few."""
+    """Height of the road in the rig's frame: where most points (N, 3) near the rig lie; nan if there are too few."""
     near = np.hypot(points[:, 0], points[:, 1]) < beside_m
     z = points[near, 2]
-    z = z[z < 0.5]  # overhead wires and bridges are no road, wherever the rig's origin is
+    z = z[z < 0.5]  # overhead wires and bridges are not road
     if len(z) < fewest:
         return float("nan")
     bins = np.floor(z / bin_m).astype(np.int64)
     counts = np.bincount(bins - bins.min())
-    # Two bins side by side: the road may lie on the border between two.
+    # Counts of two neighbouring bins, since the road may lie on the border between them.
     pairs = counts + np.append(counts[1:], 0)
     low = (int(np.argmax(pairs)) + int(bins.min())) * bin_m
     return float(np.median(z[(z >= low - bin_m) & (z < low + 3 * bin_m)]))

@@ -1,1 +1,1 @@
-"""Depth images from submaps, and how stereo agrees with them."""
+"""Depth images from submaps, and their comparison with stereo."""

@@ -1,9 +1,9 @@
-"""Depth of an image from the submap around it: what the camera sees of the surfaces, never through them.
+"""Depth of an image from the submap around it, without surfaces that are hidden from the camera.
 
-Points become surfels (:mod:`.surfels`), surfels are drawn with a z-buffer (:mod:`.rasteriser`). A pixel is left
-without depth where no surface was scanned, behind a gap that a surface closes on both sides (a window, a dark door),
-behind leaves and whatever else has no plane, behind surfaces seen from their back, behind space in the shadow of what
-was scanned (:mod:`.sightlines`), and where the rim of one surface covers the middle of another: either may be seen.
+Points become surfels (:mod:`.surfels`), which are drawn with a z-buffer (:mod:`.rasteriser`). A pixel has no depth
+where no surface was scanned, behind a hole in a surface (a window, a dark door), behind leaves and other points without
+a plane, behind the back of a surface, behind space in the shadow of what was scanned (:mod:`.sightlines`), and where
+the rim of one surface covers the middle of another, since either may be the visible one.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from relocbench.datasets.groundtruth.depth.rasteriser import VEIL_STEP, Drawn, View, draw, draw_veil
-from relocbench.datasets.groundtruth.depth.sightlines import SweptSpace, sight, sweep
+from relocbench.datasets.groundtruth.depth.rasteriser import OCCLUSION_STEP, Drawn, View, draw, draw_occlusion
+from relocbench.datasets.groundtruth.depth.sightlines import TracedSpace, sight_limits, trace_beams
 from relocbench.datasets.groundtruth.depth.surfels import SurfelOptions, Surfels, make_surfels
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.errors import ConfigError
@@ -27,82 +27,74 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 _CLOSED = 5
-"""pixels across"""
+"""width in pixels of the window in which depth must be closed"""
 
 
 @dataclass(frozen=True)
 class DepthNoise:
-    """What makes depth uncertain, one standard deviation each; the defaults are those of a scanner on a car.
+    """Standard deviations of the errors of depth; the defaults are those of a scanner on a car.
 
-    A surfel's plane is uncertain by ``sqrt(range^2 + surface^2)`` on its own, and by the odometry between the image
-    and the moment when it was scanned: by ``along`` a metre driven in the direction of travel and ``across`` a metre
-    in the others. Depth along a ray that meets the plane at an angle is uncertain by that over the sine of the angle.
+    The plane of a surfel has an error of its own, ``sqrt(range^2 + surface^2)``, and one from the odometry between the
+    image and the time when it was scanned: ``along`` for each metre driven in the direction of travel, and ``across``
+    in the others. Along a ray that meets the plane at an angle, the error of depth is that over the sine of the angle.
     """
 
     range_m: float = 0.012
-    """of a single range; 12 mm is the data sheet's for a LMS-151"""
+    """of a single range measurement; the data sheet of the LMS-151 states 12 mm"""
     surface_m: float = 0.004
-    """of the plane: thinning to one point a voxel, unevenness, the normal's error over the surfel's size"""
+    """of the plane: by thinning to one point a voxel, uneven surfaces, and the error of the normal"""
     rough_m: float = 0.05
-    """of a point that has no plane, in depth"""
+    """of the depth of a point without a plane"""
     along_per_m: float = 0.008
-    """scale of the odometry"""
+    """of odometry along the direction of travel, by its scale error"""
     across_per_m: float = 0.001
-    """sideways and in height"""
-
-    def __post_init__(self) -> None:
-        if self.range_m <= 0 or min(self.surface_m, self.rough_m, self.along_per_m, self.across_per_m) < 0:
-            raise ConfigError("noise of depth: range_m is positive, the others are not negative")
+    """of odometry sideways and in height"""
 
 
 @dataclass(frozen=True)
 class DepthOptions:
-    """How depth is drawn."""
+    """Options for drawing depth."""
 
     surfels: SurfelOptions = field(default_factory=SurfelOptions)
     noise: DepthNoise = field(default_factory=DepthNoise)
     max_depth_m: float = 80.0
     sigmas: float = 3.0
-    """surfels whose depths differ by no more standard deviations are one surface"""
+    """surfels are one surface if their depths differ by at most so many standard deviations"""
     slack_m: float = 0.02
-    """... and so many metres besides"""
+    """plus so many metres"""
     least_centre: float = 0.15
-    """where only the rim of the front surface is met and the middle of another one behind it, neither is certain"""
-    veil_m: float = 0.25
-    """what lies further than this, and 2 % of its depth, behind something that hides is not shown"""
+    """least centrality of a pixel in its surfels, where a surfel behind them is met more centrally"""
+    occlusion_margin_m: float = 0.25
+    """surfaces further than this, plus 2 % of their depth, behind something that hides are not shown"""
     cell_m: float = 0.3
-    """of the space that beams went through; 0: a camera may look through what stands in their shadow"""
+    """size of the cells of space that are classified by beams; 0: sight lines are not tested"""
     shadow_m: float = 2.5
-    """length of the shadow of a point"""
+    """length of the shadow behind a point"""
     through_m: float = 0.3
-    """a line of sight that runs so far through shadow ends there"""
+    """a sight line ends after so much shadow"""
     start_m: float = 2.0
-    """so near to the camera nothing stands in the way: the car's own space"""
+    """space this near to the camera counts as free, since it is the car's own"""
     least_pixels: int = 12
-    """smaller patches of depth are left out"""
-
-    def __post_init__(self) -> None:
-        if self.max_depth_m <= 0 or self.sigmas <= 0 or self.slack_m < 0 or not 0 <= self.least_centre <= 1:
-            raise ConfigError("depth needs a positive max_depth_m and sigmas, slack_m >= 0 and least_centre in [0, 1]")
+    """least number of pixels of a connected patch of depth"""
 
 
 @dataclass(frozen=True, eq=False)
-class Scenery:
-    """A submap made ready for any number of images."""
+class DepthScene:
+    """A submap prepared for drawing the depth of any number of images."""
 
     surfels: Surfels
-    space: SweptSpace | None
-    """None: not looked at"""
+    space: TracedSpace | None
+    """None: sight lines are not tested"""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthImage:
-    """Depth of an image, and how certain it is."""
+    """Depth of an image and its standard deviation."""
 
     depth: Floats
-    """(H, W) metres along z, 0 where none is known"""
+    """(H, W) metres along z, 0 where it is unknown"""
     sigma: Floats
-    """(H, W) metres, 0 where none is known"""
+    """(H, W) metres, 0 where depth is unknown"""
 
     @property
     def coverage(self) -> float:
@@ -110,43 +102,37 @@ class DepthImage:
         return float(np.mean(self.depth > 0))
 
 
-def submap_depth(submap: Submap, camera: Camera, T_cam_node: Array, options: DepthOptions | None = None) -> DepthImage:
-    """Depth of an image taken near a submap's node.
+def make_scene(submap: Submap, options: DepthOptions | None = None) -> DepthScene:
+    """The part of drawing depth that does not depend on the camera."""
+    options = options or DepthOptions()
+    space = trace_beams(submap, options.cell_m, options.max_depth_m, options.shadow_m) if options.cell_m > 0 else None
+    return DepthScene(make_surfels(submap, options.surfels), space)
+
+
+def scene_depth(
+    scene: DepthScene, camera: Camera, T_cam_node: Array, options: DepthOptions | None = None
+) -> DepthImage:
+    """Depth of an image taken near the node of a submap, from its scene made with the same options.
 
     Args:
-        camera: pinhole.
+        camera: a pinhole camera.
         T_cam_node: (4, 4).
 
     Raises:
         ConfigError: the camera is not a pinhole camera.
     """
-    options = options or DepthOptions()
-    return scenery_depth(make_scenery(submap, options), camera, T_cam_node, options)
-
-
-def make_scenery(submap: Submap, options: DepthOptions | None = None) -> Scenery:
-    """What does not depend on the camera."""
-    options = options or DepthOptions()
-    space = sweep(submap, options.cell_m, options.max_depth_m, options.shadow_m) if options.cell_m > 0 else None
-    return Scenery(make_surfels(submap, options.surfels), space)
-
-
-def scenery_depth(
-    scenery: Scenery, camera: Camera, T_cam_node: Array, options: DepthOptions | None = None
-) -> DepthImage:
-    """As :func:`submap_depth`, for several images of one submap; with the same options."""
     if camera.model != "pinhole":
-        raise ConfigError(f"depth is drawn into a pinhole camera, got '{camera.model}'")
+        raise ConfigError(f"depth needs a pinhole camera, got '{camera.model}'")
     options = options or DepthOptions()
-    view = _seen_by(scenery.surfels, camera, np.asarray(T_cam_node, dtype=np.float64), options)
+    view = _seen_by(scene.surfels, camera, np.asarray(T_cam_node, dtype=np.float64), options)
     drawn = draw(view, camera, options.max_depth_m, options.sigmas, options.slack_m)
-    veil = draw_veil(view, camera, options.max_depth_m)
-    if scenery.space is not None:
+    occlusion = draw_occlusion(view, camera, options.max_depth_m)
+    if scene.space is not None:
         limits = options.max_depth_m, options.start_m, options.through_m
-        veil = np.minimum(veil, sight(scenery.space, camera, T_cam_node, VEIL_STEP, *limits))
-    kept = (drawn.depth > 0) & ~_veiled(drawn, veil, options)
+        occlusion = np.minimum(occlusion, sight_limits(scene.space, camera, T_cam_node, OCCLUSION_STEP, *limits))
+    kept = (drawn.depth > 0) & ~_occluded(drawn, occlusion, options)
     kept &= ~((drawn.centre < options.least_centre) & (drawn.behind > drawn.centre))
-    # What has no plane is believed where it is closed all around, as a car's corner is and a leaf before a wall is not.
+    # Points without a plane are kept where depth is closed around them: a car's corner is, a leaf before a wall is not.
     known = np.where(kept, drawn.depth, np.float32(0))
     closed = cv2.erode(known, np.ones((_CLOSED, _CLOSED), np.uint8)) > np.float32(0.9) * known
     kept &= (drawn.rough < 0.5) | (closed & (drawn.behind == 0))
@@ -156,10 +142,10 @@ def scenery_depth(
 
 
 def _seen_by(surfels: Surfels, camera: Camera, T_cam_node: Array, options: DepthOptions) -> View:
-    """The surfels that may fall on the image, in the camera's frame, with their noise."""
+    """The surfels that may be in the image, in the camera's frame, with their noise."""
     rotation, translation = T_cam_node[:3, :3], T_cam_node[:3, 3]
     points = surfels.points.astype(np.float64) @ rotation.T + translation
-    size = np.max(surfels.veil, axis=1, initial=0.0)
+    size = np.max(surfels.occluding_reach, axis=1, initial=0.0)
     x, y, z = points.T
     reach = np.maximum(z + size, 0.0)
     kept = (z > 0.3) & (z - size < options.max_depth_m)
@@ -174,31 +160,31 @@ def _seen_by(surfels: Surfels, camera: Camera, T_cam_node: Array, options: Depth
     normals = surfels.normals[rows].astype(np.float64) @ rotation.T
     axes = surfels.axes[rows].astype(np.float64) @ rotation.T
     reach8 = surfels.reach[rows].copy()
-    # From its back a surface hides, but the thing behind it may be nearer than what is drawn.
+    # A surface seen from its back is not drawn, but it hides what is behind it.
     reach8[np.einsum("ni,ni->n", normals, points) > 0] = 0
     noise = options.noise
     plane = np.any(normals != 0, axis=1)
     away = np.where(plane[:, None], normals, points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-6))
-    way = surfels.origins[rows].astype(np.float64) @ rotation.T + translation
-    driven = np.linalg.norm(way, axis=1)
-    along = np.einsum("ni,ni->n", away, way)
+    lever_arm = surfels.origins[rows].astype(np.float64) @ rotation.T + translation
+    driven = np.linalg.norm(lever_arm, axis=1)
+    along = np.einsum("ni,ni->n", away, lever_arm)
     drift = np.sqrt(
         np.square(noise.along_per_m * along) + noise.across_per_m**2 * np.maximum(driven**2 - along**2, 0.0)
     )
     own = np.where(plane, np.hypot(noise.range_m, noise.surface_m), noise.rough_m).astype(np.float32)
     p, n, a = (np.ascontiguousarray(array, dtype=np.float32) for array in (points, normals, axes))
-    return View(p, n, a, reach8, surfels.veil[rows], own, drift.astype(np.float32))
+    return View(p, n, a, reach8, surfels.occluding_reach[rows], own, drift.astype(np.float32))
 
 
-def _veiled(drawn: Drawn, veil: Floats, options: DepthOptions) -> NDArray[np.bool_]:
-    """(H, W) where something that hides stands before the depth drawn."""
+def _occluded(drawn: Drawn, occlusion: Floats, options: DepthOptions) -> NDArray[np.bool_]:
+    """(H, W) whether something hides the surface that was drawn."""
     height, width = drawn.depth.shape
-    limit = np.repeat(np.repeat(veil, VEIL_STEP, axis=0), VEIL_STEP, axis=1)[:height, :width]
-    return np.asarray(drawn.depth - np.float32(options.veil_m) - np.float32(0.02) * drawn.depth > limit)
+    limit = np.repeat(np.repeat(occlusion, OCCLUSION_STEP, axis=0), OCCLUSION_STEP, axis=1)[:height, :width]
+    return np.asarray(drawn.depth - np.float32(options.occlusion_margin_m) - np.float32(0.02) * drawn.depth > limit)
 
 
 def _without_specks(kept: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
-    """The pixels of patches of at least so many."""
+    """The mask (H, W) without connected patches of fewer than ``least`` pixels."""
     if least <= 1:
         return kept
     _, labels, stats, _ = cv2.connectedComponentsWithStats(kept.astype(np.uint8), connectivity=4)
@@ -207,9 +193,9 @@ def _without_specks(kept: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
 
 
 def fit_sigma(images: Iterable[DepthImage], bin_m: float = 1.0) -> tuple[float, float, float]:
-    """(a, b, c) >= 0 of ``sigma = a + b z + c z^2``, as a camera's ``depth_sigma`` has it.
+    """Fit (a, b, c) >= 0 of ``sigma = a + b z + c z^2``, the ``depth_sigma`` of a camera.
 
-    Fitted to the root mean square of the sigmas in bins of depth, each weighing by the root of its pixels.
+    The fit is to the root mean square of the sigmas in bins of depth, each weighted by the root of its pixel count.
     """
     count, square, total = np.zeros(256), np.zeros(256), np.zeros(256)
     for image in images:

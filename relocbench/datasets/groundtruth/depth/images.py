@@ -1,9 +1,9 @@
-"""Depth images of a drive's frames, from its submaps or by stereo, made by workers."""
+"""Depth images of a drive, from its submaps or by stereo, made by worker processes."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
@@ -15,10 +15,10 @@ from relocbench.datasets.core import images
 from relocbench.datasets.groundtruth.depth.depth import (
     DepthImage,
     DepthOptions,
-    Scenery,
+    DepthScene,
     fit_sigma,
-    make_scenery,
-    scenery_depth,
+    make_scene,
+    scene_depth,
 )
 from relocbench.datasets.groundtruth.depth.stereo_check import Agreement, cross_check
 from relocbench.datasets.groundtruth.depth.stereo_partner import StereoPair
@@ -35,12 +35,12 @@ DepthSource = Literal["lidar", "stereo"]
 
 _IMAGES_A_UNIT = 8
 _SIGMA_FROM = 12
-"""images, evenly along the drive, that the model of depth's sigma is fitted to"""
+"""number of images, evenly along the drive, that the model of depth's sigma is fitted to"""
 
 
 @dataclass(frozen=True)
 class DepthFrame:
-    """One image that wants depth."""
+    """One image whose depth is wanted, and the path of its depth image."""
 
     time_ns: int
     path: Path
@@ -48,16 +48,16 @@ class DepthFrame:
 
 @dataclass(frozen=True, eq=False)
 class DepthView:
-    """One camera of a drive, and where its depth comes from."""
+    """One camera of a drive and the source of its depth."""
 
     drive: Drive
     camera: Camera
     T_rig_cam: Array
     source: DepthSource
     pair: StereoPair | None
-    """where the rig has one"""
+    """None if the rig has none"""
     length_m: float
-    """of the submap that each image is drawn from"""
+    """length of road of the submap that depth is drawn from"""
     options: DepthOptions
 
     def at(self, time_ns: int) -> DepthImage:
@@ -65,18 +65,18 @@ class DepthView:
         return self.by_stereo(time_ns) if self.source == "stereo" else self.by_lidar(time_ns)
 
     def by_lidar(self, time_ns: int) -> DepthImage:
-        """From the submap of the node nearest in time."""
+        """Depth drawn from the submap of the node nearest in time."""
         drive = self.drive
         node = int(np.argmin(np.abs(drive.nodes.times_ns - time_ns)))
         T_odom_rig = drive.recording.odometry.at(np.array([time_ns], dtype=np.int64))[0]
         T_cam_node = invert(T_odom_rig @ self.T_rig_cam) @ drive.nodes.T_odom_node[node]
-        scenery = _scenery(_Around(drive, self.length_m, self.options), node)
-        return scenery_depth(scenery, self.camera, T_cam_node, self.options)
+        scene = _scene(_WindowKey(drive.blocks, self.length_m, self.options, drive), node)
+        return scene_depth(scene, self.camera, T_cam_node, self.options)
 
     def by_stereo(self, time_ns: int) -> DepthImage:
-        """By matching the two images."""
+        """Depth by matching the two images of the stereo pair."""
         if self.pair is None:
-            raise ConfigError(f"--depth stereo: a camera of {self.drive.name} has no rectified partner to its right")
+            raise ConfigError(f"--depth stereo: {self.drive.name} has no camera that is rectified with this one")
         return self.pair.depth(time_ns)
 
 
@@ -85,12 +85,12 @@ class _Task:
     frame: DepthFrame
     missing: bool
     sampled: bool
-    """whether it tells how certain depth is"""
+    """whether the model of depth's sigma is fitted to it"""
 
 
 @dataclass(frozen=True, eq=False)
 class _Unit:
-    """Images of one camera side by side along the road."""
+    """Neighbouring images of one camera, as a unit of work."""
 
     view: DepthView
     tasks: tuple[_Task, ...]
@@ -103,21 +103,21 @@ class _Unit:
 class _Sample:
     depth: DepthImage
     by_other: Floats | None
-    """depth from what the dataset's does not come from"""
+    """depth from the other source, lidar or stereo; None if there is none"""
 
 
 def make_depth(
     view: DepthView, frames: Sequence[DepthFrame], missing: Collection[int], reporter: Reporter, run: Run
 ) -> tuple[tuple[float, float, float], Agreement | None]:
-    """Write depth images, and tell how certain they are.
+    """Write depth images and estimate their standard deviation.
 
     Args:
-        frames: all that have depth, in the order of the road.
-        missing: times of those that are not there yet.
+        frames: all images that have depth, in the order of the road.
+        missing: times of the images whose depth has yet to be made.
 
     Returns:
-        (a, b, c) of ``sigma = a + b z + c z^2``, from some of the images; and how depth by lidar and by stereo agree
-        in these, if there are both.
+        (a, b, c) of ``sigma = a + b z + c z^2``, and the agreement of depth by lidar and by stereo if there are both;
+        each from a sample of the images.
     """
     step = max(1, -(-len(frames) // _SIGMA_FROM))
     tasks = [_Task(frame, frame.time_ns in missing, k % step == 0) for k, frame in enumerate(frames)]
@@ -156,25 +156,21 @@ def _agreement(view: DepthView, samples: Sequence[_Sample]) -> Agreement | None:
     return cross_check(lidar, stereo, view.camera, view.pair.baseline_m)
 
 
-class _Around:
-    """The submaps of a drive, alike for the same drive and settings: a worker's windows are told apart by this."""
+@dataclass(frozen=True)
+class _WindowKey:
+    """A drive and settings, compared by value: the key under which a worker process caches windows and scenes."""
 
-    def __init__(self, drive: Drive, length_m: float, options: DepthOptions) -> None:
-        self.drive, self.length_m, self.options = drive, length_m, options
-        self._key = (str(drive.blocks), length_m, repr(options))
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Around) and self._key == other._key
+    blocks: Path
+    length_m: float
+    options: DepthOptions
+    drive: Drive = field(compare=False)
 
 
 @lru_cache(maxsize=2)
-def _window(around: _Around) -> SubmapWindow:
-    return around.drive.window(around.length_m)
+def _window(key: _WindowKey) -> SubmapWindow:
+    return key.drive.window(key.length_m)
 
 
 @lru_cache(maxsize=4)
-def _scenery(around: _Around, node: int) -> Scenery:
-    return make_scenery(_window(around).at(node), around.options)
+def _scene(key: _WindowKey, node: int) -> DepthScene:
+    return make_scene(_window(key).at(node), key.options)

@@ -1,7 +1,7 @@
-"""Surfels drawn into a depth image: the plane's depth at each pixel, what lies behind it hidden.
+"""Drawing of surfels into a depth image, with hidden surfaces removed.
 
-Two passes, as in Zwicker et al., Surface splatting (2001): the first finds the front of each pixel, the second takes
-the mean of all surfels that agree with it. What was scanned twice, and lies not quite on itself, becomes one surface.
+Two passes, as in Zwicker et al., Surface splatting (2001): the first finds the front surfel at each pixel, the second
+takes the mean of all surfels that agree with it. A surface that was scanned twice, with a small offset, becomes one.
 """
 
 from __future__ import annotations
@@ -18,57 +18,58 @@ from relocbench.kernels import njit
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-VEIL_STEP = 4
-"""what only hides is drawn every fourth pixel"""
+OCCLUSION_STEP = 4
+"""occlusion is computed at every fourth pixel"""
 _NEAR_M = 0.3
 _GRAZING = 0.03
-"""of a surfel's normal with a pixel's ray: flatter, its depth means nothing"""
+"""least product of a surfel's normal with a pixel's ray (z = 1); at more grazing incidence its depth is ignored"""
 _DIAGONAL = np.sqrt(0.5)
 _THICK = 2.0
-"""a surfel is so many standard deviations of its own noise thick, to both sides: flat rays meet it nonetheless"""
+"""half thickness of a surfel in standard deviations of its own noise, so that rays along its plane meet it too"""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Surfels as the camera sees them."""
+    """Surfels in the camera's frame, with their noise."""
 
     points: Floats
-    """(N, 3) camera frame"""
+    """(N, 3) in the camera's frame"""
     normals: Floats
-    """(N, 3); 0 for what has no plane: it faces the camera"""
+    """(N, 3) unit vectors; 0 for surfels without a plane, which are drawn facing the camera"""
     axes: Floats
-    """(N, 3)"""
+    """(N, 3) unit vectors along the surface, in the first of the eight directions"""
     reach: Floats
-    """(N, 8); 0 for what is not shown"""
-    veil: Floats
-    """(N, 8)"""
+    """(N, 8) metres that each surfel covers in each direction; 0 if it is not drawn"""
+    occluding_reach: Floats
+    """(N, 8) metres within which it hides what is behind it"""
     sigma: Floats
-    """(N,) metres along the normal, noise of its own"""
+    """(N,) independent noise along the normal, metres"""
     drift: Floats
-    """(N,) metres along the normal, shared with its neighbours"""
+    """(N,) error along the normal that it shares with its neighbours, metres"""
 
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What came of it, all (H, W)."""
+    """The drawn surfels; all arrays are (H, W)."""
 
     depth: Floats
-    """metres along z, 0 where nothing is"""
+    """metres along z, 0 where there is no surfel"""
     sigma: Floats
-    """metres, of the depth"""
+    """standard deviation of the depth, metres"""
     centre: Floats
-    """how near the pixel lies to the middle of a surfel, 1 there and 0 at its rim, summed over those of the front"""
+    """centrality of the pixel in its surfels (1 in the middle of one, 0 at its rim), summed over those at the front"""
     behind: Floats
-    """the most that one behind the front has"""
+    """largest centrality in a surfel behind the front"""
     rough: Floats
-    """in [0, 1]: share of the front that has no plane"""
+    """in [0, 1]: share of the front that is of surfels without a plane"""
 
 
 def draw(view: View, camera: Camera, max_depth: float, sigmas: float, slack_m: float) -> Drawn:
     """Draw surfels into a pinhole camera.
 
     Args:
-        sigmas: surfels whose depths differ by no more than so many standard deviations and ``slack_m`` are one surface.
+        sigmas, slack_m: surfels are one surface if their depths differ by at most so many standard deviations plus
+            ``slack_m``.
     """
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     front = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
@@ -79,23 +80,34 @@ def draw(view: View, camera: Camera, max_depth: float, sigmas: float, slack_m: f
     return Drawn(*_mean(*surfels, *noise, lens, max_depth, front, spread, sigmas, slack_m))
 
 
-def draw_veil(view: View, camera: Camera, max_depth: float) -> Floats:
-    """(H / 4, W / 4) depth from which on nothing is seen, inf where nothing hides; rounded up in size.
+def draw_occlusion(view: View, camera: Camera, max_depth: float) -> Floats:
+    """(ceil(H / 4), ceil(W / 4)) depth beyond which everything is hidden; inf where nothing hides.
 
-    Element (i, j) is that of the pixel (4 i + 1.5, 4 j + 1.5).
+    Element (i, j) is for row 4 i + 1.5 and column 4 j + 1.5 of the image.
     """
-    shape = -(-camera.height // VEIL_STEP), -(-camera.width // VEIL_STEP)
-    middle = (VEIL_STEP - 1) / 2
-    lens = np.array([camera.fx, camera.fy, camera.cx - middle, camera.cy - middle]) / VEIL_STEP
-    veil = np.full(shape, np.inf, dtype=np.float32)
+    shape = -(-camera.height // OCCLUSION_STEP), -(-camera.width // OCCLUSION_STEP)
+    middle = (OCCLUSION_STEP - 1) / 2
+    lens = np.array([camera.fx, camera.fy, camera.cx - middle, camera.cy - middle]) / OCCLUSION_STEP
+    occlusion = np.full(shape, np.inf, dtype=np.float32)
     exact = np.zeros(len(view.points), np.float32)
-    _front(view.points, view.normals, view.axes, view.veil, exact, exact, lens, max_depth, veil, np.zeros_like(veil))
-    return veil
+    _front(
+        view.points,
+        view.normals,
+        view.axes,
+        view.occluding_reach,
+        exact,
+        exact,
+        lens,
+        max_depth,
+        occlusion,
+        np.zeros_like(occlusion),
+    )
+    return occlusion
 
 
 @njit(cache=True, inline="always")
 def _window(x, y, z, ex, ey, ez, lens, height, width):  # type: ignore[no-untyped-def]
-    """Pixels [u0, u1) x [v0, v1) that a box about (x, y, z) covers."""
+    """The pixels [u0, u1) x [v0, v1) that a box around (x, y, z), with half sizes (ex, ey, ez), covers."""
     near, far = max(z - ez, _NEAR_M), max(z + ez, _NEAR_M)
     left, right = x - ex, x + ex
     top, bottom = y - ey, y + ey
@@ -111,7 +123,7 @@ def _window(x, y, z, ex, ey, ez, lens, height, width):  # type: ignore[no-untype
 
 @njit(cache=True, inline="always")
 def _rim(a, b, reach):  # type: ignore[no-untyped-def]
-    """Where (a, b) lies between the middle (0) and the rim (1) of a star: it is a polygon with corners at its reach."""
+    """Position of (a, b) between the middle (0) and the rim (1) of a surfel, a polygon with corners at its reach."""
     across, along = abs(a), abs(b)
     if across >= along:
         straight = 0 if a >= 0 else 4
@@ -126,11 +138,11 @@ def _rim(a, b, reach):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def _met(px, py, pz, dx, dy, slope, nx, ny, nz, ax, ay, az, bx, by, bz, thick, reach):  # type: ignore[no-untyped-def]
-    """As :func:`_rim`, at the point of the ray (dx, dy, 1) within the surfel's thickness that is nearest to its middle.
+    """:func:`_rim` at the point of the ray (dx, dy, 1), within the surfel's thickness, that is nearest to its middle.
 
-    (px, py, pz) is where the ray meets the plane, seen from the middle.
+    (px, py, pz) is the vector from the middle to the point where the ray meets the plane.
     """
-    # The ray's direction along the plane.
+    # The component of the ray's direction along the plane.
     tx, ty, tz = dx - slope * nx, dy - slope * ny, 1 - slope * nz
     square = tx * tx + ty * ty + tz * tz
     most = thick / abs(slope)
@@ -142,7 +154,7 @@ def _met(px, py, pz, dx, dy, slope, nx, ny, nz, ax, ay, az, bx, by, bz, thick, r
 
 @njit(cache=True, inline="always")
 def _frame(i, points, normals, axes, reach, thick, max_depth):  # type: ignore[no-untyped-def]
-    """Whether surfel i is drawn at all; its normal, its two axes and the half size of its box."""
+    """Whether surfel i is drawn; its normal, its two axes, and the half sizes of its bounding box."""
     z = points[i, 2]
     largest = np.float32(0.0)
     for k in range(SECTORS):
@@ -162,7 +174,7 @@ def _frame(i, points, normals, axes, reach, thick, max_depth):  # type: ignore[n
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _front(points, normals, axes, reach, sigma, drift, lens, max_depth, front, spread):  # type: ignore[no-untyped-def]
-    """The smallest depth of each pixel, and the standard deviation of that surfel's depth there."""
+    """Find the smallest depth at each pixel, and the standard deviation of that surfel's depth there."""
     height, width = front.shape
     for i in range(len(points)):
         thick = np.float32(_THICK) * sigma[i]
@@ -195,7 +207,7 @@ def _front(points, normals, axes, reach, sigma, drift, lens, max_depth, front, s
 def _mean(  # type: ignore[no-untyped-def]
     points, normals, axes, reach, sigma, drift, lens, max_depth, front, spread, sigmas, slack_m
 ):
-    """Weighted mean depth of the surfels at the front, its sigma, and how central they and those behind them are."""
+    """Weighted mean depth of the surfels at the front, its sigma, and the other arrays of :class:`Drawn`."""
     height, width = front.shape
     total = np.zeros((height, width), np.float32)
     mean = np.zeros((height, width), np.float32)
@@ -237,7 +249,7 @@ def _mean(  # type: ignore[no-untyped-def]
                     continue
                 weight = (near + np.float32(0.01)) / variance
                 total[v, u] += weight
-                # As an offset from the front: sums of near equal numbers lose nothing.
+                # The sum is of offsets from the front, so that single precision suffices.
                 mean[v, u] += weight * ahead
                 noise[v, u] += weight * weight * (sigma[i] * sigma[i]) / (slope * slope)
                 shared[v, u] += weight * abs(drift[i] / slope)

@@ -1,8 +1,8 @@
-"""How far a camera can see: not through what lies behind surfaces, unless some beam went through there.
+"""Sight lines: a camera cannot see through the shadow behind a scanned surface, unless some beam went through it.
 
-What was never scanned from this side (the front of a parked car, seen along the road by a scanner that looks across it)
-has no surface that could hide what stands behind it. But its inside lies in the shadow of the side that was scanned.
-Where nothing came back at all, above roofs and behind panes, space is unknown and hides nothing.
+The side of a thing that was never scanned (the front of a parked car, seen along the road by a scanner that looks
+across it) has no surface that could hide what is behind it. But the inside of the thing is in the shadow of the side
+that was scanned. Where no beam returned, above roofs and behind panes, space is unknown and hides nothing.
 """
 
 from __future__ import annotations
@@ -20,32 +20,33 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 _LARGEST = 30_000_000
-"""cells"""
+"""largest number of cells"""
 
 
 @dataclass(frozen=True, eq=False)
-class SweptSpace:
-    """Cells that beams went through or would have, in the frame of the submap's node."""
+class TracedSpace:
+    """Space in cells that are free, in shadow or unknown, in the frame of the submap's node."""
 
     low: Floats
-    """(3,) corner"""
+    """(3,) lowest corner"""
     cell_m: float
     state: NDArray[np.uint8]
-    """(X, Y, Z) 0 unknown, 1 free: a beam went through, 2 shadow: none did, and one ended before"""
+    """(X, Y, Z) 0: unknown; 1: free, a beam went through; 2: shadow, none went through and one ended in front of it"""
 
 
-def sweep(submap: Submap, cell_m: float, within_m: float, shadow_m: float) -> SweptSpace:
-    """Follow the beams of a submap's points, the unsteady ones' too, from the sensor to where they ended and beyond.
+def trace_beams(submap: Submap, cell_m: float, within_m: float, shadow_m: float) -> TracedSpace:
+    """Classify space by the beams of all points of a submap; those of dynamic points make free space but no shadow.
 
     Args:
+        cell_m: size of a cell; it is enlarged if there would be too many.
+        within_m: distance from the node, on each axis, within which space is classified.
         shadow_m: length of the shadow behind the end of a beam.
-        within_m: space is told within so much of the node; the cell grows where that takes too much memory.
     """
     points, origins = submap.points, submap.origins
     used = np.isfinite(points).all(axis=1) & np.isfinite(origins).all(axis=1)
     points, origins = np.ascontiguousarray(points[used]), np.ascontiguousarray(origins[used])
     if not len(points):
-        return SweptSpace(np.zeros(3, np.float32), cell_m, np.zeros((1, 1, 1), np.uint8))
+        return TracedSpace(np.zeros(3, np.float32), cell_m, np.zeros((1, 1, 1), np.uint8))
     bound = np.float32(within_m)
     low = np.maximum(np.minimum(points.min(axis=0), origins.min(axis=0)), -bound)
     high = np.minimum(np.maximum(points.max(axis=0), origins.max(axis=0)), bound)
@@ -54,24 +55,24 @@ def sweep(submap: Submap, cell_m: float, within_m: float, shadow_m: float) -> Sw
         cell_m *= 1.25
     state = np.zeros(np.floor(extent / cell_m).astype(int) + 1, np.uint8)
     grid = low.astype(np.float32), np.float32(1 / cell_m)
-    way = points - origins
-    length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-3).astype(np.float32)
+    beam = points - origins
+    length = np.maximum(np.linalg.norm(beam, axis=1, keepdims=True), 1e-3).astype(np.float32)
     steady = submap.steady[used] >= 0.5
-    _mark(points[steady], (points + np.float32(shadow_m) / length * way)[steady], *grid, 2, state)
+    _mark(points[steady], (points + np.float32(shadow_m) / length * beam)[steady], *grid, 2, state)
     _mark(origins, points, *grid, 1, state)
-    return SweptSpace(grid[0], cell_m, state)
+    return TracedSpace(grid[0], cell_m, state)
 
 
-def sight(
-    space: SweptSpace, camera: Camera, T_cam_node: Array, step: int, max_depth: float, start_m: float, shadow_m: float
+def sight_limits(
+    space: TracedSpace, camera: Camera, T_cam_node: Array, step: int, max_depth: float, start_m: float, shadow_m: float
 ) -> Floats:
-    """(H / step, W / step) depth along z up to which a pinhole camera sees; inf where nothing ends its sight.
+    """(ceil(H / step), ceil(W / step)) depth along z up to which a pinhole camera can see; inf if it is not limited.
 
-    Element (i, j) is that of the pixel (step (i + 0.5) - 0.5, step (j + 0.5) - 0.5).
+    Element (i, j) is for row step (i + 0.5) - 0.5 and column step (j + 0.5) - 0.5 of the image.
 
     Args:
-        start_m: so near to the camera everything is free.
-        shadow_m: a longer way through shadow ends the sight where that began.
+        start_m: space nearer to the camera than this counts as free.
+        shadow_m: a sight line ends where it enters a shadow in which it then runs further than this.
     """
     T_node_cam = invert(np.asarray(T_cam_node, dtype=np.float64))
     middle = (step - 1) / 2
@@ -87,7 +88,7 @@ def sight(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _mark(begin, end, low, inverse, value, state):  # type: ignore[no-untyped-def]
-    """Give the cells between points a value, at steps of half a cell."""
+    """Give a value to the cells along lines, at steps of half a cell."""
     nx, ny, nz = state.shape
     for i in range(len(begin)):
         x, y, z = (begin[i, 0] - low[0]) * inverse, (begin[i, 1] - low[1]) * inverse, (begin[i, 2] - low[2]) * inverse
@@ -105,14 +106,14 @@ def _mark(begin, end, low, inverse, value, state):  # type: ignore[no-untyped-de
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _look(eye, directions, low, cell, state, max_depth, start, shadow, out):  # type: ignore[no-untyped-def]
-    """Follow rays at steps of half a cell until they were in shadow for too long without coming into free space."""
+    """Follow rays, at steps of half a cell, until they have been in shadow for too long without reaching free space."""
     nx, ny, nz = state.shape
     ex, ey, ez = (eye[0] - low[0]) / cell, (eye[1] - low[1]) / cell, (eye[2] - low[2]) / cell
     for i in range(len(directions)):
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         step = np.float32(0.5) * cell / length
-        depth, begin, way = start / length, np.float32(0.0), np.float32(0.0)
+        depth, begin, shaded = start / length, np.float32(0.0), np.float32(0.0)
         out[i] = np.inf
         while depth < max_depth:
             at = depth / cell
@@ -120,12 +121,12 @@ def _look(eye, directions, low, cell, state, max_depth, start, shadow, out):  # 
             if x >= 0 and y >= 0 and z >= 0 and x < nx and y < ny and z < nz:
                 found = state[np.int64(x), np.int64(y), np.int64(z)]
                 if found == 1:
-                    way = np.float32(0.0)
+                    shaded = np.float32(0.0)
                 elif found == 2:
-                    if way == 0:
+                    if shaded == 0:
                         begin = depth
-                    way += step * length
-                    if way > shadow:
+                    shaded += step * length
+                    if shaded > shadow:
                         out[i] = begin
                         break
             depth += step

@@ -1,8 +1,8 @@
-"""Depth by stereo, and how two depths of one image that know nothing of each other agree."""
+"""Depth by stereo, and its agreement with depth by lidar, which is independent of it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,22 +17,23 @@ Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _ROWS_PX = 0.5
-"""rows of a rectified pair differ by less"""
+"""largest difference of rows in a rectified pair"""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Differences of disparity, where both depths are known."""
+    """Statistics of the differences of disparity, lidar minus stereo."""
 
     pixels: int
-    """where both are"""
+    """number of pixels at which both depths are known"""
     median_px: float
-    """of the differences without their sign; nan where there are none"""
+    """median of the absolute differences; nan if there are none"""
     bias_px: float
-    """median with sign; above 0 the lidar is nearer"""
+    """median of the differences; if it is positive, depth by lidar is smaller"""
     within_1px: float
-    """share"""
+    """share of the absolute differences of at most 1 pixel"""
     within_3px: float
+    """share of those of at most 3 pixels"""
 
     def __str__(self) -> str:
         return (
@@ -42,17 +43,17 @@ class Agreement:
 
 
 def rectified(left: Camera, right: Camera, T_right_left: Array, max_disparity: int = 128) -> StereoGeometry:
-    """Geometry of a pair of pinhole cameras of which rows see the same planes.
+    """Geometry of a rectified stereo pair: two pinhole cameras whose rows see the same planes.
 
     Raises:
-        ConfigError: the pair is not rectified, or its right camera is not to the right.
+        ConfigError: the pair is not rectified, or the right camera is not to the right of the left one.
     """
     baseline = -float(T_right_left[0, 3])
     aside = np.abs(T_right_left[1:3, 3]).max()
     turned = np.abs(T_right_left[:3, :3] - np.eye(3)).max()
     lens = max(abs(left.fx - right.fx), abs(left.fy - right.fy), abs(left.cy - right.cy))
     if left.model != "pinhole" or right.model != "pinhole" or left.size != right.size:
-        raise ConfigError("depth by stereo needs two pinhole cameras of one size")
+        raise ConfigError("depth by stereo needs two pinhole cameras with images of the same size")
     if baseline <= 0 or lens > _ROWS_PX or turned * left.fx > _ROWS_PX or aside > 0.01 * baseline:
         raise ConfigError(
             f"the cameras are no rectified pair: the right one is {baseline:.3f} m to the right and {aside:.3f} m off "
@@ -69,36 +70,16 @@ def depth_by_stereo(left: NDArray[np.uint8], right: NDArray[np.uint8], geometry:
 
 
 def cross_check(lidar: Floats, stereo: Floats, camera: Camera, baseline_m: float) -> Agreement:
-    """How two depth images (H, W) of one camera agree, in pixels of disparity ``f b / z``."""
-    difference = _disparity_difference(lidar, stereo, camera, baseline_m)
-    known = difference[np.isfinite(difference)]
-    if not len(known):
+    """The agreement of two depth images (H, W) of one camera, in pixels of disparity ``f b / z``."""
+    both = (lidar > 0) & (stereo > 0)
+    if not both.any():
         return Agreement(0, float("nan"), float("nan"), 0.0, 0.0)
-    size = np.abs(known)
+    difference = camera.fx * baseline_m * (1 / lidar[both].astype(np.float64) - 1 / stereo[both].astype(np.float64))
+    size = np.abs(difference)
     return Agreement(
-        len(known),
+        len(difference),
         float(np.median(size)),
-        float(np.median(known)),
+        float(np.median(difference)),
         float((size <= 1).mean()),
         float((size <= 3).mean()),
     )
-
-
-def without_contradicted(
-    lidar: DepthImage, stereo: Floats, camera: Camera, baseline_m: float, limit_px: float = 3.0
-) -> DepthImage:
-    """Lidar depth less the pixels where stereo sees something clearly nearer.
-
-    The camera saw something that was not there when the lidar came by, a moving car say, or that it never met.
-    """
-    difference = _disparity_difference(lidar.depth, stereo, camera, baseline_m)
-    gone = np.isfinite(difference) & (difference < -limit_px)
-    zero = np.float32(0)
-    return replace(lidar, depth=np.where(gone, zero, lidar.depth), sigma=np.where(gone, zero, lidar.sigma))
-
-
-def _disparity_difference(lidar: Floats, stereo: Floats, camera: Camera, baseline_m: float) -> Array:
-    """(H, W) lidar's disparity less that of stereo, nan where either is unknown."""
-    both = (lidar > 0) & (stereo > 0)
-    first, second = np.where(both, lidar, 1).astype(np.float64), np.where(both, stereo, 1).astype(np.float64)
-    return np.where(both, camera.fx * baseline_m * (1 / first - 1 / second), np.nan)

@@ -1,4 +1,4 @@
-"""The camera of a rig that makes a rectified stereo pair with another, if there is one."""
+"""Stereo pairs of a rig: finding the camera that is rectified with a given one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from relocbench.geometry import invert
 
 @dataclass(frozen=True, eq=False)
 class StereoPair:
-    """A camera and the one to its right, whose rows see the same planes."""
+    """A camera and the one to its right that is rectified with it."""
 
     left: CameraStream
     right: CameraStream
@@ -26,16 +26,16 @@ class StereoPair:
     baseline_m: float
 
     def common_times(self) -> frozenset[int]:
-        """Times at which both took an image."""
+        """Times at which both cameras took an image."""
         return frozenset(self.left.times_ns.tolist()) & frozenset(self.right.times_ns.tolist())
 
     def depth(self, time_ns: int) -> DepthImage:
-        """Depth of the left image at a time that both have. Raises DatasetError with the file of a damaged image."""
+        """Depth of the left image at a common time. Raises DatasetError with the file if an image is damaged."""
         return depth_by_stereo(_image(self.left, time_ns), _image(self.right, time_ns), self.geometry)
 
 
 def stereo_pair(cameras: Mapping[str, CameraStream], left: str) -> StereoPair | None:
-    """The first camera that stands to the right of ``left``, looks the same way and has the same lens."""
+    """The stereo pair of ``left`` with the first camera that is to its right and rectified with it; None if none is."""
     one = cameras[left]
     for name, other in cameras.items():
         if name == left:

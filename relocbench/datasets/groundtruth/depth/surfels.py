@@ -1,9 +1,9 @@
-"""Surfels: the points of a submap as small pieces of surface, grown until they meet their neighbours and no further.
+"""Surfels: the points of a submap as small pieces of surface that reach just as far as their neighbours.
 
-Each point with a normal becomes a star in its tangent plane: in each of eight directions it reaches a little beyond
-the middle to its nearest neighbour of the same surface (Pfister et al., Surfels, 2000, with the radius taken from the
-sampling at hand, direction by direction). Lines of a push-broom scanner lie further apart than the points within
-them, and at a rim there is no neighbour at all; a round disk would leave gaps there or reach into the air.
+Each point with a normal becomes a star-shaped polygon in its tangent plane. In each of eight directions it reaches a
+little beyond half-way to its nearest neighbour on the same surface (Pfister et al., Surfels, 2000, with a radius by the
+local sampling in each direction). A round disk would leave gaps or reach into the air, since the scan lines of a
+push-broom scanner are further apart than the points on them, and at a rim there are no neighbours on one side.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
-from relocbench.errors import ConfigError
+from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.kernels import njit
 
 Floats = NDArray[np.float32]
@@ -22,67 +22,63 @@ Indices = NDArray[np.int64]
 
 SECTORS = 8
 _OVERLAP = 0.8
-"""of the way to a neighbour that a star reaches: pieces of a square or a triangular grid then leave no gap"""
+"""share of the distance to a neighbour that a surfel reaches: those of a square or triangular grid leave no gap"""
 _RIM = 0.25
-"""of the smallest way to a neighbour that it reaches where there is none"""
+"""share of the distance to its nearest neighbour that it reaches in directions without one"""
 _SAME_M = 0.01
-"""points nearer to each other than this are one point measured twice"""
+"""points nearer to each other than this count as one point that was measured twice"""
 _RISE = 0.2
-"""a neighbour may stand off a surfel's plane by so much of the way to it: surfaces are curved"""
+"""largest distance of a neighbour from the surfel's plane, as a share of its distance: surfaces are curved"""
 _LARGEST_GRID = 40_000_000
 
 
 @dataclass(frozen=True)
 class SurfelOptions:
-    """Which points belong to one surface."""
+    """Options that decide which points belong to one surface."""
 
     gap_m: float = 0.4
-    """points of a surface that lie further apart leave a hole between them"""
-    veil_m: float = 1.5
-    """a hole that is narrower shows nothing of what lies behind it: a window in a wall, a dark door"""
+    """largest distance between neighbours; between points further apart there is a hole"""
+    closed_hole_m: float = 1.5
+    """width up to which a hole hides what is behind it, such as a window in a wall or a dark door"""
     offset_m: float = 0.05
-    """how far a neighbour may stand off a surfel's plane"""
+    """largest distance of a neighbour from a surfel's plane, in addition to that by curvature"""
     cosine: float = 0.7
-    """of the largest angle between the normals of neighbours"""
+    """cosine of the largest angle between the normals of neighbours"""
     adopt_m: float = 0.03
-    """a point without a plane takes that of the nearest surfel in whose plane it lies, to so much; 0: none"""
+    """a point without a plane takes that of the nearest surfel whose plane is within this distance; 0: none"""
     rough_m: float = 0.12
-    """radius within which a point without a plane hides what lies behind it"""
+    """radius within which a point without a plane hides what is behind it"""
     rough_reach_m: float = 0.06
-    """radius of the small disk, facing the camera, that it shows; 0: it shows nothing"""
+    """radius of the disk, facing the camera, that is drawn for it; 0: none is"""
     crowd: int = 3
-    """a point without a plane that has fewer others within ``gap_m`` is noise: a drop, a flake, a stray echo"""
+    """least number of others within ``gap_m`` of a point without a plane; with fewer it is noise, such as a raindrop"""
     steady: float = 0.5
-    """points less steady than this moved, and are left out"""
-
-    def __post_init__(self) -> None:
-        if not 0 < self.gap_m <= self.veil_m or self.offset_m <= 0 or self.rough_m < 0:
-            raise ConfigError("surfels need 0 < gap_m <= veil_m, a positive offset_m and rough_m >= 0")
+    """points with a lower static score are left out"""
 
 
 @dataclass(frozen=True, eq=False)
 class Surfels:
-    """Stars in the frame of the submap's node."""
+    """N surfels in the frame of the submap's node."""
 
     points: Floats
-    """(N, 3)"""
+    """(N, 3) middle of each surfel"""
     normals: Floats
-    """(N, 3) unit, towards the sensor; 0 for what has no plane"""
+    """(N, 3) unit vectors towards the sensor; 0 for points without a plane"""
     axes: Floats
-    """(N, 3) unit, along the surface: where the first direction points"""
+    """(N, 3) unit vectors along the surface, in the first of the eight directions"""
     reach: Floats
-    """(N, 8) metres that the surfel covers in each direction, anticlockwise about its normal; 0: it shows nothing"""
-    veil: Floats
-    """(N, 8) metres that it hides, at least as much as it covers"""
+    """(N, 8) metres that the surfel covers in each direction, anticlockwise about its normal; 0 if it is not drawn"""
+    occluding_reach: Floats
+    """(N, 8) metres within which it hides what is behind it, at least as much as it covers"""
     origins: Floats
-    """(N, 3) where the sensor was"""
+    """(N, 3) position of the sensor"""
 
     def __len__(self) -> int:
         return len(self.points)
 
 
 def make_surfels(submap: Submap, options: SurfelOptions | None = None) -> Surfels:
-    """Surfels of a submap's steady points, in their order."""
+    """Surfels of a submap's static points, in their order."""
     options = options or SurfelOptions()
     kept = (submap.steady >= options.steady) & np.isfinite(submap.points).all(axis=1)
     points = np.ascontiguousarray(submap.points[kept], dtype=np.float32)
@@ -96,31 +92,33 @@ def make_surfels(submap: Submap, options: SurfelOptions | None = None) -> Surfel
     plane = length > 0.5
     normals = np.where(plane[:, None], normals / np.maximum(length, 1e-6)[:, None], 0).astype(np.float32)
     axes = _tangents(normals)
-    way = np.full((len(points), SECTORS), np.inf, dtype=np.float32)
-    far = way.copy()
+    distance = np.full((len(points), SECTORS), np.inf, dtype=np.float32)
+    far = distance.copy()
     chosen = np.flatnonzero(plane)
     if len(chosen):
         of = (points[chosen], normals[chosen], axes[chosen])
         limits = (options.offset_m, _RISE, options.cosine)
         everything = np.arange(len(chosen))
-        near = np.asarray(_ways(*of, everything, *_grid(of[0], options.gap_m), options.gap_m, *limits))
-        way[chosen] = far[chosen] = near
-        # Only surfels beside a hole look further, among points thin enough that this is quick.
+        near = np.asarray(_neighbour_distances(*of, everything, *_grid(of[0], options.gap_m), options.gap_m, *limits))
+        distance[chosen] = far[chosen] = near
+        # Only for surfels beside a hole are neighbours searched further away, among thinned points to save time.
         rim = np.flatnonzero(~np.isfinite(near).all(axis=1))
-        if len(rim) and options.veil_m > options.gap_m:
-            thin = _thinned(of[0], options.gap_m / 1.5)
+        if len(rim) and options.closed_hole_m > options.gap_m:
+            thin = first_in_voxels(of[0] / np.float32(options.gap_m / 1.5), 1.0)
             p, n, a = (np.ascontiguousarray(np.concatenate([array[rim], array[thin]])) for array in of)
-            grid = _grid(p, options.veil_m, first=len(rim))
-            wide = _ways(p, n, a, np.arange(len(rim)), *grid, options.veil_m, *limits)
+            grid = _grid(p, options.closed_hole_m, first=len(rim))
+            wide = _neighbour_distances(p, n, a, np.arange(len(rim)), *grid, options.closed_hole_m, *limits)
             far[chosen[rim]] = np.minimum(near[rim], wide)
-    reach, veil = _stars(way, far, plane, options)
+    reach, occluding_reach = _stars(distance, far, plane, options)
     stray = ~plane & (crowd < options.crowd)
-    reach[stray] = veil[stray] = 0
-    return Surfels(points, normals, axes, reach, veil, np.ascontiguousarray(submap.origins[kept], dtype=np.float32))
+    reach[stray] = occluding_reach[stray] = 0
+    return Surfels(
+        points, normals, axes, reach, occluding_reach, np.ascontiguousarray(submap.origins[kept], dtype=np.float32)
+    )
 
 
 def _tangents(normals: Floats) -> Floats:
-    """(N, 3) unit vectors at right angles to the normals (N, 3): level, or x where the normal is upright."""
+    """(N, 3) unit vectors at right angles to the normals (N, 3): level ones, or near x if the normal is upright."""
     level = np.stack([-normals[:, 1], normals[:, 0], np.zeros(len(normals), np.float32)], axis=1)
     size = np.linalg.norm(level, axis=1)
     upright = size < 0.3
@@ -129,34 +127,27 @@ def _tangents(normals: Floats) -> Floats:
     return (level / size[:, None]).astype(np.float32)
 
 
-def _stars(way: Floats, far: Floats, plane: NDArray[np.bool_], options: SurfelOptions) -> tuple[Floats, Floats]:
-    """How far surfels reach and hide, from the ways to their neighbours (N, 8), infinite where there are none."""
-    met = np.isfinite(way)
-    nearest = np.min(way, axis=1, initial=options.gap_m)
+def _stars(distance: Floats, far: Floats, plane: NDArray[np.bool_], options: SurfelOptions) -> tuple[Floats, Floats]:
+    """``reach`` and ``occluding_reach`` of surfels, from the distances to their neighbours (N, 8), inf if none."""
+    met = np.isfinite(distance)
+    nearest = np.min(distance, axis=1, initial=options.gap_m)
     alone = np.asarray(~met.any(axis=1))
-    rim = np.where(met, _OVERLAP * np.where(met, way, 0), _RIM * nearest[:, None])
+    rim = np.where(met, _OVERLAP * np.where(met, distance, 0), _RIM * nearest[:, None])
     reach = np.where(alone[:, None], 0, rim)
-    veil = np.where(np.isfinite(far), np.maximum(_OVERLAP * np.where(np.isfinite(far), far, 0), reach), reach)
+    occluding_reach = np.where(
+        np.isfinite(far), np.maximum(_OVERLAP * np.where(np.isfinite(far), far, 0), reach), reach
+    )
     reach[~plane] = options.rough_reach_m
-    veil[~plane | alone] = options.rough_m
-    return reach.astype(np.float32), veil.astype(np.float32)
-
-
-def _thinned(points: Floats, cell_m: float) -> Indices:
-    """The first point of each cell, in order."""
-    cells = np.floor(points / np.float32(cell_m)).astype(np.int64)
-    cells -= cells.min(axis=0)
-    size = cells.max(axis=0) + 1
-    keys = (cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2]
-    return np.sort(np.unique(keys, return_index=True)[1])
+    occluding_reach[~plane | alone] = options.rough_m
+    return reach.astype(np.float32), occluding_reach.astype(np.float32)
 
 
 def _grid(
     points: Floats, cell_m: float, first: int = 0
 ) -> tuple[NDArray[np.float32], float, Indices, NDArray[np.int32], NDArray[np.int32]]:
-    """Points from row ``first`` on by cell: low corner, cell size, shape, start of each cell and rows by cell.
+    """Points from row ``first`` on, sorted by cell: lowest corner, cell size, shape, start of each cell, and rows.
 
-    The cell is at least ``cell_m``; it grows until the grid fits into memory.
+    The cell size is at least ``cell_m``; it is enlarged until the grid fits into memory.
     """
     low = points.min(axis=0)
     extent = (points.max(axis=0) - low).astype(np.float64)
@@ -190,8 +181,8 @@ def _sorted_by_cell(points, low, inverse, shape, first):  # type: ignore[no-unty
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _adopted(points, normals, low, cell_m, shape, starts, rows, gap_m, adopt_m):  # type: ignore[no-untyped-def]
-    """(N, 3) normals, those missing taken from the nearest point whose plane goes through; and, of these points, (N,)
-    how many others there are within ``gap_m``."""
+    """(N, 3) normals, with missing ones taken from the nearest point in whose plane the point lies; and for the points
+    whose normals were missing, (N,) the number of others within ``gap_m``."""
     out = normals.copy()
     crowd = np.zeros(len(points), np.int32)
     inverse = np.float32(1.0 / cell_m)
@@ -223,18 +214,18 @@ def _adopted(points, normals, low, cell_m, shape, starts, rows, gap_m, adopt_m):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ways(  # type: ignore[no-untyped-def]
-    points, normals, axes, asked, low, cell_m, shape, starts, rows, gap_m, offset_m, rise, cosine
+def _neighbour_distances(  # type: ignore[no-untyped-def]
+    points, normals, axes, wanted, low, cell_m, shape, starts, rows, gap_m, offset_m, rise, cosine
 ):
-    """(M, 8) metres from each point asked to its nearest neighbour of the same surface, by direction; inf if none.
+    """(M, 8) metres from each point asked to its nearest neighbour on the same surface, by direction; inf if none.
 
-    A neighbour counts in the two directions that it lies between.
+    A neighbour counts for the two directions that it is between.
     """
-    out = np.full((len(asked), SECTORS), np.inf, np.float32)
+    out = np.full((len(wanted), SECTORS), np.inf, np.float32)
     inverse = np.float32(1.0 / cell_m)
     farthest = gap_m * gap_m
-    for k in range(len(asked)):
-        i = asked[k]
+    for k in range(len(wanted)):
+        i = wanted[k]
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
         ax, ay, az = axes[i, 0], axes[i, 1], axes[i, 2]
@@ -266,7 +257,7 @@ def _ways(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def _octant(u, v):  # type: ignore[no-untyped-def]
-    """Number of the eighth of a turn, anticlockwise from (1, 0), that (u, v) lies in."""
+    """The octant, numbered anticlockwise from (1, 0), that (u, v) lies in."""
     if v >= 0:
         if u >= 0:
             return 0 if u > v else 1

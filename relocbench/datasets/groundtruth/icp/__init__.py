@@ -1,1 +1,1 @@
-"""The pose between two submaps, from a prediction."""
+"""ICP: the relative pose of two submaps, starting from a prediction."""

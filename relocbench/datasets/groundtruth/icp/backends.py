@@ -1,8 +1,8 @@
-"""Refinement by this package, by Open3D or by small_gicp, behind one signature.
+"""ICP by this package, by Open3D or by small_gicp, behind one function.
 
-Ours is the default: it reuses what was prepared of a submap, balances directions, allows for odometry's drift, and
-says how certain it is. The others start from the same prediction and end with our linearisation, so that their
-information means the same.
+This package's own is the default: it reuses the prepared planes of a submap, samples directions evenly, allows for the
+drift of odometry, and returns an information matrix. For the others, the information matrix comes from this package's
+linearisation at the pose that they found, so that it means the same.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.icp.icp import Refined, RefinementOptions, assess, refine
-from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, thinned
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.icp.icp import IcpOptions, IcpResult, icp_result_at, run_icp
+from relocbench.datasets.groundtruth.submaps.planes import PlaneMap
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
+from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.errors import ConfigError
 from relocbench.geometry import project_to_rotation
 
@@ -27,23 +28,23 @@ BACKENDS: tuple[Backend, ...] = ("own", "open3d", "small_gicp")
 _THINNING_M = 0.15
 
 
-def refine_with(
+def icp_by_backend(
     backend: Backend,
-    ref: Prepared,
-    query: Prepared,
+    ref: PreparedSubmap,
+    query: PreparedSubmap,
     T_ref_query: Array,
-    options: RefinementOptions,
+    options: IcpOptions,
     levels: Sequence[int] | None = None,
-) -> Refined:
-    """The pose near a prediction; see :func:`relocbench.datasets.groundtruth.icp.icp.refine`.
+) -> IcpResult:
+    """ICP from a prediction; see :func:`relocbench.datasets.groundtruth.icp.icp.run_icp` for the arguments.
 
     Raises:
-        ConfigError: no such backend, or its package is not installed.
+        ConfigError: there is no such backend, or its package is not installed.
     """
     if backend == "own":
-        return refine(ref.planes, query.planes, T_ref_query, options, levels=levels)
+        return run_icp(ref.planes, query.planes, T_ref_query, options, levels=levels)
     if backend not in BACKENDS:
-        raise ConfigError(f"no registration backend '{backend}'; there is {', '.join(BACKENDS)}")
+        raise ConfigError(f"no registration backend '{backend}'; expected one of {', '.join(BACKENDS)}")
     solve = _open3d if backend == "open3d" else _small_gicp
     T, iterations = np.array(T_ref_query, dtype=np.float64), 0
     for k in range(len(options.levels)) if levels is None else levels:
@@ -51,23 +52,23 @@ def refine_with(
         T, steps = solve(ref.planes, query.planes, T, reach, options.scales_m[k], options.iterations[k])
         iterations += steps
     T[:3, :3] = project_to_rotation(T[:3, :3])
-    return assess(ref.planes, query.planes, T, options, iterations)
+    return icp_result_at(ref.planes, query.planes, T, options, iterations)
 
 
 def _thin(planes: PlaneMap) -> tuple[Array, Array]:
     points, normals = planes.points, planes.normals
-    keep = thinned(points, _THINNING_M)
+    keep = first_in_voxels(points, _THINNING_M)
     return points[keep], normals[keep]
 
 
 def _open3d(
     ref: PlaneMap, query: PlaneMap, T_ref_query: Array, reach_m: float, scale_m: float, iterations: int
 ) -> tuple[Array, int]:
-    """Point to plane with the same kernel; single precision would cost millimetres."""
+    """Point-to-plane ICP with the same kernel, in double precision: single precision would cost millimetres."""
     import open3d as o3d
 
     registration = o3d.pipelines.registration
-    target, source = (_cloud(o3d, *_thin(side)) for side in (ref, query))
+    target, source = (open3d_cloud(*_thin(side)) for side in (ref, query))
     result = registration.registration_icp(
         source,
         target,
@@ -79,7 +80,10 @@ def _open3d(
     return np.array(result.transformation, dtype=np.float64), iterations
 
 
-def _cloud(o3d: Any, points: Array, normals: Array) -> Any:
+def open3d_cloud(points: Array, normals: Array) -> Any:
+    """Open3D's point cloud of points (N, 3) with normals (N, 3)."""
+    import open3d as o3d
+
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     cloud.normals = o3d.utility.Vector3dVector(normals)
     return cloud

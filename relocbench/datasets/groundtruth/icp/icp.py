@@ -1,236 +1,190 @@
 """Registration from a prediction: robust, symmetric point-to-plane ICP, coarse to fine.
 
 Chen and Medioni, Object modelling by registration of multiple range images (1992); annealed Geman-McClure weights as
-in Zhou, Park and Koltun, Fast global registration (2016); plane to plane as in Segal, Haehnel and Thrun, Generalized
-ICP (2009). Both submaps look for planes in the other, so that neither's holes and noise decide alone.
+in Zhou, Park and Koltun, Fast global registration (2016). Points of each submap are matched to planes of the other, so
+that holes and noise of both count.
 
-Two drives' odometries do not agree on how long a metre is. Submaps laid along them are of different length, and what
-stands 30 m ahead would pull against what stands 30 m behind. So the refinement has a seventh unknown: the stretch of
-the query's odometry over the reference's, by which the ways from the node to where each point was measured grow.
+The odometries of two drives differ in scale. Submaps put together along them differ in length, and without a correction
+surfaces 30 m ahead of the node would pull against those 30 m behind it. ICP therefore has a seventh unknown, the
+stretch s: the scale of the query's odometry relative to the reference's, minus one. It moves each point by s times its
+lever arm, which is the vector from the node to the sensor when it measured the point.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, Planes, Sample
-from relocbench.errors import ConfigError
-from relocbench.geometry import adjoint, hat, invert, project_to_rotation, robust_sigma, se3_exp, se3_log
+from relocbench.geometry import adjoint, invert, project_to_rotation, robust_sigma, se3_exp
 
 Array = NDArray[np.float64]
-Metric = Literal["plane", "generalised"]
 
 CORRELATION = 20.0
-"""Information is divided by this: neighbouring residuals share the noise of a plane's normal, of a scan's pose and of
-the surface's unevenness, and each contact is counted from both sides. Found by comparing predicted with true errors on
-simulated drives with exact odometry; odometry's own drift comes on top through ``drift_per_m``."""
+"""The information matrix is divided by this, since residuals are correlated: neighbours share the noise of a plane's
+normal, of a scan's pose and of an uneven surface, and each match is counted from both sides. The value was found by
+comparing predicted with true errors on simulated drives with exact odometry; drift is added by ``drift_per_m``."""
 _STRETCHED = 5e-4
-"""planes are laid anew where the stretch changed by so much: 15 mm at 30 m"""
+"""planes are moved and sorted anew when the stretch has changed by so much: 15 mm at 30 m"""
 _OPEN = 1e-4
-"""information of a direction that nothing holds: it is known to 100 m or 100 rad"""
-_THIN = 0.02
-"""how thick a plane is over how far it reaches, squared, in the generalised metric"""
+"""information added to every direction, so that unconstrained ones have a sigma of 100 m or 100 rad"""
 
 
 @dataclass(frozen=True)
-class RefinementOptions:
-    """Options of the refinement from a predicted pose."""
+class IcpOptions:
+    """Options of ICP from a predicted pose."""
 
-    metric: Metric = "plane"
     levels: tuple[int, ...] = (0, 1, 2)
-    """which levels of the plane maps are used, one after the other"""
+    """levels of the plane maps, in the order in which they are used"""
     scales_m: tuple[float, ...] = (0.5, 0.15, 0.05)
-    """of the robust kernel at the end of each level: a residual of so much counts a quarter"""
+    """scale of the robust kernel at the end of each level: a residual as large has a weight of 1/4"""
     iterations: tuple[int, ...] = (12, 10, 14)
-    """at most, each level"""
+    """largest number of iterations on each level"""
     cosine: float = 0.8
-    """of the largest angle between normals that may meet"""
+    """cosine of the largest angle between the normals of a match"""
     sigma_m: float = 0.02
-    """of a residual close to the nodes"""
+    """standard deviation of a residual near the nodes"""
     drift_per_m: float = 0.006
-    """by which residuals grow with the way along odometry between the node and where a point was measured"""
+    """growth of a residual's standard deviation with the length of the lever arm"""
     stretch_sigma: float = 0.02
-    """of the ratio of both odometries' scales; 0: they are taken to agree"""
+    """standard deviation of the stretch; 0 fixes the stretch at 0"""
     turn_per_m: float = 2e-4
-    """radians by which odometry may have turned on that way"""
+    """growth of the rotation's standard deviation, in radians, with the length of the lever arm"""
     least_matches: int = 100
-    """with fewer, the submaps have too little in common"""
-
-    def __post_init__(self) -> None:
-        if not len(self.levels) == len(self.scales_m) == len(self.iterations) > 0:
-            raise ConfigError("levels, scales_m and iterations of the refinement need one value a level each")
-        if min(self.scales_m) <= 0 or self.sigma_m <= 0 or min(self.drift_per_m, self.stretch_sigma) < 0:
-            raise ConfigError("scales and sigma of the refinement are positive, drift and stretch are not negative")
+    """with fewer matches ICP gives up: the submaps have too little in common"""
 
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """A least-squares problem in xi = (rho, phi) of ``T_ref_query @ se3_exp(xi)`` and the query's stretch, at 0."""
+    """The normal equations, at 0, in xi = (rho, phi) of ``T_ref_query @ se3_exp(xi)`` and the query's stretch."""
 
     H: Array
-    """(7, 7) sum of w J J^T"""
+    """(7, 7) sum of w J^T J over the matches"""
     g: Array
-    """(7,) sum of w J r; the step is -H^-1 g"""
+    """(7,) sum of w J^T r over the matches; the Gauss-Newton step is -H^-1 g"""
     residuals: Array
-    """(M,) metres, of the points that found a plane, scaled to the sigma of near ones"""
-    away_m: float
-    """root mean square distance along odometry from the nodes of what was matched, as it counts"""
-    closeness: Array
-    """(M,) in (0, 1]: how much of a residual's variance is the surface's and not the odometry's"""
+    """(M,) metres, one a match, divided by how much larger its sigma is than near the node"""
+    lever_length_m: float
+    """weighted root mean square length of the lever arms of what was matched"""
+    surface_share: Array
+    """(M,) in (0, 1]: share of a residual's variance that is not due to odometry"""
     count: int
+    """number of matches M"""
 
     @property
     def sigma_m(self) -> float:
-        """Robust standard deviation of the residuals near the nodes: 1.4826 times their median without sign."""
-        return robust_sigma(self.residuals, self.closeness)
+        """Robust standard deviation of the residuals near the nodes."""
+        return robust_sigma(self.residuals, self.surface_share)
 
 
 NOTHING = Linearised(np.zeros((7, 7)), np.zeros(7), np.zeros(0), 0.0, np.zeros(0), 0)
-"""no point found a plane"""
+"""the problem without any match"""
 
 
 @dataclass(frozen=True, eq=False)
-class Refined:
-    """Where a refinement ended."""
+class IcpResult:
+    """The pose that ICP ended at."""
 
     T_ref_query: Array
     """(4, 4)"""
     information: Array
-    """(6, 6) of xi = (rho, phi), correlation allowed for; zeros where nothing met"""
+    """(6, 6) of xi = (rho, phi), corrected for correlation and drift; zeros if there were too few matches"""
     sigma_m: float
+    """robust standard deviation of the residuals"""
     count: int
-    """points that found a plane at the end, of both sides"""
+    """number of matches at the end, of both sides"""
     iterations: int
     converged: bool
     stretch: float = 0.0
-    """by which the query's odometry has to grow to agree with the reference's"""
+    """scale of the query's odometry that agrees with the reference's, minus one"""
 
 
 def linearise(
-    reference_planes: Planes,
-    points: Array,
-    normals: Array,
+    planes: Planes,
+    sample: Sample,
     T_ref_query: Array,
     reach: float,
-    *,
-    weights: Array | None = None,
-    carried: Array | None = None,
+    scale_m: float,
+    options: IcpOptions,
     planes_stretch: bool = False,
-    scale_m: float = 0.05,
-    sigma_m: float = 0.02,
-    drift_per_m: float = 0.0,
-    cosine: float = 0.8,
-    metric: Metric = "plane",
 ) -> Linearised:
-    """Distances from points of the query to planes of the reference, and their derivatives.
+    """Distances of points of the query from planes of the reference, linearised.
 
-    The residual of a point q with the plane (p, n) is ``r = n^T (R q + t - p)``; with m = R^T n its derivative is
-    ``J = (m, q x m, m^T c)``, c the way along odometry to where q was measured; or, if it is the planes' drive that is
-    stretched, ``-n^T c`` of the plane at the end.
+    The residual of a point q with the plane (p, n) is ``r = n^T (R q + t - p)``. With m = R^T n its derivative is
+    ``J = (m, q x m, m^T c)``, where c is the lever arm of q; if the stretch is that of the planes' drive, the last
+    element is ``-n^T c`` with the lever arm c of the plane. A match has the smaller weight of its point and its plane.
 
     Args:
-        points: (M, 3) query's frame.
-        normals: (M, 3) theirs, query's frame.
-        reach: metres, at most the planes' cell.
-        weights: (M,) of the points; ones by default. The planes' own weights come on top.
-        carried: (M, 3) from the node to where each point was measured; zeros by default.
-        planes_stretch: whether the last unknown is of the planes' drive, not of the points'.
-        scale_m: of Geman-McClure's kernel: ``w = (1 + (r / scale)^2)^-2``.
+        planes: of the reference.
+        sample: points of the query.
+        reach: largest distance of a match, metres; at most the voxel size of the planes.
+        scale_m: of Geman-McClure's kernel, ``w = (1 + (r / scale)^2)^-2``.
+        planes_stretch: whether the stretch is that of the planes' drive instead of the points'.
     """
     rotation, translation = T_ref_query[:3, :3], T_ref_query[:3, 3]
-    moved, turned = points @ rotation.T + translation, normals @ rotation.T
-    match = reference_planes.nearest(moved, turned, reach, cosine)
+    moved, turned = sample.points @ rotation.T + translation, sample.normals @ rotation.T
+    match = planes.nearest(moved, turned, reach, options.cosine)
     rows = np.flatnonzero(match >= 0)
     if not len(rows):
         return NOTHING
     match = match[rows]
-    n, q = reference_planes.normals[match], points[rows]
-    offset = moved[rows] - reference_planes.points[match]
-    residual = np.einsum("ni,ni->n", n, offset)
-    of_points = np.zeros((len(rows), 3)) if carried is None else carried[rows]
-    of_planes = reference_planes.carried[match]
+    n, q = planes.normals[match], sample.points[rows]
+    residual = np.einsum("ni,ni->n", n, moved[rows] - planes.points[match])
+    of_points, of_planes = sample.lever_arms[rows], planes.lever_arms[match]
     away = np.einsum("ni,ni->n", of_points, of_points) + np.einsum("ni,ni->n", of_planes, of_planes)
     moves = -of_planes if planes_stretch else of_points @ rotation.T
-    near = 1 / (1 + np.square(drift_per_m / sigma_m) * away)
+    near = 1 / (1 + np.square(options.drift_per_m / options.sigma_m) * away)
     standard = residual * np.sqrt(near)
-    w = near * np.minimum(reference_planes.weights[match], 1.0 if weights is None else weights[rows])
+    w = near * np.minimum(planes.weights[match], sample.weights[rows])
     w = w / np.square(1 + np.square(standard / scale_m))
-    if metric == "generalised":
-        H, g = _plane_to_plane(n, turned[rows], offset, q, moves, rotation, w)
-    else:
-        m = n @ rotation
-        J = np.hstack([m, np.cross(q, m), np.einsum("ni,ni->n", n, moves)[:, None]])
-        H, g = J.T @ (w[:, None] * J), J.T @ (w * residual)
+    m = n @ rotation
+    J = np.hstack([m, np.cross(q, m), np.einsum("ni,ni->n", n, moves)[:, None]])
+    H, g = J.T @ (w[:, None] * J), J.T @ (w * residual)
     return Linearised(H, g, standard, float(np.sqrt(w @ away / max(w.sum(), 1e-12))), near, len(rows))
-
-
-def _plane_to_plane(
-    n: Array, turned: Array, offset: Array, q: Array, moves: Array, rotation: Array, w: Array
-) -> tuple[Array, Array]:
-    """H and g with both covariances: each point is uncertain along its plane and certain across it.
-
-    The metric ``M = thin (C_ref + R C_query R^T)^-1 / 2``, so that two equal planes weigh as one plane does.
-    """
-    spread = 2 * np.eye(3) - (1 - _THIN) * (n[:, :, None] * n[:, None, :] + turned[:, :, None] * turned[:, None, :])
-    M = 2 * _THIN * np.linalg.inv(spread) * w[:, None, None]
-    J = np.concatenate([np.broadcast_to(rotation, (len(q), 3, 3)), -rotation @ hat(q), moves[:, :, None]], axis=2)
-    MJ = M @ J
-    return np.einsum("nki,nkj->ij", J, MJ), np.einsum("nki,nk->i", MJ, offset)
 
 
 def linearise_both(
     ref: tuple[Planes, Sample], query: tuple[Planes, Sample], T_ref_query: Array, reach: float, scale_m: float,
-    options: RefinementOptions,
+    options: IcpOptions,
 ) -> Linearised:  # fmt: skip
-    """The query's points against the reference's planes and the other way round, in one problem.
+    """The query's points with the reference's planes and the other way round, in one problem.
 
-    ``T_query_ref`` moves by ``se3_exp(-Ad(T_ref_query) xi)`` when ``T_ref_query`` moves by ``se3_exp(xi)``.
+    ``T_query_ref`` changes by ``se3_exp(-Ad(T_ref_query) xi)`` when ``T_ref_query`` changes by ``se3_exp(xi)``.
     """
-
-    def one_way(planes: Planes, sample: Sample, T: Array, planes_stretch: bool) -> Linearised:
-        return linearise(
-            planes, sample.points, sample.normals, T, reach, weights=sample.weights, carried=sample.carried,
-            planes_stretch=planes_stretch, scale_m=scale_m, sigma_m=options.sigma_m, drift_per_m=options.drift_per_m,
-            cosine=options.cosine, metric=options.metric,
-        )  # fmt: skip
-
-    there = one_way(ref[0], query[1], T_ref_query, False)
-    back = one_way(query[0], ref[1], invert(T_ref_query), True)
+    there = linearise(ref[0], query[1], T_ref_query, reach, scale_m, options)
+    back = linearise(query[0], ref[1], invert(T_ref_query), reach, scale_m, options, planes_stretch=True)
     A = np.eye(7)
     A[:6, :6] = -adjoint(T_ref_query)
     return Linearised(
         there.H + A.T @ back.H @ A,
         there.g + A.T @ back.g,
         np.concatenate([there.residuals, back.residuals]),
-        float(np.hypot(there.away_m, back.away_m) / np.sqrt(2)),
-        np.concatenate([there.closeness, back.closeness]),
+        float(np.hypot(there.lever_length_m, back.lever_length_m) / np.sqrt(2)),
+        np.concatenate([there.surface_share, back.surface_share]),
         there.count + back.count,
     )
 
 
-def refine(
+def run_icp(
     ref: PlaneMap,
     query: PlaneMap,
     T_ref_query: Array,
-    options: RefinementOptions | None = None,
-    prior_information: Array | None = None,
+    options: IcpOptions | None = None,
     levels: Sequence[int] | None = None,
-) -> Refined:
-    """The pose near a prediction where both submaps' planes agree.
+) -> IcpResult:
+    """ICP: the pose near a prediction at which the planes of both submaps agree.
+
+    The pose stays as predicted along directions that the planes leave open.
 
     Args:
         T_ref_query: (4, 4) the prediction.
-        prior_information: (6, 6) of the prediction: holds what the planes do not, weighs nothing in the result's
-            information. None: a direction that nothing holds stays as predicted.
-        levels: indices into ``options.levels``; all by default. The last alone is for a prediction that is good to
-            decimetres.
+        levels: indices into ``options.levels``, all by default. The last one alone suffices for a prediction that is
+            good to decimetres.
     """
-    options = options or RefinementOptions()
+    options = options or IcpOptions()
     T, stretch, steps, converged = np.array(T_ref_query, dtype=np.float64), 0.0, 0, False
     problem = NOTHING
     for k in range(len(options.levels)) if levels is None else levels:
@@ -240,12 +194,12 @@ def refine(
         for iteration in range(options.iterations[k]):
             if abs(stretch - laid) >= _STRETCHED:
                 here, laid = _sides(query, level, stretch), stretch
-            # The kernel narrows over a level's first iterations, so that far residuals can still pull at its start.
+            # The kernel narrows over a level's first iterations, so that large residuals have weight at its start.
             scale = options.scales_m[k] * max(1.0, 2.0 * 0.6**iteration)
             problem = linearise_both(there, here, T, reach, scale, options)
             if problem.count < options.least_matches:
-                return Refined(T, np.zeros((6, 6)), problem.sigma_m, problem.count, steps, False, stretch)
-            xi, longer = _step(problem, T, T_ref_query, laid, options, prior_information)
+                return IcpResult(T, np.zeros((6, 6)), problem.sigma_m, problem.count, steps, False, stretch)
+            xi, longer = _step(problem, laid, options)
             T, stretch = T @ se3_exp(xi), laid + longer
             steps += 1
             still = np.linalg.norm(xi[:3]) < 2e-4 and np.linalg.norm(xi[3:]) < 2e-5 and abs(stretch - laid) < _STRETCHED
@@ -253,50 +207,47 @@ def refine(
                 converged = True
                 break
     T[:3, :3] = project_to_rotation(T[:3, :3])
-    return Refined(T, _information(problem, options), problem.sigma_m, problem.count, steps, converged, stretch)
+    return IcpResult(T, _information(problem, options), problem.sigma_m, problem.count, steps, converged, stretch)
 
 
 def _sides(planes: PlaneMap, level: int, stretch: float) -> tuple[Planes, Sample]:
     return planes.level(level).stretched(stretch), planes.sample(level).stretched(stretch)
 
 
-def assess(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: RefinementOptions, iterations: int) -> Refined:
-    """A pose found otherwise, with the information that it would have had it been found here."""
+def icp_result_at(
+    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: IcpOptions, iterations: int
+) -> IcpResult:
+    """A pose that was found by another method, with the information matrix that ICP gives it."""
     level = options.levels[-1]
     reach = min(ref.options.reach_m[level], query.options.reach_m[level])
     sides = _sides(ref, level, 0.0), _sides(query, level, 0.0)
     problem = linearise_both(*sides, T_ref_query, reach, options.scales_m[-1], options)
     enough = problem.count >= options.least_matches
     information = _information(problem, options) if enough else np.zeros((6, 6))
-    return Refined(T_ref_query, information, problem.sigma_m, problem.count, iterations, enough)
+    return IcpResult(T_ref_query, information, problem.sigma_m, problem.count, iterations, enough)
 
 
 def _variance(problem: Linearised) -> float:
-    """The variance of a residual in m^2, as one of many that err alike."""
+    """The variance of a residual in m^2, enlarged because residuals are correlated."""
     return float(max(problem.sigma_m, 1e-3) ** 2 * CORRELATION)
 
 
-def _information(problem: Linearised, options: RefinementOptions) -> Array:
-    """(6, 6) of the residuals' noise with the stretch unknown, and of what else odometry drifts between the nodes and
-    what was matched."""
+def _information(problem: Linearised, options: IcpOptions) -> Array:
+    """(6, 6) information of the pose: from the residuals, with the stretch marginalised, less the drift of odometry
+    over the lever arms."""
     H = problem.H[:6, :6] / _variance(problem)
     if options.stretch_sigma > 0:
         with_stretch = problem.H[6, :6] / _variance(problem)
         own = problem.H[6, 6] / _variance(problem) + options.stretch_sigma**-2
         H = H - np.outer(with_stretch, with_stretch) / own
     noise = np.linalg.inv(H + _OPEN * np.eye(6))
-    drift = problem.away_m * np.repeat([options.drift_per_m, options.turn_per_m], 3)
+    drift = problem.lever_length_m * np.repeat([options.drift_per_m, options.turn_per_m], 3)
     return np.asarray(np.linalg.inv(noise + np.diag(np.square(drift))))
 
 
-def _step(
-    problem: Linearised, T: Array, T_start: Array, stretch: float, options: RefinementOptions, prior: Array | None
-) -> tuple[Array, float]:
-    """(6,) Gauss-Newton, held where nothing else does; and how the stretch changes."""
+def _step(problem: Linearised, stretch: float, options: IcpOptions) -> tuple[Array, float]:
+    """The Gauss-Newton step (6,) and the change of the stretch; directions that nothing constrains do not change."""
     H, g = problem.H.copy(), problem.g.copy()
-    if prior is not None:
-        H[:6, :6] += _variance(problem) * prior
-        g[:6] += _variance(problem) * prior @ se3_log(invert(T_start) @ T)
     count = 6
     if options.stretch_sigma > 0:
         H[6, 6] += _variance(problem) / options.stretch_sigma**2

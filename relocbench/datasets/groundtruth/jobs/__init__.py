@@ -1,1 +1,1 @@
-"""From recordings to a dataset with ground truth."""
+"""The build of a dataset with ground truth from recordings."""

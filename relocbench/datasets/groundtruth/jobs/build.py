@@ -1,8 +1,8 @@
-"""From recordings of one road to a dataset: the first is the reference, all others ask about it.
+"""The build of a dataset from recordings of one road: the first is the reference, the others are queries.
 
-Everything that took long lies in ``OUT/groundtruth`` as soon as it is done, and a killed build goes on from there:
-``blocks/TRAVERSAL`` (points), ``registrations/REF__QUERY.csv`` (what was found at each node, and the evidence),
-``graph/REF__QUERY.csv`` (where the graph puts the nodes). Depth and images are kept file by file.
+Intermediate results that take long are written to ``OUT/groundtruth``, where a killed build continues:
+``blocks/TRAVERSAL`` (points), ``registrations/REF__QUERY.csv`` (the registration of each node, with its evidence) and
+``graph/REF__QUERY.csv`` (the poses of the nodes). Depth and images are written file by file.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from relocbench.datasets.groundtruth.jobs.writing import Frames, choose_frames, 
 from relocbench.datasets.groundtruth.pairs.outcome import PairOutcome
 from relocbench.datasets.groundtruth.pairs.pairing import CameraFrames, Paired, PairingUnit, pair_up
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind
-from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive, write_graph
+from relocbench.datasets.groundtruth.pose_graph.files import write_graph
 from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.datasets.pairs.correspondences import write_pair_set
@@ -36,16 +36,16 @@ from relocbench.progress import Reporter
 def build_ground_truth(
     recordings: Sequence[FieldRecording], writer: DatasetWriter, options: FieldOptions, reporter: Reporter, run: Run
 ) -> Dataset:
-    """The dataset of a reference drive and the drives that ask about it.
+    """Build the dataset of a reference drive and its query drives.
 
     Args:
-        recordings: as :func:`check` lets them pass.
+        recordings: at least two, the reference first.
 
     Raises:
-        ConfigError: an option that does not fit the recordings.
-        DatasetError: something in a recording is damaged; or no pair could be accepted, with the reason.
+        ConfigError: an option does not fit the recordings.
+        DatasetError: a recording is damaged, or no pair could be accepted; names the most frequent reason.
     """
-    cameras, first = check(recordings, options)
+    cameras, first = check_recordings(recordings, options)
     folder = writer.layout.root / "groundtruth"
     if not options.use_prior:
         recordings = [replace(recording, prior=None) for recording in recordings]
@@ -64,7 +64,7 @@ def build_ground_truth(
         for query, asking in zip(queries, frames[1:], strict=True)
     ]
     paired = _pair(units, folder / "graph", reporter, run)
-    _refuse_nothing(paired, [q.name for q in queries], folder / "registrations")
+    _require_accepted(paired, [q.name for q in queries], folder / "registrations")
     poses = rig_poses(recordings, frames, paired)
     for recording, drive, chosen, known in zip(recordings, drives, frames, poses, strict=True):
         write_traversal(writer, recording, drive, chosen, known, options, reporter, run)
@@ -85,30 +85,32 @@ def build_ground_truth(
     return writer.finish()
 
 
-def check(recordings: Sequence[FieldRecording], options: FieldOptions) -> tuple[tuple[str, ...], FirstPose | None]:
-    """The cameras whose images are paired, and the first pair given by hand.
+def check_recordings(
+    recordings: Sequence[FieldRecording], options: FieldOptions
+) -> tuple[tuple[str, ...], FirstPose | None]:
+    """Check recordings against the options. Returns the cameras whose images are paired, and the pose given by hand.
 
     Raises:
-        ConfigError: fewer than two drives, a camera that one of them does not have, a first pair that is none or lies
-            outside the drives.
-        DatasetError: a drive has no images.
+        ConfigError: there are fewer than two drives, one of them lacks a camera, or the pose given by hand cannot be
+            read or is of a time outside the drives.
+        DatasetError: the reference has no images.
     """
     if len(recordings) < 2:
         raise ConfigError(f"ground truth across drives needs a reference and at least one other, got {len(recordings)}")
     there = recordings[0].cameras
-    asked = options.cameras or tuple(there)[:1]
-    if not asked:
+    wanted = options.cameras or tuple(there)[:1]
+    if not wanted:
         raise DatasetError("holds no images", recordings[0].folder)
     for recording in recordings:
-        for name in asked:
+        for name in wanted:
             if name not in recording.cameras:
                 known = ", ".join(recording.cameras) or "none"
                 raise ConfigError(f"--cameras: {recording.name} has no images of a camera '{name}'; it has {known}")
-    return asked, _first_pose(recordings, options)
+    return wanted, _first_pose(recordings, options)
 
 
 def _first_pose(recordings: Sequence[FieldRecording], options: FieldOptions) -> FirstPose | None:
-    """With several query drives it is that of the one whose times it names."""
+    """The pose of ``--first-pose``; its query time decides which query drive it is of."""
     if not options.first_pose:
         return None
     words = options.first_pose.replace(",", " ").split()
@@ -116,11 +118,11 @@ def _first_pose(recordings: Sequence[FieldRecording], options: FieldOptions) -> 
         ref_ns, query_ns = (int(word) for word in words[:2])
         pose = parse_pose(words[2:], Path("--first-pose"), 1)
     except (ValueError, DatasetError):
-        raise ConfigError("--first-pose is 'REF_NS QUERY_NS tx ty tz qx qy qz qw'") from None
+        raise ConfigError("--first-pose: expected 'REF_NS QUERY_NS tx ty tz qx qy qz qw'") from None
     for time, drives in ((ref_ns, recordings[:1]), (query_ns, recordings[1:])):
         if not any(r.odometry.times_ns[0] <= time <= r.odometry.times_ns[-1] for r in drives):
             names = ", ".join(r.name for r in drives)
-            raise ConfigError(f"--first-pose: {time} is no time (in nanoseconds) of {names}")
+            raise ConfigError(f"--first-pose: {time} (nanoseconds) is outside the times of {names}")
     return ref_ns, query_ns, pose
 
 
@@ -144,37 +146,27 @@ def _pair(units: Sequence[PairingUnit], folder: Path, reporter: Reporter, run: R
     with reporter.stage("pose graphs and pairs", len(units)) as advance:
         for index, paired in run_units(pair_up, units, run):
             unit = units[index]
-            _write_graph(folder / f"{unit.reference.name}__{unit.query.name}.csv", unit, paired)
+            path = folder / f"{unit.reference.name}__{unit.query.name}.csv"
+            write_graph(path, paired.reference, paired.query)
             out[index] = paired
             advance(1)
     return [out[k] for k in range(len(units))]
 
 
-def _write_graph(path: Path, unit: PairingUnit, paired: Paired) -> None:
-    count = len(unit.reference.nodes)
-    before, after = paired.way_to_trusted[:count], paired.way_to_trusted[count:]
-    verdicts = {r.query: verdict for r, verdict in zip(unit.registrations, paired.verdicts, strict=True)}
-    write_graph(
-        path,
-        PlacedDrive(unit.reference.name, unit.reference.nodes.times_ns, paired.T_world_ref, before, {}),
-        PlacedDrive(unit.query.name, unit.query.nodes.times_ns, paired.T_world_query, after, verdicts),
-    )
-
-
-def _refuse_nothing(paired: Sequence[Paired], queries: Sequence[str], folder: Path) -> None:
-    """Raises DatasetError where not one pair was accepted."""
+def _require_accepted(paired: Sequence[Paired], queries: Sequence[str], folder: Path) -> None:
+    """Raises DatasetError if no pair was accepted."""
     everything = [o for p in paired for outcomes in p.outcomes.values() for o in outcomes]
     if any(o.accepted for o in everything):
         return
     kinds = by_kind(o.reason for o in everything)
     often = next(iter(kinds.values()))[0] if kinds else "there are no images"
     raise DatasetError(
-        f"no pair of {', '.join(queries)} could be accepted; most often: {often} (all registrations lie here)", folder
+        f"no pair of {', '.join(queries)} could be accepted; most often: {often} (the registrations are here)", folder
     )
 
 
 def _summary(query: str, camera: str, outcomes: Sequence[PairOutcome]) -> str:
-    """One line for a person: how many pairs, how certain, and why the others are not in."""
+    """One line for the user: the number of accepted pairs, their median sigmas, and why others were rejected."""
     accepted = [o for o in outcomes if o.accepted]
     text = f"{query}, {camera}: {len(accepted)} of {len(outcomes)} pairs accepted"
     if accepted:

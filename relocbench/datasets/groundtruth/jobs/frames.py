@@ -1,4 +1,4 @@
-"""Which images of a drive take part: one every so many metres of road."""
+"""Selection of the images of a drive that are paired, at equal distances along the road."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from relocbench.datasets.sensors.recording import CameraStream, FieldRecording
 Times = NDArray[np.int64]
 
 
-def chosen_images(
+def select_images(
     recording: FieldRecording, stream: CameraStream, nodes: Nodes, apart_m: float, *, in_gaps: bool = False
 ) -> list[int]:
-    """Indices of images at least ``apart_m`` of road apart, within the drive's nodes; standing still gives one.
+    """Indices of images at least ``apart_m`` of road apart, between the first and the last node of the drive.
 
     Args:
-        in_gaps: also images of times that the odometry does not know, as many as at the drive's mean speed, so that a
-            refusal of theirs is on record.
+        in_gaps: also select images at times that the odometry does not cover, as many as at the drive's mean speed, so
+            that their rejection is recorded.
     """
     times = stream.times_ns
     inside = (times >= nodes.times_ns[0]) & (times <= nodes.times_ns[-1])
@@ -28,9 +28,9 @@ def chosen_images(
         return []
     seconds = (times - nodes.times_ns[0]) / 1e9
     at_nodes = (nodes.times_ns - nodes.times_ns[0]) / 1e9
-    way = np.interp(seconds, at_nodes, nodes.travelled_m)
-    pieces = nodes.stretches()
-    same = pieces[1:] == pieces[:-1]
+    travelled = np.interp(seconds, at_nodes, nodes.travelled_m)
+    segments = nodes.segments()
+    same = segments[1:] == segments[:-1]
     driven, spent = np.diff(nodes.travelled_m)[same].sum(), np.diff(at_nodes)[same].sum()
     wait_s = apart_m * spent / driven if driven > 0 else np.inf
     chosen: list[int] = []
@@ -38,7 +38,7 @@ def chosen_images(
         if chosen:
             last = chosen[-1]
             waited = not (known[index] and known[last]) and seconds[index] - seconds[last] >= wait_s - 1e-9
-            if not waited and way[index] - way[last] < apart_m - 1e-6:
+            if not waited and travelled[index] - travelled[last] < apart_m - 1e-6:
                 continue
         chosen.append(index)
     return chosen

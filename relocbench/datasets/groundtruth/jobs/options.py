@@ -1,4 +1,4 @@
-"""Options of every importer that builds ground truth from lidar."""
+"""The options that all importers share which build ground truth from lidar."""
 
 from __future__ import annotations
 
@@ -9,37 +9,37 @@ from pydantic import Field, model_validator
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions
 from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits
-from relocbench.datasets.groundtruth.registration.along_drive import TrackingOptions
+from relocbench.datasets.groundtruth.registration.along_drive import DriveRegistrationOptions
 from relocbench.datasets.groundtruth.registration.global_registration import GlobalOptions
 from relocbench.datasets.groundtruth.registration.submap_pair import RegisterOptions
 
 
 class FieldOptions(ImportOptions):
-    """What a user may choose; the rest has one good value."""
+    """The options of the build that a user can set."""
 
-    cameras: tuple[str, ...] = Field((), description="cameras whose images are paired; default: the first there is")
+    cameras: tuple[str, ...] = Field((), description="cameras whose images are paired; default: the first one")
     keyframe_distance: float = Field(1.0, gt=0, description="metres of road between keyframes of the reference")
     query_distance: float = Field(1.0, gt=0, description="metres of road between images of a query drive")
-    submap: float = Field(60.0, ge=10, le=300, description="metres of road that a submap shows")
-    depth_submap: float = Field(60.0, ge=10, le=300, description="metres of road that a keyframe's depth is drawn from")
+    submap: float = Field(60.0, ge=10, le=300, description="metres of road in a submap")
+    depth_submap: float = Field(60.0, ge=10, le=300, description="metres of road in a submap that depth is drawn from")
     depth: Literal["lidar", "stereo"] = Field(
-        "lidar", description="where depth comes from; stereo needs a second camera, rectified with the first"
+        "lidar", description="source of depth; stereo needs a second camera, rectified with the first"
     )
     matcher: Literal["ransac", "fgr", "kiss-matcher"] = Field(
-        "ransac", description="search for the first pair and for lost ones (kiss-matcher: of the extra 'registration')"
+        "ransac", description="method of place recognition by features (kiss-matcher needs the extra 'registration')"
     )
     icp: Literal["own", "open3d", "small_gicp"] = Field(
-        "own", description="refinement of registrations (small_gicp: of the extra 'registration')"
+        "own", description="implementation of ICP (small_gicp needs the extra 'registration')"
     )
     first_pose: str = Field(
         "",
-        description="the first pair by hand: 'REF_NS QUERY_NS tx ty tz qx qy qz qw', T_ref_query of the rigs; checked",
+        description="pose of a pair by hand: 'REF_NS QUERY_NS tx ty tz qx qy qz qw', T_ref_query of the rigs; verified",
     )
-    use_prior: bool = Field(True, description="let GNSS limit the search for the first pair")
+    use_prior: bool = Field(True, description="limit place recognition by GNSS")
     max_sigma: float = Field(
-        0.05, gt=0, description="a pair whose position is less certain than this along, across or above is rejected"
+        0.05, gt=0, description="largest sigma of an accepted pair's position on each axis, metres"
     )
-    max_sigma_rotation: float = Field(0.15, gt=0, description="the same for its rotation, degrees")
+    max_sigma_rotation: float = Field(0.15, gt=0, description="largest sigma of its rotation, degrees")
 
     @model_validator(mode="after")
     def _only_nearest(self) -> FieldOptions:
@@ -49,16 +49,16 @@ class FieldOptions(ImportOptions):
 
     @property
     def alignment(self) -> AlignmentOptions:
-        """For the registration of drives."""
-        tracking = TrackingOptions(
+        """The options for aligning two drives."""
+        registration = DriveRegistrationOptions(
             register=RegisterOptions(backend=self.icp),
             search=GlobalOptions(matcher=self.matcher, seeds=tuple(range(3 * self.seed, 3 * self.seed + 3))),
         )
-        return AlignmentOptions(submap_m=self.submap, tracking=tracking)
+        return AlignmentOptions(submap_m=self.submap, registration=registration)
 
     @property
     def limits(self) -> OutcomeLimits:
-        """For the outcome of pairs."""
+        """The limits within which pairs are accepted."""
         return OutcomeLimits(
             distance_m=self.max_distance,
             sigma_along_m=self.max_sigma,

@@ -1,4 +1,4 @@
-"""The drives of a dataset: descriptions, poses, images and depth."""
+"""Writing the traversals of a dataset: descriptions, poses, images and depth."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.groundtruth.depth.depth import DepthOptions
 from relocbench.datasets.groundtruth.depth.images import DepthFrame, DepthView, make_depth
 from relocbench.datasets.groundtruth.depth.stereo_partner import StereoPair, stereo_pair
-from relocbench.datasets.groundtruth.jobs.frames import chosen_images
+from relocbench.datasets.groundtruth.jobs.frames import select_images
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.groundtruth.pairs.pairing import Paired
 from relocbench.datasets.groundtruth.submaps.drive import Drive
@@ -31,11 +31,11 @@ _IMAGES_A_UNIT = 16
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """The images of one camera of one drive that take part."""
+    """The selected images of one camera of one drive."""
 
     stream: CameraStream
     pair: StereoPair | None
-    """of this camera with another one of its rig"""
+    """the stereo pair of this camera, if it has one"""
     indices: tuple[int, ...]
 
     @property
@@ -46,26 +46,33 @@ class Frames:
 def choose_frames(
     recording: FieldRecording, drive: Drive, camera: str, options: FieldOptions, *, is_reference: bool
 ) -> Frames:
-    """Raises ConfigError where stereo is asked for and there is none, DatasetError where no image can take part."""
+    """Select the images of a camera.
+
+    Raises:
+        ConfigError: depth by stereo is wanted and the camera has no stereo pair.
+        DatasetError: no image can be selected.
+    """
     stream, pair = recording.cameras[camera], stereo_pair(recording.cameras, camera)
     if options.depth == "stereo" and pair is None:
         raise ConfigError(f"--depth stereo: {recording.name} has no camera to the right of {camera}, rectified with it")
     apart = options.keyframe_distance if is_reference else options.query_distance
-    # Without a pose there is no keyframe; that a query has none is to be on record.
-    indices = chosen_images(recording, stream, drive.nodes, apart, in_gaps=not is_reference)
+    # A keyframe needs a pose; for a query without one the rejection is recorded.
+    indices = select_images(recording, stream, drive.nodes, apart, in_gaps=not is_reference)
     if options.depth == "stereo" and pair is not None:
         both = pair.common_times()
         indices = [i for i in indices if int(stream.times_ns[i]) in both]
     if not indices:
-        raise DatasetError(f"no image of {camera} was taken while lidar and odometry ran", recording.folder)
+        raise DatasetError(f"no image of {camera} was taken while lidar and odometry were recorded", recording.folder)
     return Frames(stream, pair, tuple(indices))
 
 
 def rig_poses(
     recordings: Sequence[FieldRecording], frames: Sequence[Mapping[str, Frames]], paired: Sequence[Paired]
 ) -> list[dict[int, Array]]:
-    """timestamp_ns -> ``T_world_rig`` of each drive. The world is the reference's odometry; a query image lies where
-    its accepted pair puts it."""
+    """For each drive, timestamp_ns -> ``T_world_rig``.
+
+    The world is the reference's odometry. The pose of a query image is that by its accepted pair.
+    """
     reference = recordings[0]
     times = sorted({time for chosen in frames[0].values() for time in chosen.times})
     T_world_ref = dict(zip(times, reference.odometry.at(np.array(times, dtype=np.int64)), strict=True))
@@ -92,7 +99,7 @@ def write_traversal(
     reporter: Reporter,
     run: Run,
 ) -> None:
-    """Description, poses, images and depth of one drive; depth where there is a pose."""
+    """Write the description, poses, images and depth of one drive; only images with a pose have depth."""
     name, length, entries = recording.name, options.depth_submap, {}
     for camera, chosen in frames.items():
         _write_images(writer, name, chosen, options, reporter, run)
@@ -118,7 +125,7 @@ def write_traversal(
 
 @dataclass(frozen=True, eq=False)
 class _ImageUnit:
-    """Images that have to be developed before they can be written."""
+    """Raw images to be developed and written, as a unit of work."""
 
     stream: CameraStream
     layout: DatasetLayout

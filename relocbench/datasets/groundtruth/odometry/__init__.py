@@ -1,1 +1,1 @@
-"""Odometry from lidar, for drives that have none."""
+"""Odometry computed from lidar, for drives that have none."""

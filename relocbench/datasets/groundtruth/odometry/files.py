@@ -1,4 +1,4 @@
-"""Odometry computed from lidar, kept on disk: it takes longer than most of what is made of it."""
+"""Odometry computed from lidar, kept on disk because computing it takes long."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from relocbench.progress import Reporter
 
 
 def kept_in(path: Path) -> FromLidar:
-    """Odometry that is read from ``path`` where it is there, and computed and written there where it is not.
+    """A function that reads odometry from ``path``, or computes it and writes it there if the file does not exist.
 
-    The file has a line ``timestamp_ns,tx,ty,tz,qx,qy,qz,qw`` a scan: the rig seen from its first pose.
+    The file has one line ``timestamp_ns,tx,ty,tz,qx,qy,qz,qw`` for each scan: the pose of the rig in the frame of its
+    first pose.
     """
 
     def odometry(
@@ -26,11 +27,11 @@ def kept_in(path: Path) -> FromLidar:
     ) -> Trajectory:
         if not path.exists():
             _write(path, lidar_odometry(lidar, reporter, max_gap_ns=max_gap_ns))
-        # What is used is what a resumed build would read.
+        # Always use the file, so that a fresh build and a resumed one use the same numbers.
         poses = read_trajectory(path)
         times = np.array(list(poses), dtype=np.int64)
         if len(times) < 2 or not np.isin(times, lidar.times_ns).all():
-            raise DatasetError(f"is no odometry of the scans of {lidar.name}; remove it and build again", path)
+            raise DatasetError(f"is not the odometry of the scans of {lidar.name}; remove it and build again", path)
         return Trajectory(times, np.array(list(poses.values())), max_gap_ns)
 
     return odometry

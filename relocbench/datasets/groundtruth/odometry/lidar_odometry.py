@@ -1,4 +1,4 @@
-"""Odometry from a spinning lidar, where a drive has none: KISS-ICP finds each step, planes make it exact.
+"""Odometry from a spinning lidar: KISS-ICP estimates each step, and a fit to planes makes it precise.
 
 Vizzo et al., KISS-ICP: In Defense of Point-to-Point ICP, RA-L 2023.
 """
@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.odometry.plane_map import PlaneMap
+from relocbench.datasets.groundtruth.odometry.local_map import LocalMap
 from relocbench.datasets.sensors.recording import LidarStream, Scan, Trajectory
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import apply, invert, make_transform, project_to_rotation, se3_exp, se3_log
@@ -19,15 +19,15 @@ from relocbench.progress import Reporter, Silent
 Array = NDArray[np.float64]
 
 _FEWEST_POINTS = 100
-"""a scan with fewer says nothing about motion"""
+"""a scan with fewer points is skipped"""
 _START_SCANS = 4
-"""scans that tell how fast the drive begins"""
+"""the speed at the start is estimated from so many scans"""
 _SLICES = 64
-"""the motion during a scan is worked out at so many times, and points are interpolated between them"""
+"""the motion during a scan is computed at the borders of so many slices; points are interpolated between them"""
 
 
 class FromLidar(Protocol):
-    """Gives the odometry of a lidar: :func:`lidar_odometry`, or something that keeps what it found."""
+    """A function that returns the odometry of a lidar, such as :func:`lidar_odometry` or one that caches its result."""
 
     def __call__(
         self, lidar: LidarStream, reporter: Reporter | None = None, /, *, max_gap_ns: int = 1_000_000_000
@@ -41,25 +41,25 @@ def lidar_odometry(
     nearest_m: float = 3.0,
     max_gap_ns: int = 1_000_000_000,
 ) -> Trajectory:
-    """The rig's motion, in the frame of its first pose, at the times of the scans.
+    """The poses of the rig at the times of the scans, in the frame of the first pose.
 
-    Points are brought to their scan's time by the speed of the step before, as KISS-ICP does; steps of unequal length
-    are allowed for. One thread: the same scans give the same bytes.
+    Scans are deskewed with the velocity of the previous step, as in KISS-ICP; scans need not be equally spaced in time.
+    The computation uses one thread, so that the same scans give the same bytes.
 
     Args:
-        nearest_m: nearer points are left out: they belong to the car itself.
-        max_gap_ns: longest time between two scans; the trajectory is broken at longer ones.
+        nearest_m: points nearer than this are left out, since they belong to the car itself.
+        max_gap_ns: the trajectory is interrupted where two scans are further apart in time than this.
 
     Raises:
-        ConfigError: the lidar does not spin; single planes of a push-broom lidar cannot be registered.
-        DatasetError: a scan is damaged, or too few have points.
+        ConfigError: the lidar does not spin; the single planes of a push-broom lidar cannot be registered.
+        DatasetError: a scan is damaged, or fewer than two scans have enough points.
     """
     if lidar.pattern != "spinning":
-        raise ConfigError(f"odometry from lidar needs a spinning one; {lidar.name} is {lidar.pattern}")
+        raise ConfigError(f"odometry from lidar needs a spinning lidar; {lidar.name} is {lidar.pattern}")
     times = lidar.times_ns
     started = _Registration(lidar, nearest_m)
     if _is_skewed(lidar.read(0)):
-        # The first scan is straightened only if the speed is known; a rough one comes from scans taken as they are.
+        # Deskewing the first scan needs a velocity: a rough one comes from registering some scans without deskewing.
         for i in range(min(_START_SCANS, len(times))):
             started.add(int(times[i]), lidar.read(i))
     run = _Registration(lidar, nearest_m, started.twist)
@@ -76,24 +76,24 @@ def lidar_odometry(
 
 
 class _Registration:
-    """Scan after scan against the map of those before."""
+    """Registers one scan after another against a local map of the scans before."""
 
     def __init__(self, lidar: LidarStream, nearest_m: float, twist: Array | None = None) -> None:
         self._icp = _kiss_icp(lidar.max_range_m, nearest_m)
-        self._planes = PlaneMap()
+        self._planes = LocalMap()
         self._nearest_m = nearest_m
         self.twist = np.zeros(6) if twist is None else twist
-        """(6,) motion in a nanosecond"""
+        """(6,) velocity: twist per nanosecond"""
         self.times: list[int] = []
         self.poses: list[Array] = []
 
     def add(self, time_ns: int, scan: Scan) -> None:
-        """Register a scan; one without points is passed over."""
+        """Register a scan, unless it has too few points."""
         if len(scan.points) < _FEWEST_POINTS:
             return
         elapsed = time_ns - self.times[-1] if self.times else 0
         self._icp.last_delta = se3_exp(self.twist * elapsed)
-        points = straightened(scan, time_ns, self.twist)
+        points = deskewed(scan, time_ns, self.twist)
         self._icp.register_frame(points, np.empty(0))
         outside = points[np.sum(points**2, axis=1) >= self._nearest_m**2]
         pose = np.eye(4)
@@ -105,11 +105,11 @@ class _Registration:
         self.poses.append(pose)
 
 
-def straightened(scan: Scan, time_ns: int, twist: Array) -> Array:
-    """(N, 3) points as they would have been measured at one time, all at once, by a lidar that moves evenly.
+def deskewed(scan: Scan, time_ns: int, twist: Array) -> Array:
+    """(N, 3) points of a scan as seen from the lidar's pose at ``time_ns``, assuming constant velocity.
 
     Args:
-        twist: (6,) its motion in a nanosecond, in its own frame.
+        twist: (6,) velocity of the lidar in its own frame: twist per nanosecond.
     """
     offsets = (scan.times_ns - time_ns).astype(np.float64)
     if not len(offsets) or not _is_skewed(scan):
@@ -129,7 +129,7 @@ def _is_skewed(scan: Scan) -> bool:
 
 
 def _kiss_icp(farthest_m: float, nearest_m: float) -> Any:
-    """KISS-ICP with every setting given, so that no environment variable has a say."""
+    """KISS-ICP with every setting given, so that environment variables cannot change any."""
     from kiss_icp.config import KISSConfig
     from kiss_icp.config.config import AdaptiveThresholdConfig, DataConfig, MappingConfig, RegistrationConfig
     from kiss_icp.kiss_icp import KissICP

@@ -1,1 +1,1 @@
-"""Which images of two drives are paired, and why a pair is refused."""
+"""Pairs of images of two drives: which are paired, with what pose and covariance, and why a pair is rejected."""

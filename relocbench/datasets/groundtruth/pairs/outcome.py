@@ -1,4 +1,4 @@
-"""What becomes of a pair: its pose and how certain it is, or why it is refused."""
+"""The outcome of a pair: its pose and covariance, or the reason why it is rejected."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.datasets.sensors.recording import Trajectory
-from relocbench.errors import ConfigError
 from relocbench.geometry import adjoint, interpolate, invert
 
 Array = NDArray[np.float64]
@@ -24,38 +23,33 @@ SOURCE = "lidar registration, pose graph"
 
 @dataclass(frozen=True)
 class OutcomeLimits:
-    """What a pair needs to be accepted."""
+    """Limits within which a pair is accepted."""
 
     distance_m: float = 10.0
-    """between the cameras"""
+    """largest distance between the cameras"""
     evidence_m: float = 15.0
-    """along both drives to the nearest trusted registration"""
+    """largest distance, along each drive, to the nearest trusted registration"""
     both_sides_m: float = 30.0
-    """along the query's drive to trusted registrations before and after; beyond one of them the sigmas are cut"""
+    """largest distance, along the query's drive, to trusted registrations both before and after; if one is further
+    away, the limits on sigmas are reduced"""
     one_sided: float = 0.5
-    """share of the limits on sigmas that holds where there is no trusted registration on one side"""
+    """factor of this reduction"""
     sigma_along_m: float = 0.05
     sigma_across_m: float = 0.05
     sigma_height_m: float = 0.05
     sigma_rotation_deg: float = 0.15
     contradiction_m: float = 30.0
-    """along either drive, from an odometry edge that registrations contradict"""
-
-    def __post_init__(self) -> None:
-        sigmas = (self.sigma_along_m, self.sigma_across_m, self.sigma_height_m, self.sigma_rotation_deg)
-        ways = (self.distance_m, self.evidence_m, self.both_sides_m, self.one_sided, self.contradiction_m)
-        if not all(v > 0 for v in (*sigmas, *ways)):
-            raise ConfigError("limits of an outcome must be positive")
+    """least distance, along either drive, from an odometry edge that registrations contradict"""
 
 
 @dataclass(frozen=True, eq=False)
 class PairOutcome:
-    """One (keyframe, query), accepted or refused."""
+    """A pair (keyframe, query), accepted or rejected."""
 
     ref_timestamp_ns: int
     query_timestamp_ns: int
     T_query_ref: Array | None
-    """(4, 4) camera to camera; None where nothing can be said"""
+    """(4, 4) camera to camera; None if it is unknown"""
     covariance: Array | None
     """(6, 6) of ``xi`` in ``T_ref_query @ se3_exp(xi)``, camera to camera, in the query camera's axes"""
     sigma_along_m: float | None
@@ -65,9 +59,9 @@ class PairOutcome:
     sigma_height_m: float | None
     """along its z"""
     sigma_rotation_deg: float | None
-    """of an axis: ``sqrt(trace / 3)``"""
+    """standard deviation of the rotation about one axis: ``sqrt(trace / 3)``"""
     reason: str = ""
-    """why it is refused; empty if it is accepted"""
+    """why it is rejected; empty if it is accepted"""
 
     @property
     def accepted(self) -> bool:
@@ -75,21 +69,19 @@ class PairOutcome:
 
     @property
     def sigma_translation_m(self) -> float | None:
-        """The standard deviation in one direction, ``sqrt(trace / 3)``, metres."""
+        """Standard deviation of the position along one axis: ``sqrt(trace / 3)``, metres."""
         return None if self.covariance is None else float(np.sqrt(np.trace(self.covariance[:3, :3]) / 3))
 
-    def refused(self, reason: str) -> PairOutcome:
-        """The same, refused."""
+    def rejected(self, reason: str) -> PairOutcome:
+        """The same pair, rejected for a reason."""
         return replace(self, reason=reason)
 
-    def pair(self, group: str = "", overlap: float | None = None) -> Pair:
-        """As a row of a pair set."""
+    def pair(self) -> Pair:
+        """The pair as a row of a pair set."""
         return Pair(
             self.ref_timestamp_ns,
             self.query_timestamp_ns,
             self.T_query_ref if self.accepted else None,
-            group=group,
-            overlap=overlap,
             sigma_translation_m=self.sigma_translation_m,
             sigma_rotation_deg=self.sigma_rotation_deg,
             source=SOURCE,
@@ -102,31 +94,30 @@ class PairOutcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
-    """Where the rig was at some time, by the graph."""
+class RigPose:
+    """Pose of the rig at some time, by the pose graph."""
 
     node: int
-    """nearest in way, of its own drive"""
+    """number of the nearest node of its drive"""
     T_world_rig: Array
     """(4, 4)"""
-    way_m: float
-    """from that node"""
+    distance_m: float
+    """distance from that node"""
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
-    """One of the two drives."""
+class SolvedDrive:
+    """One of the two drives of a solved pose graph."""
 
     nodes: Nodes
     odometry: Trajectory
     T_world_node: Array
-    """(K, 4, 4) by the graph"""
+    """(K, 4, 4) poses of the nodes, by the graph"""
 
-    def place(self, time_ns: int) -> Place | None:
-        """The rig at a time: along the odometry from the nodes around it. None where the odometry has no pose.
+    def place(self, time_ns: int) -> RigPose | None:
+        """The pose of the rig at a time, by odometry from the nodes around it; None if the odometry has no pose then.
 
-        Between two nodes both speak, each in proportion to its nearness, so that corrections of the graph go over
-        smoothly.
+        Between two nodes the poses by either are interpolated, so that the result is continuous.
         """
         if not bool(self.odometry.covers(np.array([time_ns]))[0]):
             return None
@@ -134,23 +125,23 @@ class Side:
         times = self.nodes.times_ns
         after = int(np.searchsorted(times, time_ns, side="right"))
         around = [n for n in (after - 1, after) if 0 <= n < len(times)]
-        if self.nodes.stretch is not None and len(around) == 2:
-            around = self._same_piece(around, time_ns)
+        if len(around) == 2:
+            around = self._same_segment(around, time_ns)
         steps = [invert(self.nodes.T_odom_node[n]) @ T_odom_rig for n in around]
-        ways = [float(np.linalg.norm(T[:3, 3])) for T in steps]
+        distances = [float(np.linalg.norm(T[:3, 3])) for T in steps]
         said = [self.T_world_node[n] @ T for n, T in zip(around, steps, strict=True)]
-        nearest = int(np.argmin(ways))
-        if len(around) == 1 or sum(ways) < 1e-9:
-            return Place(around[nearest], said[nearest], ways[nearest])
-        T_world_rig = interpolate(said[0], said[1], ways[0] / (ways[0] + ways[1]))
-        return Place(around[nearest], T_world_rig, ways[nearest])
+        nearest = int(np.argmin(distances))
+        if len(around) == 1 or sum(distances) < 1e-9:
+            return RigPose(around[nearest], said[nearest], distances[nearest])
+        T_world_rig = interpolate(said[0], said[1], distances[0] / (distances[0] + distances[1]))
+        return RigPose(around[nearest], T_world_rig, distances[nearest])
 
-    def _same_piece(self, around: list[int], time_ns: int) -> list[int]:
-        """Those of two nodes that the odometry reaches without a gap."""
-        pieces = self.nodes.stretch
-        if pieces is None or pieces[around[0]] == pieces[around[1]]:
+    def _same_segment(self, around: list[int], time_ns: int) -> list[int]:
+        """Those of the two nodes around a time that are in its segment of the odometry."""
+        segment = self.nodes.segments()
+        if segment[around[0]] == segment[around[1]]:
             return around
-        # The gap lies on one side of the time: the node on the other side is reached through poses without a gap.
+        # The gap is on one side of the time, so that the node on the other side is in the same segment.
         poses = self.odometry.times_ns
         inner = poses[(poses >= self.nodes.times_ns[around[0]]) & (poses <= time_ns)]
         whole = len(inner) < 2 or int(np.diff(np.append(inner, time_ns)).max()) <= self.odometry.max_gap_ns
@@ -158,7 +149,7 @@ class Side:
 
 
 class Outcomes:
-    """Answers for every pair of two drives. Ask in the order of the road: neighbours share work."""
+    """Computes the outcomes of pairs of two drives. Calls in the order of the road are fastest."""
 
     def __init__(
         self,
@@ -168,27 +159,28 @@ class Outcomes:
         registrations: Sequence[Registration] = (),
         limits: OutcomeLimits | None = None,
     ) -> None:
-        """Args:
-        reference, query: the nodes of each drive and its odometry.
-        registrations: those that the solution was made from; they tell why there is no trusted one.
+        """
+        Args:
+            reference, query: the nodes of each drive and its odometry.
+            registrations: those that the solution was made from; they give the reason where none is trusted.
         """
         self.solution = solution
         self.limits = limits or OutcomeLimits()
-        self.reference = Side(*reference, solution.T_world_ref)
-        self.query = Side(*query, solution.T_world_query)
+        self.reference = SolvedDrive(*reference, solution.T_world_ref)
+        self.query = SolvedDrive(*query, solution.T_world_query)
         self._registrations = registrations
 
     @cached_property
     def _way_to_contradiction(self) -> Array:
-        """(N,) metres along its drive from each node to the nearest odometry edge that registrations contradict."""
-        bad = [node for first, second, _ in self.solution.stressed_odometry() for node in (first, second)]
-        return self.solution.drives.way_to(np.array(bad, dtype=np.int64)).min(axis=1)
+        """(N,) arc length from each node to the nearest odometry edge that registrations contradict, metres."""
+        bad = [node for edge in self.solution.contradicted_odometry() for node in edge]
+        return self.solution.drives.arc_length_to(np.array(bad, dtype=np.int64)).min(axis=1)
 
     def of(self, ref_ns: int, query_ns: int, T_rig_refcam: Array, T_rig_querycam: Array) -> PairOutcome:
-        """The outcome of a keyframe (its nearest one, if the distance is to mean anything) and a query.
+        """The outcome of a pair of a query and its nearest keyframe.
 
         Args:
-            ref_ns, query_ns: when the images were taken.
+            ref_ns, query_ns: times of the images.
             T_rig_refcam, T_rig_querycam: (4, 4) extrinsics of both cameras.
         """
         there, here = self.reference.place(ref_ns), self.query.place(query_ns)
@@ -199,20 +191,21 @@ class Outcomes:
             return self._unknown(ref_ns, query_ns, f"not registered: {self._why(here.node)}")
         covariance = self._covariance(there, here, T_rig_refcam, T_rig_querycam)
         T_query_ref = invert(here.T_world_rig @ T_rig_querycam) @ there.T_world_rig @ T_rig_refcam
-        # The query camera's axes are turned into its rig's, x along the street.
+        # The covariance is rotated from the query camera's axes into its rig's, with x along the street.
         R = T_rig_querycam[:3, :3]
         along, across, height = np.sqrt(np.diagonal(R @ covariance[:3, :3] @ R.T)).tolist()
         rotation = float(np.degrees(np.sqrt(np.trace(covariance[3:, 3:]) / 3)))
-        reason = self._refusal(there, here, T_query_ref, (along, across, height, rotation))
+        reason = self._rejection(there, here, T_query_ref, (along, across, height, rotation))
         return PairOutcome(ref_ns, query_ns, T_query_ref, covariance, along, across, height, rotation, reason)
 
     def _unknown(self, ref_ns: int, query_ns: int, reason: str) -> PairOutcome:
         return PairOutcome(ref_ns, query_ns, None, None, None, None, None, None, reason)
 
-    def _covariance(self, there: Place, here: Place, T_rig_refcam: Array, T_rig_querycam: Array) -> Array:
-        """(6, 6) of the twist on the right of ``T_refcam_querycam``.
+    def _covariance(self, there: RigPose, here: RigPose, T_rig_refcam: Array, T_rig_querycam: Array) -> Array:
+        """(6, 6) covariance of the twist on the right of ``T_refcam_querycam``.
 
-        The nodes' own, and that of odometry from each node to its image, are carried to the query camera.
+        It is the sum of the covariances of the nodes' relative pose and of the odometry from each node to its image,
+        all transformed to the query camera.
         """
         solution = self.solution
         _, nodes = solution.relative(there.node, here.node)
@@ -221,26 +214,28 @@ class Outcomes:
         out = np.zeros((6, 6))
         for T, cov in (
             (T_querynode_cam, nodes),
-            (T_rig_querycam, self._motion(here.way_m)),
-            (T_refrig_cam, self._motion(there.way_m)),
+            (T_rig_querycam, self._motion(here.distance_m)),
+            (T_refrig_cam, self._motion(there.distance_m)),
         ):
             A = adjoint(invert(T))
             out += A @ cov @ A.T
         return out
 
-    def _motion(self, way_m: float) -> Array:
-        """(6, 6) of odometry from a node; nothing is added at the node itself."""
+    def _motion(self, distance_m: float) -> Array:
+        """(6, 6) covariance of odometry over a distance from a node."""
         noise = self.solution.noise
-        return np.diag(way_m * noise.sigma**2)
+        return np.diag(distance_m * noise.sigma**2)
 
-    def _refusal(self, there: Place, here: Place, T_query_ref: Array, sigmas: tuple[float, float, float, float]) -> str:
-        """Why a pair is refused, the plainest reason first; empty if it is not."""
+    def _rejection(
+        self, there: RigPose, here: RigPose, T_query_ref: Array, sigmas: tuple[float, float, float, float]
+    ) -> str:
+        """Why a pair is rejected, the simplest reason first; empty if it is accepted."""
         limits, count = self.limits, self.solution.drives.reference_count
         apart = float(np.linalg.norm(T_query_ref[:3, 3]))
         if apart > limits.distance_m:
             return f"no keyframe within {limits.distance_m:g} m: nearest {apart:.0f} m"
-        before, after = self.solution.way_to_trusted[count + here.node].tolist()
-        nearest = max(min(before, after), float(self.solution.way_to_trusted[there.node].min()))
+        before, after = self.solution.arc_length_to_trusted[count + here.node].tolist()
+        nearest = max(min(before, after), float(self.solution.arc_length_to_trusted[there.node].min()))
         if nearest > limits.evidence_m:
             return f"not registered within {limits.evidence_m:g} m, {_metres(nearest)}: {self._why(here.node)}"
         contradiction = min(self._way_to_contradiction[there.node], self._way_to_contradiction[count + here.node])
@@ -258,7 +253,7 @@ class Outcomes:
         return ""
 
     def _why(self, query_node: int) -> str:
-        """What is said most often of the registrations that were tried near a query node."""
+        """The most frequent reason why registrations near a query node are not trusted."""
         nodes, at = self.query.nodes, self.query.nodes.travelled_m[query_node]
         said = [
             verdict or "its registration is checked by no other"
@@ -270,5 +265,5 @@ class Outcomes:
         return Counter(said).most_common(1)[0][0] if said else "no registration was found there"
 
 
-def _metres(way_m: float) -> str:
-    return "nor anywhere along the drive" if np.isinf(way_m) else f"nearest {way_m:.0f} m"
+def _metres(distance_m: float) -> str:
+    return "nor anywhere along the drive" if np.isinf(distance_m) else f"nearest {distance_m:.0f} m"

@@ -1,4 +1,4 @@
-"""Which keyframe each image of a query drive is paired with, and what becomes of the pair."""
+"""Pairing of each image of a query drive with a keyframe of the reference."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, map_prior, solve_drive
-from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome, Side
+from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome, SolvedDrive
+from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class CameraFrames:
-    """The images of one camera that take part, of both drives."""
+    """The images of one camera that are paired, of both drives."""
 
     camera: str
     T_rig_refcam: Array
@@ -31,7 +32,7 @@ class CameraFrames:
 
 @dataclass(frozen=True, eq=False)
 class PairingUnit:
-    """One query drive: its registrations, and the images to pair."""
+    """One query drive with its registrations and the images to pair: a unit of work."""
 
     reference: Drive
     query: Drive
@@ -47,22 +48,16 @@ class PairingUnit:
 
 @dataclass(frozen=True, eq=False)
 class Paired:
-    """What came of it."""
+    """The pairs of one query drive, and the solved graph."""
 
     outcomes: dict[str, list[PairOutcome]]
-    """camera -> one a query image"""
-    T_world_ref: Array
-    """(R, 4, 4) the reference's nodes"""
-    T_world_query: Array
-    """(Q, 4, 4)"""
-    verdicts: tuple[str, ...]
-    """why each registration did not take part in the graph; empty if it did"""
-    way_to_trusted: Array
-    """(R + Q, 2) metres back to the last and on to the next node with a trusted registration"""
+    """camera -> the outcome of each query image"""
+    reference: PlacedDrive
+    query: PlacedDrive
 
 
 def pair_up(unit: PairingUnit) -> Paired:
-    """Solve the graph of two drives and decide every pair."""
+    """Solve the pose graph of two drives and compute the outcome of every pair."""
     solution = solve_drive(unit.reference, unit.query, unit.registrations, unit.options)
     outcomes = Outcomes(
         solution,
@@ -72,11 +67,18 @@ def pair_up(unit: PairingUnit) -> Paired:
         unit.limits,
     )
     found = {frames.camera: _of_camera(unit, frames, solution, outcomes) for frames in unit.cameras}
-    return Paired(found, solution.T_world_ref, solution.T_world_query, solution.verdicts, solution.way_to_trusted)
+    count = len(unit.reference.nodes)
+    before, after = solution.arc_length_to_trusted[:count], solution.arc_length_to_trusted[count:]
+    verdicts = {r.query: verdict for r, verdict in zip(unit.registrations, solution.verdicts, strict=True)}
+    return Paired(
+        found,
+        PlacedDrive(unit.reference.name, unit.reference.nodes.times_ns, solution.T_world_ref, before, {}),
+        PlacedDrive(unit.query.name, unit.query.nodes.times_ns, solution.T_world_query, after, verdicts),
+    )
 
 
 def _of_camera(unit: PairingUnit, frames: CameraFrames, solution: Solution, outcomes: Outcomes) -> list[PairOutcome]:
-    keyframes = _Placed.of(outcomes.reference, solution, frames.ref_ns, frames.T_rig_refcam)
+    keyframes = _Keyframes.of(outcomes.reference, solution, frames.ref_ns, frames.T_rig_refcam)
     prior = map_prior(unit.reference, unit.query)
     out = []
     for time in frames.query_ns:
@@ -88,35 +90,37 @@ def _of_camera(unit: PairingUnit, frames: CameraFrames, solution: Solution, outc
             T_world_cam = place.T_world_rig @ frames.T_rig_querycam
             nearest, reason = keyframes.nearest(T_world_cam, part, unit.max_angle_deg)
         if nearest is None and prior is not None and prior.nearest(node) >= 0:
-            # Where nothing is registered, the map says which keyframe is refused.
+            # Where nothing is registered, the rejected pair has the nearest keyframe by GNSS.
             there = unit.reference.nodes.times_ns[prior.nearest(node)]
             nearest = frames.ref_ns[int(np.argmin(np.abs(np.array(frames.ref_ns) - there)))]
         found = outcomes.of(
             frames.ref_ns[0] if nearest is None else nearest, time, frames.T_rig_refcam, frames.T_rig_querycam
         )
-        out.append(found.refused(reason) if reason and found.accepted else found)
+        out.append(found.rejected(reason) if reason and found.accepted else found)
     return out
 
 
 @dataclass(frozen=True, eq=False)
-class _Placed:
-    """Keyframes where the graph puts them."""
+class _Keyframes:
+    """Keyframes with their poses by the graph."""
 
     times: tuple[int, ...]
     T_world_cam: Array
     part: NDArray[np.int64]
-    """which nodes each one's pose can be compared with"""
+    """(M,) the connected part of the graph that each keyframe is in"""
 
     @classmethod
-    def of(cls, side: Side, solution: Solution, times: Sequence[int], T_rig_cam: Array) -> _Placed:
+    def of(cls, side: SolvedDrive, solution: Solution, times: Sequence[int], T_rig_cam: Array) -> _Keyframes:
         places = [(time, place) for time in times if (place := side.place(time)) is not None]
         poses = np.array([place.T_world_rig @ T_rig_cam for _, place in places], dtype=np.float64)
         nodes = np.array([place.node for _, place in places], dtype=np.int64)
         return cls(tuple(time for time, _ in places), poses.reshape(-1, 4, 4), solution.part[nodes])
 
     def nearest(self, T_world_cam: Array, part: int, max_angle_deg: float) -> tuple[int | None, str]:
-        """The nearest keyframe of a part of the graph that looks about the same way; if none does, the nearest and why
-        it will not do. None where the part holds no keyframe."""
+        """Time of the nearest keyframe, in a part of the graph, that is turned by at most ``max_angle_deg``.
+
+        If there is none, the nearest keyframe and the reason for rejection; None if the part has no keyframe.
+        """
         here = self.part == part
         if not here.any():
             return None, ""

@@ -1,4 +1,4 @@
-"""Reasons of rejection told apart by kind: the same sentence with other numbers is the same kind."""
+"""Reasons for rejection by kind: the same sentence with other numbers is the same kind."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ _NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?")
 
 
 def kind_of(reason: str) -> str:
-    """The reason with its numbers taken out: ``no keyframe within … m: nearest … m``."""
+    """The reason with its numbers replaced by dots: ``no keyframe within … m: nearest … m``."""
     return _NUMBER.sub("…", reason)
 
 
 def common(reasons: Sequence[str]) -> str:
-    """One sentence for reasons of a kind: numbers on which all agree stay, such as a limit.
+    """One sentence for several reasons of a kind; it keeps the numbers that all have in common, such as a limit.
 
-    ``no keyframe within 5 m: nearest … m``
+    For example ``no keyframe within 5 m: nearest … m``.
     """
     numbers = [[match.group() for match in _NUMBER.finditer(reason)] for reason in reasons]
     same = [values[0] if len(set(values)) == 1 else "…" for values in zip(*numbers, strict=True)]
@@ -25,7 +25,7 @@ def common(reasons: Sequence[str]) -> str:
 
 
 def by_kind(reasons: Iterable[str]) -> dict[str, list[str]]:
-    """kind -> its reasons; the most frequent kind first, those of equal number by name."""
+    """kind -> its reasons, the most frequent kind first, in alphabetical order among equals."""
     found: dict[str, list[str]] = {}
     for reason in reasons:
         found.setdefault(kind_of(reason), []).append(reason)

@@ -1,1 +1,1 @@
-"""All registrations of two drives at once: which to believe, and the poses with covariances."""
+"""The pose graph of two drives: which registrations to trust, and poses of all nodes with covariances."""

@@ -1,26 +1,25 @@
-"""How single blocks of two drives fit each other: what the local edges of the graph are made of.
+"""The fit of single blocks of two drives, from which the local edges of the pose graph are made.
 
-Normals are noisy. The square of a wall's thousand normals, each a few degrees off, looks like a few surfaces that face
-along the street; so a bare wall would claim to know where along it one is, and always: just here. What two drives
-measured of the same surface errs independently, so the normals of one stand in for those of the other in one factor of
-each product: they are its instrument (Durbin, Errors in variables, 1954), and noise no longer counts as knowledge.
+Normals are noisy. In sums of their squares, a wall's thousand normals, each a few degrees off, look like a few
+surfaces that face along the street: a bare wall would seem to fix the position along it, always at the present
+estimate. The normals that two drives measured on the same surface have independent noise. Each product therefore has
+one factor from either drive, the normals of one being instrumental variables for those of the other (Durbin, Errors in
+variables, 1954), so that noise does not count as information.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
-from relocbench.datasets.groundtruth.pose_graph.edge_information import held, minimum, scatter_by_patch
+from relocbench.datasets.groundtruth.pose_graph.edge_information import minimum, nearest_semidefinite, scatter_by_patch
 from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalFit
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions, Planes, Sample
-from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
-from relocbench.geometry import robust_sigma
 
 Array = NDArray[np.float64]
 
@@ -29,69 +28,65 @@ _KEPT = 64
 _SCALE_M = 0.05
 _REACH_M = 0.2
 _COSINE = 0.8
-"""of the largest angle between normals that may meet"""
+"""cosine of the largest angle between the normals of a match"""
 _PATCH_M = 1.0
-"""side of the patches of surface on which points err alike"""
-_LEVER_M, _OPEN_SHARE = 10.0, 1e-4
+"""size of the patches of surface on which errors are correlated"""
+_CHARACTERISTIC_LENGTH_M, _OPEN_SHARE = 10.0, 1e-4
 """see :class:`relocbench.datasets.groundtruth.pose_graph.local_edges.LocalOptions`"""
 
 
 class BlockFits:
-    """Distances from points of a query's block to planes of a reference's block.
+    """Computes the distances from points of a query block to planes of a reference block, linearised.
 
-    Each block's planes and points are made once and kept while neighbours ask for them.
+    The planes and points of the blocks used last are kept in memory.
     """
 
     def __init__(self, reference: BlockStore, query: BlockStore) -> None:
         self._stores = reference, query
-        self._kept: OrderedDict[tuple[int, int], PlaneMap] = OrderedDict()
+        self._planes = lru_cache(maxsize=_KEPT)(self._make_planes)
 
     def __call__(self, ref: int, query: int, T_ref_query: Array, /) -> LocalFit:
-        """The fit at a pose ``T_ref_query`` (4, 4), node to node."""
+        """The fit of two blocks, named by their nodes, at a pose ``T_ref_query`` (4, 4)."""
         planes, points = self._planes(0, ref).level(0), self._planes(1, query).sample(0)
-        met = meet(planes, points, T_ref_query)
-        H = held(met.by_points.T @ (met.weights[:, None] * met.by_planes), _LEVER_M)
-        gradients = (met.weights * met.residuals)[:, None] * met.by_points
+        matches = match_points(planes, points, T_ref_query)
+        product = matches.by_points.T @ (matches.weights[:, None] * matches.by_planes)
+        H = nearest_semidefinite(product, _CHARACTERISTIC_LENGTH_M)
+        gradients = (matches.weights * matches.residuals)[:, None] * matches.by_points
         g = gradients.sum(axis=0)
-        sigma = robust_sigma(met.residuals, met.weights) if len(met) else 0.0
-        # Where the fit of this block alone would lie, its points say how far they disagree.
-        left = met.residuals + met.by_planes @ minimum(H, g, _LEVER_M, _OPEN_SHARE)
-        scatter = scatter_by_patch((met.weights * left)[:, None] * met.by_points, met.patches)
-        return LocalFit(H, g, sigma, len(met), scatter)
+        # The scatter is that of the residuals which are left at the minimum of this fit.
+        left = matches.residuals + matches.by_planes @ minimum(H, g, _CHARACTERISTIC_LENGTH_M, _OPEN_SHARE)
+        scatter = scatter_by_patch((matches.weights * left)[:, None] * matches.by_points, matches.patches)
+        return LocalFit(H, g, scatter, len(matches))
 
-    def _planes(self, side: int, node: int) -> PlaneMap:
-        key = side, node
-        if key in self._kept:
-            self._kept.move_to_end(key)
-        else:
-            self._kept[key] = PlaneMap(as_submap(self._stores[side], node), _OPTIONS)
-            if len(self._kept) > _KEPT:
-                self._kept.popitem(last=False)
-        return self._kept[key]
+    def _make_planes(self, side: int, node: int) -> PlaneMap:
+        return PlaneMap(self._stores[side].get(node), _OPTIONS)
 
 
 @dataclass(frozen=True, eq=False)
-class Contacts:
-    """Points of a query's block that lie near a plane of a reference's block."""
+class Matches:
+    """Points of a query block that are matched to planes of a reference block."""
 
     by_planes: Array
-    """(M, 6) derivative of the distance by xi = (rho, phi) of ``T_ref_query @ se3_exp(xi)``"""
+    """(M, 6) derivative of the distances by xi = (rho, phi) of ``T_ref_query @ se3_exp(xi)``"""
     by_points: Array
-    """(M, 6) the same with the point's normal in place of the plane's"""
+    """(M, 6) the same, with the normals of the points in place of those of the planes"""
     residuals: Array
     """(M,) distances, metres"""
     weights: Array
-    """(M,) by surface, steadiness and distance (Geman-McClure)"""
+    """(M,) weights by surface, static score and distance (Geman-McClure)"""
     patches: NDArray[np.int64]
-    """(M,) points on the same metre of surface have the same number"""
+    """(M,) number of the patch of surface that each point lies on"""
 
     def __len__(self) -> int:
         return len(self.residuals)
 
 
-def meet(planes: Planes, points: Sample, T_ref_query: Array) -> Contacts:
-    """The residual of a point q with the plane (p, n) is ``r = n^T (R q + t - p)``, its derivative ``(m, q x m)`` with
-    m = R^T n, or the point's own normal."""
+def match_points(planes: Planes, points: Sample, T_ref_query: Array) -> Matches:
+    """Match points to planes.
+
+    The residual of a point q with the plane (p, n) is ``r = n^T (R q + t - p)``, and its derivative is ``(m, q x m)``
+    with m = R^T n, or with the point's own normal as m.
+    """
     rotation, translation = T_ref_query[:3, :3], T_ref_query[:3, 3]
     there = points.points @ rotation.T + translation
     match = planes.nearest(there, points.normals @ rotation.T, _REACH_M, _COSINE)
@@ -102,11 +97,4 @@ def meet(planes: Planes, points: Sample, T_ref_query: Array) -> Contacts:
     weights = np.minimum(planes.weights[match], points.weights[rows]) / np.square(1 + np.square(residuals / _SCALE_M))
     by_planes, by_points = (np.hstack([m, np.cross(q, m)]) for m in (n @ rotation, points.normals[rows]))
     facing = np.argmax(np.abs(points.normals[rows]), axis=1) if len(rows) else rows
-    return Contacts(by_planes, by_points, residuals, weights, 4 * voxel_keys(q, _PATCH_M) + facing)
-
-
-def as_submap(store: BlockStore, node: int) -> Submap:
-    """One block on its own."""
-    block = store.get(node)
-    numbers = np.full(len(block), node, dtype=np.int32)
-    return Submap(node, block.points, block.normals, block.origins, block.surface, block.steady, numbers)
+    return Matches(by_planes, by_points, residuals, weights, 4 * voxel_keys(q, _PATCH_M) + facing)

@@ -1,10 +1,11 @@
-"""Which registrations agree with each other, before any graph is solved: runs, and which runs can be right together.
+"""Consensus of registrations, before any graph is solved: runs that agree, and which runs to trust.
 
 Two registrations and the odometry of both drives between them form a cycle. Registrations whose short cycles close form
-a run. Wrong ones stand alone, or form runs of their own where a facade repeats itself; at its ends such a run
-contradicts its neighbours, however well it agrees with itself. The longest runs that do not contradict each other win,
-if by far; else nobody can tell, and none of them is believed. After Mangelsen et al., Pairwise consistent measurement
-set maximization (2018), with runs in place of single measurements: one drive has thousands.
+a run. Wrong registrations are alone, or form runs of their own where a facade repeats itself; at its ends such a run
+contradicts its neighbours, however consistent it is in itself. The longest runs that do not contradict each other win
+if they are much longer than those that they contradict; otherwise none of these is trusted. After Mangelsen et al.,
+Pairwise consistent measurement set maximization (2018), with runs in place of single measurements, of which a drive has
+thousands.
 """
 
 from __future__ import annotations
@@ -15,9 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, components
-from relocbench.datasets.groundtruth.pose_graph.node_numbers import Drives
-from relocbench.errors import ConfigError
 from relocbench.geometry import invert, rotation_angle
 
 Array = NDArray[np.float64]
@@ -27,51 +27,41 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Which cycles are looked at, and what they may miss."""
+    """Options that decide which cycles are tested, and by how much they may fail to close."""
 
     reach_m: float = 12.0
-    """at most, along both drives, between registrations that are compared; more where they are sparse"""
+    """largest distance, along both drives, between registrations that are compared; larger where they are sparse"""
     reach_spacings: float = 3.0
-    """as many times the usual way from one registration to the next, if that is more"""
+    """the same in units of the median distance from one registration to the next; the larger of both holds"""
     closure_m: float = 0.25
-    """by which a cycle may fail to close however short it is"""
+    """error of position up to which a cycle closes, however short it is"""
     closure_per_m: float = 0.02
-    """by which more, for each metre of its way along one drive"""
+    """growth of that error for each metre of the cycle along one drive"""
     closure_deg: float = 1.0
-    """in angle"""
+    """error of rotation up to which a cycle closes"""
     dominance: float = 3.0
-    """runs win against one that contradicts them if together they are at least so many times as long"""
-
-    def __post_init__(self) -> None:
-        if min(self.reach_m, self.reach_spacings, self.closure_m, self.closure_deg) <= 0 or self.dominance < 1:
-            raise ConfigError("runs of registrations need positive limits and a dominance of at least 1")
+    """runs win against one that they contradict if together they are at least so many times as long"""
 
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """E registrations and what became of their runs."""
+    """Which of E registrations are in runs that won."""
 
-    run: Indices
-    """(E,) number of its run"""
     won: Mask
-    """(E,) whether it may be believed"""
+    """(E,) whether its run won, so that it may be trusted"""
     doubtful: Mask
-    """(E,) whether neither it nor what contradicts it prevails"""
+    """(E,) whether its run neither won nor lost against those that contradict it"""
 
 
-def agree(edges: Edges, drives: Drives, options: RunOptions) -> Runs:
-    """Find runs and let them win or lose.
-
-    Args:
-        edges: E registrations.
-    """
+def find_runs(edges: Edges, drives: BothDrives, options: RunOptions) -> Runs:
+    """Find the runs of E registrations, and which of them win."""
     a, b = _near(edges, drives, options)
     closed = _closes(edges, drives, a, b, options)
     joined = closed & _supported(len(edges), a, b, closed)
     run = _merged(components(len(edges), a[joined], b[joined]), a, b, closed)
     lengths = {int(r): len(np.unique(edges.second[run == r])) for r in np.unique(run)}
     against: dict[int, set[int]] = {r: set() for r in lengths}
-    for x, y, _ in _meetings(run, a, b, closed):  # what agreed for the larger part has been joined
+    for x, y, _ in _meetings(run, a, b, closed):  # runs that agree for the larger part have been joined
         against[x].add(y)
     won: set[int] = set()
     for r in sorted(lengths, key=lambda r: (-lengths[r], r)):
@@ -82,11 +72,11 @@ def agree(edges: Edges, drives: Drives, options: RunOptions) -> Runs:
         opponents = against[r] & won
         if sum(lengths[o] for o in opponents) < options.dominance * lengths[r]:
             doubtful |= opponents | {r}
-    return Runs(run, np.isin(run, list(won - doubtful)), np.isin(run, list(doubtful)))
+    return Runs(np.isin(run, list(won - doubtful)), np.isin(run, list(doubtful)))
 
 
-def _near(edges: Edges, drives: Drives, options: RunOptions) -> tuple[Indices, Indices]:
-    """Pairs of registrations that lie near each other along both drives, on the same pieces of odometry."""
+def _near(edges: Edges, drives: BothDrives, options: RunOptions) -> tuple[Indices, Indices]:
+    """Pairs of registrations that are near each other along both drives, in the same segments of odometry."""
     way_first, way_second = drives.travelled_m[edges.first], drives.travelled_m[edges.second]
     spacing = np.diff(np.unique(way_second))
     reach = max(options.reach_m, options.reach_spacings * float(np.median(spacing)) if len(spacing) else 0.0)
@@ -98,25 +88,27 @@ def _near(edges: Edges, drives: Drives, options: RunOptions) -> tuple[Indices, I
     a, b = order[left], order[right]
     kept = np.abs(way_first[a] - way_first[b]) <= reach
     for nodes in (edges.first, edges.second):
-        kept &= drives.stretch[nodes[a]] == drives.stretch[nodes[b]]
+        kept &= drives.segment[nodes[a]] == drives.segment[nodes[b]]
     return a[kept], b[kept]
 
 
-def _closes(edges: Edges, drives: Drives, a: Indices, b: Indices, options: RunOptions) -> Mask:
-    """Whether what one registration says of the other's nodes is what the other says itself."""
+def _closes(edges: Edges, drives: BothDrives, a: Indices, b: Indices, options: RunOptions) -> Mask:
+    """Whether the cycle of each pair of registrations (a, b) closes."""
     T = drives.T_odom_node
     T_first = invert(T[edges.first[b]]) @ T[edges.first[a]]
     T_second = invert(T[edges.second[a]]) @ T[edges.second[b]]
     offset = invert(edges.T_first_second[b]) @ T_first @ edges.T_first_second[a] @ T_second
-    way = np.maximum(drives.way(edges.first[a], edges.first[b]), drives.way(edges.second[a], edges.second[b]))
-    closes = np.linalg.norm(offset[:, :3, 3], axis=1) <= options.closure_m + options.closure_per_m * way
+    arc_length = np.maximum(
+        drives.arc_length(edges.first[a], edges.first[b]), drives.arc_length(edges.second[a], edges.second[b])
+    )
+    closes = np.linalg.norm(offset[:, :3, 3], axis=1) <= options.closure_m + options.closure_per_m * arc_length
     return np.asarray(closes & (np.degrees(rotation_angle(offset[:, :3, :3])) <= options.closure_deg))
 
 
 def _supported(count: int, a: Indices, b: Indices, closed: Mask) -> Mask:
-    """Whether at least half of those near both registrations of a cycle agree with both.
+    """Whether at least half of the registrations near both ends of a cycle agree with both.
 
-    One cycle that closes by chance must not join a wrong run to a right one.
+    This keeps a cycle that closes by chance from joining a wrong run to a right one.
     """
     from scipy.sparse import coo_array
 
@@ -133,7 +125,7 @@ def _supported(count: int, a: Indices, b: Indices, closed: Mask) -> Mask:
 
 
 def _merged(run: Indices, a: Indices, b: Indices, closed: Mask) -> Indices:
-    """Runs joined to those with which they agree for the larger part, until none is left."""
+    """Join runs of which at least half of the cycles between them close, until there are none."""
     while True:
         meet = [(x, y) for x, y, share in _meetings(run, a, b, closed) if share >= 0.5]
         if not meet:
@@ -143,7 +135,7 @@ def _merged(run: Indices, a: Indices, b: Indices, closed: Mask) -> Indices:
 
 
 def _meetings(run: Indices, a: Indices, b: Indices, closed: Mask) -> list[tuple[int, int, float]]:
-    """Two runs, in both orders, and the share of the cycles between them that close."""
+    """Pairs of runs, in both orders, with the share of the cycles between them that close."""
     apart = run[a] != run[b]
     if not apart.any():
         return []

@@ -1,9 +1,12 @@
-"""How much an edge between two blocks is worth.
+"""The information matrix of an edge between two blocks.
 
-Were every distance from a plane as noisy as any other, it would be ``H / sigma^2``. They are not: the few surfaces that
-face along the street are edges and recesses, which fit worse than facades, and neighbours on one surface err together.
-The scatter of the gradient, taken patch of surface by patch, holds both (White, "A heteroskedasticity-consistent
-covariance matrix estimator", Econometrica 1980; by patches: Liang and Zeger, Biometrika 1986).
+If all distances from planes had the same independent noise it would be ``H / sigma^2``. But the few surfaces that face
+along the street are edges and recesses, which fit worse than facades, and errors on one surface are correlated. The
+scatter of the gradient, summed patch by patch of surface, accounts for both (White, "A heteroskedasticity-consistent
+covariance matrix estimator", Econometrica 1980; by clusters: Liang and Zeger, Biometrika 1986).
+
+Rotations are compared with translations by a characteristic length: a rotation counts as the translation that it causes
+at this distance.
 """
 
 from __future__ import annotations
@@ -14,29 +17,29 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _RIDGE = 1e-9
-"""of the largest eigenvalue, so that directions that nothing holds stay solvable"""
+"""share of the trace that is added to the diagonal, so that open directions do not make a matrix singular"""
 
 
-def held(H: Array, lever_m: float) -> Array:
-    """(6, 6) the nearest matrix that is symmetric and holds no direction less than not at all.
+def _scale(characteristic_length_m: float) -> Array:
+    """(6,) factors by which rotations in metres, at the characteristic length, become radians."""
+    return np.array([1.0, 1.0, 1.0, *[1.0 / characteristic_length_m] * 3])
 
-    Args:
-        lever_m: at which rotations are weighed against translations.
-    """
-    scale = np.array([1.0, 1.0, 1.0, *[1.0 / lever_m] * 3])
+
+def nearest_semidefinite(H: Array, characteristic_length_m: float) -> Array:
+    """(6, 6) the symmetric positive semidefinite matrix that is nearest to H (6, 6)."""
+    scale = _scale(characteristic_length_m)
     values, vectors = np.linalg.eigh(scale[:, None] * (H + H.T) / 2 * scale)
     nearest = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return np.asarray(nearest / scale[:, None] / scale)
 
 
-def minimum(H: Array, g: Array, lever_m: float, open_share: float) -> Array:
-    """``-H^+ g`` (6,): the step to the minimum, without the directions that the block leaves open.
+def minimum(H: Array, g: Array, characteristic_length_m: float, open_share: float) -> Array:
+    """``-H^+ g`` (6,): the step to the minimum, with no motion in open directions.
 
     Args:
-        lever_m: at which rotations are weighed against translations when directions are called open.
-        open_share: a direction with so little of the strongest one's information is open.
+        open_share: a direction with less than this share of the largest eigenvalue of H is open.
     """
-    scale = np.array([1.0, 1.0, 1.0, *[1.0 / lever_m] * 3])
+    scale = _scale(characteristic_length_m)
     values, vectors = np.linalg.eigh(scale[:, None] * H * scale)
     known = values > open_share * max(values[-1], 1e-300)
     inverse = np.where(known, 1.0 / np.where(known, values, 1.0), 0.0)
@@ -44,11 +47,11 @@ def minimum(H: Array, g: Array, lever_m: float, open_share: float) -> Array:
 
 
 def scatter_by_patch(gradients: Array, patch: NDArray[np.int64]) -> Array:
-    """(6, 6) sum over patches of the outer product of their gradients.
+    """(6, 6) sum over the patches of the outer product of each patch's gradient with itself.
 
     Args:
-        gradients: (M, 6) of each point, at the fit's own minimum.
-        patch: (M,) which patch of surface each point lies on.
+        gradients: (M, 6) of each point, at the minimum of the fit.
+        patch: (M,) number of the patch of surface that each point lies on.
     """
     _, number = np.unique(patch, return_inverse=True)
     sums = np.zeros((int(number.max(initial=-1)) + 1, gradients.shape[1]))
@@ -56,16 +59,15 @@ def scatter_by_patch(gradients: Array, patch: NDArray[np.int64]) -> Array:
     return np.asarray(sums.T @ sums)
 
 
-def sandwich(H: Array, scatter: Array, floor: float, lever_m: float) -> Array:
-    """(6, 6) information ``H (S + floor H)^-1 H``.
+def sandwich_information(H: Array, scatter: Array, floor: float, characteristic_length_m: float) -> Array:
+    """(6, 6) information ``H (S + floor H)^-1 H``, the inverse of the sandwich estimator of the covariance.
 
     Args:
         H: (6, 6) of the fit.
-        scatter: (6, 6) S, of the fit's gradient.
-        floor: m^2, variance of a distance that is assumed on top.
-        lever_m: at which rotations are weighed against translations.
+        scatter: (6, 6) S, the scatter of the gradient.
+        floor: variance of a distance that is added, m^2.
     """
-    scale = np.array([1.0, 1.0, 1.0, *[1.0 / lever_m] * 3])
+    scale = _scale(characteristic_length_m)
     scaled, spread = (scale[:, None] * m * scale for m in (H, scatter))
     spread = spread + floor * scaled
     spread = spread + _RIDGE * max(float(np.trace(spread)), 1e-300) * np.eye(6)
@@ -73,8 +75,8 @@ def sandwich(H: Array, scatter: Array, floor: float, lever_m: float) -> Array:
     return np.asarray((information + information.T) / 2 / scale[:, None] / scale)
 
 
-def distorted(information: Array, variance: Array) -> Array:
-    """(6, 6) information of an edge whose ends are not rigid: ``(information^-1 + diag(variance))^-1``.
+def with_block_distortion(information: Array, variance: Array) -> Array:
+    """(6, 6) information of an edge whose blocks are not rigid: ``(information^-1 + diag(variance))^-1``.
 
     Args:
         variance: (6,) of the odometry inside both blocks.

@@ -1,13 +1,13 @@
-"""Edges of the pose graph: what was measured between two nodes, and how far an estimate is from it.
+"""Edges of the pose graph: relative poses measured between two nodes, and their residuals.
 
-Nodes of both drives are numbered through: first the reference's, then the query's. Errors are twists
-``xi = (rho, phi)`` on the right, ``T_true = T_measured @ se3_exp(xi)``: metres and radians in the second node's axes.
+The nodes of both drives share one numbering: first the reference's, then the query's. Errors are twists
+``xi = (rho, phi)`` on the right, ``T_true = T_measured @ se3_exp(xi)``: metres and radians in the second node's frame.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 
 import numpy as np
@@ -20,7 +20,7 @@ Indices = NDArray[np.int64]
 
 
 class Kind(IntEnum):
-    """Where an edge comes from."""
+    """The source of an edge."""
 
     REFERENCE_ODOMETRY = 0
     QUERY_ODOMETRY = 1
@@ -29,16 +29,16 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """E measurements between two nodes each."""
+    """E measured relative poses, each between two nodes."""
 
     first: Indices
-    """(E,)"""
+    """(E,) number of the first node"""
     second: Indices
-    """(E,)"""
+    """(E,) number of the second node"""
     T_first_second: Array
-    """(E, 4, 4) as measured"""
+    """(E, 4, 4) measured relative poses"""
     information: Array
-    """(E, 6, 6) of the twist ``(rho, phi)``"""
+    """(E, 6, 6) information matrices of the twist ``(rho, phi)``"""
     kind: Indices
     """(E,) :class:`Kind`"""
 
@@ -46,38 +46,30 @@ class Edges:
         return len(self.first)
 
     def __getitem__(self, which: NDArray[np.bool_] | Indices) -> Edges:
-        """Those that a mask or indices select."""
-        return Edges(
-            self.first[which], self.second[which], self.T_first_second[which], self.information[which], self.kind[which]
-        )
+        """The edges that a mask or indices select."""
+        return Edges(*(getattr(self, field.name)[which] for field in fields(self)))
 
     @classmethod
     def join(cls, parts: Sequence[Edges]) -> Edges:
-        """One after the other."""
-        return cls(
-            np.concatenate([p.first for p in parts]),
-            np.concatenate([p.second for p in parts]),
-            np.concatenate([p.T_first_second for p in parts]),
-            np.concatenate([p.information for p in parts]),
-            np.concatenate([p.kind for p in parts]),
-        )
+        """The edges of all parts, in their order."""
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
     def apart(self, T_world_node: Array) -> Array:
-        """(E, 4, 4) ``T_first_second`` as the poses (N, 4, 4) say."""
+        """(E, 4, 4) relative poses ``T_first_second`` by the node poses (N, 4, 4)."""
         return np.asarray(invert(T_world_node[self.first]) @ T_world_node[self.second])
 
     def residuals(self, T_world_node: Array) -> Array:
-        """(E, 6) twists from what was measured to what the poses (N, 4, 4) say."""
+        """(E, 6) twists from the measured relative poses to those by the node poses (N, 4, 4)."""
         return np.asarray(se3_log(invert(self.T_first_second) @ self.apart(T_world_node)))
 
     def chi2(self, T_world_node: Array) -> Array:
-        """(E,) squared residuals in units of their standard deviations."""
+        """(E,) squared Mahalanobis norms of the residuals, given node poses (N, 4, 4)."""
         r = self.residuals(T_world_node)
         return np.einsum("ei,eij,ej->e", r, self.information, r)
 
 
 def components(count: int, first: Indices, second: Indices) -> Indices:
-    """(count,) for each node the smallest number of a node that edges connect it with."""
+    """(count,) for each of ``count`` nodes, the smallest number of the nodes that edges connect it with."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -1,4 +1,4 @@
-"""Graphs on disk: where the nodes of two drives lie, in one frame, for people and for pictures.
+"""Solved pose graphs on disk: the poses of the nodes of two drives in one frame, for people and for pictures.
 
 ``REF__QUERY.csv`` has the reference's nodes first, then those of the query.
 """
@@ -30,47 +30,47 @@ GRAPH_COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class PlacedDrive:
-    """One drive's nodes where the graph puts them."""
+    """The nodes of one drive with their poses by the pose graph."""
 
     name: str
     times_ns: Times
     """(K,)"""
     T_world_node: Array
     """(K, 4, 4)"""
-    way_to_trusted: Array
-    """(K, 2) metres back to the last and on to the next trusted registration; inf where there is none"""
+    arc_length_to_trusted: Array
+    """(K, 2) arc length back to the last and on to the next trusted registration, metres; inf where there is none"""
     verdicts: Mapping[int, str]
-    """node -> why its registration did not take part in the graph, empty if it did; of nodes that were tried"""
+    """node -> why its registration is not part of the graph, or an empty string if it is; for nodes that were tried"""
 
     def __len__(self) -> int:
         return len(self.times_ns)
 
     @property
     def travelled_m(self) -> Array:
-        """(K,) metres from node to node."""
+        """(K,) arc length along the nodes, metres."""
         steps = np.linalg.norm(np.diff(self.T_world_node[:, :3, 3], axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(steps)])
 
     @property
     def connected(self) -> NDArray[np.bool_]:
-        """(K,) whether the other drive's registrations reach each node, so that the two can be compared."""
-        return np.asarray(np.isfinite(self.way_to_trusted).any(axis=1))
+        """(K,) whether trusted registrations tie each node to the other drive."""
+        return np.asarray(np.isfinite(self.arc_length_to_trusted).any(axis=1))
 
     def nodes(self) -> Nodes:
-        """As submaps need them, laid out by the graph."""
+        """The nodes with poses by the graph, as submaps are put together from them."""
         return Nodes(self.times_ns, self.T_world_node, self.travelled_m)
 
     def nearest(self, time_ns: int) -> int:
-        """The node nearest in time."""
+        """The node that is nearest in time."""
         return int(np.argmin(np.abs(self.times_ns - time_ns)))
 
-    def way_at(self, time_ns: int) -> float:
-        """Metres driven up to a time."""
+    def arc_length_at(self, time_ns: int) -> float:
+        """Arc length at a time, metres."""
         start = int(self.times_ns[0])
         return float(np.interp((time_ns - start) / 1e9, (self.times_ns - start) / 1e9, self.travelled_m))
 
     def at(self, time_ns: int) -> Array:
-        """(4, 4) ``T_world_rig`` between the nodes around a time: good for pictures, to centimetres."""
+        """(4, 4) ``T_world_rig`` at a time, interpolated between nodes: good to centimetres, enough for pictures."""
         after = int(np.clip(np.searchsorted(self.times_ns, time_ns), 1, max(len(self) - 1, 1)))
         if len(self) == 1:
             return np.asarray(self.T_world_node[0])
@@ -80,14 +80,14 @@ class PlacedDrive:
 
 
 def write_graph(path: Path, reference: PlacedDrive, query: PlacedDrive) -> None:
-    """``T_world_node`` of both drives, and how far along the road the nearest trusted registrations are."""
+    """Write the poses of both drives' nodes, and the distances along the road to trusted registrations."""
     with atomic_write(path) as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(GRAPH_COLUMNS)
         t, q = transform_to_tq(np.concatenate([reference.T_world_node, query.T_world_node]))
         poses = iter(np.hstack([t, q]).tolist())
         for drive in (reference, query):
-            for node, ways in enumerate(drive.way_to_trusted.tolist()):
+            for node, lengths in enumerate(drive.arc_length_to_trusted.tolist()):
                 verdict = drive.verdicts.get(node)
                 table.writerow(
                     [
@@ -95,7 +95,7 @@ def write_graph(path: Path, reference: PlacedDrive, query: PlacedDrive) -> None:
                         node,
                         int(drive.times_ns[node]),
                         *map(repr, next(poses)),
-                        *("" if np.isinf(way) else f"{way:.3f}" for way in ways),
+                        *("" if np.isinf(length) else f"{length:.3f}" for length in lengths),
                         int(verdict == ""),
                         verdict or "",
                     ]
@@ -103,14 +103,14 @@ def write_graph(path: Path, reference: PlacedDrive, query: PlacedDrive) -> None:
 
 
 def read_graph(path: Path, reference: str, query: str) -> tuple[PlacedDrive, PlacedDrive]:
-    """Both drives as :func:`write_graph` wrote them; ways are rounded to millimetres.
+    """Read both drives as :func:`write_graph` wrote them; arc lengths are rounded to millimetres.
 
     Raises:
-        DatasetError: with the line, where it is not such a table, or not of these drives.
+        DatasetError: the file is not such a table, or not of these drives; names the line.
     """
-    rows = read_csv(path, "where the pose graph puts the nodes", DatasetError)
+    rows = read_csv(path, "a solved pose graph", DatasetError)
     if next(rows, (1, []))[1] != list(GRAPH_COLUMNS):
-        raise DatasetError("expected a table of a pose graph; remove it and build again", path, 1)
+        raise DatasetError("expected a solved pose graph; remove the file and build again", path, 1)
     lines: dict[str, list[tuple[int, dict[str, str]]]] = {reference: [], query: []}
     for number, row in rows:
         if len(row) != len(GRAPH_COLUMNS) or row[0] not in lines:
@@ -122,17 +122,17 @@ def read_graph(path: Path, reference: str, query: str) -> tuple[PlacedDrive, Pla
 
 def _drive(name: str, lines: list[tuple[int, dict[str, str]]], path: Path) -> PlacedDrive:
     if not lines:
-        raise DatasetError(f"no node of {name}", path)
-    times, poses, ways, verdicts = [], [], [], {}
+        raise DatasetError(f"holds no node of {name}", path)
+    times, poses, lengths, verdicts = [], [], [], {}
     for node, (number, row) in enumerate(lines):
         if row["node"] != str(node):
             raise DatasetError(f"node is '{row['node']}', expected {node}", path, number)
         times.append(parse_timestamp(row["timestamp_ns"], path, number, DatasetError))
         poses.append(parse_pose([row[c] for c in ("tx", "ty", "tz", "qx", "qy", "qz", "qw")], path, number))
         try:
-            ways.append([float(row[c]) if row[c] else np.inf for c in ("m_since_trusted", "m_to_trusted")])
+            lengths.append([float(row[c]) if row[c] else np.inf for c in ("m_since_trusted", "m_to_trusted")])
         except ValueError:
-            raise DatasetError("the ways to trusted registrations are no numbers", path, number) from None
+            raise DatasetError("m_since_trusted and m_to_trusted must be numbers or empty", path, number) from None
         if row["registered"] == "1" or row["verdict"]:
             verdicts[node] = row["verdict"]
-    return PlacedDrive(name, np.array(times, dtype=np.int64), np.array(poses), np.array(ways), verdicts)
+    return PlacedDrive(name, np.array(times, dtype=np.int64), np.array(poses), np.array(lengths), verdicts)

@@ -1,7 +1,7 @@
-"""All registrations of one drive against another at once: a pose graph of both drives' nodes, with covariances.
+"""The pose graph of two drives: poses of all nodes from both odometries and all registrations, with covariances.
 
-The reference's first node lies at the world's origin of its own odometry. Stretches that gaps in the odometry part are
-tied by registrations alone. Several query drives are solved one by one against the same reference.
+The world is the odometry frame of the reference's first segment. Segments of odometry are tied to each other only by
+registrations. Several query drives are solved one by one against the same reference.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
-from relocbench.datasets.groundtruth.pose_graph.consensus import agree
+from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
+from relocbench.datasets.groundtruth.pose_graph.consensus import find_runs
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind, components
-from relocbench.datasets.groundtruth.pose_graph.initialisation import place
+from relocbench.datasets.groundtruth.pose_graph.initialisation import initial_poses
 from relocbench.datasets.groundtruth.pose_graph.least_squares import Covariances
-from relocbench.datasets.groundtruth.pose_graph.node_numbers import Drives
 from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise
 from relocbench.datasets.groundtruth.pose_graph.odometry_scale import scales_of
-from relocbench.datasets.groundtruth.pose_graph.outlier_test import Tested
+from relocbench.datasets.groundtruth.pose_graph.outlier_test import OutlierTest
 from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions, Selected, select
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.geometry import invert, rotation_angle
@@ -30,32 +30,30 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _CONTROLLED = 1.0
-"""redundancy, of six, with which others check a registration"""
+"""least redundancy, out of six, of a registration that others confirm"""
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Poses of both drives in one world, and how certain they are."""
+    """The solved pose graph: poses of both drives' nodes in one world, with covariances."""
 
-    drives: Drives
+    drives: BothDrives
     T_world_node: Array
-    """(N, 4, 4) the R nodes of the reference, then those of the query"""
+    """(N, 4, 4) poses of the R nodes of the reference, then of the Q nodes of the query"""
     edges: Edges
-    """all that took part, with the weights it had"""
+    """the edges of the graph, with the information they had"""
     noise: OdometryNoise
-    """of odometry, as the graph was solved with"""
+    """noise of odometry that the graph was solved with"""
     trusted: Mask
-    """(E,) registrations that took part and that others check"""
+    """(E,) whether each registration is part of the graph and confirmed by others"""
     verdicts: tuple[str, ...]
-    """(E,) why a registration did not take part; empty if it did"""
-    tested: Tested
-    """(E,) registrations against all else"""
-    odometry_tested: Tested
-    """odometry edges against all else"""
-    way_to_trusted: Array
-    """(N, 2) metres from each node back to the last, and on to the next, node with a trusted registration"""
+    """(E,) why each registration is not part of the graph; empty if it is"""
+    odometry_tested: OutlierTest
+    """test of each odometry edge against the rest of the graph"""
+    arc_length_to_trusted: Array
+    """(N, 2) arc length back to the last and on to the next node with a trusted registration, metres"""
     information_factor: float = 1.0
-    """the registrations' information was divided by this"""
+    """factor that the information of registrations was divided by"""
 
     @property
     def T_world_ref(self) -> Array:
@@ -69,11 +67,11 @@ class Solution:
 
     @cached_property
     def part(self) -> NDArray[np.int64]:
-        """(N,) nodes that odometry and registrations connect have the same number; 0 is that of the first node."""
+        """(N,) the connected part of the graph that each node is in: the smallest number of its nodes."""
         return components(len(self.drives), self.edges.first, self.edges.second)
 
     def connected(self, ref: int, query: int) -> bool:
-        """Whether the graph says how the two nodes lie to each other."""
+        """Whether the graph connects a reference node and a query node, so that their relative pose is known."""
         return bool(self.part[ref] == self.part[self.drives.reference_count + query])
 
     def pose(self, ref: int, query: int) -> Array:
@@ -87,7 +85,7 @@ class Solution:
     def relative(self, ref: int, query: int) -> tuple[Array, Array]:
         """``T_ref_query`` (4, 4) and the covariance (6, 6) of ``xi = (rho, phi)`` in ``T_ref_query @ se3_exp(xi)``.
 
-        Neighbouring pairs share most of the work: ask in the order of the road.
+        Calls in the order of the road are fastest, since neighbouring pairs share most of the work.
 
         Raises:
             ValueError: nothing connects the two nodes.
@@ -97,15 +95,15 @@ class Solution:
         nodes = np.array([ref]), np.array([query + self.drives.reference_count])
         return self.pose(ref, query), self._covariances.relative(*nodes)[0]
 
-    def stressed_odometry(self, significance: float = 1e-9) -> list[tuple[int, int, float]]:
-        """Odometry edges that registrations contradict: node, next node (both numbered through), excess of chi2.
+    def contradicted_odometry(self, significance: float = 1e-9) -> list[tuple[int, int]]:
+        """Odometry edges that registrations contradict: (node, next node).
 
-        A run of wrong registrations that agree with each other, as a facade's period makes them, shows at its ends.
+        A run of wrong registrations that agree with each other, as repeating facades cause it, shows at its ends. Nodes
+        are numbered as in :class:`BothDrives`.
         """
         odometry = self.edges[self.edges.kind != Kind.REGISTRATION]
         bad = np.flatnonzero(self.odometry_tested.p_value < significance)
-        excess = self.odometry_tested.chi2 / np.maximum(self.odometry_tested.freedom, 1)
-        return [(int(odometry.first[e]), int(odometry.second[e]), float(excess[e])) for e in bad]
+        return [(int(odometry.first[e]), int(odometry.second[e])) for e in bad]
 
 
 def optimise(
@@ -115,21 +113,21 @@ def optimise(
     odometry_noise: OdometryNoise | None = None,
     options: GraphOptions | None = None,
 ) -> Solution:
-    """Poses of all nodes from both odometries and the registrations between them.
+    """Solve for the poses of all nodes from both odometries and the registrations between them.
 
     Args:
-        registrations: in any order; those that are not trusted take no part and keep their reason as verdict.
-        odometry_noise: to start from; it is estimated unless the options say otherwise.
+        registrations: in any order; those that are not trusted are left out, with their reason as the verdict.
+        odometry_noise: the noise to start from; it is estimated unless the options disable this.
     """
     options = options or GraphOptions()
-    drives = Drives.of(nodes_ref, nodes_query)
+    drives = BothDrives.of(nodes_ref, nodes_query)
     cross = registration_edges(drives, registrations)
     trusted = np.array([r.trusted for r in registrations], dtype=bool)
     believed = np.flatnonzero(trusted)
-    runs = agree(cross[believed], drives, options.runs)
+    runs = find_runs(cross[believed], drives, options.runs)
     candidates, doubtful = trusted.copy(), np.zeros(len(cross), dtype=bool)
     candidates[believed], doubtful[believed] = runs.won, runs.doubtful
-    start = place(cross[candidates], drives.T_odom_node, drives.travelled_m, drives.stretch)
+    start = initial_poses(cross[candidates], drives.T_odom_node, drives.travelled_m, drives.segment)
     found = select(drives, cross, candidates, start, odometry_noise or OdometryNoise(), options)
     verdicts = _verdicts(registrations, cross, candidates, doubtful, found)
     controlled = found.used & (found.tested.redundancy >= _CONTROLLED)
@@ -140,15 +138,14 @@ def optimise(
         found.noise,
         controlled,
         verdicts,
-        found.tested,
         found.odometry_tested,
-        drives.way_to(np.concatenate([cross.first[controlled], cross.second[controlled]])),
+        drives.arc_length_to(np.concatenate([cross.first[controlled], cross.second[controlled]])),
         found.information_factor,
     )
 
 
-def registration_edges(drives: Drives, registrations: Sequence[Registration]) -> Edges:
-    """Registrations as edges, in their order."""
+def registration_edges(drives: BothDrives, registrations: Sequence[Registration]) -> Edges:
+    """The registrations as edges, in their order."""
     count = len(registrations)
     return Edges(
         np.array([r.ref for r in registrations], dtype=np.int64),
@@ -162,7 +159,7 @@ def registration_edges(drives: Drives, registrations: Sequence[Registration]) ->
 def _verdicts(
     registrations: Sequence[Registration], cross: Edges, candidates: Mask, doubtful: Mask, found: Selected
 ) -> tuple[str, ...]:
-    """Why each registration took no part, with how far it is off."""
+    """Why each registration is not part of the graph, with its distance from the solution; empty if it is."""
     T = found.T_world_node
     offset = invert(cross.T_first_second) @ cross.apart(T)
     metres = np.linalg.norm(offset[:, :3, 3], axis=1)

@@ -1,4 +1,4 @@
-"""Where to start: every node placed by the registration nearest to it, along its drive's odometry."""
+"""Initialisation of the pose graph: each node is placed by the nearest registration and its drive's odometry."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-def place(edges: Edges, T_odom_node: Array, travelled_m: Array, stretch: Indices) -> Array:
-    """First poses of all nodes; the world is the odometry of the first stretch.
+def initial_poses(edges: Edges, T_odom_node: Array, travelled_m: Array, segment: Indices) -> Array:
+    """Initial poses of all nodes, in the odometry frame of the first segment.
 
-    Stretch after stretch is laid against those that already lie, each node by the registration nearest to it along its
-    own drive, so that neighbours of different drives start near each other however far both have drifted.
+    One segment after another is placed relative to those that are placed already, each of its nodes by the registration
+    nearest to it along its drive. Neighbouring nodes of two drives thus start near each other, however far both have
+    drifted.
 
     Args:
-        edges: registrations that can be believed.
+        edges: the registrations to use.
         T_odom_node: (N, 4, 4) of all nodes, each in its own odometry.
-        travelled_m: (N,)
-        stretch: (N,) piece of odometry of each node.
+        travelled_m: (N,) arc length of each node along its drive.
+        segment: (N,) number of the segment of odometry that each node lies in.
 
     Returns:
-        (N, 4, 4) ``T_world_node``; stretches that no registration ties keep their odometry's frame.
+        (N, 4, 4) ``T_world_node``; segments that no registration ties keep their poses by odometry.
     """
     T_world_node = T_odom_node.copy()
-    placed = stretch == stretch[0]
+    placed = segment == segment[0]
     while True:
         forward = placed[edges.first] & ~placed[edges.second]
         backward = placed[edges.second] & ~placed[edges.first]
@@ -37,11 +38,11 @@ def place(edges: Edges, T_odom_node: Array, travelled_m: Array, stretch: Indices
         known = np.concatenate([edges.first[forward], edges.second[backward]])
         new = np.concatenate([edges.second[forward], edges.first[backward]])
         T_known_new = np.concatenate([edges.T_first_second[forward], invert(edges.T_first_second[backward])])
-        # The stretch that most registrations tie goes first.
-        names, counts = np.unique(stretch[new], return_counts=True)
+        # The segment that most registrations tie is placed first.
+        names, counts = np.unique(segment[new], return_counts=True)
         chosen = names[np.argmax(counts)]
-        links = np.flatnonzero(stretch[new] == chosen)
-        nodes = np.flatnonzero(stretch == chosen)
+        links = np.flatnonzero(segment[new] == chosen)
+        nodes = np.flatnonzero(segment == chosen)
         apart = np.abs(travelled_m[nodes, None] - travelled_m[None, new[links]])
         by = links[np.argmin(apart, axis=1)]
         T_new_node = invert(T_odom_node[new[by]]) @ T_odom_node[nodes]

@@ -1,6 +1,6 @@
-"""Poses and covariances of a graph of edges: gtsam's solvers behind plain arrays.
+"""Least squares on a pose graph: poses and covariances by gtsam, with arrays in and out.
 
-gtsam orders a twist as rotation, translation; everything outside this module as ``(rho, phi)``.
+A twist is (rotation, translation) in gtsam, but ``(rho, phi)``, translation first, everywhere outside this module.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ Indices = NDArray[np.int64]
 
 _SWAP = [3, 4, 5, 0, 1, 2]
 _GAUGE_SIGMA = 1e-4
-"""of the pose that is held in place, metres and radians; relative poses do not depend on it"""
+"""standard deviation of the fixed pose, metres and radians; relative poses do not depend on it"""
 _LEAST_INFORMATION = 1e-4
-"""of a direction that a measurement leaves open (100 m, 100 rad), so that its matrix can be inverted"""
+"""information that is added to all directions of a measurement (a sigma of 100 m or rad), to make it invertible"""
 
 
 def _graph(edges: Edges, T_world_node: Array, kernel: float | None, robust: NDArray[np.bool_] | None) -> Any:
-    """gtsam's factor graph, with one pose of each connected part held in place."""
+    """gtsam's factor graph, with one pose of each connected part fixed."""
     import gtsam
 
     graph = gtsam.NonlinearFactorGraph()
@@ -54,15 +54,13 @@ def _values(T_world_node: Array) -> Any:
 def solve(
     T_world_node: Array, edges: Edges, kernel: float | None = None, robust: NDArray[np.bool_] | None = None
 ) -> Array:
-    """Poses of least squared residuals, by Levenberg and Marquardt.
+    """Poses (N, 4, 4) that minimise the squared residuals, by the Levenberg-Marquardt method.
 
     Args:
-        T_world_node: (N, 4, 4) to start from. The first pose of each connected part stays as it is.
-        kernel: residual, in standard deviations, that Geman and McClure's kernel lets count a quarter; None: all count.
-        robust: (E,) which edges the kernel is for.
-
-    Returns:
-        (N, 4, 4)
+        T_world_node: (N, 4, 4) initial poses. The first pose of each connected part is kept fixed.
+        kernel: scale of Geman-McClure's kernel in standard deviations: a residual as large has a weight of 1/4. None:
+            no kernel.
+        robust: (E,) the edges that the kernel applies to.
     """
     import gtsam
 
@@ -79,26 +77,28 @@ def solve(
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """Unknown scales by which the ways of edges may be wrong."""
+    """Unknown scale errors of odometry edges."""
 
     number: Indices
-    """(E,) of each edge's scale; -1: it has none"""
+    """(E,) number of each edge's scale; -1 if it has none"""
     begins: Indices
-    """(B,) scales of which only the size is known"""
+    """(B,) scales, one a segment, for which there is a prior of standard deviation ``sigma``"""
     sigma: float
-    """of these, about 1"""
+    """standard deviation of these scales about 1"""
     neighbours: Indices
-    """(M, 2) scales that differ little"""
+    """(M, 2) neighbouring scales"""
     neighbour_sigma: float
+    """standard deviation of the difference of neighbouring scales"""
 
 
 class Covariances:
-    """Covariances of relative poses. Neighbouring pairs share most of the work: ask in the order of the road."""
+    """Covariances of relative poses. Calls in the order of the road are fastest."""
 
     def __init__(self, T_world_node: Array, edges: Edges, scales: Scales | None = None) -> None:
         """
         Args:
-            scales: of edges, that are not known either; edges' own information is for known ones.
+            scales: unknown scales of odometry edges, which are marginalised; the information of edges is that for known
+                scales. None: all scales are known.
         """
         import gtsam
 
@@ -111,9 +111,9 @@ class Covariances:
             self._marginals = gtsam.Marginals(linear, linear.optimize())
 
     def relative(self, first: Indices, second: Indices) -> Array:
-        """(M, 6, 6) of the twists ``xi`` in ``T_first_second @ se3_exp(xi)`` of M connected pairs of nodes (M,).
+        """(M, 6, 6) covariances of ``xi`` in ``T_first_second @ se3_exp(xi)``, for M connected pairs of nodes.
 
-        ``xi = xi_second - adjoint(T_second_first) @ xi_first`` of the twists of both poses.
+        In terms of the twists of both poses, ``xi = xi_second - adjoint(T_second_first) @ xi_first``.
         """
         joint = np.empty((len(first), 12, 12))
         for m in np.lexsort((second, first)).tolist():
@@ -125,7 +125,7 @@ class Covariances:
         return np.asarray((out + np.swapaxes(out, 1, 2)) / 2)
 
     def _joint(self, first: int, second: int) -> Array:
-        """(12, 12) of both twists."""
+        """(12, 12) joint covariance of the twists of two poses."""
         joint = self._marginals.jointMarginalCovariance([first, second])
         out = np.empty((12, 12))
         out[:6, :6] = joint.at(first, first)[_SWAP][:, _SWAP]
@@ -138,7 +138,7 @@ class Covariances:
 def _with_scales(linear: Any, edges: Edges, scales: Scales, nodes: int) -> Any:
     """The linear graph with a scale as third unknown of each edge that has one; scales are numbered after the nodes.
 
-    A way longer by a share s moves the residual of ``T_first_second`` by ``-s (R^T t)`` in the second node's axes.
+    A scale error s changes the residual of ``T_first_second = (R, t)`` by ``-s R^T t``, in the second node's frame.
     """
     import gtsam
 

@@ -1,8 +1,8 @@
-"""What the rest of the graph says of each edge: Baarda's test of residuals (A testing procedure for use in geodetic
-networks, 1968), for twists.
+"""Outlier test of each edge against the rest of the graph: Baarda's test of residuals, for twists.
 
-An edge draws the solution towards itself, so that its residual looks small. The residual's covariance is ``R - P``,
-``R`` of the measurement and ``P`` of the solution along the edge; in its units a wrong edge shows whatever its weight.
+An edge draws the solution towards itself, which makes its residual small. The covariance of the residual is ``R - P``,
+with ``R`` of the measurement and ``P`` of the solution along the edge; relative to this, a wrong edge has a large
+residual whatever its weight. Baarda, A testing procedure for use in geodetic networks, 1968.
 """
 
 from __future__ import annotations
@@ -15,71 +15,73 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _LEAST_CHECKED = 0.02
-"""share of a residual's variance below which others say nothing of it"""
+"""redundancy number below which a direction counts as not confirmed by other edges"""
 
 
 @dataclass(frozen=True, eq=False)
-class Tested:
-    """E edges against all others, each along six independent directions of its own."""
+class OutlierTest:
+    """The test of E edges against all others, each along six independent directions."""
 
     squares: Array
     """(E, 6) squared residuals in units of the measurement's variances"""
-    free: Array
-    """(E, 6) their expected values: the share of each that others check, from 0 to 1; above 1 for edges left out"""
+    redundancy_numbers: Array
+    """(E, 6) expected values of the squares: from 0 to 1 for edges of the graph, above 1 for edges left out"""
 
     @property
     def checked(self) -> NDArray[np.bool_]:
-        """(E, 6) directions of which others say anything"""
-        return self.free > _LEAST_CHECKED
+        """(E, 6) whether other edges confirm each direction"""
+        return self.redundancy_numbers > _LEAST_CHECKED
 
     @property
     def freedom(self) -> NDArray[np.int64]:
-        """(E,) number of these"""
+        """(E,) number of directions that other edges confirm"""
         return np.asarray(self.checked.sum(axis=1))
 
     @property
     def chi2(self) -> Array:
-        """(E,) of the residual with its own covariance, ``freedom`` degrees of freedom"""
-        return np.where(self.checked, self.squares / np.maximum(self.free, _LEAST_CHECKED), 0.0).sum(axis=1)
+        """(E,) test statistic with ``freedom`` degrees of freedom"""
+        return np.where(self.checked, self.squares / np.maximum(self.redundancy_numbers, _LEAST_CHECKED), 0.0).sum(
+            axis=1
+        )
 
     @property
     def redundancy(self) -> Array:
-        """(E,) in [0, 6]: how much of the edge would be known without it"""
-        return np.clip(self.free, 0.0, 1.0).sum(axis=1)
+        """(E,) total redundancy in [0, 6]: how much of the edge is known from the others"""
+        return np.clip(self.redundancy_numbers, 0.0, 1.0).sum(axis=1)
 
     @property
     def p_value(self) -> Array:
-        """(E,) probability that a right edge is at least as far off; 1 where nothing checks it"""
+        """(E,) probability that a right edge has at least this chi2; 1 if no direction is confirmed"""
         from scipy.special import chdtrc
 
         return np.where(self.freedom > 0, chdtrc(np.maximum(self.freedom, 1), self.chi2), 1.0)
 
 
-def check_used(residuals: Array, information: Array, posterior: Array) -> Tested:
-    """Test edges that took part in the solution: ``R - P``.
+def check_used(residuals: Array, information: Array, posterior: Array) -> OutlierTest:
+    """Test edges that are part of the graph: their residuals have the covariance ``R - P``.
 
     Args:
         residuals: (E, 6) in the solution.
         information: (E, 6, 6) of the measurements, the inverse of ``R``.
-        posterior: (E, 6, 6) covariances of the solution along the edges, ``P``.
+        posterior: (E, 6, 6) covariances ``P`` of the solution along the edges.
     """
     return _test(residuals, information, -posterior)
 
 
-def check_left_out(residuals: Array, information: Array, posterior: Array) -> Tested:
-    """Test edges that did not take part: their residuals have the covariance ``R + P``."""
+def check_left_out(residuals: Array, information: Array, posterior: Array) -> OutlierTest:
+    """Test edges that are not part of the graph: their residuals have the covariance ``R + P``."""
     return _test(residuals, information, posterior)
 
 
-def _test(residuals: Array, information: Array, posterior: Array) -> Tested:
+def _test(residuals: Array, information: Array, posterior: Array) -> OutlierTest:
     root = _root(information)
     transposed = np.swapaxes(root, 1, 2)
     u = np.einsum("eij,ej->ei", transposed, residuals)
-    free, basis = np.linalg.eigh(np.eye(6) + transposed @ posterior @ root)
-    return Tested(np.einsum("eji,ej->ei", basis, u) ** 2, free)
+    redundancy_numbers, basis = np.linalg.eigh(np.eye(6) + transposed @ posterior @ root)
+    return OutlierTest(np.einsum("eji,ej->ei", basis, u) ** 2, redundancy_numbers)
 
 
 def _root(information: Array) -> Array:
-    """(E, 6, 6) A with ``A @ A.T = information``, also where that is singular."""
+    """(E, 6, 6) matrices A with ``A @ A.T = information``, which may be singular."""
     values, vectors = np.linalg.eigh(information)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])

@@ -1,9 +1,9 @@
-"""Which registrations to believe, and how noisy odometry is: solve, test each against the rest, again until it holds.
+"""Selection of the registrations to trust, along with the noise of odometry: solve, test each edge, and repeat.
 
-Filters of growing sharpness. Runs are told apart by odometry alone (:mod:`consensus`); a robust kernel, starting from
-there, finds what is off by more than its own information allows; Baarda's test then takes the last wrong ones out, one
-at a time in each neighbourhood, since a wrong edge makes its right neighbours look bad, and lets back in what the
-finished solution agrees with. Along the way the noise of odometry is estimated.
+The filters become stricter from step to step. Consensus (:mod:`.consensus`) needs only odometry. A robust kernel then
+finds the registrations that are off by more than their information allows. Last, Baarda's outlier test removes the
+wrong ones that are left, one at a time in each neighbourhood, since a wrong edge makes its right neighbours look bad,
+and readmits those that agree with the solution. The noise of odometry is estimated in each round.
 """
 
 from __future__ import annotations
@@ -13,128 +13,128 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.consensus import RunOptions
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind, components
 from relocbench.datasets.groundtruth.pose_graph.least_squares import Covariances, solve
-from relocbench.datasets.groundtruth.pose_graph.node_numbers import Drives
 from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise, estimate, variance_factor
-from relocbench.datasets.groundtruth.pose_graph.outlier_test import Tested, check_left_out, check_used
-from relocbench.errors import ConfigError
+from relocbench.datasets.groundtruth.pose_graph.outlier_test import OutlierTest, check_left_out, check_used
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_MEDIAN_CHI2 = 5.348
-"""of six degrees of freedom"""
+MEDIAN_CHI2 = 5.348
+"""median of chi2 with six degrees of freedom"""
 
 
 @dataclass(frozen=True)
 class GraphOptions:
-    """How registrations are judged."""
+    """Options that decide which registrations are trusted."""
 
     runs: RunOptions = field(default_factory=RunOptions)
     kernel: float = 3.0
-    """residual, in standard deviations, that counts a quarter in the robust solution"""
+    """scale of the robust kernel: a residual of so many standard deviations has a weight of 1/4"""
     significance: float = 1e-5
-    """probability with which a right registration is taken for wrong"""
+    """probability that a right registration is rejected"""
     readmission: float = 1e-2
-    """a registration that was left out comes back if so much or more speaks for it"""
+    """p-value above which a registration that was left out is readmitted"""
     neighbourhood_m: float = 20.0
-    """of several registrations within this way that fail the test, only the worst goes in a round"""
+    """of registrations within this arc length that fail the test, only the worst is removed in one round"""
     rounds: int = 10
+    """largest number of rounds"""
     estimate_noise: bool = True
-    """of odometry, and of registrations where they are worse than they say"""
+    """whether the noise of odometry, and the overstatement of the registrations' information, are estimated"""
     shared_points: bool = True
-    """registrations of submaps that overlap err alike and make odometry look too good: its noise is never estimated to
-    less than was assumed"""
+    """whether submaps overlap, so that errors of their registrations are correlated and make odometry look too good; if
+    so, its noise is never estimated to be less than assumed"""
     noise_edges: int = 600
-    """odometry edges, evenly spread, that noise is estimated from"""
-
-    def __post_init__(self) -> None:
-        if min(self.kernel, self.neighbourhood_m) <= 0 or self.rounds < 1 or self.noise_edges < 1:
-            raise ConfigError("kernel, neighbourhood_m, rounds and noise_edges of the graph must be positive")
-        if not 0 < self.significance < self.readmission < 1:
-            raise ConfigError("expected 0 < significance < readmission < 1")
+    """number of odometry edges that noise is estimated from"""
 
 
 @dataclass(frozen=True, eq=False)
 class Selected:
-    """A solved graph and what it believes."""
+    """The solved graph and the registrations that are part of it."""
 
     T_world_node: Array
     """(N, 4, 4)"""
     edges: Edges
-    """all that took part, with the weights it had"""
+    """the edges of the graph, with the information they had"""
     used: Mask
-    """(E,) registrations that took part"""
-    tested: Tested
-    """(E,) registrations against all else"""
-    odometry_tested: Tested
-    """odometry edges against all else"""
+    """(E,) whether each registration is part of the graph"""
+    tested: OutlierTest
+    """(E,) test of each registration against the rest of the graph"""
+    odometry_tested: OutlierTest
+    """test of each odometry edge against the rest of the graph"""
     noise: OdometryNoise
     information_factor: float
-    """the registrations' information was divided by this"""
+    """factor that the information of registrations was divided by"""
 
 
-def weakened(edges: Edges, factor: float) -> Edges:
-    """With information divided by a factor."""
+def downweighted(edges: Edges, factor: float) -> Edges:
+    """The edges with their information divided by a factor."""
     return replace(edges, information=edges.information / factor)
 
 
 def select(
-    drives: Drives, cross: Edges, candidates: Mask, start: Array, noise: OdometryNoise, options: GraphOptions
+    drives: BothDrives, cross: Edges, candidates: Mask, start: Array, noise: OdometryNoise, options: GraphOptions
 ) -> Selected:
-    """Solve the graph of odometry and registrations.
+    """Solve the graph of odometry and registrations, and select the registrations to trust.
 
     Args:
         cross: E registrations.
-        candidates: (E,) those that may take part at all.
-        start: (N, 4, 4) first poses.
+        candidates: (E,) whether each may be part of the graph.
+        start: (N, 4, 4) initial poses.
+        noise: of odometry, initially.
     """
     T, used, factor = _robust(drives, cross, candidates, start, noise, options)
     was_out, assumed = ~used, noise
     for _ in range(options.rounds):
         odometry = drives.odometry(noise)
-        edges = Edges.join([odometry, weakened(cross[used], factor)])
+        edges = Edges.join([odometry, downweighted(cross[used], factor)])
         T = solve(T, edges)
         covariances = Covariances(T, edges)
-        tested = _test_registrations(covariances, T, weakened(cross, factor), used, edges)
+        tested = _test_registrations(covariances, T, downweighted(cross, factor), used, edges)
         before = noise, factor
         if options.estimate_noise:
-            some = odometry[spread(len(odometry), options.noise_edges)]
-            posterior = np.diagonal(covariances.relative(some.first, some.second), axis1=1, axis2=2)
-            noise = estimate(noise, drives.way(some.first, some.second), some.residuals(T), posterior)
+            noise = reestimated(noise, drives, odometry, T, covariances, options.noise_edges)
             noise = noise.at_least(assumed) if options.shared_points else noise
-            more = variance_factor(tested.squares[used].ravel(), tested.free[used].ravel())
-            # Registrations that share points err alike, and look better among themselves than they are.
+            more = variance_factor(tested.squares[used].ravel(), tested.redundancy_numbers[used].ravel())
+            # The factor is at least 1: registrations that share points have correlated errors and look too good.
             factor = max(1.0, factor * (1.0 if more is None else more))
         drop = _worst(drives, cross, used & (tested.p_value < options.significance), tested, options)
-        back = candidates & ~used & was_out & (tested.free.sum(axis=1) > 0) & (tested.p_value > options.readmission)
+        back = (
+            candidates
+            & ~used
+            & was_out
+            & (tested.redundancy_numbers.sum(axis=1) > 0)
+            & (tested.p_value > options.readmission)
+        )
         used = (used & ~drop) | back
         was_out &= ~back
-        if not drop.any() and not back.any() and settled(before, (noise, factor)):
+        if not drop.any() and not back.any() and noise_converged(before, (noise, factor)):
             break
     noise, factor = before
-    edges = Edges.join([odometry, weakened(cross[used], factor)])
+    edges = Edges.join([odometry, downweighted(cross[used], factor)])
     if drop.any() or back.any():
         T = solve(T, edges)
-        tested = _test_registrations(Covariances(T, edges), T, weakened(cross, factor), used, edges)
+        tested = _test_registrations(Covariances(T, edges), T, downweighted(cross, factor), used, edges)
     return Selected(T, edges, used, tested, check_odometry(T, edges), noise, factor)
 
 
-def check_odometry(T_world_node: Array, edges: Edges) -> Tested:
-    """The odometry edges of a solved graph against all else."""
+def check_odometry(T_world_node: Array, edges: Edges) -> OutlierTest:
+    """Test the odometry edges of a solved graph against the rest of it."""
     odometry = edges[edges.kind != Kind.REGISTRATION]
     posterior = Covariances(T_world_node, edges).relative(odometry.first, odometry.second)
     return check_used(odometry.residuals(T_world_node), odometry.information, posterior)
 
 
 def _robust(
-    drives: Drives, cross: Edges, used: Mask, start: Array, noise: OdometryNoise, options: GraphOptions
+    drives: BothDrives, cross: Edges, used: Mask, start: Array, noise: OdometryNoise, options: GraphOptions
 ) -> tuple[Array, Mask, float]:
-    """Poses by a robust kernel, the registrations that fit them, and by how much these overstate themselves.
+    """Poses by a robust kernel, the registrations that fit them, and the factor by which these overstate themselves.
 
-    All count at first, so that drives which pass a place twice are drawn together before anything is doubted.
+    The first solution has no kernel, so that drives which pass a place twice are drawn together before any registration
+    is doubted.
     """
     from scipy.special import chdtri
 
@@ -142,31 +142,40 @@ def _robust(
     T = solve(start, edges)
     T = solve(T, edges, options.kernel, np.arange(len(edges)) >= len(edges) - int(used.sum()))
     found = cross.chi2(T)
-    factor = max(1.0, float(np.median(found[used])) / _MEDIAN_CHI2) if used.any() else 1.0
+    factor = max(1.0, float(np.median(found[used])) / MEDIAN_CHI2) if used.any() else 1.0
     return T, used & (found <= factor * chdtri(6, options.significance)), factor
 
 
-def _test_registrations(covariances: Covariances, T: Array, cross: Edges, used: Mask, edges: Edges) -> Tested:
-    """Every registration whose nodes are connected; of others nothing is known."""
+def _test_registrations(covariances: Covariances, T: Array, cross: Edges, used: Mask, edges: Edges) -> OutlierTest:
+    """Test every registration whose nodes are connected; those of the others have no redundancy."""
     part = components(len(T), edges.first, edges.second)
     connected = np.flatnonzero(part[cross.first] == part[cross.second])
-    squares, free = np.zeros((len(cross), 6)), np.zeros((len(cross), 6))
+    squares, redundancy_numbers = np.zeros((len(cross), 6)), np.zeros((len(cross), 6))
     residuals, posterior = cross.residuals(T), np.zeros((len(cross), 6, 6))
     posterior[connected] = covariances.relative(cross.first[connected], cross.second[connected])
     for which, check in ((used, check_used), (~used, check_left_out)):
         some = connected[which[connected]]
         out = check(residuals[some], cross.information[some], posterior[some])
-        squares[some], free[some] = out.squares, out.free
-    return Tested(squares, free)
+        squares[some], redundancy_numbers[some] = out.squares, out.redundancy_numbers
+    return OutlierTest(squares, redundancy_numbers)
 
 
-def spread(count: int, most: int) -> NDArray[np.int64]:
-    """At most so many of the numbers up to ``count``, evenly spread."""
+def reestimated(
+    noise: OdometryNoise, drives: BothDrives, odometry: Edges, T_world_node: Array, covariances: Covariances, most: int
+) -> OdometryNoise:
+    """The noise of odometry estimated anew from at most ``most`` of its edges in a solved graph."""
+    some = odometry[evenly_spaced(len(odometry), most)]
+    posterior = np.diagonal(covariances.relative(some.first, some.second), axis1=1, axis2=2)
+    return estimate(noise, drives.arc_length(some.first, some.second), some.residuals(T_world_node), posterior)
+
+
+def evenly_spaced(count: int, most: int) -> NDArray[np.int64]:
+    """At most ``most`` of the numbers from 0 to ``count - 1``, evenly spaced."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)) if count else np.arange(0)
 
 
-def _worst(drives: Drives, cross: Edges, failing: Mask, tested: Tested, options: GraphOptions) -> Mask:
-    """The worst of the failing registrations in each neighbourhood along the query's drive."""
+def _worst(drives: BothDrives, cross: Edges, failing: Mask, tested: OutlierTest, options: GraphOptions) -> Mask:
+    """The worst failing registration in each neighbourhood along the query's drive."""
     at = drives.travelled_m[cross.second]
     out = np.zeros(len(cross), dtype=bool)
     excess = tested.chi2 / np.maximum(tested.freedom, 1)
@@ -175,7 +184,7 @@ def _worst(drives: Drives, cross: Edges, failing: Mask, tested: Tested, options:
     return out
 
 
-def settled(before: tuple[OdometryNoise, float], after: tuple[OdometryNoise, float]) -> bool:
-    """Whether no standard deviation changed by more than 5 %."""
+def noise_converged(before: tuple[OdometryNoise, float], after: tuple[OdometryNoise, float]) -> bool:
+    """Whether no standard deviation changed by more than 5 % between two (noise, factor)."""
     ratios = np.append(after[0].sigma / before[0].sigma, np.sqrt(after[1] / before[1]))
     return bool(np.all(np.abs(np.log(ratios)) < 0.05))

@@ -1,1 +1,1 @@
-"""One drive registered against another, submap by submap."""
+"""Registration of one drive against another, submap by submap."""

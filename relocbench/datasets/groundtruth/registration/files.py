@@ -1,7 +1,7 @@
-"""Registrations on disk: a table that people read and a resumed build takes up again.
+"""Registrations on disk: a table for people to read, and for a resumed build to continue from.
 
-``REF__QUERY.csv`` has one row a node of the query that was tried. Numbers are written so that they are read back bit
-for bit; what is not known is empty.
+``REF__QUERY.csv`` has one row for each query node that was tried. Numbers are written so that they are read back bit
+for bit; unknown ones are left empty.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ COLUMNS = (
 
 
 def write_registrations(path: Path, registrations: Sequence[Registration], reference: Nodes, query: Nodes) -> None:
-    """The table of one query drive."""
+    """Write the table of one query drive."""
     with atomic_write(path) as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(COLUMNS)
@@ -54,20 +54,20 @@ def write_registrations(path: Path, registrations: Sequence[Registration], refer
 
 
 def read_registrations(path: Path) -> list[Registration]:
-    """What :func:`write_registrations` wrote.
+    """Read what :func:`write_registrations` wrote.
 
     Raises:
-        DatasetError: with the line, where it is not such a table.
+        DatasetError: the file is not such a table; names the line.
     """
     rows = read_csv(path, "registrations", DatasetError)
     if next(rows, (1, []))[1] != list(COLUMNS):
-        raise DatasetError("expected a table of registrations; remove it and build again", path, 1)
+        raise DatasetError("expected a table of registrations; remove the file and build again", path, 1)
     out = []
     for number, row in rows:
         try:
             out.append(_read(dict(zip(COLUMNS, row, strict=True))))
         except ValueError as bad:
-            raise DatasetError(f"no registration ({bad}); remove the table and build again", path, number) from None
+            raise DatasetError(f"no registration ({bad}); remove the file and build again", path, number) from None
     return out
 
 

@@ -1,8 +1,8 @@
-"""Registration without a prediction: several distinct guesses, none of them trusted.
+"""Global registration: guesses of the relative pose of two submaps without a prediction; any of them may be wrong.
 
-FPFH features (Rusu, Blodow and Beetz, ICRA 2009) matched by RANSAC with fixed seeds, or by fast global registration
-(Zhou, Park and Koltun, ECCV 2016), on thinned structure. Such answers are often wrong on streets: turned by 180
-degrees, or slid along periodic facades. So the alternatives of each are made on purpose, and verification chooses.
+FPFH features (Rusu, Blodow and Beetz, ICRA 2009) of thinned structure are matched by RANSAC with fixed seeds, by fast
+global registration (Zhou, Park and Koltun, ECCV 2016), or by KISS-Matcher. On streets the results are often turned by
+180 degrees or shifted along periodic facades, so that alternatives of each are tried too, and verification chooses.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
-from relocbench.datasets.groundtruth.submaps.planes import thinned
+from relocbench.datasets.groundtruth.icp.backends import open3d_cloud
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
+from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.errors import ConfigError
 from relocbench.geometry import invert, rotation_angle
 
@@ -27,26 +28,25 @@ Matcher = Literal["ransac", "fgr", "kiss-matcher"]
 
 @dataclass(frozen=True)
 class GlobalOptions:
-    """Options of the search for first guesses."""
+    """Options of global registration."""
 
     matcher: Matcher = "ransac"
     voxel_m: float = 0.7
     iterations: int = 30_000
-    """of RANSAC, always all of them"""
+    """number of RANSAC's iterations; it never stops early"""
     seeds: tuple[int, ...] = (0, 1, 2)
-    """one run each"""
+    """seeds; the matcher runs once for each"""
     same_m: float = 1.0
-    """guesses that lie nearer to each other, and"""
+    """guesses that differ by no more than this and"""
     same_deg: float = 4.0
-    """turn by less, are one"""
+    """by no more than this rotation count as one"""
     coarser_m: tuple[float, ...] = (1.0, 1.4)
-    """voxels that are tried in turn where nothing holds of what was found before: sparse scans show too little in the
-    fine ones"""
+    """voxel sizes of further searches, each tried if no guess held so far: sparse scans need larger ones"""
     coarser_runs: int = 10
-    """of each of these"""
+    """number of seeds of each further search"""
 
     def attempts(self) -> tuple[GlobalOptions, ...]:
-        """This search, and those that follow where it fails."""
+        """The options of this search and of the further ones that follow if it fails."""
         first = self.seeds[0] if self.seeds else 0
         seeds = tuple(range(first, first + self.coarser_runs))
         return (self, *(replace(self, voxel_m=voxel_m, seeds=seeds) for voxel_m in self.coarser_m))
@@ -54,17 +54,17 @@ class GlobalOptions:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known beforehand of where the query's node is, seen from the reference's; limits are hard."""
+    """Prior knowledge of the pose of the query's node relative to the reference's; it is used as a hard limit."""
 
     T_ref_query: Array
     """(4, 4)"""
     sigma_m: float
-    """standard deviation of the position, each axis"""
+    """standard deviation of the position on each axis"""
     sigma_heading_deg: float = 180.0
-    """standard deviation of the turn; 60 and more says nothing"""
+    """standard deviation of the rotation; from 60 on every rotation is allowed"""
 
     def allows(self, T_ref_query: Array) -> bool:
-        """Within three standard deviations of position and of turn."""
+        """Whether a pose is within three standard deviations in position and in rotation."""
         away = float(np.linalg.norm(T_ref_query[:3, 3] - self.T_ref_query[:3, 3]))
         turned = float(np.degrees(rotation_angle(self.T_ref_query[:3, :3].T @ T_ref_query[:3, :3])))
         return away <= 3 * self.sigma_m and turned <= max(3 * self.sigma_heading_deg, 1e-6)
@@ -72,18 +72,18 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Thinned structure of a submap with its descriptors."""
+    """Thinned points of a submap with their feature descriptors."""
 
     points: Array
     """(N, 3)"""
     normals: Array
     """(N, 3)"""
     descriptors: Array
-    """(33, N) FPFH"""
+    """(33, N) FPFH descriptors"""
 
 
 def describe(submap: Submap, options: GlobalOptions | None = None) -> Features:
-    """Features of the structure of a submap; of everything with a normal where there is hardly any structure."""
+    """Features of a submap's static structure; of all points with a normal if there is hardly any structure."""
     import open3d as o3d
 
     o = options or GlobalOptions()
@@ -94,10 +94,10 @@ def describe(submap: Submap, options: GlobalOptions | None = None) -> Features:
     points, normals = submap.points[chosen].astype(np.float64), submap.normals[chosen].astype(np.float64)
     if not len(points):
         return Features(points, normals, np.zeros((33, 0)))
-    keep = thinned(points, o.voxel_m)
-    cloud = _cloud(points[keep], normals[keep])
+    keep = first_in_voxels(points, o.voxel_m)
+    cloud = open3d_cloud(points[keep], normals[keep])
     search = o3d.geometry.KDTreeSearchParamHybrid(radius=5 * o.voxel_m, max_nn=100)
-    # The stubs ask for indices, which have a default.
+    # Open3D's stubs require indices, which have a default.
     feature = o3d.pipelines.registration.compute_fpfh_feature(cloud, search)  # type: ignore[call-arg]
     return Features(points[keep], normals[keep], np.asarray(feature.data))
 
@@ -105,10 +105,10 @@ def describe(submap: Submap, options: GlobalOptions | None = None) -> Features:
 def guesses(
     ref: Features, query: Features, prior: Prior | None = None, options: GlobalOptions | None = None
 ) -> list[Array]:
-    """Distinct ``T_ref_query`` that the prior allows; none may be right. The same every time.
+    """Distinct guesses of ``T_ref_query`` that the prior allows, the same every time; all may be wrong.
 
     Raises:
-        ConfigError: the matcher is not installed.
+        ConfigError: the matcher's package is not installed.
     """
     o = options or GlobalOptions()
     if min(len(ref.points), len(query.points)) < 10:
@@ -119,25 +119,24 @@ def guesses(
         found = [_fgr(ref, query, o, seed) for seed in o.seeds]
     else:
         found = [_ransac(ref, query, o, seed) for seed in o.seeds]
-    return distinct([T for T in found if T is not None and (prior is None or prior.allows(T))], o.same_m, o.same_deg)
+    allowed = [T for T in found if T is not None and (prior is None or prior.allows(T))]
+    return [allowed[k] for k in distinct(allowed, o.same_m, o.same_deg)]
 
 
-def distinct(transforms: Sequence[Array], same_m: float, same_deg: float) -> list[Array]:
-    """The first of each group of transforms that hardly differ."""
-    kept: list[Array] = []
-    for T in transforms:
-        apart = (invert(k) @ T for k in kept)
-        if all(np.linalg.norm(d[:3, 3]) > same_m or np.degrees(rotation_angle(d[:3, :3])) > same_deg for d in apart):
-            kept.append(T)
+def pose_difference(T_a: Array, T_b: Array) -> tuple[float, float]:
+    """Metres and degrees between two poses (4, 4) in the same frame."""
+    apart = invert(T_a) @ T_b
+    return float(np.linalg.norm(apart[:3, 3])), float(np.degrees(rotation_angle(apart[:3, :3])))
+
+
+def distinct(poses: Sequence[Array], same_m: float, same_deg: float) -> list[int]:
+    """Rows of poses, each of which differs by more than ``same_m`` or ``same_deg`` from those chosen before it."""
+    kept: list[int] = []
+    for row, T in enumerate(poses):
+        differences = (pose_difference(poses[k], T) for k in kept)
+        if all(metres > same_m or degrees > same_deg for metres, degrees in differences):
+            kept.append(row)
     return kept
-
-
-def _cloud(points: Array, normals: Array) -> Any:
-    import open3d as o3d
-
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    cloud.normals = o3d.utility.Vector3dVector(normals)
-    return cloud
 
 
 def _feature(descriptors: Array) -> Any:
@@ -155,8 +154,8 @@ def _ransac(ref: Features, query: Features, options: GlobalOptions, seed: int) -
     o3d.utility.random.seed(seed)
     near = 1.5 * options.voxel_m
     result = registration.registration_ransac_based_on_feature_matching(
-        _cloud(query.points, query.normals),
-        _cloud(ref.points, ref.normals),
+        open3d_cloud(query.points, query.normals),
+        open3d_cloud(ref.points, ref.normals),
         _feature(query.descriptors),
         _feature(ref.descriptors),
         True,
@@ -180,8 +179,8 @@ def _fgr(ref: Features, query: Features, options: GlobalOptions, seed: int) -> A
     registration = o3d.pipelines.registration
     o3d.utility.random.seed(seed)
     result = registration.registration_fgr_based_on_feature_matching(
-        _cloud(query.points, query.normals),
-        _cloud(ref.points, ref.normals),
+        open3d_cloud(query.points, query.normals),
+        open3d_cloud(ref.points, ref.normals),
         _feature(query.descriptors),
         _feature(ref.descriptors),
         registration.FastGlobalRegistrationOption(decrease_mu=True, maximum_correspondence_distance=options.voxel_m),
@@ -195,8 +194,8 @@ def _kiss_matcher(ref: Features, query: Features, options: GlobalOptions) -> Arr
         kiss_matcher = importlib.import_module("kiss_matcher")
     except ImportError:
         raise ConfigError(
-            "the matcher 'kiss-matcher' needs the package kiss-matcher: pip install 'relocbench[registration]', or use "
-            "ransac"
+            "matcher 'kiss-matcher' needs the package kiss-matcher: "
+            "pip install 'relocbench[registration]', or use 'ransac'"
         ) from None
     matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(options.voxel_m))
     solution = matcher.estimate(list(query.points.astype(np.float32)), list(ref.points.astype(np.float32)))

@@ -1,8 +1,7 @@
-"""Which of several guesses is right? Each is followed along a stretch of road, and must hold all the way.
+"""Choosing between several guesses of a pose: each is followed along the road, and must hold all the way.
 
-At one place a wrong pose may look as good as the right one, or better. Over tens of metres of road, carried along by
-both odometries, a wrong one meets a gap, a crossing or a front that is not there. If two survive, nobody can tell, and
-that is said.
+At one place a wrong pose may look as good as the right one, or better. Predicted by both odometries over tens of metres
+of road, a wrong one meets a gap, a crossing or a facade that is not there. If two guesses survive, neither is chosen.
 """
 
 from __future__ import annotations
@@ -13,148 +12,151 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.registration.global_registration import distinct
-from relocbench.datasets.groundtruth.registration.submap_pair import RegisterOptions, Side, predict, register
-from relocbench.datasets.groundtruth.verification.alternatives import SlideOptions, alternatives, fit
+from relocbench.datasets.groundtruth.registration.global_registration import distinct, pose_difference
+from relocbench.datasets.groundtruth.registration.submap_pair import (
+    Guess,
+    PreparedDrive,
+    RegisterOptions,
+    predict,
+    predict_in_reference,
+    register,
+)
+from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions, alternatives, fit
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
-from relocbench.geometry import invert, rotation_angle
 
 Array = NDArray[np.float64]
-Guess = tuple[int, int, Array]
-"""reference node, query node, ``T_ref_query``"""
 
 
 @dataclass(frozen=True)
 class HypothesisOptions:
-    """Options that decide between several first guesses of a pose."""
+    """Options that decide between several guesses of a pose."""
 
-    stretch_m: float = 50.0
-    """how far each is followed"""
+    follow_m: float = 50.0
+    """length of road over which each hypothesis is followed"""
     step_m: float = 10.0
-    followed: int = 5
-    """at most so many are followed, those that look best at first"""
-    tried: int = 10
-    """at most so many are refined and judged at all, those that fit best"""
+    """distance between the nodes at which it is registered"""
+    most_followed: int = 5
+    """number of hypotheses that are followed, the most plausible ones"""
+    most_tried: int = 10
+    """number of guesses that are registered at all, those that fit best"""
     share: float = 0.7
-    """of the places along the stretch where a hypothesis must be trusted"""
+    """share of the nodes at which a hypothesis must be trusted"""
     margin: float = 0.03
-    """a runner-up that survives and is no worse by more than this leaves the choice open"""
+    """the choice stays open if a second hypothesis survives whose plausibility is lower by less than this"""
     same_m: float = 1.0
+    """hypotheses that differ by no more than this and"""
     same_deg: float = 4.0
+    """by no more than this rotation count as one"""
     nearest_m: float = 10.0
-    """places with no reference node nearer than this are not judged"""
+    """a hypothesis is followed no further than where the nearest reference node is this far away"""
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """The hypothesis that held, or why none did."""
+class SearchResult:
+    """The hypothesis that holds, or the reason why none does."""
 
     best: Registration | None
     reason: str = ""
     ambiguous: bool = False
-    """several held: a further search can only hide that"""
+    """whether several hold, so that searching further cannot help"""
 
 
 def plausibility(evidence: Evidence) -> float:
-    """One number for how well a pose holds, to compare hypotheses: 1 is perfect, and missing evidence is worst."""
+    """A number to compare hypotheses by: 1 for perfect evidence, -1 for missing evidence.
+
+    The smaller overlap less twice the larger share of violations.
+    """
     values = (evidence.overlap_ref, evidence.overlap_query, evidence.violations_ref, evidence.violations_query)
     if not np.isfinite(values).all():
         return -1.0
     return float(min(values[:2]) - 2 * max(values[2:]))
 
 
-def with_alternatives(ref: Side, query: Side, guesses: Sequence[Guess], slide: SlideOptions, most: int) -> list[Guess]:
-    """Guesses, their slides and turned versions, each once, those that fit best first."""
+def with_alternatives(
+    ref: PreparedDrive, query: PreparedDrive, guesses: Sequence[Guess], shift: ShiftOptions, most: int
+) -> list[Guess]:
+    """Guesses and their distinct alternatives, best fit first; at most ``most``."""
     ranked: list[tuple[float, int, Guess]] = []
     for r, q in dict.fromkeys(g[:2] for g in guesses):
         a, b = ref.at(r).planes, query.at(q).planes
-        own = [alt for *at, T in guesses if tuple(at) == (r, q) for alt in alternatives(a, b, T, slide)]
-        for T in distinct(own, slide.apart_m / 2, 4.0):
-            ranked.append((-fit(a, b, T, slide), len(ranked), (r, q, T)))
+        own = [alt for *at, T in guesses if tuple(at) == (r, q) for alt in alternatives(a, b, T, shift)]
+        for k in distinct(own, shift.apart_m / 2, 4.0):
+            ranked.append((-fit(a, b, own[k], shift), len(ranked), (r, q, own[k])))
     return [guess for _, _, guess in sorted(ranked, key=lambda entry: entry[:2])[:most]]
 
 
-def settle(
-    ref: Side, query: Side, guesses: Sequence[Guess], options: HypothesisOptions, register_options: RegisterOptions
-) -> Outcome:
-    """The guess that holds over a stretch of road.
+def choose_hypothesis(
+    ref: PreparedDrive,
+    query: PreparedDrive,
+    guesses: Sequence[Guess],
+    options: HypothesisOptions,
+    register_options: RegisterOptions,
+) -> SearchResult:
+    """The registration of the guess that holds over ``follow_m`` of road, or the reason why none does.
 
-    Returns:
-        its registration; or none, and the reason: that of the best guess, or that two cannot be told apart.
+    The reason is that of the most plausible guess, or that two guesses cannot be told apart.
     """
-    judged = [register(ref, query, (r, q), T, register_options) for r, q, T in guesses[: options.tried]]
-    judged.sort(key=lambda found: -plausibility(found.evidence))
-    hopeful = _apart(ref, [found for found in judged if found.trusted], options)[: options.followed]
-    if not hopeful:
-        return Outcome(None, judged[0].reason if judged else "no guess of where it could be")
-    followed = [(_follow(ref, query, found, options, register_options), found) for found in hopeful]
-    alive = sorted(((score, n) for n, (score, _) in enumerate(followed) if score is not None), key=lambda s: -s[0])
-    if not alive:
-        way = options.stretch_m
-        return Outcome(None, f"no hypothesis of {len(hopeful)} holds over {way:.0f} m of road")
-    best = followed[alive[0][1]][1]
-    if len(alive) > 1 and alive[0][0] - alive[1][0] < options.margin:
-        other = followed[alive[1][1]][1]
-        apart = _difference(ref, best, other)
-        reason = f"ambiguous: two poses {apart:.1f} m apart hold over {options.stretch_m:.0f} m of road"
-        return Outcome(None, reason, ambiguous=True)
-    return Outcome(best)
+    tried = [register(ref, query, (r, q), T, register_options) for r, q, T in guesses[: options.most_tried]]
+    tried.sort(key=lambda found: -plausibility(found.evidence))
+    trusted = [found for found in tried if found.trusted]
+    rows = distinct(_query_poses(ref, trusted), options.same_m, options.same_deg)[: options.most_followed]
+    candidates = [trusted[row] for row in rows]
+    if not candidates:
+        return SearchResult(None, tried[0].reason if tried else "no guess of where it could be")
+    followed = [(_follow(ref, query, found, options, register_options), found) for found in candidates]
+    surviving = sorted(((score, n) for n, (score, _) in enumerate(followed) if score is not None), key=lambda s: -s[0])
+    if not surviving:
+        return SearchResult(None, f"no hypothesis of {len(candidates)} holds over {options.follow_m:.0f} m of road")
+    best = followed[surviving[0][1]][1]
+    if len(surviving) > 1 and surviving[0][0] - surviving[1][0] < options.margin:
+        one, other = _query_poses(ref, [best, followed[surviving[1][1]][1]])
+        apart = float(np.linalg.norm(one[:3, 3] - other[:3, 3]))
+        reason = f"ambiguous: two poses {apart:.1f} m apart hold over {options.follow_m:.0f} m of road"
+        return SearchResult(None, reason, ambiguous=True)
+    return SearchResult(best)
 
 
-def nearest_node(ref: Side, T_odom_query: Array, among: NDArray[np.int64]) -> tuple[int, float]:
-    """The reference's node nearest to a pose in its odometry, and the distance."""
+def nearest_node(ref: PreparedDrive, T_odom_query: Array, among: NDArray[np.int64]) -> tuple[int, float]:
+    """The reference node nearest to a pose in the reference's odometry, of those given, and its distance."""
     apart = np.linalg.norm(ref.nodes.T_odom_node[among, :3, 3] - T_odom_query[:3, 3], axis=1)
     return int(among[int(np.argmin(apart))]), float(apart.min())
 
 
 def _follow(
-    ref: Side, query: Side, start: Registration, options: HypothesisOptions, register_options: RegisterOptions
+    ref: PreparedDrive,
+    query: PreparedDrive,
+    start: Registration,
+    options: HypothesisOptions,
+    register_options: RegisterOptions,
 ) -> float | None:
-    """Mean plausibility along the stretch, both ways if the drive begins or ends; None if it does not hold."""
+    """Mean plausibility of a hypothesis along the road, or None if it does not hold.
+
+    It is followed forward, and what is missing to ``follow_m`` backward.
+    """
     scores, trusted = [plausibility(start.evidence)], 1
-    missing, stretch = options.stretch_m, query.nodes.stretches()
-    beside = np.flatnonzero(ref.nodes.stretches() == ref.nodes.stretches()[start.ref])
+    missing, segment = options.follow_m, query.nodes.segments()
+    beside = np.flatnonzero(ref.nodes.segments() == ref.nodes.segments()[start.ref])
     for sign in (1, -1):
         known, last = start, float(query.nodes.travelled_m[start.query])
         for node in range(start.query + sign, len(query) if sign > 0 else -1, sign):
-            way = abs(float(query.nodes.travelled_m[node]) - last)
-            if missing <= 0 or stretch[node] != stretch[start.query]:
+            driven = abs(float(query.nodes.travelled_m[node]) - last)
+            if missing <= 0 or segment[node] != segment[start.query]:
                 break
-            if way < options.step_m:
+            if driven < options.step_m:
                 continue
-            last, missing = float(query.nodes.travelled_m[node]), missing - way
-            pose = ref.nodes.T_odom_node[known.ref] @ known.T_ref_query
-            pose = pose @ invert(query.nodes.T_odom_node[known.query]) @ query.nodes.T_odom_node[node]
-            r, apart = nearest_node(ref, pose, beside)
+            last, missing = float(query.nodes.travelled_m[node]), missing - driven
+            r, apart = nearest_node(ref, predict_in_reference(known, ref.nodes, query.nodes, node), beside)
             if apart > options.nearest_m:
                 break
-            found = register(ref, query, (r, node), predict(known, ref.nodes, query.nodes, (r, node)), register_options)
+            predicted = predict(known, ref.nodes, query.nodes, (r, node))
+            found = register(ref, query, (r, node), predicted, register_options)
             scores.append(plausibility(found.evidence))
-            if found.trusted and _agrees(found, predict(known, ref.nodes, query.nodes, (r, node)), way):
+            metres, degrees = pose_difference(predicted, found.T_ref_query)
+            if found.trusted and metres <= 0.5 + 0.05 * driven and degrees <= 2 + 0.1 * driven:
                 trusted, known = trusted + 1, found
     return float(np.mean(scores)) if trusted >= options.share * len(scores) else None
 
 
-def _agrees(found: Registration, predicted: Array, way_m: float) -> bool:
-    apart = invert(predicted) @ found.T_ref_query
-    turned = float(np.degrees(rotation_angle(apart[:3, :3])))
-    return bool(np.linalg.norm(apart[:3, 3]) <= 0.5 + 0.05 * way_m and turned <= 2 + 0.1 * way_m)
-
-
-def _difference(ref: Side, a: Registration, b: Registration) -> float:
-    poses = [ref.nodes.T_odom_node[x.ref] @ x.T_ref_query for x in (a, b)]
-    return float(np.linalg.norm(poses[0][:3, 3] - poses[1][:3, 3]))
-
-
-def _apart(ref: Side, found: Sequence[Registration], options: HypothesisOptions) -> list[Registration]:
-    """One of each group that ended in the same place."""
-    kept: list[Registration] = []
-    for f in found:
-        pose = ref.nodes.T_odom_node[f.ref] @ f.T_ref_query
-        others = [invert(ref.nodes.T_odom_node[k.ref] @ k.T_ref_query) @ pose for k in kept]
-        if all(
-            np.linalg.norm(d[:3, 3]) > options.same_m or np.degrees(rotation_angle(d[:3, :3])) > options.same_deg
-            for d in others
-        ):
-            kept.append(f)
-    return kept
+def _query_poses(ref: PreparedDrive, found: Sequence[Registration]) -> list[Array]:
+    """Poses (4, 4) of query nodes in the reference's odometry."""
+    return [ref.nodes.T_odom_node[f.ref] @ f.T_ref_query for f in found]

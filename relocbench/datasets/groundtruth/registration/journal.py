@@ -1,7 +1,7 @@
-"""What a long registration has found so far, on disk, so that a killed one goes on where it was.
+"""A journal of the intermediate results of a drive's registration, so that a killed one continues where it was.
 
-Each line is a JSON list: what was asked for, and the outcome. The registration asks the same questions in the same
-order when it runs again; as long as they are the journal's, it is answered from there.
+Each line is a JSON list of a key and a result. When the registration runs again it makes the same requests in the same
+order; as long as the keys agree with those of the journal, their results are taken from it.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from threading import Event, Lock, Thread
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
-from relocbench.datasets.groundtruth.registration.hypotheses import Outcome
+from relocbench.datasets.groundtruth.registration.hypotheses import SearchResult
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
 from relocbench.files import parse_json, read_bytes
 from relocbench.progress import Advance
@@ -25,56 +25,76 @@ from relocbench.progress import Advance
 _POLL_S = 0.5
 
 
+class StoredRegistration(TypedDict):
+    """A :class:`Registration` as JSON holds it."""
+
+    ref: int
+    query: int
+    T_ref_query: list[list[float]]
+    information: list[list[float]]
+    evidence: dict[str, Any]
+    reason: str
+
+
+class StoredResult(TypedDict):
+    """A :class:`SearchResult` as JSON holds it."""
+
+    reason: str
+    best: NotRequired[StoredRegistration]
+
+
 class Journal:
-    """Outcomes of one registration; numbers are read back bit for bit."""
+    """The results of one drive's registration so far; numbers are read back bit for bit."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         lines = _whole_lines(path)
-        self._known: deque[tuple[str, bytes, Outcome]] = deque()
+        self._known: deque[tuple[str, bytes, SearchResult]] = deque()
         for line in lines:
             try:
-                asked, outcome = parse_json(line)
-                self._known.append((asked, line, _outcome(outcome)))
+                key, stored = parse_json(line)
+                self._known.append((key, line, _restored(stored)))
             except (ValueError, TypeError, KeyError, AttributeError, OverflowError):
                 break
         path.parent.mkdir(parents=True, exist_ok=True)
         self._used = 0
-        """bytes that were asked for again"""
+        """bytes of the lines that were used again"""
         self._stream = path.open("wb")
         self._stream.writelines(line for _, line, _ in self._known)
         self._stream.flush()
 
-    def remember(self, asked: str, work: Callable[[], Outcome]) -> Outcome:
-        """The outcome of ``work``, which is done only if it was not before."""
+    def remember(self, key: str, work: Callable[[], SearchResult]) -> SearchResult:
+        """The result of ``work``, from the journal if it was done before."""
         if self._known:
-            known, line, outcome = self._known.popleft()
-            if known == asked:
+            known, line, result = self._known.popleft()
+            if known == key:
                 self._used += len(line)
-                return outcome
-            # Of another registration: nothing from here on can be trusted.
+                return result
+            # The journal is of other work, so that nothing from here on can be used.
             self._known.clear()
             self._stream.seek(self._used)
             self._stream.truncate()
-        outcome = work()
+        result = work()
         try:
-            self._stream.write((json.dumps([asked, _plain(outcome)], default=float) + "\n").encode())
+            self._stream.write((json.dumps([key, _stored(result)], default=float) + "\n").encode())
             self._stream.flush()
         except OSError as bad:
-            bad.filename = bad.filename or str(self._path)  # a full disk does not say which file did not fit
+            bad.filename = bad.filename or str(self._path)  # the error of a full disk names no file
             raise
-        return outcome
+        return result
 
     def close(self) -> None:
-        """What follows is up to the owner of the file."""
+        """Close the file, which stays; removing it is up to the caller."""
         self._stream.close()
 
 
 @contextmanager
-def followed(journals: Sequence[Path], totals: Sequence[int], advance: Advance) -> Iterator[Callable[[int], None]]:
-    """Advance by the lines that other processes write to journals, at most to each one's total.
+def journal_progress(
+    journals: Sequence[Path], totals: Sequence[int], advance: Advance
+) -> Iterator[Callable[[int], None]]:
+    """Report progress by the lines that other processes write to journals, up to each journal's total.
 
-    The value of the context is called with the index of a journal that is complete.
+    Yields a function to call with the index of a journal that is complete.
     """
     done, lock, stop = [0] * len(journals), Lock(), Event()
 
@@ -100,18 +120,18 @@ def followed(journals: Sequence[Path], totals: Sequence[int], advance: Advance) 
 
 
 def _whole_lines(path: Path) -> list[bytes]:
-    """Lines that end; one that a kill tore is none."""
+    """The complete lines of a file, without a last one that was cut off by a kill."""
     if not path.exists():
         return []
     return [line + b"\n" for line in read_bytes(path, "a journal").split(b"\n")[:-1]]
 
 
-def _plain(outcome: Outcome) -> dict[str, Any]:
-    found = outcome.best
+def _stored(result: SearchResult) -> StoredResult:
+    found = result.best
     if found is None:
-        return {"reason": outcome.reason}
+        return {"reason": result.reason}
     return {
-        "reason": outcome.reason,
+        "reason": result.reason,
         "best": {
             "ref": found.ref,
             "query": found.query,
@@ -123,11 +143,11 @@ def _plain(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _outcome(plain: dict[str, Any]) -> Outcome:
-    """Raises ValueError, TypeError or KeyError where it is none."""
-    best = plain.get("best")
+def _restored(stored: StoredResult) -> SearchResult:
+    """The result of a line. Raises ValueError, TypeError, KeyError or AttributeError if it is not one."""
+    best = stored.get("best")
     if best is None:
-        return Outcome(None, plain["reason"])
+        return SearchResult(None, stored["reason"])
     evidence = dict(best["evidence"])
     evidence["weakest_direction"] = tuple(evidence["weakest_direction"])
     registration = Registration(
@@ -138,4 +158,4 @@ def _outcome(plain: dict[str, Any]) -> Outcome:
         Evidence(**evidence),
         str(best["reason"]),
     )
-    return Outcome(registration, plain["reason"])
+    return SearchResult(registration, stored["reason"])

@@ -1,4 +1,4 @@
-"""What all figures of the ground truth share: colours, size, and the same bytes on every machine."""
+"""The common parts of all figures: colours, and writing them with the same bytes on every machine."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ AXES = ("#0072B2", "#009E73", "#CC79A7")
 
 
 def reason_colours(kinds: Iterable[str]) -> dict[str, str]:
-    """kind of rejection -> colour, in order."""
+    """kind of rejection -> colour, in the order of the kinds."""
     return {kind: REASONS[k % len(REASONS)] for k, kind in enumerate(kinds)}
 
 
 def write_figure(path: Path, size: tuple[float, float], draw: Callable[[Figure], None]) -> None:
-    """A PNG of ``size`` inches, whatever the reader's own settings of matplotlib are."""
+    """Write a PNG of ``size`` inches, independent of the user's settings of matplotlib."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
@@ -38,5 +38,5 @@ def write_figure(path: Path, size: tuple[float, float], draw: Callable[[Figure],
 
 
 def shortened(text: str, length: int = 90) -> str:
-    """For a title or a legend."""
+    """The text cut to ``length`` characters, for a title or a legend."""
     return text if len(text) <= length else text[: length - 1].rstrip() + "…"

@@ -1,4 +1,4 @@
-"""The ground truth of a built dataset as its files tell it: what pictures and tables for the eye are made from."""
+"""The ground truth of a dataset, read from its files, as pictures and tables are made from it."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common, kind_of
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive, read_graph
+from relocbench.datasets.groundtruth.pose_graph.selection import evenly_spaced
 from relocbench.datasets.groundtruth.registration.files import read_registrations
 from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
 from relocbench.datasets.groundtruth.verification.evidence import Registration
@@ -24,13 +25,13 @@ from relocbench.geometry import invert
 Array = NDArray[np.float64]
 
 _KINDS = 4
-"""kinds of rejection that are drawn; the table names all"""
+"""number of kinds of rejection that are drawn; the table has all"""
 _FOLDER = "groundtruth"
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Above these a pair was rejected; None where the dataset does not say."""
+    """The limits on sigmas above which a pair was rejected; None if the dataset does not state them."""
 
     sigma_m: float | None
     sigma_deg: float | None
@@ -38,7 +39,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class InspectedSet:
-    """One pair set with the drives it came from."""
+    """One pair set with the solved drives and registrations that it came from."""
 
     pair_set: PairSet
     conditions: str
@@ -46,9 +47,9 @@ class InspectedSet:
     reference: PlacedDrive
     query: PlacedDrive
     registrations: Sequence[Registration]
-    """one a node of the query that was tried"""
+    """one for each query node that was tried"""
     stores: tuple[BlockStore, BlockStore]
-    """of the reference and the query"""
+    """blocks of the reference and the query"""
     limits: Limits
 
     @property
@@ -56,29 +57,29 @@ class InspectedSet:
         return self.pair_set.name
 
     def window(self, side: int, half_length_m: float) -> SubmapWindow:
-        """Submaps laid out by the graph, of the reference (0) or the query (1); all points stay."""
+        """Submaps, put together by the graph with all points kept, of the reference (0) or the query (1)."""
         drive = (self.reference, self.query)[side]
         return SubmapWindow(drive.nodes(), self.stores[side], half_length_m, voxel_m=0.0)
 
     def connected(self, pair: Pair) -> bool:
-        """Whether the graph says how the query lies to the reference."""
+        """Whether the graph connects the nodes of a pair, so that their relative pose is known."""
         i, j = self.reference.nearest(pair.ref_timestamp_ns), self.query.nearest(pair.query_timestamp_ns)
         return bool(self.reference.connected[i] and self.query.connected[j])
 
 
 @dataclass(frozen=True, eq=False)
 class Spot:
-    """A place that is drawn, and why."""
+    """A pair that is drawn, and the reason for choosing it."""
 
     pair: Pair
     why: str
 
 
 def inspected_sets(dataset: Dataset, pair_sets: Sequence[PairSet]) -> list[InspectedSet]:
-    """Those of the pair sets whose truth came from lidar.
+    """The pair sets whose ground truth is from lidar, with their graphs and registrations.
 
     Raises:
-        DatasetError: none of them did, or a file of the ground truth is missing or damaged.
+        DatasetError: there are none, or a file of the ground truth is missing or damaged.
     """
     folder = dataset.root / _FOLDER
     if not folder.is_dir():
@@ -114,43 +115,43 @@ def _inspect(dataset: Dataset, folder: Path, pair_set: PairSet) -> InspectedSet:
 
 
 def chosen_spots(pairs: Sequence[Pair], count: int) -> list[Spot]:
-    """The least certain accepted pair, ``count`` accepted ones evenly along the drive, and one of each kind of
-    rejection, the most frequent kinds first."""
+    """The pairs to draw: the least certain accepted one, ``count`` accepted ones evenly along the drive, and one of
+    each of the most frequent kinds of rejection."""
     accepted = [p for p in pairs if p.accepted]
     spots: list[Spot] = []
     known = [p for p in accepted if p.sigma_translation_m is not None]
     if known:
         worst = max(known, key=lambda p: p.sigma_translation_m or 0.0)
         spots.append(Spot(worst, "the least certain accepted pair"))
-    rows = np.unique(np.rint(np.linspace(0, len(accepted) - 1, min(count, len(accepted)))).astype(int)).tolist()
-    even = [accepted[row] for row in rows]
+    even = [accepted[row] for row in evenly_spaced(len(accepted), count)]
     spots += [Spot(p, "evenly along the drive") for p in even if not spots or p.key != spots[0].pair.key]
     rejected = [p for p in pairs if not p.accepted]
-    for kind, same in list(by_kind(_reason(p) for p in rejected).items())[:_KINDS]:
-        members = [p for p in rejected if kind_of(_reason(p)) == kind]
+    for kind, same in list(by_kind(reason_of(p) for p in rejected).items())[:_KINDS]:
+        members = [p for p in rejected if kind_of(reason_of(p)) == kind]
         spots.append(Spot(members[len(members) // 2], f"one of {len(members)} rejected: {common(same)}"))
     return spots
 
 
-def _reason(pair: Pair) -> str:
+def reason_of(pair: Pair) -> str:
+    """Why a pair was rejected."""
     return pair.reason or "no reason given"
 
 
 @dataclass(frozen=True, eq=False)
 class Relative:
-    """How two nodes lie to each other, and who says so."""
+    """The relative pose of two nodes and its source."""
 
     ref: int
     query: int
     T_ref_query: Array | None
-    """(4, 4) node to node; None where nobody says anything"""
-    said_by: str
+    """(4, 4) node to node; None if it is unknown"""
+    source: str
 
 
 def relative_pose(found: InspectedSet, pair: Pair) -> Relative:
-    """By the graph, where registrations tie both drives together; else by the nearest registration that was refused.
+    """The relative pose of the nodes of a pair: by the graph if it connects them, else by a refused one nearby.
 
-    By the graph the reference's node is the nearest one to the query, even if its keyframes lie further away.
+    If it is by the graph, the reference node is the one nearest to the query node, not to the keyframe.
     """
     j = found.query.nearest(pair.query_timestamp_ns)
     i = found.reference.nearest(pair.ref_timestamp_ns)

@@ -1,7 +1,7 @@
-"""``overlay_NN.png``: both drives' points around a pair from above, coloured by drive, with places seen from close by.
+"""``overlay_NN.png``: the points of both drives around a pair from above, coloured by drive, with enlarged details.
 
-Where the pose is right, corners of both colours meet in the details to the thickness of a line; a slide along the
-street shows at walls that stand across it, a wrong height at the road.
+If the pose is right, corners of both colours agree in the details to the thickness of a line. A shift along the street
+shows at walls across it, and a wrong height shows at the road.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ Flags = NDArray[np.bool_]
 _LENGTH_M, _WIDTH_M = 60.0, 30.0
 _PIXEL_M = 0.05
 _DETAIL_M = 3.0
-"""places to be seen from close by are looked for in cells of this size"""
+"""size of the cells in which places for details are searched"""
 _CLOSE_M = 1.6
-"""and shown as large as this"""
+"""size of the area that a detail shows"""
 _APART_M = 8.0
 _DIRECTIONS = 12
-"""of walls from above, over half a turn"""
+"""number of bins for the directions of walls seen from above, over half a turn"""
 _STEADY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points of one drive in the frame of the reference's node, x along its road, z up."""
+    """Points of one drive in the frame of the reference node, with x along the road and z up."""
 
     points: Array
     """(N, 3)"""
@@ -52,35 +52,35 @@ class Cloud:
 
     @classmethod
     def of(cls, submap: Submap, T_ref_node: Array) -> Cloud:
-        """Steady points of a submap."""
+        """The static points of a submap."""
         keep = submap.steady >= _STEADY
         points = apply(T_ref_node, submap.points[keep].astype(np.float64))
         return cls(points, submap.normals[keep] @ T_ref_node[:3, :3].T, submap.surface[keep])
 
     @property
     def upright(self) -> Flags:
-        """(N,) structure whose plane stands."""
+        """(N,) whether each point lies on an upright plane."""
         return np.asarray((self.surface == Surface.STRUCTURE) & (np.abs(self.normals[:, 2]) < 0.5))
 
 
 def write_overlay(path: Path, found: InspectedSet, spot: Spot, number: int) -> None:
-    """The picture of one pair, by the pose graph or by whatever is known of the pair instead."""
+    """Draw one pair, placed by :func:`relative_pose`."""
     said = relative_pose(found, spot.pair)
     windows = [found.window(side, _LENGTH_M / 2) for side in (0, 1)]
     if said.T_ref_query is None:
         clouds = [Cloud.of(w.at(node), np.eye(4)) for w, node in zip(windows, (said.ref, said.query), strict=True)]
-        lines = [*_title(spot, number), "nobody knows how they lie to each other: each drive on its own"]
+        lines = [*_title(spot, number), "their relative pose is unknown: each drive on its own"]
         write_figure(path, (12, 12.5), lambda figure: _draw_apart(figure, clouds[0], clouds[1], lines))
         return
     T_ref_world = invert(found.reference.T_world_node[said.ref])
     T_querynode_world = invert(found.query.T_world_node[said.query])
     keyframe = (T_ref_world @ found.reference.at(spot.pair.ref_timestamp_ns))[:3, 3]
     image = (said.T_ref_query @ T_querynode_world @ found.query.at(spot.pair.query_timestamp_ns))[:3, 3]
-    # The query's image is the middle of the picture; its axes are those of the reference there.
+    # The query image is in the middle of the picture, whose axes are those of the reference node.
     T_view_ref = make_transform(np.eye(3), -image * (1, 1, 0))
     ref = Cloud.of(windows[0].at(said.ref), T_view_ref)
     query = Cloud.of(windows[1].at(said.query), T_view_ref @ said.T_ref_query)
-    lines = [*_title(spot, number), f"laid together by: {shortened(said.said_by, 110)}"]
+    lines = [*_title(spot, number), f"relative pose by: {shortened(said.source, 110)}"]
     away = (keyframe - image)[:2]
     write_figure(path, (12, 10.5), lambda figure: _draw(figure, ref, query, away, lines))
 
@@ -137,7 +137,7 @@ def _draw_apart(figure: Figure, ref: Cloud, query: Cloud, lines: list[str]) -> N
 
 
 def _from_above(axes: Axes, clouds: list[tuple[Cloud, str]], title: str) -> None:
-    """Pixels take the colour of the drive whose structure they hold; those of both are dark."""
+    """Draw structure from above: pixels have the colour of their drive, or are dark if both have points there."""
     columns, rows = round(_LENGTH_M / _PIXEL_M), round(_WIDTH_M / _PIXEL_M)
     image = np.ones((rows, columns, 3))
     for cloud, _ in clouds:
@@ -158,7 +158,7 @@ def _from_above(axes: Axes, clouds: list[tuple[Cloud, str]], title: str) -> None
 
 
 def _hit(points: Array, rows: int, columns: int) -> Flags:
-    """(rows, columns) pixels with a point, and their neighbours to the right and above: points lie 10 cm apart."""
+    """(rows, columns) pixels with a point, and their right and upper neighbours, since points are 10 cm apart."""
     u = np.floor((points[:, 0] + _LENGTH_M / 2) / _PIXEL_M).astype(np.int64)
     v = np.floor((points[:, 1] + _WIDTH_M / 2) / _PIXEL_M).astype(np.int64)
     out = np.zeros((rows, columns), dtype=bool)
@@ -169,7 +169,7 @@ def _hit(points: Array, rows: int, columns: int) -> Flags:
 
 
 def detail_places(ref: Cloud, query: Cloud, near: Array) -> list[Array]:
-    """Two places (2,) near a point where both drives see walls of two directions: there a shift shows either way."""
+    """Two places (2,) near a point where both drives have walls in two directions, so that any shift shows."""
     corners = [_corners(cloud) for cloud in (ref, query)]
     both = np.minimum(corners[0], corners[1])
     middles = _cell_middles()
@@ -183,7 +183,7 @@ def detail_places(ref: Cloud, query: Cloud, near: Array) -> list[Array]:
 
 
 def _centre(ref: Cloud, query: Cloud, middle: Array) -> Array:
-    """(2,) where the cell's wall points turn from one direction to the other: each counts by how rare its normal is."""
+    """(2,) the corner in a cell: the mean of its wall points, weighted by the rarity of their normals' directions."""
     points, normals = (
         np.concatenate([getattr(c, name)[c.upright, :2] for c in (ref, query)]) for name in ("points", "normals")
     )
@@ -200,7 +200,7 @@ def _cell_middles() -> Array:
 
 
 def _corners(cloud: Cloud) -> Array:
-    """(X, Y) a cell: how many wall points face across its main wall; less where normals point anywhere, as in trees."""
+    """(X, Y) number of wall points across the main wall of each cell; less if normals are diffuse, as in trees."""
     shape = _cell_middles().shape[:2]
     points, n = cloud.points[cloud.upright], cloud.normals[cloud.upright]
     cell = np.floor((points[:, :2] + (_LENGTH_M / 2, _WIDTH_M / 2)) / _DETAIL_M).astype(np.int64)
@@ -233,7 +233,7 @@ def _detail(axes: Axes, ref: Cloud, query: Cloud, middle: Array, title: str) -> 
 def _dots(
     axes: Axes, ref: Cloud, query: Cloud, chosen: Callable[[Cloud], Flags], columns: tuple[int, int] = (0, 1)
 ) -> None:
-    """The reference's points wide, the query's small upon them: where both agree, small dots lie within wide ones."""
+    """Draw the reference's points as wide dots and the query's as small ones on top, which lie inside if both agree."""
     for cloud, colour, size, alpha in ((ref, REFERENCE, 5.0, 0.4), (query, QUERY, 2.2, 0.9)):
         x, y = cloud.points[chosen(cloud)][:, columns].T
         axes.plot(x, y, ".", color=colour, markersize=size, alpha=alpha, markeredgewidth=0)
@@ -249,7 +249,7 @@ def _section(axes: Axes, ref: Cloud, query: Cloud) -> None:
 
 
 def _road(axes: Axes, ref: Cloud, query: Cloud) -> None:
-    """The road's height, much exaggerated."""
+    """Draw the height of the road, much exaggerated."""
     heights = []
     for cloud, colour in ((ref, REFERENCE), (query, QUERY)):
         ground = cloud.surface == Surface.GROUND

@@ -1,4 +1,4 @@
-"""``index.html``: the pictures of the ground truth with their numbers; one page, no scripts, nothing from elsewhere."""
+"""``index.html``: the pictures of the ground truth with their numbers, on one page without scripts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common
-from relocbench.datasets.groundtruth.report.inspected import InspectedSet, Spot
+from relocbench.datasets.groundtruth.report.inspected import InspectedSet, Spot, reason_of
 from relocbench.datasets.groundtruth.report.residual_picture import Residuals
 from relocbench.files import write_text
 
@@ -31,33 +31,34 @@ details { margin: 1rem 0; } summary { cursor: pointer; }
 """.strip()
 
 _HOW_TO_READ = (
-    "<b>Map</b>: a dot a pair, coloured by the sigma of its position; a cross is a rejected pair, placed where the "
-    "graph puts the query, or at the keyframe where nothing ties the query to the road. Below, the same along the way "
-    "driven.",
-    "<b>Overlay</b>: structure of both drives from above; what both have is dark. In the close views small orange dots "
-    "must lie within the blue ones; a ten-centimetre bar shows what an error would look like. Cars and leaves differ "
+    "<b>Map</b>: each dot is a pair, coloured by the sigma of its position. Each cross is a rejected pair, at the pose "
+    "of the query by the graph, or at the keyframe if the graph does not connect the query. The strips below show the "
+    "same along the drive.",
+    "<b>Overlay</b>: structure of both drives from above; what both have is dark. In the details the small orange dots "
+    "must lie within the blue ones; a bar of ten centimetres shows the size of an error. Cars and leaves differ "
     "between drives, walls and poles do not.",
-    "<b>Keyframe</b>: numbered corners must sit on the same things in both images, edges must run on from square to "
-    "square, and the last panel must be without coloured fringes.",
-    "<b>Residuals</b>: narrow and about zero; a second hump is a surface that moved, or a wrong pose.",
+    "<b>Keyframe</b>: numbered corners must be on the same things in both images, edges must continue from square to "
+    "square, and the last panel must have no coloured fringes.",
+    "<b>Residuals</b>: they should be narrow and centred on zero; a second peak is a surface that moved, or a wrong "
+    "pose.",
 )
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnSpot:
-    """One place and its pictures, relative to the page."""
+    """One pair and the paths of its pictures, relative to the page."""
 
     spot: Spot
     number: int
     overlay: str
     keyframe: str | None
     agrees: bool | None
-    """whether grey levels agree best at the truth"""
+    """whether grey levels agree best at the ground truth"""
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnSet:
-    """One pair set and its pictures, relative to the page."""
+    """One pair set and the paths of its pictures, relative to the page."""
 
     found: InspectedSet
     residuals: Residuals
@@ -66,7 +67,7 @@ class DrawnSet:
 
 
 def write_page(path: Path, dataset: Dataset, drawn: Sequence[DrawnSet], residuals: str) -> None:
-    """The page of all pair sets."""
+    """Write the page of all pair sets."""
     title = f"Ground truth of {escape(dataset.name)}"
     parts = [
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
@@ -115,9 +116,9 @@ def _pair_set(one: DrawnSet) -> str:
     parts = [
         f'<h2 id="{escape(one.found.name)}">{escape(one.found.name)}</h2>',
         f"<p>{escape(one.found.conditions)}: {accepted} pairs accepted, {len(pairs) - accepted} rejected.</p>",
-        _reasons("Why pairs were rejected", [p.reason or "no reason given" for p in pairs if not p.accepted]),
+        _reasons("Why pairs were rejected", [reason_of(p) for p in pairs if not p.accepted]),
         _reasons("Why the graph refused registrations", [v for v in one.found.query.verdicts.values() if v]),
-        _figure(one.map, "Pairs on the road and along the way driven"),
+        _figure(one.map, "Pairs on the road and along the drive"),
     ]
     for drawn in one.spots:
         pair = drawn.spot.pair
@@ -125,8 +126,9 @@ def _pair_set(one: DrawnSet) -> str:
         caption = f"<b>{drawn.number}</b> {escape(drawn.spot.why)}: {state}"
         parts.append(_figure(drawn.overlay, caption))
         if drawn.keyframe is not None:
-            says = "agree best at the truth" if drawn.agrees else "agree better at a pose turned a little: look closely"
-            parts.append(_figure(drawn.keyframe, f"<b>{drawn.number}</b> in the images; grey levels {says}"))
+            where = "at the ground truth" if drawn.agrees else "at a slightly different rotation: look closely"
+            caption = f"<b>{drawn.number}</b> in the images; grey levels agree best {where}"
+            parts.append(_figure(drawn.keyframe, caption))
     return "\n".join(part for part in parts if part)
 
 
@@ -138,7 +140,7 @@ def _reasons(title: str, reasons: list[str]) -> str:
 
 
 def _figure(file: str, caption: str) -> str:
-    """``caption`` is HTML; a click shows the picture in full size."""
+    """HTML of a picture that links to its full size, with a caption in HTML."""
     address = quote(file)
     image = f'<a href="{address}"><img src="{address}" alt="{escape(Path(file).stem)}" loading="lazy"></a>'
     return f"<figure><figcaption>{caption}</figcaption>{image}</figure>"

@@ -1,7 +1,7 @@
-"""``relocbench inspect --ground-truth``: all pictures of a dataset's ground truth and the page that shows them.
+"""``relocbench inspect --ground-truth``: the pictures of a dataset's ground truth and the page that shows them.
 
 ``OUT/index.html``, ``OUT/residuals.png``, and for each pair set ``OUT/PAIRSET/map.png``, ``overlay_NN.png`` and
-``keyframe_NN.png``; overlay and keyframe of one number are of the same pair.
+``keyframe_NN.png``, where an overlay and a keyframe with the same number are of the same pair.
 """
 
 from __future__ import annotations
@@ -28,18 +28,15 @@ from relocbench.progress import Reporter
 def write_ground_truth(
     dataset: Dataset, pair_sets: Sequence[PairSet], folder: Path, count: int, seed: int, reporter: Reporter
 ) -> Path:
-    """The page of a dataset's ground truth from lidar.
+    """Write the pictures and the page of a dataset's ground truth from lidar. Returns the path of the page.
 
     Args:
-        count: places a pair set, evenly along the drive; the least certain pair and one of each kind of rejection come
-            on top.
-        seed: of the keyframe points that are drawn.
-
-    Returns:
-        the page.
+        count: number of pairs to draw for each pair set, evenly along the drive; the least certain pair and one of each
+            kind of rejection are drawn in addition.
+        seed: of the choice of keyframe points that are drawn.
 
     Raises:
-        DatasetError: no truth of these pair sets came from lidar, or a file of it is missing or damaged.
+        DatasetError: no pair set has ground truth from lidar, or one of its files is missing or damaged.
     """
     found = inspected_sets(dataset, pair_sets)
     spots = [chosen_spots(one.pair_set.all_pairs, count) for one in found]
@@ -71,7 +68,7 @@ def _write_spot(dataset: Dataset, found: InspectedSet, spot: Spot, number: int, 
 
 
 def _write_keyframe(path: Path, dataset: Dataset, found: InspectedSet, pair: Pair, number: int, seed: int) -> bool:
-    """The keyframe's points in the query's image; whether grey levels agree best at the truth."""
+    """Draw the keyframe's points in the query image. Returns whether grey levels agree best at the ground truth."""
     assert pair.T_query_ref is not None
     pair_set = found.pair_set
     reference, query = dataset.reference(pair_set, pair), dataset.query(pair_set, pair)

@@ -1,7 +1,7 @@
-"""``residuals.png``: how far points of one drive lie off the planes of the other, at the poses of the graph.
+"""``residuals.png``: distances of points of one drive from the planes of the other, at the poses of the graph.
 
-Each registration of the graph is looked at block by block, both ways, all points counting the same: a two-sided
-picture of what the registrations had to work with, and of what changed between the drives.
+For each registration of the graph, the block of either drive is compared with the planes of the other, all points with
+the same weight. The picture shows what the registrations were based on, and what changed between the drives.
 """
 
 from __future__ import annotations
@@ -14,53 +14,54 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.icp.icp import linearise
+from relocbench.datasets.groundtruth.icp.icp import IcpOptions, linearise
+from relocbench.datasets.groundtruth.pose_graph.selection import evenly_spaced
 from relocbench.datasets.groundtruth.report.figures import QUERY, REFERENCE, shortened, write_figure
 from relocbench.datasets.groundtruth.report.inspected import InspectedSet
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions
 from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
-from relocbench.geometry import invert
+from relocbench.geometry import invert, robust_sigma
 
 Array = NDArray[np.float64]
 
 _REACH_M = 0.3
+_SCALE_M = 0.05
 _OPTIONS = PlaneOptions(thinning_m=(0.0,), reach_m=(_REACH_M,), samples=(1500,), near_m=(1e9,))
 _AROUND_M = 6.0
-"""planes of so much road before and after a block are looked at"""
+"""length of road before and after a block whose planes it is compared with"""
 _PLACES = 40
 _SHOWN_M = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Signed distances from points to planes, positive on the side that the lidar was on."""
+    """Signed distances of points from planes, positive on the side of the lidar."""
 
     to_reference_m: Array
-    """(N,) from the query's points to the reference's planes"""
+    """(N,) of the query's points from the reference's planes"""
     to_query_m: Array
-    """(M,) the other way"""
+    """(M,) of the reference's points from the query's planes"""
     places: int
-    """registrations that were looked at"""
+    """number of registrations that were used"""
 
     @property
     def sigmas_m(self) -> tuple[float, float]:
-        """Robust standard deviations: 1.4826 times the median without sign; nan of none."""
-        return robust_sigma(self.to_reference_m), robust_sigma(self.to_query_m)
+        """Robust standard deviations of both; nan if there are no distances."""
+        return _sigma(self.to_reference_m), _sigma(self.to_query_m)
 
 
-def robust_sigma(residuals: Array) -> float:
-    """1.4826 times the median of (N,) residuals without sign; nan of none."""
-    return 1.4826 * float(np.median(np.abs(residuals))) if residuals.size else float("nan")
+def _sigma(residuals: Array) -> float:
+    return robust_sigma(residuals, np.ones_like(residuals))
 
 
 def measure_residuals(found: InspectedSet) -> Residuals:
-    """Residuals of up to 40 registrations that the graph kept, evenly along the drive.
+    """Measure the residuals of up to 40 registrations of the graph, evenly along the drive.
 
     Raises:
         DatasetError: a block is missing or damaged.
     """
     kept = [n for n, verdict in sorted(found.query.verdicts.items()) if not verdict and found.query.connected[n]]
-    some = [kept[row] for row in np.unique(np.rint(np.linspace(0, len(kept) - 1, min(_PLACES, len(kept)))).astype(int))]
+    some = [kept[row] for row in evenly_spaced(len(kept), _PLACES)]
     blocks = [found.window(side, 0.1) for side in (0, 1)]
     around = [found.window(side, _AROUND_M) for side in (0, 1)]
     centres = found.reference.T_world_node[:, :3, 3]
@@ -76,11 +77,11 @@ def measure_residuals(found: InspectedSet) -> Residuals:
 def _distances(planes: SubmapWindow, to: int, points: SubmapWindow, of: int, T_to_of: Array) -> Array:
     level = PlaneMap(planes.at(to), _OPTIONS).level(0)
     sample = PlaneMap(points.at(of), _OPTIONS).sample(0)
-    return linearise(level, sample.points, sample.normals, T_to_of, _REACH_M).residuals
+    return linearise(level, sample, T_to_of, _REACH_M, _SCALE_M, IcpOptions(drift_per_m=0.0)).residuals
 
 
 def write_residuals(path: Path, measured: Sequence[tuple[InspectedSet, Residuals]]) -> None:
-    """One row a pair set: both ways in one histogram, and the share that lies within so many centimetres."""
+    """Draw a row for each pair set: a histogram of the distances, and their cumulative distribution."""
     write_figure(path, (11, 0.8 + 2.6 * len(measured)), lambda figure: _draw(figure, measured))
 
 
@@ -88,16 +89,16 @@ def _draw(figure: Figure, measured: Sequence[tuple[InspectedSet, Residuals]]) ->
     figure.suptitle("distances from points to the other drive's planes, at the poses of the graph", fontsize=11)
     rows = figure.subplots(len(measured), 2, squeeze=False, width_ratios=(1.6, 1))
     for (left, right), (found, residuals) in zip(rows, measured, strict=True):
-        ways = (
+        directions = (
             (residuals.to_reference_m, QUERY, "query's points to the reference's planes", "-"),
             (residuals.to_query_m, REFERENCE, "reference's points to the query's planes", "--"),
         )
-        for values, colour, name, style in ways:
+        for values, colour, name, style in directions:
             if not values.size:
                 continue
             edges = np.linspace(-_SHOWN_M, _SHOWN_M, 101)
             weights = np.full(values.size, 100 / values.size)
-            sigma, middle = 100 * robust_sigma(values), 100 * float(np.median(values))
+            sigma, middle = 100 * _sigma(values), 100 * float(np.median(values))
             label = f"{name}\nrobust sigma {sigma:.2f} cm, median {middle:+.2f} cm"
             left.hist(100 * values, 100 * edges, weights=weights, histtype="step", color=colour, linestyle=style,
                       linewidth=1.5, label=label)  # fmt: skip

@@ -1,4 +1,4 @@
-"""``map.png``: pairs on the road and along the way driven, with their sigma, and where and why pairs were rejected."""
+"""``map.png``: pairs on the road and along the drive, with their sigmas, and where and why pairs were rejected."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from relocbench.datasets.groundtruth.report.figures import (
     shortened,
     write_figure,
 )
-from relocbench.datasets.groundtruth.report.inspected import InspectedSet, Spot
+from relocbench.datasets.groundtruth.report.inspected import InspectedSet, Spot, reason_of
 
 Array = NDArray[np.float64]
 
 _BAND_M = 1.5
-"""a pair's bar reaches half-way to its neighbours, but is no longer than this"""
+"""largest length of the bar of a pair, which reaches half-way to its neighbours"""
 
 
 def write_map(path: Path, found: InspectedSet, spots: list[Spot]) -> None:
-    """The map above, the way driven below. ``spots`` carry the numbers of the overlays."""
+    """Draw the map, and below it strips along the drive. ``spots`` are in the order of the overlays' numbers."""
     road = found.reference.T_world_node[:, :2, 3]
     wide, high = np.ptp(road @ _flat(road), axis=0).tolist()
     tall = float(np.clip(11 * high / max(wide, 1.0) + 1.5, 2.5, 7.0))
@@ -42,7 +42,7 @@ def write_map(path: Path, found: InspectedSet, spots: list[Spot]) -> None:
 
 def _draw(figure: Figure, found: InspectedSet, spots: list[Spot], tall: float) -> None:
     pairs = found.pair_set.all_pairs
-    colours = reason_colours(by_kind(_reason(p) for p in pairs if not p.accepted))
+    colours = reason_colours(by_kind(reason_of(p) for p in pairs if not p.accepted))
     rows = figure.subplots(5, 1, height_ratios=(tall, 1.9, 1.5, 1.5, 1.1))
     accepted = sum(p.accepted for p in pairs)
     title = f"{found.name}\n{found.conditions}: {accepted} of {len(pairs)} pairs accepted"
@@ -51,12 +51,12 @@ def _draw(figure: Figure, found: InspectedSet, spots: list[Spot], tall: float) -
     strips: list[Axes] = list(rows[1:])
     for axes in strips[1:]:
         axes.sharex(strips[0])
-    ways = np.array([found.query.way_at(p.query_timestamp_ns) for p in pairs])
-    _bands(strips[:3], pairs, ways, colours)
-    _sigmas(strips[0], found, pairs, ways)
-    _rotations(strips[1], found, pairs, ways)
+    positions = np.array([found.query.arc_length_at(p.query_timestamp_ns) for p in pairs])
+    _bands(strips[:3], pairs, positions, colours)
+    _sigmas(strips[0], found, pairs, positions)
+    _rotations(strips[1], found, pairs, positions)
     _overlaps(strips[2], found)
-    _verdicts(strips[3], found, pairs, ways, colours)
+    _verdicts(strips[3], found, pairs, positions, colours)
     for axes in strips[:3]:
         axes.tick_params(labelbottom=False)
         axes.grid(True, axis="y", color="#dddddd", linewidth=0.6)
@@ -81,7 +81,7 @@ def _map(figure: Figure, axes: Axes, found: InspectedSet, spots: list[Spot], col
     )
     figure.colorbar(dots, ax=axes, label="sigma of the position (cm)", shrink=0.85, pad=0.01)
     for kind, colour in colours.items():
-        these = np.array([not p.accepted and kind_of(_reason(p)) == kind for p in pairs])
+        these = np.array([not p.accepted and kind_of(reason_of(p)) == kind for p in pairs])
         axes.scatter(places[these, 0], places[these, 1], marker="x", color=colour, s=34, linewidths=1.5, zorder=5)
     for number, spot in enumerate(spots, start=1):
         x, y = (_place(found, spot.pair) @ turn).tolist()
@@ -104,14 +104,14 @@ def _map(figure: Figure, axes: Axes, found: InspectedSet, spots: list[Spot], col
         Line2D([], [], color=QUERY, linewidth=1, label=f"query {shortened(found.query.name, 30)}"),
         Line2D([], [], color="#21918c", marker="o", linestyle="", label=f"{good.sum()} accepted"),
     ]
-    for kind, members in by_kind(_reason(p) for p in pairs if not p.accepted).items():
+    for kind, members in by_kind(reason_of(p) for p in pairs if not p.accepted).items():
         label = f"{len(members)} rejected: {shortened(common(members), 100)}"
         handles.append(Line2D([], [], color=colours[kind], marker="x", linestyle="", label=label))
     _legend_below(axes, handles, 2 if colours else 3, 3)
 
 
 def _flat(road: Array) -> Array:
-    """(2, 2) that turns points (N, 2) so that the road's longest direction is horizontal, driven to the right."""
+    """(2, 2) R such that ``road @ R``, of a road (N, 2), has its longest direction horizontal, driven to the right."""
     centred = road - road.mean(axis=0)
     first = np.linalg.svd(centred, full_matrices=False)[2][0]
     if first @ (road[-1] - road[0]) < 0:
@@ -120,47 +120,47 @@ def _flat(road: Array) -> Array:
 
 
 def _place(found: InspectedSet, pair: Pair) -> Array:
-    """Where a pair is drawn: at the query; where nothing ties it to the road, at the keyframe it was held against."""
+    """(2,) where a pair is drawn: at its query, or at its keyframe if the graph does not connect the query."""
     if found.connected(pair):
         return np.asarray(found.query.at(pair.query_timestamp_ns)[:2, 3])
     return np.asarray(found.reference.at(pair.ref_timestamp_ns)[:2, 3])
 
 
-def _bands(strips: list[Axes], pairs: list[Pair], ways: Array, colours: dict[str, str]) -> None:
+def _bands(strips: list[Axes], pairs: list[Pair], positions: Array, colours: dict[str, str]) -> None:
     for axes in strips:
-        for pair, (begin, end) in zip(pairs, _bars(ways), strict=True):
+        for pair, (begin, end) in zip(pairs, _bars(positions), strict=True):
             if not pair.accepted:
-                axes.axvspan(begin, end, color=colours[kind_of(_reason(pair))], alpha=0.15, linewidth=0)
+                axes.axvspan(begin, end, color=colours[kind_of(reason_of(pair))], alpha=0.15, linewidth=0)
 
 
-def _bars(ways: Array) -> list[tuple[float, float]]:
-    """From where to where each pair's bar reaches."""
-    order = np.argsort(ways, kind="stable")
-    half = np.minimum(np.diff(ways[order]), _BAND_M) / 2
-    begins, ends = np.empty(len(ways)), np.empty(len(ways))
-    begins[order] = ways[order] - np.concatenate([[_BAND_M / 2], half])[: len(ways)]
-    ends[order] = ways[order] + np.concatenate([half, [_BAND_M / 2]])[: len(ways)]
+def _bars(positions: Array) -> list[tuple[float, float]]:
+    """Begin and end of the bar of each pair."""
+    order = np.argsort(positions, kind="stable")
+    half = np.minimum(np.diff(positions[order]), _BAND_M) / 2
+    begins, ends = np.empty(len(positions)), np.empty(len(positions))
+    begins[order] = positions[order] - np.concatenate([[_BAND_M / 2], half])[: len(positions)]
+    ends[order] = positions[order] + np.concatenate([half, [_BAND_M / 2]])[: len(positions)]
     return list(zip(begins.tolist(), ends.tolist(), strict=True))
 
 
-def _sigmas(axes: Axes, found: InspectedSet, pairs: list[Pair], ways: Array) -> None:
+def _sigmas(axes: Axes, found: InspectedSet, pairs: list[Pair], positions: Array) -> None:
     values = np.array([[np.nan if s is None else 100 * s for s in p.axis_sigmas] for p in pairs]).reshape(-1, 3)
     for k, (name, marker) in enumerate((("along", "o"), ("across", "x"), ("height", "+"))):
-        axes.plot(ways, values[:, k], marker, color=AXES[k], markersize=3 + k, label=name)
+        axes.plot(positions, values[:, k], marker, color=AXES[k], markersize=3 + k, label=name)
     _limit(axes, values, None if found.limits.sigma_m is None else 100 * found.limits.sigma_m)
     axes.set_ylabel("sigma (cm)")
     axes.legend(fontsize=8, loc="upper left", ncols=4, frameon=False)
 
 
-def _rotations(axes: Axes, found: InspectedSet, pairs: list[Pair], ways: Array) -> None:
+def _rotations(axes: Axes, found: InspectedSet, pairs: list[Pair], positions: Array) -> None:
     values = np.array([np.nan if p.sigma_rotation_deg is None else p.sigma_rotation_deg for p in pairs])
-    axes.plot(ways, values, ".", color="#000000", markersize=5)
+    axes.plot(positions, values, ".", color="#000000", markersize=5)
     _limit(axes, values, found.limits.sigma_deg)
     axes.set_ylabel("sigma (deg)\nof rotation")
 
 
 def _limit(axes: Axes, values: Array, limit: float | None) -> None:
-    """The limit as a line; what lies far above it stands at the upper edge."""
+    """Draw a limit as a line, and fit the axis to it; the largest value is stated if it is far above."""
     known = values[np.isfinite(values)]
     highest = float(known.max()) if known.size else 1.0
     if limit is None:
@@ -175,18 +175,18 @@ def _limit(axes: Axes, values: Array, limit: float | None) -> None:
 
 def _overlaps(axes: Axes, found: InspectedSet) -> None:
     tried = [r for r in found.registrations if 0 <= r.query < len(found.query)]
-    ways = found.query.travelled_m[[r.query for r in tried]] if tried else np.zeros(0)
+    positions = found.query.travelled_m[[r.query for r in tried]] if tried else np.zeros(0)
     for side, colour, name in (("ref", REFERENCE, "of the reference"), ("query", QUERY, "of the query")):
         values = [100 * getattr(r.evidence, f"overlap_{side}") for r in tried]
-        axes.plot(ways, values, ".", color=colour, markersize=5, label=name)
+        axes.plot(positions, values, ".", color=colour, markersize=5, label=name)
     axes.set_ylim(0, 108)
     axes.set_ylabel("overlap of\nsubmaps (%)")
     axes.legend(fontsize=8, loc="lower left", ncols=2, frameon=False)
 
 
-def _verdicts(axes: Axes, found: InspectedSet, pairs: list[Pair], ways: Array, colours: dict[str, str]) -> None:
-    for pair, (begin, end) in zip(pairs, _bars(ways), strict=True):
-        colour = ACCEPTED if pair.accepted else colours[kind_of(_reason(pair))]
+def _verdicts(axes: Axes, found: InspectedSet, pairs: list[Pair], positions: Array, colours: dict[str, str]) -> None:
+    for pair, (begin, end) in zip(pairs, _bars(positions), strict=True):
+        colour = ACCEPTED if pair.accepted else colours[kind_of(reason_of(pair))]
         axes.axvspan(begin, end, 0.55, 0.95, color=colour, linewidth=0)
     travelled = found.query.travelled_m
     step = float(np.median(np.diff(travelled))) if len(travelled) > 1 else 1.0
@@ -203,7 +203,7 @@ def _verdicts(axes: Axes, found: InspectedSet, pairs: list[Pair], ways: Array, c
 
 
 def _legend_below(axes: Axes, handles: Sequence[Artist], columns: int, away: float) -> None:
-    """``away``: from the axes, in heights of a letter, so that it clears their ticks and label."""
+    """Draw a legend below the axes, ``away`` font heights from them, so that it clears their ticks and label."""
     axes.legend(
         handles=handles,
         fontsize=8,
@@ -213,7 +213,3 @@ def _legend_below(axes: Axes, handles: Sequence[Artist], columns: int, away: flo
         frameon=False,
         ncols=columns,
     )
-
-
-def _reason(pair: Pair) -> str:
-    return pair.reason or "no reason given"

@@ -1,1 +1,1 @@
-"""Blocks laid together along the odometry, and what registration makes of them."""
+"""Submaps: blocks put together along the odometry, with the planes and the free space that registration uses."""

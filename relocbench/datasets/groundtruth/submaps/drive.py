@@ -1,4 +1,4 @@
-"""A drive as it is registered: cut into blocks that lie on disk, and laid together to submaps."""
+"""A drive as registration uses it: cut into blocks on disk, from which submaps are put together."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One drive, cut into blocks that lie on disk."""
+    """One drive, cut into blocks on disk."""
 
     recording: FieldRecording
     """without its cameras"""
@@ -36,19 +36,19 @@ class Drive:
     def store(self) -> BlockStore:
         return BlockStore(self.blocks)
 
-    def window(self, length_m: float, T_world_node: Array | None = None) -> SubmapWindow:
-        """Submaps of so many metres of road."""
-        return SubmapWindow(self.nodes, self.store(), length_m / 2, T_odom_node=T_world_node)
+    def window(self, length_m: float) -> SubmapWindow:
+        """Submaps of ``length_m`` of road."""
+        return SubmapWindow(self.nodes, self.store(), length_m / 2)
 
 
 def make_drive(
     recording: FieldRecording, folder: Path, block_m: float, options: BlockOptions, reporter: Reporter, run: Run
 ) -> Drive:
-    """Cut a drive into blocks of so many metres; what is there already is kept.
+    """Cut a drive into blocks of ``block_m``; blocks that are in ``folder`` already are kept.
 
     Raises:
-        DatasetError: a scan is damaged, the odometry knows nothing of the scans' times, or ``folder`` holds the blocks
-            of another drive.
+        DatasetError: a scan is damaged, the odometry does not cover the scans' times, or ``folder`` holds the blocks of
+            another drive.
     """
     nodes = make_nodes(recording, block_m)
     build_blocks(recording, nodes, folder, run, reporter, options)

@@ -1,128 +1,106 @@
-"""Planes of a submap for registration: thinned coarse to fine, found in a sparse grid, sampled by direction."""
+"""The planes of a submap that ICP uses: thinned coarse to fine, indexed by voxel, and sampled evenly by direction."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.groundtruth.blocks.blocks import Surface
-from relocbench.datasets.groundtruth.submaps.submaps import Submap
-from relocbench.datasets.groundtruth.voxels.voxels import Grid, cell_of, make_grid, pack, voxel_keys
-from relocbench.errors import ConfigError
+from relocbench.datasets.groundtruth.blocks.blocks import Block, Surface
+from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
+from relocbench.datasets.groundtruth.voxels.voxels import Grid, cell_of, make_grid, pack
 from relocbench.kernels import njit
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _BINS = 6
-"""directions are told apart on an octahedral map of so many by so many"""
+"""normals are binned on an octahedral map of so many by so many cells"""
 
 
 @dataclass(frozen=True)
 class PlaneOptions:
-    """How much each point counts, and how many do."""
+    """Options that decide which points are used as planes, and with what weight."""
 
     structure: float = 1.0
-    """weight of facades and whatever else stands upright"""
+    """weight of structure: facades and other planes that are not ground"""
     ground: float = 0.3
-    """weight of the road: snow and leaves lie on it"""
+    """weight of the road, which snow and leaves may cover"""
     rough: float = 0.1
-    """weight of leaves and edges, where a plane fits at all"""
+    """weight of other points, such as leaves and edges, where a plane fits at all"""
     steady: float = 0.5
-    """points less steady than this are left out"""
+    """points with a lower static score are left out"""
     thinning_m: tuple[float, ...] = (0.4, 0.2, 0.0)
-    """one point a voxel of this size, level by level; 0 keeps all"""
+    """voxel size for thinning, level by level; 0 keeps all points"""
     reach_m: tuple[float, ...] = (1.0, 0.5, 0.3)
-    """cell of the grid, level by level: no plane is found further away than this"""
+    """largest distance between a point and its plane, level by level"""
     samples: tuple[int, ...] = (3000, 5000, 9000)
-    """points, level by level, that look for a plane on the other side"""
+    """number of points, level by level, that are matched to planes of the other submap"""
     near_m: tuple[float, ...] = (1e9, 20.0, 8.0)
-    """points measured so far from the node are sampled half as often, level by level: odometry is best close by"""
-
-    def __post_init__(self) -> None:
-        if not len(self.thinning_m) == len(self.reach_m) == len(self.samples) == len(self.near_m) > 0:
-            raise ConfigError("thinning_m, reach_m, samples and near_m of planes need one value a level each")
-        if min(self.reach_m + self.near_m) <= 0 or min(self.samples) < 6 or min(self.thinning_m) < 0:
-            raise ConfigError("planes need a positive reach and at least 6 samples on each level")
-
-
-@dataclass(frozen=True, eq=False)
-class Planes:
-    """Oriented points that stand for planes, sorted by cell so that near ones are found fast."""
-
-    points: Array
-    """(N, 3) in the node's frame"""
-    normals: Array
-    """(N, 3) unit, towards the sensor"""
-    weights: Array
-    """(N,) by surface and steadiness"""
-    carried: Array
-    """(N, 3) from the node to where the sensor was, as odometry tells: it drifts on that way"""
-    grid: Grid
-    """of these points, which are in its order"""
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    @cached_property
-    def away_m(self) -> Array:
-        """(N,)"""
-        return np.asarray(np.linalg.norm(self.carried, axis=1))
-
-    def stretched(self, stretch: float) -> Planes:
-        """The planes where they would lie had odometry told every way longer by this share."""
-        if not stretch:
-            return self
-        points = self.points + stretch * self.carried
-        return grid_planes(points, self.normals, self.weights, self.carried, self.grid.size_m)
-
-    def nearest(self, points: Array, normals: Array, reach_m: float, cosine: float = 0.7) -> Indices:
-        """(M,) the nearest plane to each point that faces the same way, -1 where there is none.
-
-        Args:
-            points: (M, 3) in this submap's frame.
-            normals: (M, 3) theirs; 0 faces any way.
-            reach_m: at most the grid's cell.
-            cosine: of the largest angle between the normals.
-        """
-        if reach_m > self.grid.size_m * (1 + 1e-9):
-            raise ValueError(f"a grid of {self.grid.size_m} m cells cannot be searched to {reach_m} m")
-        return np.asarray(_nearest(points, normals, self.points, self.normals, self.grid, reach_m, cosine))
+    """lever arm at which points are sampled half as often, level by level, since odometry is best near the node"""
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Points of one submap that look for planes in the other."""
+    """Points of a submap, with normals, that are matched to planes of another."""
 
     points: Array
-    """(M, 3)"""
+    """(N, 3) in the node's frame"""
     normals: Array
-    """(M, 3)"""
+    """(N, 3) unit vectors towards the sensor"""
     weights: Array
-    """(M,)"""
-    carried: Array
-    """(M, 3)"""
+    """(N,) weights by surface and static score"""
+    lever_arms: Array
+    """(N, 3) from the node to the sensor when it measured each point, by the odometry, whose drift grows with it"""
 
     def __len__(self) -> int:
         return len(self.points)
 
     @cached_property
-    def away_m(self) -> Array:
-        """(M,)"""
-        return np.asarray(np.linalg.norm(self.carried, axis=1))
+    def lever_lengths_m(self) -> Array:
+        """(N,) lengths of the lever arms, metres"""
+        return np.asarray(np.linalg.norm(self.lever_arms, axis=1))
 
-    def stretched(self, stretch: float) -> Sample:
-        """See :meth:`Planes.stretched`."""
-        return replace(self, points=self.points + stretch * self.carried) if stretch else self
+    def stretched(self, stretch: float) -> Self:
+        """The points as they would lie if the odometry's scale were larger by a factor of ``1 + stretch``."""
+        return replace(self, points=self.points + stretch * self.lever_arms) if stretch else self
+
+
+@dataclass(frozen=True, eq=False)
+class Planes(Sample):
+    """Points with normals that stand for planes, sorted by voxel for fast search."""
+
+    grid: Grid
+    """of these points, which are in the grid's order"""
+
+    def stretched(self, stretch: float) -> Planes:
+        """The planes as they would lie, sorted anew."""
+        if not stretch:
+            return self
+        points = self.points + stretch * self.lever_arms
+        return grid_planes(points, self.normals, self.weights, self.lever_arms, self.grid.size_m)
+
+    def nearest(self, points: Array, normals: Array, reach_m: float, cosine: float = 0.7) -> Indices:
+        """(M,) row of the plane nearest to each point and facing the same way, -1 where there is none.
+
+        Args:
+            points: (M, 3) in this submap's frame.
+            normals: (M, 3) of the points; 0 matches any direction.
+            reach_m: largest distance, at most the voxel size of the grid.
+            cosine: cosine of the largest angle between the normals.
+        """
+        if reach_m > self.grid.size_m * (1 + 1e-9):
+            raise ValueError(f"a grid of {self.grid.size_m} m cells cannot be searched to a distance of {reach_m} m")
+        return np.asarray(_nearest(points, normals, self.points, self.normals, self.grid, reach_m, cosine))
 
 
 class PlaneMap:
-    """A submap made ready for registration: built once, used against many others."""
+    """The planes of a submap or block at several levels, coarse to fine, each computed once."""
 
-    def __init__(self, submap: Submap, options: PlaneOptions | None = None) -> None:
+    def __init__(self, submap: Block, options: PlaneOptions | None = None) -> None:
         self.submap = submap
         self.options = options or PlaneOptions()
         by_surface = np.zeros(256)
@@ -137,7 +115,7 @@ class PlaneMap:
         self.points = submap.points[used].astype(np.float64)
         self.normals = submap.normals[used].astype(np.float64)
         self._weights = weights[used].astype(np.float64)
-        self._carried = submap.origins[used].astype(np.float64)
+        self._lever_arms = submap.origins[used].astype(np.float64)
         self._levels: dict[int, Planes] = {}
         self._samples: dict[int, Sample] = {}
 
@@ -149,43 +127,38 @@ class PlaneMap:
         return direction_bins(self.normals)
 
     def level(self, k: int) -> Planes:
-        """The planes of a level, 0 the coarsest."""
+        """The planes of a level; 0 is the coarsest."""
         if k not in self._levels:
-            keep = thinned(self.points, self.options.thinning_m[k])
+            keep = first_in_voxels(self.points, self.options.thinning_m[k])
             self._levels[k] = grid_planes(
                 self.points[keep],
                 self.normals[keep],
                 self._weights[keep],
-                self._carried[keep],
+                self._lever_arms[keep],
                 self.options.reach_m[k],
             )
         return self._levels[k]
 
     def sample(self, k: int) -> Sample:
-        """The points of a level that look for planes: about as many for each direction of the normal.
+        """The points of a level that are matched to planes: about as many for each direction of the normal.
 
-        Facades along the street have most of the points; what tells where one is along it are the few that face the
-        other way (Rusinkiewicz and Levoy, Efficient variants of the ICP algorithm, 3DIM 2001).
+        Most points lie on facades along the street, but only the few that face along the street constrain the position
+        along it (Rusinkiewicz and Levoy, Efficient variants of the ICP algorithm, 3DIM 2001).
         """
         if k not in self._samples:
-            often = 1 / (1 + np.square(np.linalg.norm(self._carried, axis=1) / self.options.near_m[k]))
+            often = 1 / (1 + np.square(np.linalg.norm(self._lever_arms, axis=1) / self.options.near_m[k]))
             keep = balanced(self._bins, self.options.samples[k], often)
-            self._samples[k] = Sample(self.points[keep], self.normals[keep], self._weights[keep], self._carried[keep])
+            self._samples[k] = Sample(
+                self.points[keep], self.normals[keep], self._weights[keep], self._lever_arms[keep]
+            )
         return self._samples[k]
 
 
-def grid_planes(points: Array, normals: Array, weights: Array, carried: Array, cell_m: float) -> Planes:
-    """Planes of (N, 3) points with unit normals (N, 3), weights (N,) and ways from the node (N, 3)."""
+def grid_planes(points: Array, normals: Array, weights: Array, lever_arms: Array, cell_m: float) -> Planes:
+    """Planes of points (N, 3) with unit normals (N, 3), weights (N,) and lever arms (N, 3), sorted by voxel."""
     grid = make_grid(points, cell_m)
     order = grid.order
-    return Planes(points[order], normals[order], weights[order], carried[order], grid)
-
-
-def thinned(points: Array, voxel_m: float) -> Indices:
-    """(M,) rows of points (N, 3): the first in each voxel, in order; all for a voxel of 0."""
-    if voxel_m <= 0:
-        return np.arange(len(points))
-    return np.sort(np.unique(voxel_keys(points, voxel_m), return_index=True)[1])
+    return Planes(points[order], normals[order], weights[order], lever_arms[order], grid)
 
 
 def direction_bins(normals: Array) -> Indices:
@@ -198,11 +171,11 @@ def direction_bins(normals: Array) -> Indices:
 
 
 def balanced(bins: Indices, count: int, often: Array) -> Indices:
-    """(M,) rows of bins (N,): at most ``count``, as evenly over the bins as they allow.
+    """(M,) rows drawn without replacement: at most ``count``, as evenly over the bins (N,) as these allow.
 
     Args:
-        often: (N,) how often each is to be drawn, within its bin, in proportion; without replacement (Efraimidis and
-            Spirakis, Weighted random sampling with a reservoir, 2006). The draw is the same every time.
+        often: (N,) weights of the rows within their bins (Efraimidis and Spirakis, Weighted random sampling with a
+            reservoir, 2006). The draw is the same every time.
     """
     if len(bins) <= count:
         return np.arange(len(bins))

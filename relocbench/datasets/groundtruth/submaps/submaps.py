@@ -1,7 +1,7 @@
-"""Submaps: the blocks around a node, laid together along the odometry, sliding from node to node.
+"""Submaps: the blocks around a node, put together along the odometry, in a window that slides from node to node.
 
-Where several blocks show the same voxel, the one that saw it from nearest stays. A step costs what enters and leaves,
-and moving the points that stay into the next node's frame.
+Where several blocks have points in the same voxel, those of the block that saw it from nearest are kept. The cost of a
+step is that of the blocks that enter and leave, and of transforming the others into the next node's frame.
 """
 
 from __future__ import annotations
@@ -22,29 +22,15 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Submap:
-    """Points around one node, in that node's frame; the arrays are those of :class:`Block`, laid end to end."""
+class Submap(Block):
+    """Points around one node, in that node's frame: those of several blocks, end to end."""
 
-    node: int
-    points: NDArray[np.float32]
-    """(N, 3)"""
-    normals: NDArray[np.float32]
-    """(N, 3) unit, towards the sensor; 0 where no plane fits"""
-    origins: NDArray[np.float32]
-    """(N, 3) where the sensor was"""
-    surface: NDArray[np.uint8]
-    """(N,) :class:`relocbench.datasets.groundtruth.blocks.blocks.Surface`"""
-    steady: NDArray[np.float32]
-    """(N,) in [0, 1]"""
     block: NDArray[np.int32]
-    """(N,) the block each came from"""
-
-    def __len__(self) -> int:
-        return len(self.points)
+    """(N,) number of the block that each point came from"""
 
 
 class SubmapWindow:
-    """The submap of one node after another. It may go forward, backward or anywhere: the result is the same."""
+    """Puts together the submap of one node after another. The result does not depend on the order of the nodes."""
 
     def __init__(
         self,
@@ -53,36 +39,27 @@ class SubmapWindow:
         half_length_m: float = 30.0,
         *,
         voxel_m: float = 0.1,
-        T_odom_node: Array | None = None,
     ) -> None:
         """
         Args:
-            half_length_m: way to both sides of the node, within its stretch of odometry.
-            voxel_m: where several blocks have points, those of one stay; 0: all stay.
-            T_odom_node: (K, 4, 4) better poses than the odometry's, in any one frame.
+            half_length_m: length of road on either side of the node, within its segment of the odometry.
+            voxel_m: size of the voxels in which only the points of one block are kept; 0: all points are kept.
         """
         self._nodes = nodes
         self._store = store
         self._half_length_m = half_length_m
         self._voxel_m = voxel_m
-        self._poses = nodes.T_odom_node if T_odom_node is None else np.asarray(T_odom_node, dtype=np.float64)
-        self._stretch = nodes.stretches()
+        self._poses = nodes.T_odom_node
+        self._segment = nodes.segments()
         self._claims = VoxelClaims()
         self._inside: dict[int, Block] = {}
-        self.work = 0
-        """points of blocks that entered or left so far"""
-
-    @property
-    def claims_work(self) -> int:
-        """Claims of blocks on voxels that came or went so far."""
-        return self._claims.work
 
     def blocks_around(self, node: int) -> range:
-        """The blocks of a node's submap. Raises IndexError if there is no such node."""
+        """The numbers of the blocks of a node's submap. Raises IndexError if there is no such node."""
         if not 0 <= node < len(self._nodes):
             raise IndexError(f"no node {node}; there are {len(self._nodes)}")
-        way = self._nodes.travelled_m
-        near = (np.abs(way - way[node]) <= self._half_length_m) & (self._stretch == self._stretch[node])
+        travelled = self._nodes.travelled_m
+        near = (np.abs(travelled - travelled[node]) <= self._half_length_m) & (self._segment == self._segment[node])
         inside = np.flatnonzero(near)
         return range(int(inside[0]), int(inside[-1]) + 1)
 
@@ -96,20 +73,19 @@ class SubmapWindow:
                 self._enter(block)
         T_node_odom = invert(self._poses[node])
         parts = [self._part(block, T_node_odom @ self._poses[block]) for block in wanted]
-        points, normals, origins, surface, steady = (np.concatenate([part[i] for part in parts]) for i in range(5))
         numbers = np.repeat(np.array(wanted, dtype=np.int32), [len(part[0]) for part in parts])
-        return Submap(node, points, normals, origins, surface, steady, numbers)
+        points, normals, origins, surface, steady = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        return Submap(points, normals, origins, surface, steady, numbers)
 
     def _enter(self, number: int) -> None:
         block = self._store.get(number)
         self._inside[number] = block
-        self.work += len(block)
         if self._voxel_m > 0:
             keys = voxel_keys(apply(self._poses[number], block.points.astype(np.float64)), self._voxel_m)
             self._claims.enter(number, keys, np.linalg.norm(block.points - block.origins, axis=1))
 
     def _leave(self, number: int) -> None:
-        self.work += len(self._inside.pop(number))
+        self._inside.pop(number)
         if self._voxel_m > 0:
             self._claims.leave(number)
 

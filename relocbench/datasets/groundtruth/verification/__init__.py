@@ -1,1 +1,1 @@
-"""Whether a registration is right: evidence for and against it."""
+"""Verification: evidence for and against a registration, and the verdict."""

@@ -1,7 +1,7 @@
-"""The mistakes that registration makes on streets, made on purpose: slid along, and turned round.
+"""Alternative poses, made by the typical errors of registration on streets: shifted along, and turned by 180 degrees.
 
-Facades repeat. How well a query fits is measured along the whole street, and each place where it fits about as well as
-anywhere is another guess. What fits is not what is right: verification decides between them.
+Facades repeat. The fit of a query is measured at shifts along the whole street, and each shift that fits about as well
+as the best one gives another guess. A good fit is no proof, so verification decides between the guesses.
 """
 
 from __future__ import annotations
@@ -21,25 +21,27 @@ _COSINE = 0.7
 
 
 @dataclass(frozen=True)
-class SlideOptions:
-    """Where alternatives are looked for."""
+class ShiftOptions:
+    """Options of the search for alternative poses."""
 
     reach_m: float = 30.0
-    """along the street, both ways"""
+    """largest shift along the street, both ways"""
     step_m: float = 0.4
+    """distance between the shifts that are tried"""
     near_m: float = 0.4
-    """a point finds its surface again within this"""
+    """largest distance between a point and the surface that it matches"""
     apart_m: float = 1.5
-    """alternatives lie at least so far apart"""
+    """least distance between two alternatives"""
     share: float = 0.75
-    """of the best fit: what fits worse is no alternative"""
+    """share of the best fit that an alternative must reach"""
     most: int = 6
-    """alternatives of each kind"""
+    """largest number of alternatives of each kind"""
     points: int = 1500
+    """number of points that the fit is measured with"""
 
 
 def street_direction(planes: PlaneMap) -> Array:
-    """(3,) unit vector of the submap's axes along which it was driven; x where it stood still."""
+    """(3,) unit vector in the submap's frame in which the car drove; the x axis if it hardly moved."""
     origins = planes.submap.origins.astype(np.float64)
     centred = origins - origins.mean(axis=0)
     values, vectors = np.linalg.eigh(centred.T @ centred / len(origins))
@@ -47,8 +49,8 @@ def street_direction(planes: PlaneMap) -> Array:
     return np.asarray(direction * (1.0 if direction[0] >= 0 else -1.0))
 
 
-def fit(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOptions) -> float:
-    """Share of the query's planes, drawn evenly over directions, that find one of the reference's."""
+def fit(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: ShiftOptions) -> float:
+    """Share of the query's planes, sampled evenly over directions, that match a plane of the reference."""
     sample, planes = query.sample(_LEVEL), ref.level(_LEVEL)
     rows = np.arange(0, len(sample), max(len(sample) // options.points, 1))
     there = apply(T_ref_query, sample.points[rows])
@@ -56,9 +58,11 @@ def fit(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOption
     return float(np.mean(match >= 0)) if len(rows) else 0.0
 
 
-def slides(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOptions | None = None) -> list[Array]:
-    """Poses along the street where the query fits about as well as anywhere, the best first."""
-    o = options or SlideOptions()
+def shifted_poses(
+    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: ShiftOptions | None = None
+) -> list[Array]:
+    """Poses shifted along the street at which the query fits about as well as at the best one, best fit first."""
+    o = options or ShiftOptions()
     along = street_direction(ref)
     steps = np.arange(-round(o.reach_m / o.step_m), round(o.reach_m / o.step_m) + 1) * o.step_m
     moved = [make_transform(np.eye(3), s * along) @ T_ref_query for s in steps]
@@ -72,31 +76,14 @@ def slides(ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOpt
     return [moved[i] for i in kept]
 
 
-def period(ref: PlaneMap, options: SlideOptions | None = None) -> float | None:
-    """Metres after which a street repeats: the slide, 1.5 m or more, at which a submap fits itself best; None of none.
-
-    The first local maximum of the fit that stands out by a fifth over the lowest fit before it.
-    """
-    o = options or SlideOptions()
-    along = street_direction(ref)
-    steps = np.arange(0, round(o.reach_m / o.step_m) + 1) * o.step_m
-    fits = [fit(ref, ref, make_transform(np.eye(3), s * along), o) for s in steps]
-    lowest = np.minimum.accumulate(fits)
-    for i in range(1, len(steps) - 1):
-        rises = fits[i] >= fits[i - 1] and fits[i] > fits[i + 1]
-        if steps[i] >= o.apart_m and rises and fits[i] > 1.2 * lowest[i]:
-            return float(steps[i])
-    return None
-
-
-def turned_round(T_ref_query: Array) -> Array:
-    """The same place, looking the other way: turned about the query's vertical."""
+def turned_around(T_ref_query: Array) -> Array:
+    """The pose turned by 180 degrees about the query's vertical axis."""
     return np.asarray(T_ref_query @ make_transform(so3_exp([0.0, 0.0, np.pi]), [0.0, 0.0, 0.0]))
 
 
 def alternatives(
-    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: SlideOptions | None = None
+    ref: PlaneMap, query: PlaneMap, T_ref_query: Array, options: ShiftOptions | None = None
 ) -> list[Array]:
-    """A guess, its slides and those of the guess turned round."""
-    slid = slides(ref, query, T_ref_query, options)
-    return [T_ref_query, *slid, *slides(ref, query, turned_round(T_ref_query), options)]
+    """A guess, its shifts along the street, and the shifts of the guess turned by 180 degrees."""
+    slid = shifted_poses(ref, query, T_ref_query, options)
+    return [T_ref_query, *slid, *shifted_poses(ref, query, turned_around(T_ref_query), options)]

@@ -1,4 +1,4 @@
-"""One drive registered against another at one place, and everything that speaks for and against it."""
+"""A registration of one submap against another, and the evidence for and against it."""
 
 from __future__ import annotations
 
@@ -12,35 +12,43 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Evidence:
-    """What two submaps say of a pose. Shares are of thinned, steady points; ``nan`` where nothing could be judged."""
+    """Evidence for and against the relative pose of two submaps; ``nan`` where nothing could be measured.
+
+    Shares are of surface patches or planes of static points.
+    """
 
     overlap_ref: float
-    """share of the reference's structure, of what the query could have seen, that the query has as well"""
+    """share of the reference's structure that the query could have seen which the query measured as well"""
     overlap_query: float
-    """the same the other way round"""
+    """the same, with the roles exchanged"""
     residual_ref_m: float
-    """robust standard deviation of the distances from reference points to the query's planes"""
+    """robust standard deviation of the distances from the reference's points to the query's planes"""
     residual_query_m: float
+    """the same, with the roles exchanged"""
     violations_ref: float
-    """share of the reference's structure, of what the query's beams reached or passed, that they went through"""
+    """share of the reference's structure reached or passed by the query's beams that the beams went through"""
     violations_query: float
+    """the same, with the roles exchanged"""
     weakest_sigma_m: float
-    """standard deviation along the direction that is known least"""
+    """standard deviation of the position along its least certain direction"""
     weakest_direction: tuple[float, float, float]
-    """of the reference node's axes"""
+    """that direction, in the reference node's frame"""
     weakest_sigma_deg: float
+    """standard deviation of the rotation about its least certain axis"""
     seen_ref: float = float("nan")
-    """share of the reference's structure that the query's beams reached or passed: how much there was to judge"""
+    """share of the reference's structure that the query measured, or that its beams reached or passed"""
     seen_query: float = float("nan")
+    """the same, with the roles exchanged"""
     detail_ref: float = float("nan")
-    """of the reference's planes with the query's surface nearby, drawn evenly over directions, the share that lies in
-    a plane of the query: recesses, poles and corners count as much as long walls"""
+    """share, of the reference's planes near any surface of the query, that lie in a plane of the query; planes are
+    sampled evenly over directions, so that recesses, poles and corners count as much as long walls"""
     detail_query: float = float("nan")
+    """the same, with the roles exchanged"""
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """The query's node seen from the reference's node."""
+    """The pose of a node of the query relative to a node of the reference, whether or not it is trusted."""
 
     ref: int
     """node of the reference drive"""
@@ -49,7 +57,7 @@ class Registration:
     T_ref_query: Array
     """(4, 4) node to node"""
     information: Array
-    """(6, 6) of the twist xi = (rho, phi) in ``T_ref_query @ se3_exp(xi)``, metres and radians"""
+    """(6, 6) information matrix of xi = (rho, phi) in ``T_ref_query @ se3_exp(xi)``, metres and radians"""
     evidence: Evidence
     reason: str = ""
     """why it is not trusted; empty if it is"""

@@ -1,8 +1,8 @@
-"""Is a registration right? Evidence for and against it, and a verdict with the reason in words.
+"""Verification of a registration: the evidence for and against it, and the verdict with the reason in words.
 
-That clouds fit is no proof: on periodic streets the best fit may be 25 m off. What counts is evidence of different
-kinds, both ways: surfaces seen again, nothing standing where the other saw through, details that face along the
-street, and how well each direction is held.
+A good fit of the clouds is no proof: on periodic streets the best fit may be 25 m off. The verdict needs evidence of
+several kinds, from both sides: surfaces that both measured, free space, details that face along the street, and the
+uncertainty in each direction.
 """
 
 from __future__ import annotations
@@ -13,48 +13,49 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relocbench.datasets.groundtruth.submaps.free_space import Judged
+from relocbench.datasets.groundtruth.submaps.free_space import BeamVotes
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap
-from relocbench.datasets.groundtruth.submaps.prepared import Prepared
+from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.verification.evidence import Evidence
 from relocbench.geometry import apply, invert, robust_sigma
 
 Array = NDArray[np.float64]
 
 _SIGMA_M, _DRIFT_PER_M = 0.02, 0.01
-"""of a distance from a plane near the nodes, and by how much a metre of odometry adds to it"""
+"""standard deviation of a distance from a plane near the nodes, and its growth with the lever arm"""
 _COSINE = 0.8
+"""cosine of the largest angle between the normals of a match"""
 _LEVEL, _REACH_M = 1, 0.35
-"""planes among which a piece of surface is looked for, and how near it must be"""
+"""level of the planes that surface patches are matched to, and the largest distance of a match"""
 _FINE, _FINE_REACH_M, _NEARBY_M = 2, 0.25, 0.3
-"""planes among which details are looked for, and where any surface at all counts as nearby"""
+"""level of the planes that details are matched to, the largest distance of a match, and that of any surface"""
 _SAME_PLACE_M = 2.5
-"""what was measured from so near to where the other drive's sensors were, it could see as well; less than a lane, since
-from the next lane, and facing the other way, other flanks are hidden"""
+"""a drive could see what was measured from within this distance of its own sensors; it is less than the width of a
+lane, since other sides of things are hidden from the next lane"""
 _AGREES = 2.5
-"""standard deviations within which a point lies in a plane"""
+"""number of standard deviations within which a point lies in a plane"""
 
 
 @dataclass(frozen=True)
 class Thresholds:
-    """What a registration must show.
+    """Limits on the evidence for a registration that is trusted.
 
-    Chosen on drives through the training district (Sunny against Overcast, Rain, Snow and Night, and the street of
-    repeating facades, Sunny against Snow): each query node at its true place, at places slid by 2 to 30 m, turned by
-    2, 4 and 180 degrees and on other streets, all refined and then judged. Right poses had an overlap of 0.88 and more
-    and violations of 0.04 and less; wrong ones overlaps of up to 0.89, the highest a single period away among
-    repeating facades. The limits leave room for scenes that change more. They alone do not tell such neighbours
-    apart: the comparison of hypotheses over a stretch of road does.
+    They were chosen on drives through the training district (Sunny against Overcast, Rain, Snow and Night, and the
+    street of repeating facades, Sunny against Snow): each query node was placed at its true pose, shifted by 2 to 30 m,
+    turned by 2, 4 and 180 degrees, and on other streets, then registered by ICP and verified. Right poses had an
+    overlap of at least 0.88 and violations of at most 0.04; wrong ones had overlaps of up to 0.89, the highest one
+    period away among repeating facades. The limits leave room for scenes that change more. They alone cannot reject a
+    shift by one period; following each hypothesis along the road can.
     """
 
     least_seen: float = 0.08
-    """share of the structure that the other drive's beams reached or passed: below, there is too little to judge"""
+    """least :attr:`Evidence.seen_ref`: below it there is too little to compare"""
     least_overlap: float = 0.75
     most_violations: float = 0.12
     least_detail: float = 0.45
     most_residual_m: float = 0.05
     most_sigma_m: float = 0.3
-    """along the weakest direction"""
+    """largest standard deviation of the position along its least certain direction"""
     most_sigma_deg: float = 0.5
 
 
@@ -65,11 +66,11 @@ class _OneWay:
     violations: float
 
 
-def gather_evidence(ref: Prepared, query: Prepared, T_ref_query: Array, information: Array) -> Evidence:
-    """What two submaps say of a pose.
+def gather_evidence(ref: PreparedSubmap, query: PreparedSubmap, T_ref_query: Array, information: Array) -> Evidence:
+    """The evidence for and against a pose of two submaps.
 
     Args:
-        information: (6, 6) of the pose, as :class:`relocbench.datasets.groundtruth.icp.icp.Refined` has it.
+        information: (6, 6) of the pose, as in :class:`relocbench.datasets.groundtruth.icp.icp.IcpResult`.
     """
     T_query_ref = invert(T_ref_query)
     of_ref = _one_way(ref, query, T_query_ref)
@@ -94,30 +95,30 @@ def gather_evidence(ref: Prepared, query: Prepared, T_ref_query: Array, informat
     )
 
 
-def _one_way(this: Prepared, other: Prepared, T_other_this: Array) -> _OneWay:
-    """This submap's pieces of surface by the other's beams and planes."""
-    pieces = this.space.pieces
-    judged: Judged = this.space.judge(other.space.beams, invert(T_other_this))
+def _one_way(this: PreparedSubmap, other: PreparedSubmap, T_other_this: Array) -> _OneWay:
+    """Evidence from this submap's surface patches with the beams and planes of the other."""
+    patches = this.space.patches
+    votes: BeamVotes = this.space.votes_of(other.space.beams, invert(T_other_this))
     planes = other.planes.level(_LEVEL)
-    there, facing = apply(T_other_this, pieces.middle), pieces.normals @ T_other_this[:3, :3].T
+    there, facing = apply(T_other_this, patches.middle), patches.normals @ T_other_this[:3, :3].T
     match = planes.nearest(there, facing, _REACH_M, _COSINE)
     found = match >= 0
     residual = np.einsum("vi,vi->v", planes.normals[match], there - planes.points[match])
-    spread = np.hypot(_SIGMA_M, _DRIFT_PER_M * planes.away_m[match])
+    spread = np.hypot(_SIGMA_M, _DRIFT_PER_M * planes.lever_lengths_m[match])
     found &= np.abs(residual) <= 2 * _AGREES * spread
-    met = found | (judged.through + judged.reached > 0)
-    passed = apply(invert(T_other_this), other.space.passed)
-    same_place = cKDTree(passed).query(pieces.origins, distance_upper_bound=_SAME_PLACE_M)[0] < _SAME_PLACE_M
-    could_see, everything = float(pieces.weights[met | same_place].sum()), float(pieces.weights.sum())
+    met = found | (votes.through + votes.reached > 0)
+    sensor_positions = apply(invert(T_other_this), other.space.sensor_positions)
+    same_place = cKDTree(sensor_positions).query(patches.origins, distance_upper_bound=_SAME_PLACE_M)[0] < _SAME_PLACE_M
+    could_see, everything = float(patches.weights[met | same_place].sum()), float(patches.weights.sum())
     return _OneWay(
-        overlap=float(pieces.weights[found].sum()) / could_see if could_see > 0 else float("nan"),
-        seen=float(pieces.weights[met].sum()) / everything if everything > 0 else 0.0,
-        violations=judged.violations(found),
+        overlap=float(patches.weights[found].sum()) / could_see if could_see > 0 else float("nan"),
+        seen=float(patches.weights[met].sum()) / everything if everything > 0 else 0.0,
+        violations=votes.violations(found),
     )
 
 
 def _details(this: PlaneMap, other: PlaneMap, T_other_this: Array) -> tuple[float, float]:
-    """Share of this submap's sampled planes that agree with the other, and the robust sigma of their distances."""
+    """Share of this submap's sampled planes that lie in planes of the other, and the robust sigma of the distances."""
     sample, planes = this.sample(_FINE), other.level(_FINE)
     there, facing = apply(T_other_this, sample.points), sample.normals @ T_other_this[:3, :3].T
     nearby = planes.nearest(there, np.zeros_like(there), _NEARBY_M) >= 0
@@ -127,7 +128,7 @@ def _details(this: PlaneMap, other: PlaneMap, T_other_this: Array) -> tuple[floa
         return (0.0 if nearby.any() else float("nan")), float("nan")
     match = match[rows]
     residual = np.einsum("ni,ni->n", planes.normals[match], there[rows] - planes.points[match])
-    away = np.hypot(sample.away_m[rows], planes.away_m[match])
+    away = np.hypot(sample.lever_lengths_m[rows], planes.lever_lengths_m[match])
     standard = residual / np.hypot(1.0, _DRIFT_PER_M / _SIGMA_M * away)
     agree = np.abs(standard) <= _AGREES * _SIGMA_M
     sigma = robust_sigma(standard, 1 / (1 + np.square(_DRIFT_PER_M / _SIGMA_M * away)))
@@ -135,7 +136,8 @@ def _details(this: PlaneMap, other: PlaneMap, T_other_this: Array) -> tuple[floa
 
 
 def weakest(information: Array, T_ref_query: Array) -> tuple[float, tuple[float, float, float], float]:
-    """Sigma in metres along the direction known least, that direction in the reference's axes, and sigma in degrees."""
+    """Sigma in metres along the least certain direction, that direction in the reference's frame, and the largest sigma
+    of rotation in degrees; infinite if the information matrix is singular."""
     if not np.isfinite(information).all() or np.linalg.eigvalsh(information)[0] <= 0:
         return float("inf"), (float("nan"),) * 3, float("inf")
     covariance = np.linalg.inv(information)
@@ -146,7 +148,7 @@ def weakest(information: Array, T_ref_query: Array) -> tuple[float, tuple[float,
 
 
 def verdict(evidence: Evidence, thresholds: Thresholds | None = None) -> str:
-    """Why a pose is not trusted; empty if it is. What is missing counts against it."""
+    """Why a pose is not trusted; empty if it is trusted. Missing evidence (nan) counts against it."""
     t = thresholds or Thresholds()
     e = evidence
     sides = (("reference", "query", e.seen_ref, e.overlap_ref, e.violations_ref, e.detail_ref, e.residual_ref_m),

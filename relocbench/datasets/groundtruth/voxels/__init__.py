@@ -1,1 +1,1 @@
-"""Points by the cube of space that they lie in."""
+"""Space cut into voxels: sorting and thinning points by voxel, and following rays from voxel to voxel."""

@@ -1,7 +1,7 @@
-"""Which of several blocks shows a voxel best: kept up to date while blocks come and go.
+"""Which of several blocks shows each voxel best, kept up to date while blocks are added and removed.
 
-Each block claims the voxels that it has points in, with a rank; the lowest rank wins, the lower number among equals.
-A claim that comes or goes costs a look at the claims on the same voxel and no more.
+A block claims the voxels in which it has points, each with a rank. The lowest rank wins; between equal ranks the lower
+block number does. Adding or removing a claim only looks at the other claims on the same voxel.
 """
 
 from __future__ import annotations
@@ -17,24 +17,22 @@ _NONE = -1
 
 
 class VoxelClaims:
-    """Claims of blocks on voxels. What wins depends on the blocks present, not on how they came."""
+    """Claims of blocks on voxels. The winners do not depend on the order in which the blocks were added."""
 
     def __init__(self) -> None:
         self._keys = np.full(1024, EMPTY, dtype=np.int64)
         self._heads = np.full(1024, _NONE, dtype=np.int64)
         self._used = 0
-        """slots of the table, those without claims among them"""
+        """number of slots of the table that are taken, including those whose claims were all removed"""
         self._next = np.full(1024, _NONE, dtype=np.int64)
         self._owner = np.zeros(1024, dtype=np.int64)
         self._rank = np.zeros(1024, dtype=np.float32)
         self._wins = np.zeros(1024, dtype=np.bool_)
         self._free = np.arange(1024)
         self._blocks: dict[int, tuple[Indices, Indices, Indices]] = {}
-        self.work = 0
-        """claims that came or went so far"""
 
     def enter(self, block: int, keys: Indices, ranks: NDArray[np.float32]) -> None:
-        """A block claims the voxels (N,) of its points, each with the lowest rank (N,) of its points there."""
+        """Add a block with the voxels (N,) of its points and their ranks (N,); a voxel gets the lowest rank in it."""
         voxels, inverse = np.unique(keys, return_inverse=True)
         best = np.full(len(voxels), np.inf, dtype=np.float32)
         np.minimum.at(best, inverse, ranks)
@@ -44,17 +42,15 @@ class VoxelClaims:
         self._rank[mine] = best
         self._used += _enter(voxels, mine, self._keys, self._heads, self._next, self._owner, self._rank, self._wins)
         self._blocks[block] = (voxels, mine, inverse)
-        self.work += len(voxels)
 
     def leave(self, block: int) -> None:
-        """A block gives up its claims."""
+        """Remove a block and its claims."""
         voxels, mine, _ = self._blocks.pop(block)
         _leave(voxels, mine, self._keys, self._heads, self._next, self._owner, self._rank, self._wins)
         self._free = np.concatenate([self._free, mine])
-        self.work += len(voxels)
 
     def winning(self, block: int) -> NDArray[np.bool_]:
-        """(N,) of the points of a block: whether it shows the voxel best."""
+        """(N,) whether the block wins the voxel of each of its points."""
         _, mine, inverse = self._blocks[block]
         return self._wins[mine][inverse]
 
@@ -113,7 +109,7 @@ def _enter(
     voxels: Indices, claims: Indices, keys: Indices, heads: Indices, following: Indices, owner: Indices,
     rank: NDArray[np.float32], wins: NDArray[np.bool_],
 ) -> int:  # fmt: skip
-    """How many slots of the table were taken."""
+    """Link new claims and find the winners anew. Returns how many slots of the table became taken."""
     taken = 0
     for i in range(len(voxels)):
         slot = _slot(voxels[i], keys)

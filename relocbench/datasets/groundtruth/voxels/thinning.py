@@ -1,7 +1,7 @@
-"""One point a voxel: the measured one nearest to the mean of all that fell in it.
+"""Thinning of point clouds to one measured point a voxel: the one nearest to the mean, or simply the first.
 
-A measured point keeps its own beam, which free space is told from, and its own noise. Coordinates are summed as whole
-micrometres, so that neither the choice nor its order depends on the order in which points come.
+Measured points are kept rather than means, because a measured point has a beam of its own (from which free space is
+found) and noise of its own.
 """
 
 from __future__ import annotations
@@ -19,11 +19,21 @@ _UNIT_M = 1e-6
 
 
 def thin(points: Array, voxel_m: float) -> Indices:
-    """The points of (N, 3) to keep, voxel after voxel. Of equal points any one is kept: they are the same."""
+    """(M,) rows of points (N, 3): in each voxel the point nearest to the mean of all, voxel after voxel.
+
+    Coordinates are summed as whole micrometres, so that the choice does not depend on the order of the points.
+    """
     points = np.ascontiguousarray(points, dtype=np.float64)
     keys = voxel_keys(points, voxel_m)
     order = np.argsort(keys, kind="stable")
     return _nearest_to_mean(points, keys, order)
+
+
+def first_in_voxels(points: NDArray[np.floating], voxel_m: float) -> Indices:
+    """(M,) rows of points (N, 3): the first in each voxel, in order; all rows for a ``voxel_m`` of 0."""
+    if voxel_m <= 0:
+        return np.arange(len(points))
+    return np.sort(np.unique(voxel_keys(points, voxel_m), return_index=True)[1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -1,4 +1,4 @@
-"""Space cut into cubes: the number of the cube that a point lies in, and the points of each cube."""
+"""Space cut into voxels: the key of the voxel that a point lies in, and the points of each voxel."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ _BITS = 21
 _HALF = 1 << (_BITS - 1)
 _MASK = (1 << _BITS) - 1
 EMPTY = -1
-"""number of no cube"""
+"""the key of no voxel"""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def pack(x: int, y: int, z: int) -> int:
-    """Number of the cube (x, y, z); they repeat after two million cubes."""
+    """Key of the voxel (x, y, z). Keys repeat after 2^21 voxels along an axis."""
     return (((x + _HALF) & _MASK) << (2 * _BITS)) | (((y + _HALF) & _MASK) << _BITS) | ((z + _HALF) & _MASK)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def voxel_keys(points: NDArray[np.floating], size_m: float) -> Indices:
-    """(N,) numbers of the cubes that points (N, 3) lie in; the origin is a corner."""
+    """(N,) keys of the voxels, ``size_m`` wide, that points (N, 3) lie in; the origin is a corner of a voxel."""
     keys = np.empty(len(points), dtype=np.int64)
     for i in range(len(points)):
         keys[i] = pack(
@@ -39,27 +39,27 @@ def voxel_keys(points: NDArray[np.floating], size_m: float) -> Indices:
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def slot_of(key: int, mask: int) -> int:
-    """Where a search for a key begins in a table of ``mask + 1`` slots (Fibonacci hashing)."""
+    """The slot at which the search for a key begins in a table of ``mask + 1`` slots (Fibonacci hashing)."""
     mixed = key * 0x9E3779B97F4A7C1
     return (mixed ^ (mixed >> 29)) & mask
 
 
 class Grid(NamedTuple):
-    """Points sorted by cube. Within a cube they keep their order."""
+    """Points sorted by voxel. Within a voxel they keep their order."""
 
     size_m: float
     order: Indices
-    """(N,) points, cube after cube"""
+    """(N,) rows of the points, voxel after voxel"""
     starts: Indices
-    """(C + 1,) where each cube begins in ``order``"""
+    """(C + 1,) where each of the C occupied voxels begins in ``order``"""
     keys: Indices
-    """(S,) open-addressed table of numbers of cubes; EMPTY where there is none"""
+    """(S,) open-addressed hash table of voxel keys, ``EMPTY`` where there is none"""
     cells: NDArray[np.int32]
-    """(S,) the cube of each slot"""
+    """(S,) the number, from 0 to C - 1, of the voxel in each slot"""
 
 
 def make_grid(points: NDArray[np.floating], size_m: float) -> Grid:
-    """Sort points (N, 3) into cubes."""
+    """Sort points (N, 3) into voxels of ``size_m``."""
     keys = voxel_keys(points, size_m)
     order = np.argsort(keys, kind="stable")
     ordered = keys[order]
@@ -71,8 +71,8 @@ def make_grid(points: NDArray[np.floating], size_m: float) -> Grid:
     return Grid(size_m, order, np.append(first, len(keys)).astype(np.int64), table, cells)
 
 
-def cubes_of(grid: Grid) -> Indices:
-    """(N,) the cube of each point, as ``starts`` counts them."""
+def cells_of(grid: Grid) -> Indices:
+    """(N,) the number, from 0 to C - 1, of the voxel that each point lies in."""
     out = np.empty(len(grid.order), dtype=np.int64)
     out[grid.order] = np.repeat(np.arange(len(grid.starts) - 1), np.diff(grid.starts))
     return out
@@ -93,7 +93,7 @@ def _fill(unique: Indices, size: int) -> tuple[Indices, NDArray[np.int32]]:
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def cell_of(key: int, keys: Indices, cells: NDArray[np.int32]) -> int:
-    """The cube of a number, or -1 if no point lies in it."""
+    """The number, from 0 to C - 1, of the voxel with a key; -1 if no point lies in it."""
     mask = len(keys) - 1
     slot = slot_of(key, mask)
     while keys[slot] != EMPTY:

@@ -15,24 +15,24 @@ from relocbench.geometry import Camera, is_rotation, make_transform, project_to_
 Array = NDArray[np.float64]
 FOLDER_NAMES = ("Calibration", "calibration")
 _PRINTED_ROTATION = 1e-4
-"""how far off SO(3) a matrix printed with few digits may be"""
+"""tolerance for rotations that are printed with few digits"""
 
 
 @dataclass(frozen=True, eq=False)
 class StereoCalibration:
-    """The rectified cameras of a recording: what its undistorted images were made with."""
+    """The rectified cameras of a recording, to which its undistorted images belong."""
 
     cam0: Camera
     cam1: Camera | None = None
     T_cam1_cam0: Array | None = None
-    """(4, 4); its x is minus the baseline"""
+    """(4, 4); its x translation is minus the baseline"""
 
 
 def read_camera(path: Path) -> Camera:
-    """``calib_N.txt`` or ``undistorted_calib_N.txt``.
+    """Read ``calib_N.txt`` or ``undistorted_calib_N.txt``.
 
     The first line is ``Pinhole fx fy cx cy 0 0 0 0`` or ``Equidistant fx fy cx cy k1 k2 k3 k4``, the second the
-    width and height of the image. What follows (how to rectify it, and to which size) is not used.
+    width and height of the image. The lines after that, about rectification, are not used.
 
     Raises:
         DatasetError: with file and line.
@@ -57,9 +57,9 @@ def read_camera(path: Path) -> Camera:
 
 
 def read_stereo(path: Path) -> Array:
-    """``calib_stereo.txt`` or ``undistorted_calib_stereo.txt``: (4, 4) ``T_cam1_cam0``.
+    """Read ``calib_stereo.txt`` or ``undistorted_calib_stereo.txt``: (4, 4) ``T_cam1_cam0``.
 
-    The data say so (t_x is minus the baseline), whatever the name that goes with the file says.
+    The data show this direction (t_x is minus the baseline), although the data set's documentation names it otherwise.
 
     Raises:
         DatasetError: with file and line.
@@ -69,21 +69,21 @@ def read_stereo(path: Path) -> Array:
     if matrix.shape != (4, 4) or not np.array_equal(matrix[3], [0, 0, 0, 1]):
         raise DatasetError("expected a 4x4 matrix whose last row is 0 0 0 1", path)
     if not is_rotation(matrix[:3, :3], _PRINTED_ROTATION):
-        raise DatasetError("the upper left 3x3 is no rotation", path)
+        raise DatasetError("the upper left 3x3 is not a rotation", path)
     return make_transform(project_to_rotation(matrix[:3, :3]), matrix[:3, 3])
 
 
 def find_calibration(recording: Path) -> Path | None:
-    """The calibration folder in a recording or beside it."""
+    """The calibration folder in a recording or beside it, if there is one."""
     candidates = [folder / name for folder in (recording, recording.resolve().parent) for name in FOLDER_NAMES]
     return next((c for c in candidates if c.is_dir()), None)
 
 
 def read_calibration(folder: Path) -> StereoCalibration:
-    """The rectified cameras of a calibration folder; the second camera where it is described.
+    """The rectified cameras of a calibration folder; the second camera only if the folder describes it.
 
     Raises:
-        DatasetError: no first camera, or a file that is not understood.
+        DatasetError: the first camera is missing, or a file cannot be parsed.
     """
     cam0 = read_camera(folder / "undistorted_calib_0.txt")
     if cam0.model != "pinhole":

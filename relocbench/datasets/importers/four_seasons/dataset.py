@@ -1,8 +1,8 @@
 """4Seasons and MLAD recordings: rectified images, sparse keyframe points, GNSS-fused poses, relocalization files.
 
-The rig's frame is the rectified left camera (cam0). Poses are ``GNSSPoses.txt`` times its scale, or MLAD's
-``poses.txt``. Recordings are brought to the SLAM world of the first one by way of the earth,
-``inv(T_e_w_first) @ T_e_w``, each from its ``Transformations.txt``; ECEF coordinates themselves never reach a file.
+The rig's frame is the rectified left camera (cam0). Poses are those of ``GNSSPoses.txt`` times its scale, or those of
+MLAD's ``poses.txt``. Recordings are transformed to the SLAM world of the first one through the earth's frame,
+``inv(T_e_w_first) @ T_e_w``, each ``T_e_w`` from ``Transformations.txt``; no file holds ECEF coordinates.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.importers.assembly import check_conditions, condition_of, configuration, write_pairs
+from relocbench.datasets.importers.assembly import check_conditions, condition_of, open_writer, write_pairs
 from relocbench.datasets.importers.four_seasons.calibration import (
     StereoCalibration,
     find_calibration,
@@ -58,18 +58,18 @@ class Options(ImportOptions):
     """Options of the four-seasons importer."""
 
     calibration: Path | None = Field(
-        None, description="calibration folder; default: Calibration or calibration in the recording or beside it"
+        None, description="calibration folder; default: Calibration or calibration, in the recording or beside it"
     )
     relocalization_files: tuple[Path, ...] = Field(
-        (), description="relocalization files, or folders of them: their pairs take the place of pairs by rule"
+        (), description="relocalization files, or folders of them; their pairs replace those by rule"
     )
     withheld_truth: Literal["leave", "from-poses"] = Field(
         "leave",
-        description="pairs of relocalization files without poses: leave their truth out, or take it from the poses of "
-        "the two recordings",
+        description="relocalization files without poses: leave the truth out, or compute it from the poses of the two "
+        "recordings",
     )
     point_filter: Literal["usual", "none"] = Field(
-        "usual", description="'usual': only certain points seen from far enough apart; 'none': all of them"
+        "usual", description="'usual': only points of low variance and sufficient baseline; 'none': all points"
     )
 
 
@@ -77,18 +77,13 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     """Import one or more recordings; the first is the reference.
 
     Raises:
-        DatasetError: with file and line: a recording that is incomplete or contradicts itself, no pair.
-        ConfigError: a condition for a recording that is not imported.
+        DatasetError: with file and line: a recording is incomplete or contradicts itself, or there is no pair.
+        ConfigError: the options give a condition for a recording that is not imported.
     """
     assert isinstance(options, Options)
     names = traversal_names(sources)
     check_conditions(options, names)
-    writer = DatasetWriter(
-        out,
-        options.name or fitting_name("four-seasons-" + "-".join(names)),
-        configuration("four-seasons", sources, options),
-        options.licence,
-    )
+    writer = open_writer("four-seasons", sources, options, out, fitting_name("four-seasons-" + "-".join(names)))
     if writer.complete:
         return Dataset(out)
     recordings = [read_recording(source, name) for source, name in zip(sources, names, strict=True)]
@@ -117,7 +112,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
 
 @dataclass(frozen=True, eq=False)
 class _Import:
-    """One recording on its way into the dataset."""
+    """Writes one recording as a traversal of the dataset."""
 
     writer: DatasetWriter
     recording: Recording
@@ -127,7 +122,7 @@ class _Import:
     run: Run
 
     def write(self, T_common_w: Array, listed: set[int]) -> None:
-        """Rig, poses, images of posed and listed frames, and keyframe points."""
+        """Write rig, poses, images of the posed and listed frames, and keyframe points."""
         recording = self.recording
         poses = {t: T_common_w @ T_w_cam for t, T_w_cam in recording.T_w_cam.items()}
         self.writer.traversal(self._traversal_file(), poses)
@@ -151,8 +146,8 @@ class _Import:
         units = [(c, t, p) for c in CAMERAS for t, p in self.recording.images[c].items() if t in times]
         if not self.recording.has_images:
             self.reporter.note(
-                f"{name} has no undistorted_images/{_CAM0}: its poses and points are imported for inspection, but no "
-                "pair of it can be evaluated"
+                f"{name} has no undistorted_images/{_CAM0}: its poses and points are imported for inspection, but none "
+                "of its pairs can be evaluated"
             )
             return
         with self.reporter.stage(f"images of {name}", len(units)) as advance:
@@ -190,7 +185,7 @@ class _Import:
 
 @dataclass(frozen=True, eq=False)
 class _KeyframeUnit:
-    """One keyframe file, as a worker needs it."""
+    """One keyframe file to convert."""
 
     source: Path
     target: Path
@@ -200,10 +195,10 @@ class _KeyframeUnit:
 
 
 def _write_keyframe(unit: _KeyframeUnit) -> int:
-    """Points of one keyframe; how many there are. Without any, no file is written."""
+    """Write the points of one keyframe and return their number; no file is written if there are none."""
     keyframe = read_keyframe(unit.source)
     own, rectified = keyframe.camera, unit.camera
-    # A keyframe prints its own intrinsics, which differ from file to file in the sixth digit.
+    # Keyframe files repeat the intrinsics, which differ from file to file in the sixth digit.
     apart = np.abs(own.matrix - rectified.matrix).max()
     if own.size != rectified.size or apart > _INTRINSICS_TOLERANCE_PX:
         raise DatasetError(
@@ -220,7 +215,7 @@ def _write_keyframe(unit: _KeyframeUnit) -> int:
 def _calibrations(
     recordings: Sequence[Recording], options: Options, reporter: Reporter
 ) -> Mapping[str, StereoCalibration]:
-    """Traversal name -> its rectified cameras; a recording without its own has the first one's."""
+    """Rectified cameras by traversal name; a recording without calibration gets that of the first one."""
     found: dict[str, StereoCalibration] = {}
     for recording in recordings:
         folder = options.calibration or find_calibration(recording.root)
@@ -228,25 +223,25 @@ def _calibrations(
             found[recording.name] = read_calibration(folder)
         elif found:
             found[recording.name] = found[recordings[0].name]
-            reporter.note(f"{recording.name} has no calibration folder; the one of {recordings[0].name} is taken")
+            reporter.note(f"{recording.name} has no calibration folder; that of {recordings[0].name} is used")
         elif recording.keyframes:
             found[recording.name] = StereoCalibration(read_keyframe(next(iter(recording.keyframes.values()))).camera)
-            reporter.note(f"{recording.name} has no calibration folder; the intrinsics of its first keyframe are taken")
+            reporter.note(f"{recording.name} has no calibration folder; the intrinsics of its first keyframe are used")
         else:
-            raise DatasetError("no calibration folder and no keyframe; give --calibration", recording.root)
+            raise DatasetError("has neither a calibration folder nor a keyframe; give --calibration", recording.root)
     return found
 
 
 def _check_track(recording: Recording, reporter: Reporter) -> None:
-    """Poses against the receiver's track, where the recording has one: a wrong scale or frame shows here."""
+    """Compare poses with the receiver's track, if there is one, which reveals a wrong scale or frame."""
     if recording.T_e_w is None or not (recording.root / TRACK).exists():
         return
     positions = {t: apply(recording.T_e_w, T_w_cam[None, :3, 3])[0] for t, T_w_cam in recording.T_w_cam.items()}
     found = agreement(positions, read_gga(recording.root / TRACK))
     if found is not None:
         reporter.note(
-            f"{recording.name} against its GNSS track: path length ratio {found.path_ratio:.4f}, median distance "
-            f"{found.horizontal_m:.1f} m across and {abs(found.vertical_m):.1f} m in height"
+            f"{recording.name} compared with its GNSS track: path length ratio {found.path_ratio:.4f}, median distance "
+            f"{found.horizontal_m:.1f} m horizontally and {abs(found.vertical_m):.1f} m vertically"
         )
 
 
@@ -256,11 +251,11 @@ def _listed_times(listed: Sequence[ListedPair], recording: Recording) -> set[int
 
 
 def _check_rule_can_pair(recordings: Sequence[Recording], frames: Mapping[str, Array]) -> None:
-    """Before hours of work: recordings with images, of which no two can be related, give no pair."""
+    """Raise DatasetError, before hours of work, if no two recordings with images share a frame to pair them in."""
     reference, *queries = recordings
     if queries and all(r.has_images for r in recordings) and not any(q.name in frames for q in queries):
         raise DatasetError(
-            f"no pair: its frame and the queries' cannot be related without Transformations.txt and GNSSPoses.txt of "
+            f"no pair: its frame cannot be related to the queries' without Transformations.txt and GNSSPoses.txt of "
             f"both; give --relocalization-files, or import {reference.name} alone",
             reference.root,
         )

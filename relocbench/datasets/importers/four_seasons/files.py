@@ -1,7 +1,7 @@
-"""The files of a 4Seasons or MLAD recording, each read into what it says and nothing more.
+"""Parsers for the files of a 4Seasons or MLAD recording.
 
 Frames: ``cam`` is the rectified left camera (cam0), ``w`` the world of the recording's own SLAM, ``gpsw`` a world
-aligned with gravity and north, ``e`` the earth (ECEF).
+aligned with gravity and north, and ``e`` the earth (ECEF).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from relocbench.tracking import KeyframePoints
 Array = NDArray[np.float64]
 
 PATCH_OFFSETS = ((0, -2), (-1, -1), (1, -1), (-2, 0), (0, 0), (2, 0), (-1, 1), (0, 2))
-"""(du, dv) of the eight grey values kept with a point (Engel et al. 2018, pattern 8)"""
+"""(du, dv) of the eight grey values stored with a point (Engel et al. 2018, pattern 8)"""
 _POINT_FIELDS = "u v idepth idepth_hessian maxRelBaseline numGoodRes status"
 _PATCH_FIELDS = " ".join(f"grey{i}" for i in range(len(PATCH_OFFSETS)))
 
@@ -35,7 +35,7 @@ _HESSIAN_FLOOR = 0.01
 
 @dataclass(frozen=True, eq=False)
 class GpsFix:
-    """The receiver's fix that some keyframes carry."""
+    """The GNSS fix that some keyframe files contain."""
 
     covariance: Array
     """(3, 3) m^2"""
@@ -47,13 +47,13 @@ class GpsFix:
 class KeyframeFile:
     """``KeyFrameData/KeyFrame_TIMESTAMP.txt``: one keyframe of the direct odometry and the points it hosts.
 
-    Lengths are in the units of ``w``: the GNSS scale makes metres of them.
+    Lengths are in units of ``w``; the GNSS scale converts them to metres.
     """
 
     timestamp_ns: int
     camera: Camera
     T_w_cam: Array
-    """(4, 4), as the odometry had it; not the fused pose of GNSSPoses.txt"""
+    """(4, 4), as estimated by the odometry; not the fused pose of GNSSPoses.txt"""
     exposure_ms: float
     gps: GpsFix | None
     uv: Array
@@ -61,9 +61,9 @@ class KeyframeFile:
     inverse_depth: Array
     """(N,)"""
     hessian: Array
-    """(N,) of the inverse depth: its variance is 1 / hessian"""
+    """(N,) Hessian of the inverse depth, whose variance is 1 / hessian"""
     relative_baseline: Array
-    """(N,) greatest baseline over depth among the frames that saw the point"""
+    """(N,) greatest ratio of baseline to depth among the frames that saw the point"""
     patch: Array
     """(N, 8) grey values at :data:`PATCH_OFFSETS`"""
 
@@ -72,7 +72,7 @@ class KeyframeFile:
 
     @property
     def reliable(self) -> NDArray[np.bool_]:
-        """(N,) The usual choice of points for localization: positive, certain, seen from far enough apart."""
+        """(N,) The usual selection of points for localization: positive, of low variance and sufficient baseline."""
         variance = 1.0 / (self.hessian + _HESSIAN_FLOOR)
         with np.errstate(divide="ignore"):
             depth_variance = variance / self.inverse_depth**4
@@ -84,11 +84,11 @@ class KeyframeFile:
         )
 
     def points(self, scale: float = 1.0, keep: NDArray[np.bool_] | None = None) -> KeyframePoints:
-        """Points in metres: a depth d of ``w`` is ``scale * d``, so that inverse depth and sigma shrink by it.
+        """Points in metres: a depth d of ``w`` is ``scale * d`` metres, so inverse depth and sigma are divided by it.
 
         Args:
-            scale: metres for one unit of ``w``.
-            keep: (N,) which points; those without a positive inverse depth are left out in any case.
+            scale: metres per unit of ``w``.
+            keep: (N,) mask of the points to return; those without positive inverse depth are always left out.
         """
         chosen = self.inverse_depth > 0
         if keep is not None:
@@ -102,9 +102,9 @@ class GnssPose:
     """One line of ``GNSSPoses.txt``."""
 
     T_w_cam: Array
-    """(4, 4), translation in the units of ``w``"""
+    """(4, 4), translation in units of ``w``"""
     scale: float
-    """metres for one unit of ``w``"""
+    """metres per unit of ``w``"""
     fusion_quality: float | None
 
     @property
@@ -117,7 +117,7 @@ class GnssPose:
 
 @dataclass(frozen=True, eq=False)
 class Transformations:
-    """``Transformations.txt``, in its fixed order."""
+    """The content of ``Transformations.txt``, in the file's order."""
 
     S_AS: Array
     TS_cam_imu: Array
@@ -128,7 +128,7 @@ class Transformations:
 
     @cached_property
     def T_e_w(self) -> Array:
-        """(4, 4) earth from the SLAM world in metres: ``p_e = e_gpsw inv(w_gpsw) (scale p_w)``."""
+        """(4, 4) from the SLAM world in metres to the earth: ``p_e = e_gpsw inv(w_gpsw) (scale p_w)``."""
         return self.e_gpsw @ invert(self.w_gpsw)
 
 
@@ -139,8 +139,8 @@ def read_keyframe(path: Path) -> KeyframeFile:
     """Parse a keyframe file.
 
     Raises:
-        DatasetError: with file and line: a part is missing, a number is none, fewer or more points than announced,
-            another timestamp than the file's name.
+        DatasetError: with file and line: a part is missing, a field is not a number, the number of points differs
+            from the header's, or the timestamp from the one in the file's name.
     """
     rows = list(read_rows(path, "a keyframe (timestamp, camera, pose, exposure, points)", DatasetError))
     if len(rows) < 4:
@@ -162,7 +162,7 @@ def read_keyframe(path: Path) -> KeyframeFile:
         gps, body = _parse_gps(body, path), body[2:]
     if len(body) != 2 * int(count):
         raise DatasetError(
-            f"holds {len(body) / 2:g} points (two lines each), its header announces {int(count)}", path, camera_line
+            f"holds {len(body) / 2:g} points (two lines each), but its header says {int(count)}", path, camera_line
         )
     table = [parse_floats(f, path, n, _POINT_FIELDS, DatasetError) for n, f in body[0::2]]
     patches = [parse_floats(f, path, n, _PATCH_FIELDS, DatasetError) for n, f in body[1::2]]
@@ -195,7 +195,7 @@ def _parse_gps(rows: list[tuple[int, list[str]]], path: Path) -> GpsFix:
 
 
 def keyframe_files(recording: Path) -> dict[int, Path]:
-    """Timestamp of each keyframe file of a recording, in time order. Raises DatasetError on a name of another form."""
+    """Keyframe files of a recording by timestamp, in time order. Raises DatasetError if a name has no timestamp."""
     found = {}
     for path in (recording / "KeyFrameData").glob("KeyFrame_*.txt"):
         found[parse_timestamp(path.stem.removeprefix("KeyFrame_"), path, None, DatasetError)] = path
@@ -203,7 +203,7 @@ def keyframe_files(recording: Path) -> dict[int, Path]:
 
 
 def read_gnss_poses(path: Path) -> dict[int, GnssPose]:
-    """``GNSSPoses.txt``: timestamp_ns -> the fused pose of a keyframe.
+    """Read ``GNSSPoses.txt``: timestamp_ns -> the fused pose of a keyframe.
 
     Columns: timestamp_ns tx ty tz qx qy qz qw scale [fusion_quality ...].
 
@@ -226,7 +226,7 @@ def read_gnss_poses(path: Path) -> dict[int, GnssPose]:
 
 
 def read_poses(path: Path) -> dict[int, Array]:
-    """MLAD's ``poses.txt``, ``timestamp tx ty tz qx qy qz qw``: timestamp_ns -> (4, 4) world from cam, metres."""
+    """Read MLAD's ``poses.txt``, ``timestamp tx ty tz qx qy qz qw``: timestamp_ns -> (4, 4) ``T_w_cam`` in metres."""
     poses: dict[int, Array] = {}
     for line, fields in read_rows(path, "poses (timestamp tx ty tz qx qy qz qw)", DatasetError):
         if len(fields) != 8:
@@ -239,10 +239,10 @@ def read_poses(path: Path) -> dict[int, Array]:
 
 
 def read_times(path: Path) -> dict[int, float]:
-    """``times.txt``, ``timestamp_ns seconds exposure_ms``: timestamp_ns -> exposure in milliseconds.
+    """Read ``times.txt``, ``timestamp_ns seconds exposure_ms``: timestamp_ns -> exposure in milliseconds.
 
     Raises:
-        DatasetError: with file and line, also when the two times of a line differ by a microsecond or more.
+        DatasetError: with file and line, also if the two times of a line differ by a microsecond or more.
     """
     times = {}
     for line, fields in read_rows(path, "frame times (timestamp_ns seconds exposure_ms)", DatasetError):
@@ -255,10 +255,10 @@ def read_times(path: Path) -> dict[int, float]:
 
 
 def read_transformations(path: Path) -> Transformations:
-    """``Transformations.txt``: five transforms ``tx,ty,tz,qx,qy,qz,qw`` and the GNSS scale, named by the line before.
+    """Read ``Transformations.txt``: five transforms ``tx,ty,tz,qx,qy,qz,qw`` and the GNSS scale, each below its title.
 
     Raises:
-        DatasetError: with file and line: a part is missing, or stands out of the fixed order.
+        DatasetError: with file and line: a part is missing or out of order.
     """
     lines = lines_of(read_text(path, "the transformations of a recording", DatasetError))
     rows = list(read_rows(path, "the transformations of a recording", DatasetError))
@@ -267,7 +267,7 @@ def read_transformations(path: Path) -> Transformations:
     for name, (line, _) in zip(_TRANSFORMATIONS, rows, strict=True):
         titles = [text for text in lines[: line - 1] if text.strip().startswith("#")]
         if titles and name not in titles[-1]:
-            raise DatasetError(f"expected {name} here, its title is '{titles[-1].strip('# ')}'", path, line)
+            raise DatasetError(f"expected {name} here, but its title is '{titles[-1].strip('# ')}'", path, line)
     S_AS, TS_cam_imu, w_gpsw, gps_imu, e_gpsw = (parse_pose(fields, path, line) for line, fields in rows[:5])
     line, fields = rows[5]
     if len(fields) != 1:

@@ -1,4 +1,4 @@
-"""Relocalization files: which recordings their lines speak of, and with what truth."""
+"""Pairs from relocalization files: the recordings that each line refers to, and its true pose."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ class ListedPair:
 
     @property
     def group(self) -> str:
-        """``easy``, ``moderate`` or ``hard`` where the file's name ends so."""
+        """``easy``, ``moderate`` or ``hard`` if the file's name ends with it, else empty."""
         ending = self.file.stem.rpartition("_")[2]
         return ending if ending in DIFFICULTIES else ""
 
 
 def read_relocalization_files(paths: Sequence[Path], recordings: Sequence[Recording]) -> list[ListedPair]:
-    """All lines of files, or of the ``*.txt`` of folders, each with the recordings that its timestamps are of.
+    """All lines of the files, or of the ``*.txt`` in folders, each with the recordings that its timestamps belong to.
 
     Raises:
-        DatasetError: with file and line: a timestamp that no recording has, a pair that occurs twice.
+        DatasetError: with file and line: no recording has a timestamp, or a pair occurs twice.
     """
     listed: list[ListedPair] = []
     first: dict[PairKey, ListedPair] = {}
@@ -54,7 +54,7 @@ def read_relocalization_files(paths: Sequence[Path], recordings: Sequence[Record
             if line.key in first:
                 before = first[line.key]
                 where = f"{before.file.name}:{before.line.line}"
-                raise DatasetError(f"pair {line.key[0]} {line.key[1]} stands in {where} already", file, line.line)
+                raise DatasetError(f"pair {line.key[0]} {line.key[1]} is already listed in {where}", file, line.line)
             first[line.key] = pair
             listed.append(pair)
     return listed
@@ -63,14 +63,14 @@ def read_relocalization_files(paths: Sequence[Path], recordings: Sequence[Record
 def pairs_of_files(
     listed: Sequence[ListedPair], frames: Mapping[str, Array], from_poses: bool, reporter: Reporter
 ) -> dict[SetKey, list[Pair]]:
-    """Pair sets of relocalization files.
+    """Pair sets from the lines of relocalization files.
 
     Args:
-        frames: traversal name -> (4, 4) common frame from its own; see ``common_frames``.
-        from_poses: where a line has no pose, take the truth from the two recordings' poses, if they are related.
+        frames: traversal name -> (4, 4) transform from its frame to the common one; see ``common_frames``.
+        from_poses: compute missing true poses from the two recordings' poses, if these share a frame.
 
     Raises:
-        DatasetError: with file and line: a frame whose image is missing though its recording has images.
+        DatasetError: with file and line: an image of a recording with images is missing.
     """
     sets: dict[SetKey, list[Pair]] = {}
     for pair in listed:
@@ -80,15 +80,15 @@ def pairs_of_files(
             sets.setdefault(key, []).append(_with_truth(pair, frames, from_poses))
     left_out = sum(not (p.reference.has_images and p.query.has_images) for p in listed)
     if left_out:
-        reporter.note(f"{left_out} listed pairs are left out: their recordings have no undistorted_images/{CAMERAS[0]}")
+        reporter.note(f"{left_out} listed pairs are left out: a recording has no undistorted_images/{CAMERAS[0]}")
     bare = {p.line.ref_timestamp_ns for p in listed if p.line.ref_timestamp_ns not in p.reference.keyframes}
     if bare:
-        reporter.note(f"{len(bare)} listed references have no keyframe file: a method that needs points fails there")
+        reporter.note(f"{len(bare)} listed references have no keyframe file; methods that need points will fail there")
     _compare_with_poses(listed, frames, reporter)
     for key, pairs in sets.items():
         withheld = sum(p.T_query_ref is None for p in pairs)
         if withheld:
-            reporter.note(f"{withheld} of {len(pairs)} pairs of {' and '.join(key)} have no truth: it is withheld")
+            reporter.note(f"{withheld} of {len(pairs)} pairs of {' and '.join(key)} have no true pose: it is withheld")
     return sets
 
 
@@ -101,7 +101,7 @@ def _with_truth(pair: ListedPair, frames: Mapping[str, Array], from_poses: bool)
 
 
 def pose_between(pair: ListedPair, frames: Mapping[str, Array]) -> Array | None:
-    """(4, 4) ``T_query_ref`` by the recordings' own poses; None where they do not say."""
+    """(4, 4) ``T_query_ref`` from the recordings' own poses; None if it cannot be computed from them."""
     reference, query = pair.reference, pair.query
     T_wr_ref = reference.T_w_cam.get(pair.line.ref_timestamp_ns)
     T_wq_query = query.T_w_cam.get(pair.line.query_timestamp_ns)
@@ -115,7 +115,7 @@ def pose_between(pair: ListedPair, frames: Mapping[str, Array]) -> Array | None:
 
 
 def _compare_with_poses(listed: Sequence[ListedPair], frames: Mapping[str, Array], reporter: Reporter) -> None:
-    """Given truth against the recordings' poses, where both are known: a swapped or misread file shows here."""
+    """Report how listed poses differ from the recordings' own, which reveals a swapped or misread file."""
     differences = []
     for pair in listed:
         given, own = pair.line.T_query_ref, pose_between(pair, frames)
@@ -146,7 +146,7 @@ def _owner(time: int, what: str, recordings: Sequence[Recording], file: Path, li
         if time in recording.times:
             return recording
     names = ", ".join(r.name for r in recordings)
-    raise DatasetError(f"{what} {time} is a frame of none of the recordings ({names})", file, line)
+    raise DatasetError(f"{what} {time} is not a frame of any of the recordings ({names})", file, line)
 
 
 def _expand(paths: Sequence[Path]) -> list[Path]:

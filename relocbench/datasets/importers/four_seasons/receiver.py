@@ -1,4 +1,4 @@
-"""The track of the recording's GNSS receiver, to check the poses of a recording against."""
+"""The GNSS receiver's track of a recording, with which its poses are compared."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FLATTENING = 1 / 298.257223563
 _ECCENTRICITY2 = _FLATTENING * (2 - _FLATTENING)
 _DAY_NS = 86_400 * 1_000_000_000
 _PATH_STEP_S = 2.0
-"""positions this far apart measure a path: the noise of fixes that follow each other closely would lengthen it"""
+"""time between the positions that measure a path's length; the noise of closer ones would add to it"""
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,11 @@ class GgaFix:
     height_m: float
     """above the WGS 84 ellipsoid"""
     quality: int
-    """0 none, 1 single, 2 differential, 4 RTK fixed, 5 RTK float"""
+    """0 no fix, 1 single, 2 differential, 4 RTK fixed, 5 RTK float"""
 
     @property
     def ecef(self) -> Array:
-        """(3,) metres, earth-centred and earth-fixed (WGS 84)."""
+        """(3,) earth-centred, earth-fixed position in metres (WGS 84)."""
         return ecef_from_geodetic(self.latitude_deg, self.longitude_deg, self.height_m)
 
 
@@ -53,16 +53,16 @@ def ecef_from_geodetic(latitude_deg: float, longitude_deg: float, height_m: floa
 
 
 def up_direction(latitude_deg: float, longitude_deg: float) -> Array:
-    """(3,) normal of the ellipsoid."""
+    """(3,) unit normal of the ellipsoid."""
     latitude, longitude = np.radians([latitude_deg, longitude_deg])
     return np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
 
 
 def read_gga(path: Path) -> list[GgaFix]:
-    """The GGA sentences of an NMEA log that carry a fix; sentences that were cut (checksum) are passed over.
+    """The GGA sentences with a fix in an NMEA log; sentences with a wrong checksum are skipped.
 
     Raises:
-        DatasetError: missing, or without any fix.
+        DatasetError: the log is missing or holds no fix, or a sentence with a correct checksum cannot be parsed.
     """
     data = read_bytes(path, "an NMEA log", DatasetError)
     fixes = []
@@ -70,7 +70,7 @@ def read_gga(path: Path) -> list[GgaFix]:
         try:
             fix = _parse_gga(line)
         except ValueError:
-            raise DatasetError("a GGA sentence with a right checksum and wrong fields", path, number) from None
+            raise DatasetError("a GGA sentence has a correct checksum but invalid fields", path, number) from None
         if fix is not None:
             fixes.append(fix)
     if not fixes:
@@ -98,26 +98,26 @@ def _parse_gga(line: str) -> GgaFix | None:
 
 
 def _degrees(text: str, digits: int) -> float:
-    """``ddmm.mmm`` or ``dddmm.mmm``."""
+    """Degrees of ``ddmm.mmm`` or ``dddmm.mmm``, degrees and minutes."""
     return int(text[:digits]) + float(text[digits:]) / 60
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """How a recording's poses and its receiver's track agree, over the time both have."""
+class TrackAgreement:
+    """How a recording's poses agree with its receiver's track during the time that both cover."""
 
     path_ratio: float
-    """length driven by the poses over the length driven by the receiver"""
+    """path length of the poses over that of the track"""
     horizontal_m: float
-    """median distance in the plane, the receiver's lever arm included"""
+    """median horizontal distance, including the receiver's lever arm"""
     vertical_m: float
-    """median height of the poses over the receiver"""
+    """median height of the poses above the track"""
 
 
-def agreement(positions: Mapping[int, Array], fixes: list[GgaFix]) -> Agreement | None:
+def agreement(positions: Mapping[int, Array], fixes: list[GgaFix]) -> TrackAgreement | None:
     """Compare ECEF positions (timestamp_ns -> (3,)) with a receiver's track, interpolated to their times.
 
-    None where they share less than a few seconds.
+    Returns None if the two overlap for less than two seconds.
     """
     track_times = np.array([f.time_of_day_ns for f in fixes], dtype=np.int64)
     kept = np.concatenate([[True], np.diff(track_times) > 0])
@@ -135,7 +135,7 @@ def agreement(positions: Mapping[int, Array], fixes: list[GgaFix]) -> Agreement 
     up = up_direction(fixes[0].latitude_deg, fixes[0].longitude_deg)
     difference = poses - receiver
     height = difference @ up
-    return Agreement(
+    return TrackAgreement(
         path_ratio=_path_length(_resample(steps, seconds, poses))
         / _path_length(_resample(steps, track_seconds, track)),
         horizontal_m=float(np.median(np.linalg.norm(difference - height[:, None] * up, axis=1))),

@@ -1,4 +1,4 @@
-"""What lies in the folder of a 4Seasons or MLAD recording."""
+"""The content of a 4Seasons or MLAD recording folder."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ TRACK = "septentrio.nmea"
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One recording folder. Frames: ``cam`` is rectified cam0, ``w`` the recording's SLAM world in metres."""
+    """One recording. Frames: ``cam`` is rectified cam0, ``w`` the recording's SLAM world in metres."""
 
     name: str
     root: Path
     T_w_cam: dict[int, Array]
     """timestamp_ns -> (4, 4), in time order"""
     pose_source: str
-    """the file the poses come from; empty where there is none"""
+    """name of the file that the poses come from; empty if there is none"""
     scales: dict[int, float]
-    """metres for one unit of the keyframe files, by keyframe"""
+    """metres per unit of the keyframe files, by keyframe"""
     default_scale: float
-    """for keyframes without a pose"""
+    """the same for keyframes without a pose"""
     T_e_w: Array | None
-    """(4, 4) earth (ECEF) from ``w``; None where the recording does not say"""
+    """(4, 4) from ``w`` to the earth (ECEF); None if unknown"""
     keyframes: dict[int, Path]
     images: dict[str, dict[int, Path]]
     """camera -> timestamp_ns -> rectified image"""
@@ -53,20 +53,20 @@ class Recording:
 
     @cached_property
     def times(self) -> frozenset[int]:
-        """Every frame the recording is known to have, whether or not its image is here."""
+        """Timestamps of all known frames, whether or not their images are present."""
         listed = read_times(self.root / "times.txt") if (self.root / "times.txt").exists() else {}
         return frozenset({*listed, *self.images[CAMERAS[0]], *self.keyframes, *self.T_w_cam})
 
     def scale(self, timestamp_ns: int) -> float:
-        """Metres for one unit of a keyframe file."""
+        """Metres per unit of a keyframe file."""
         return self.scales.get(timestamp_ns, self.default_scale)
 
 
 def read_recording(root: Path, name: str) -> Recording:
-    """Look through a recording folder; keyframes and images are not opened.
+    """Read poses and transforms of a recording and list its files; keyframes and images are not opened.
 
     Raises:
-        DatasetError: with file and line, where a file is not understood.
+        DatasetError: with file and line: a file cannot be parsed.
     """
     file = root / "Transformations.txt"
     transformations = read_transformations(file) if file.exists() else None
@@ -77,7 +77,7 @@ def read_recording(root: Path, name: str) -> Recording:
     else:
         poses = read_poses(root / MLAD_POSES) if (root / MLAD_POSES).exists() else {}
         source, scales = MLAD_POSES if poses else "", {}
-    # The world of MLAD's poses.txt is not said to be the one that Transformations.txt starts from.
+    # Nothing says that the world of MLAD's poses.txt is the one that Transformations.txt refers to.
     on_earth = transformations is not None and source == GNSS_POSES
     return Recording(
         name=name,
@@ -93,9 +93,9 @@ def read_recording(root: Path, name: str) -> Recording:
 
 
 def common_frames(recordings: Sequence[Recording], reporter: Reporter) -> dict[str, Array]:
-    """Traversal name -> (4, 4) common frame from its ``w``, for the recordings that can be brought to the first.
+    """Transforms (4, 4) from each recording's ``w`` to that of the first one, by traversal name.
 
-    The common frame is the first recording's ``w``; another's is ``inv(T_e_w_first) @ T_e_w``.
+    They are ``inv(T_e_w_first) @ T_e_w``; recordings for which this is unknown are left out.
     """
     first, *others = recordings
     frames = {first.name: np.eye(4)}
@@ -105,7 +105,7 @@ def common_frames(recordings: Sequence[Recording], reporter: Reporter) -> dict[s
         else:
             without = first if first.T_e_w is None else other
             reporter.note(
-                f"{without.name} has no {GNSS_POSES} with Transformations.txt: the frames of {first.name} and "
-                f"{other.name} cannot be related; pairs between them can come from relocalization files only"
+                f"{without.name} lacks {GNSS_POSES} or Transformations.txt: the frames of {first.name} and "
+                f"{other.name} cannot be related, and pairs between them can come from relocalization files only"
             )
     return frames

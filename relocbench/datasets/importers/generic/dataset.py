@@ -1,16 +1,15 @@
-"""The generic folder: images, a camera, poses, and depth or points where there are any.
+"""The generic folder: images, a camera, poses, and optionally depth or points.
 
-What lies in it is described in ``docs/file-formats.md``. One folder is one traversal; the first one is the reference.
+Its files are described in ``docs/file-formats.md``. Each folder is one traversal; the first one is the reference.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
@@ -20,14 +19,15 @@ from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, Condition, Strict, Transform, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.importers.assembly import check_conditions, configuration, write_pairs
+from relocbench.datasets.importers.assembly import check_conditions, open_writer, write_pairs
+from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, timed_files, traversal_names
+from relocbench.datasets.sensors.undistortion import undistort, undistort_points
 from relocbench.errors import DatasetError
 from relocbench.execution import Run, run_units
 from relocbench.files import check_distinct, check_name, fitting_name, load_yaml, load_yaml_values
-from relocbench.geometry import Camera, interpolate_trajectory
+from relocbench.geometry import Camera
 from relocbench.progress import Reporter
-from relocbench.tracking import KeyframePoints
 
 Array = NDArray[np.float64]
 CAMERA_FILE, POSE_FILE = "camera.yaml", "poses.txt"
@@ -40,20 +40,20 @@ class Options(ImportOptions):
     max_pose_gap: float = Field(
         1.0,
         gt=0,
-        description="longest time in seconds between two poses to interpolate over; images in longer gaps have no pose",
+        description="longest gap in seconds between two poses to interpolate over; images in longer gaps have no pose",
     )
 
 
 class GenericCamera(CameraEntry):
-    """One camera of ``camera.yaml``."""
+    """A camera in ``camera.yaml``."""
 
     T_rig_cam: Transform = Transform(translation_m=(0.0, 0.0, 0.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
     depth_scale: float | None = Field(None, gt=0, allow_inf_nan=False)
-    """metres for one unit of the depth images"""
+    """metres per unit of the depth images"""
 
 
 class SingleCameraFile(GenericCamera):
-    """``camera.yaml`` of a folder with one camera."""
+    """The content of ``camera.yaml`` in a folder with one camera."""
 
     condition: Condition = Condition()
     location: str = ""
@@ -61,7 +61,7 @@ class SingleCameraFile(GenericCamera):
 
 
 class RigFile(Strict):
-    """``camera.yaml`` of a folder with several cameras."""
+    """The content of ``camera.yaml`` in a folder with several cameras."""
 
     cameras: dict[str, GenericCamera] = Field(min_length=1)
     condition: Condition = Condition()
@@ -78,7 +78,7 @@ class RigFile(Strict):
 
 @dataclass(frozen=True, eq=False)
 class CameraFolder:
-    """The files of one camera of a generic folder, by time."""
+    """The files of one camera in a generic folder, by time."""
 
     camera: GenericCamera
     images: dict[int, Path]
@@ -88,7 +88,7 @@ class CameraFolder:
 
 @dataclass(frozen=True, eq=False)
 class GenericFolder:
-    """A generic folder, looked through."""
+    """The content of a generic folder."""
 
     name: str
     root: Path
@@ -97,7 +97,7 @@ class GenericFolder:
     rate_hz: float | None
     cameras: dict[str, CameraFolder]
     T_world_rig: dict[int, Array] = field(repr=False)
-    """timestamp_ns -> (4, 4), as poses.txt has them"""
+    """timestamp_ns -> (4, 4), the poses in poses.txt"""
 
     @property
     def image_times(self) -> list[int]:
@@ -108,18 +108,13 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     """Import one or more generic folders; the first is the reference.
 
     Raises:
-        DatasetError: with file and line: a part of a folder is missing or contradicts another, no pair.
-        ConfigError: a condition for a folder that is not imported.
+        DatasetError: with file and line: a part of a folder is missing or contradicts another, or there is no pair.
+        ConfigError: the options give a condition for a folder that is not imported.
     """
     assert isinstance(options, Options)
     names = traversal_names(sources)
     check_conditions(options, names)
-    writer = DatasetWriter(
-        out,
-        options.name or fitting_name("generic-" + "-".join(names)),
-        configuration("generic", sources, options),
-        options.licence,
-    )
+    writer = open_writer("generic", sources, options, out, fitting_name("generic-" + "-".join(names)))
     if writer.complete:
         return Dataset(out)
     folders = [read_folder(source, name) for source, name in zip(sources, names, strict=True)]
@@ -146,10 +141,10 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
 
 
 def read_folder(root: Path, name: str, need_poses: bool = True) -> GenericFolder:
-    """Look through a generic folder; images are not opened.
+    """Read the text files of a generic folder and list its images, which are not opened.
 
     Args:
-        need_poses: read ``poses.txt``, which a recording with lidar can do without.
+        need_poses: read ``poses.txt``, which recordings with lidar do not need.
 
     Raises:
         DatasetError: with file and line.
@@ -180,41 +175,35 @@ def _read_camera_folder(root: Path, subfolder: str, entry: GenericCamera) -> Cam
     if not folder.images:
         raise DatasetError("holds no image; expected TIMESTAMP.png or .jpg", root / "images" / subfolder)
     if folder.depth and entry.depth_scale is None:
-        raise DatasetError("key 'depth_scale' is missing; expected metres for one unit of depth", root / CAMERA_FILE)
+        raise DatasetError("key 'depth_scale' is missing; expected metres per unit of depth", root / CAMERA_FILE)
     for kind, files in (("depth", folder.depth), ("points", folder.points)):
         for time, path in files.items():
             if time not in folder.images:
-                raise DatasetError(f"{kind} of a time that has no image", path)
+                raise DatasetError(f"there is no image at the time of this {kind} file", path)
     return folder
 
 
 def poses_at_images(folder: GenericFolder, max_gap_s: float) -> dict[int, Array]:
-    """timestamp_ns of each image -> (4, 4) ``T_world_rig``, interpolated; none outside the trajectory or in its gaps.
+    """Poses interpolated to the images' times, timestamp_ns -> (4, 4) ``T_world_rig``.
+
+    Images outside the trajectory or within one of its gaps are left out.
 
     Args:
-        max_gap_s: longest time between two poses that is interpolated over. An image at a pose's own time has it.
+        max_gap_s: longest gap between two poses to interpolate over. An image exactly at a pose's time always has it.
     """
     if not folder.T_world_rig:
         return {}
     times = np.array(list(folder.T_world_rig), dtype=np.int64)
+    trajectory = Trajectory(times, np.array(list(folder.T_world_rig.values())), math.floor(max_gap_s * 1e9))
     wanted = np.array(folder.image_times, dtype=np.int64)
-    after = np.searchsorted(times, wanted)
-    exact = times[np.minimum(after, len(times) - 1)] == wanted
-    between = (after > 0) & (after < len(times))
-    gap = np.where(between, times[np.minimum(after, len(times) - 1)] - times[np.maximum(after - 1, 0)], 0)
-    posed = wanted[exact | (between & (gap <= max_gap_s * 1e9))]
-    if not posed.size:
-        return {}
-    if len(times) == 1:
-        return {int(t): folder.T_world_rig[int(t)] for t in posed}
-    poses = interpolate_trajectory(times, np.array(list(folder.T_world_rig.values())), posed)
-    return {int(t): pose for t, pose in zip(posed, poses, strict=True)}
+    posed = wanted[trajectory.covers(wanted)]
+    return dict(zip(posed.tolist(), trajectory.at(posed), strict=True))
 
 
 def _write_traversal(
     writer: DatasetWriter, folder: GenericFolder, options: Options, reporter: Reporter, run: Run
 ) -> None:
-    """Rig, poses, and the images, depth and points of the posed frames."""
+    """Write rig, poses, and the images, depth and points of the posed frames."""
     poses = poses_at_images(folder, options.max_pose_gap)
     if not poses:
         raise DatasetError(_why_no_pose(folder), folder.root / POSE_FILE)
@@ -245,7 +234,7 @@ def _write_traversal(
 
 @dataclass(frozen=True, eq=False)
 class _FrameUnit:
-    """One image with its depth and points, as a worker needs it."""
+    """One image to import, with its depth and points."""
 
     writer: DatasetWriter
     traversal: str
@@ -259,63 +248,40 @@ class _FrameUnit:
 
 
 def _write_frame(unit: _FrameUnit) -> None:
-    """Link what a pinhole camera saw; undistort what another did."""
+    """Import a frame: link images of a pinhole camera, undistort those of other cameras."""
     where = unit.traversal, unit.camera_name, unit.timestamp_ns
     camera, writer = unit.camera.camera, unit.writer
-    distorted = camera.model != "pinhole"
+    distorted, size = camera.model != "pinhole", expected_size(camera)
     if not distorted:
-        images.read_image(unit.image, partial(check_size, camera, unit.image))
+        images.read_image(unit.image, size)
         writer.link_image(*where, unit.image, copy=unit.options.copy_images)
     elif writer.needs_image(*where):
-        image = images.read_image(unit.image, partial(check_size, camera, unit.image))
+        image = images.read_image(unit.image, size)
         writer.image(*where, undistort(image, camera))
     if unit.depth is not None and writer.needs_depth(*where):
         assert unit.camera.depth_scale is not None
-        depth = images.read_raw_depth(unit.depth, unit.camera.depth_scale, partial(check_size, camera, unit.depth))
+        depth = images.read_raw_depth(unit.depth, unit.camera.depth_scale, size)
         writer.depth(*where, undistort(depth, camera, nearest=True) if distorted else depth)
     if unit.points is not None:
         points = images.read_points(unit.points)
         outside = np.nonzero(~camera.contains(points.uv, border=-0.5))[0]
         if outside.size:
-            raise DatasetError("the point is not on the image", unit.points, int(outside[0]) + 2)
+            raise DatasetError("the point lies outside the image", unit.points, int(outside[0]) + 2)
         writer.points(*where, undistort_points(points, camera) if distorted else points)
-
-
-def undistort(image: NDArray[Any], camera: Camera, nearest: bool = False) -> NDArray[Any]:
-    """The image (H, W) or (H, W, 3) that ``camera.pinhole()`` would have taken; 0 where the camera did not look.
-
-    Args:
-        nearest: take the nearest pixel (depth must not be mixed across an edge) instead of interpolating.
-    """
-    u, v = _undistortion_map(camera)
-    return np.asarray(cv2.remap(image, u, v, cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR))
-
-
-def undistort_points(points: KeyframePoints, camera: Camera) -> KeyframePoints:
-    """Points of a distorted image on the one of ``camera.pinhole()``; those whose ray is not known are left out."""
-    pixels, valid = camera.undistort(points.uv, camera.pinhole())
-    return KeyframePoints(pixels[valid], points.inverse_depth[valid], points.sigma[valid])
-
-
-@lru_cache(maxsize=8)
-def _undistortion_map(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    return camera.undistortion_map()
 
 
 def _undistorted_entry(camera: GenericCamera) -> CameraEntry:
     return CameraEntry.of(camera.camera.pinhole(), camera.T_rig_cam.matrix, camera.depth_sigma)
 
 
-def check_size(camera: Camera, path: Path, size: tuple[int, int]) -> None:
-    """Raises DatasetError where an image of that size, (width, height), is not the camera's."""
-    if size != camera.size:
-        told = f"is {size[0]}x{size[1]}, {CAMERA_FILE} says {camera.width}x{camera.height}"
-        raise DatasetError(told, path)
+def expected_size(camera: Camera) -> images.ExpectedSize:
+    """The size of the camera's images by ``camera.yaml``."""
+    return images.ExpectedSize(camera.size, CAMERA_FILE)
 
 
 def _why_no_pose(folder: GenericFolder) -> str:
     if not folder.T_world_rig:
-        return "holds no pose; expected lines t tx ty tz qx qy qz qw"
+        return "holds no pose; expected lines 't tx ty tz qx qy qz qw'"
     poses, frames = list(folder.T_world_rig), folder.image_times
     return (
         f"no image has a pose: poses span {poses[0]} to {poses[-1]} ns, images {frames[0]} to {frames[-1]} ns "

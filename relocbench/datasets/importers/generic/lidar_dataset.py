@@ -1,4 +1,4 @@
-"""Kind ``generic-lidar``: folders of the generic layout with ``lidar.yaml``, with ground truth across them from it."""
+"""Kind ``generic-lidar``: generic folders with ``lidar.yaml``, with ground truth across drives from their lidar."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from relocbench.datasets.core.build_options import ImportOptions
-from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.importers.assembly import check_conditions, configuration
+from relocbench.datasets.importers.assembly import check_conditions, open_writer
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
@@ -24,17 +23,17 @@ class Options(FieldOptions):
     """Options of ``relocbench build-dataset generic-lidar``."""
 
     odometry: Literal["auto", "poses", "lidar"] = Field(
-        "auto", description="motion between scans: poses.txt, or by registering the scans of a spinning lidar"
+        "auto", description="motion between scans: from poses.txt, or by registering the scans of a spinning lidar"
     )
-    max_gap: float = Field(1.0, gt=0, description="longest time between two poses that is interpolated over, seconds")
+    max_gap: float = Field(1.0, gt=0, description="longest gap in seconds between two poses to interpolate over")
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """A dataset of a reference drive (the first source) and the drives that ask about it.
+    """Build a dataset from a reference drive (the first source) and one or more query drives.
 
     Raises:
-        DatasetError: with file and line, what is missing or wrong in a recording; or that no pair can be accepted.
-        ConfigError: options that do not fit the recordings.
+        DatasetError: with file and line: something in a recording is missing or wrong, or no pair can be accepted.
+        ConfigError: the options do not fit the recordings.
     """
     from relocbench.datasets.groundtruth.jobs.build import build_ground_truth
     from relocbench.datasets.groundtruth.odometry.files import kept_in
@@ -43,10 +42,9 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     assert isinstance(options, Options)
     names = traversal_names(sources)
     if len(names) < 2:
-        raise ConfigError(f"ground truth across drives needs a reference and at least one other, got {len(names)}")
+        raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(names)}")
     check_conditions(options, names)
-    name = options.name or "generic_lidar_" + names[0]
-    writer = DatasetWriter(out, name, configuration("generic-lidar", sources, options), options.licence)
+    writer = open_writer("generic-lidar", sources, options, out, "generic_lidar_" + names[0])
     recordings = [
         read_generic(
             source,

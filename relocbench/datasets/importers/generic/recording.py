@@ -1,9 +1,8 @@
-"""A generic folder with lidar as a recording. What lies in it is described in ``docs/file-formats.md``."""
+"""A generic folder with lidar, read as a recording. Its files are described in ``docs/file-formats.md``."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -17,13 +16,13 @@ from relocbench.datasets.importers.generic.dataset import (
     CAMERA_FILE,
     POSE_FILE,
     CameraFolder,
-    check_size,
+    expected_size,
     read_folder,
-    undistort,
 )
 from relocbench.datasets.importers.generic.scans import LIDAR_FILE, read_lidar_file, read_lidars
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, LidarStream, Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
+from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import DatasetError
 from relocbench.geometry import Camera, invert, make_transform
 from relocbench.progress import Reporter, Silent
@@ -42,7 +41,7 @@ _T_NEW_RIG: dict[str, Array] = {
 
 @dataclass(frozen=True, eq=False)
 class GenericCameraStream:
-    """Images of one camera."""
+    """The images of one camera, undistorted when read."""
 
     name: str
     distorted: Camera
@@ -55,13 +54,13 @@ class GenericCameraStream:
         return self.distorted.pinhole()
 
     def read(self, index: int) -> NDArray[np.uint8]:
-        """(H, W) or (H, W, 3) RGB, undistorted. Raises DatasetError with the file."""
+        """Read an undistorted image, (H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
         path = self.files[index]
-        image = images.read_image(path, partial(check_size, self.distorted, path))
+        image = images.read_image(path, expected_size(self.distorted))
         return image if self.distorted.model == "pinhole" else undistort(image, self.distorted)
 
     def file(self, index: int) -> Path | None:
-        """The image itself where a pinhole camera took it."""
+        """The image file if it needs no undistortion, else None."""
         return self.files[index] if self.distorted.model == "pinhole" else None
 
 
@@ -74,18 +73,18 @@ def read_generic(
     reporter: Reporter | None = None,
     from_lidar: FromLidar = lidar_odometry,
 ) -> FieldRecording:
-    """Look through a generic folder that has ``lidar.yaml``; compute odometry where it has none.
+    """Read a generic folder with ``lidar.yaml`` as a recording; scans and images are opened later, on demand.
 
     Args:
-        name: of the recording; default: after the folder.
-        odometry: ``poses`` takes ``poses.txt``, ``lidar`` registers the scans of the first spinning lidar, ``auto``
-            does the first if the file is there.
-        max_gap_s: longest time between two poses that is interpolated over.
+        name: name of the recording; default: that of the folder.
+        odometry: ``poses`` reads ``poses.txt``, ``lidar`` registers the scans of the first spinning lidar, ``auto``
+            uses ``poses.txt`` if it exists.
+        max_gap_s: longest gap between two poses to interpolate over.
         from_lidar: computes odometry from scans.
 
     Raises:
-        DatasetError: with file and line: something needed is missing or damaged.
-        ConfigError: odometry from a lidar that does not spin.
+        DatasetError: with file and line: something needed is missing or damaged, or there is no spinning lidar to
+            compute odometry from.
     """
     report = reporter or Silent()
     title = name or traversal_names([folder])[0]
@@ -135,6 +134,4 @@ def _spinning(lidars: tuple[LidarStream, ...], folder: Path) -> LidarStream:
     for lidar in lidars:
         if lidar.pattern == "spinning":
             return lidar
-    raise DatasetError(
-        f"no {POSE_FILE}, and no spinning lidar in {LIDAR_FILE} that could take its place; expected one of them", folder
-    )
+    raise DatasetError(f"has neither {POSE_FILE} nor a spinning lidar in {LIDAR_FILE} to compute odometry from", folder)

@@ -26,47 +26,47 @@ LIDAR_FILE = "lidar.yaml"
 SUFFIXES = (".ply", ".pcd", ".bin", ".npy")
 _FAR_NS = 1_000_000_000
 _FLOAT_NS = 4096
-"""a float's step at the largest times, and more"""
+"""more than the spacing of float64 at the largest times"""
 _NS: dict[str, float] = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 
 
 class GenericLidar(Strict):
-    """One lidar of ``lidar.yaml``."""
+    """A lidar in ``lidar.yaml``."""
 
     pattern: Literal["spinning", "push-broom"]
     T_rig_lidar: Transform = Transform(translation_m=(0.0, 0.0, 0.0), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0))
     max_range: float = Field(100.0, gt=0, allow_inf_nan=False)
     """metres; farther points are left out"""
     min_range: float = Field(0.1, ge=0, allow_inf_nan=False)
-    """metres; nearer points, such as (0, 0, 0) where nothing came back, are left out"""
+    """metres; nearer points, such as (0, 0, 0) for beams without a return, are left out"""
     sigma: float = Field(0.03, gt=0, allow_inf_nan=False)
     """metres, one standard deviation of a range"""
     columns: tuple[str, ...] = ("x", "y", "z", "intensity")
-    """of .bin files and of plain .npy arrays"""
+    """columns of .bin files and of plain .npy arrays"""
     dtype: Literal["float32", "float64"] = "float32"
-    """of .bin files"""
+    """data type of .bin files"""
     time: str | None = None
-    """column or property that holds the time of each point; none: the scan's, its motion taken out"""
+    """column or property with the time of each point; None: all points have the scan's time, motion compensated"""
     time_unit: Literal["s", "ms", "us", "ns"] = "s"
     time_from: Literal["scan", "epoch"] = "scan"
-    """whether it is counted from the scan's timestamp or absolute"""
+    """whether times are relative to the scan's timestamp or absolute"""
 
     @model_validator(mode="after")
     def _has_columns(self) -> Self:
         missing = [name for name in ("x", "y", "z") if name not in self.columns]
         if missing or len(set(self.columns)) != len(self.columns):
-            raise ValueError("columns must name x, y and z, and none twice")
+            raise ValueError("columns must contain x, y and z, and none twice")
         if self.min_range >= self.max_range:
             raise ValueError("min_range must be below max_range")
         return self
 
 
 class LidarFile(Strict):
-    """``lidar.yaml``."""
+    """The content of ``lidar.yaml``."""
 
     lidars: dict[str, GenericLidar] = Field(min_length=1)
     rig_axes: Literal["forward-left-up", "right-down-forward"] = "forward-left-up"
-    """axes that poses.txt and all extrinsics of the folder mean; the second are those of a camera"""
+    """rig axes of poses.txt and of all extrinsics in the folder; right-down-forward are those of a camera"""
 
     @model_validator(mode="after")
     def _plain_names(self) -> Self:
@@ -78,7 +78,7 @@ class LidarFile(Strict):
 
 @dataclass(frozen=True, eq=False)
 class GenericLidarStream:
-    """Scans of one lidar."""
+    """The scans of one lidar."""
 
     name: str
     settings: GenericLidar
@@ -99,7 +99,7 @@ class GenericLidarStream:
         return self.settings.sigma
 
     def read(self, index: int) -> Scan:
-        """A scan, without points that are not finite or out of range. Raises DatasetError with the file."""
+        """Read a scan without the points that are not finite or out of range. Raises DatasetError with the file."""
         path, settings = self.files[index], self.settings
         fields = _fields(path, settings)
         wanted = ("x", "y", "z") if settings.time is None else ("x", "y", "z", settings.time)
@@ -108,7 +108,7 @@ class GenericLidarStream:
             raise DatasetError(f"has no {', '.join(missing)}; it holds {', '.join(fields) or 'nothing'}", path)
         points = np.column_stack([np.asarray(fields[axis], dtype=np.float64) for axis in "xyz"])
         times = np.full(len(points), self.times_ns[index], dtype=np.int64)
-        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is left out
+        with np.errstate(over="ignore", invalid="ignore"):  # points that are not finite are left out
             distance = np.sqrt(np.sum(points**2, axis=1))
         kept = np.isfinite(distance) & (distance >= settings.min_range) & (distance <= settings.max_range)
         if settings.time is not None:
@@ -120,10 +120,10 @@ def read_lidars(root: Path, T_new_rig: Array) -> tuple[GenericLidarStream, ...]:
     """The lidars of a folder, in the order of ``lidar.yaml``.
 
     Args:
-        T_new_rig: (4, 4) to the axes that recordings have (:func:`read_lidar_file` says from which).
+        T_new_rig: (4, 4) from the folder's rig axes (``rig_axes`` in ``lidar.yaml``) to those of recordings.
 
     Raises:
-        DatasetError: with file and line: ``lidar.yaml``, a scan's name that is no time, no scan.
+        DatasetError: with file and line: ``lidar.yaml`` is wrong, a scan's name is not a time, or there is no scan.
     """
     streams = []
     for name, settings in read_lidar_file(root).lidars.items():
@@ -137,7 +137,7 @@ def read_lidars(root: Path, T_new_rig: Array) -> tuple[GenericLidarStream, ...]:
 
 
 def read_lidar_file(root: Path) -> LidarFile:
-    """Raises DatasetError with file and line."""
+    """Read ``lidar.yaml``. Raises DatasetError with file and line."""
     return load_yaml(root / LIDAR_FILE, LidarFile, "the lidar or lidars of the folder", DatasetError)
 
 
@@ -147,7 +147,7 @@ def _point_times(
     if not np.all(np.isfinite(np.asarray(values[kept], dtype=np.float64))):
         raise DatasetError(f"{settings.time} holds a time that is not finite", path)
     factor = _NS[settings.time_unit]
-    # Held against the scan's time as floats first: as 64-bit integers, times far off would come round to near ones.
+    # Compared as floats first: far-off times could overflow 64-bit integers and wrap around to near ones.
     with np.errstate(over="ignore"):
         away = values[kept].astype(np.float64) * factor - (scan_ns if settings.time_from == "epoch" else 0)
     if np.any(np.abs(away) > _FAR_NS + _FLOAT_NS):
@@ -156,7 +156,7 @@ def _point_times(
     if values.dtype.kind in "iu":
         ns = values.astype(np.int64) * int(factor)
     else:
-        # Seconds since 1970 as float64 are good to a quarter of a microsecond, which no lidar needs.
+        # Seconds since 1970 as float64 are accurate to a quarter of a microsecond, more than any lidar needs.
         ns = np.rint(values.astype(np.float64) * factor).astype(np.int64)
     times = ns if settings.time_from == "epoch" else ns + scan_ns
     if np.any(np.abs(times[kept] - scan_ns) > _FAR_NS):
@@ -165,12 +165,12 @@ def _point_times(
 
 
 def _far(settings: GenericLidar, path: Path) -> DatasetError:
-    told = f"{settings.time} lies more than a second from the scan's time; check time_unit and time_from"
-    return DatasetError(told, path)
+    message = f"{settings.time} is more than a second away from the scan's time; check time_unit and time_from"
+    return DatasetError(message, path)
 
 
 def _fields(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
-    """Name -> (N,) of a scan, whatever its format."""
+    """Fields of a scan in any of the formats, name -> (N,)."""
     suffix = path.suffix.lower()
     if suffix == ".bin":
         return _columns(_binary(path, settings), settings.columns, path)
@@ -184,7 +184,7 @@ def _binary(path: Path, settings: GenericLidar) -> NDArray[Any]:
     width = np.dtype(settings.dtype).itemsize * len(settings.columns)
     if len(data) % width:
         what = f"{settings.dtype} {' '.join(settings.columns)}"
-        raise DatasetError(f"{len(data)} bytes are no whole number of points ({what})", path)
+        raise DatasetError(f"{len(data)} bytes are not a whole number of points ({what})", path)
     return np.frombuffer(data, dtype=np.dtype(settings.dtype).newbyteorder("<")).reshape(-1, len(settings.columns))
 
 
@@ -199,5 +199,6 @@ def _numpy(path: Path, settings: GenericLidar) -> dict[str, NDArray[Any]]:
 
 def _columns(values: NDArray[Any], names: tuple[str, ...], path: Path) -> dict[str, NDArray[Any]]:
     if values.shape[1] != len(names):
-        raise DatasetError(f"has {values.shape[1]} columns, {LIDAR_FILE} names {len(names)} ({' '.join(names)})", path)
+        columns = f"{len(names)} ({' '.join(names)})"
+        raise DatasetError(f"has {values.shape[1]} columns, but {LIDAR_FILE} names {columns}", path)
     return {name: values[:, i] for i, name in enumerate(names)}

@@ -1,7 +1,7 @@
 """KITTI odometry layout: ``sequences/NN/{image_0..3,velodyne,calib.txt,times.txt}``, ``poses/NN.txt``.
 
-Depth of the keyframes is computed from stereo or projected from lidar scans. Frame i has line i of the poses and of
-the times, whichever frames the folder holds. Geiger et al., Are we ready for autonomous driving?, CVPR 2012.
+Depth of the keyframes is computed from stereo images or projected from lidar scans. Line i of the poses and of the
+times belongs to frame i, even if frames are missing. Geiger et al., Are we ready for autonomous driving?, CVPR 2012.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from relocbench.datasets.importers.assembly import (
     check_conditions,
     check_folder,
     condition_of,
-    configuration,
+    open_writer,
     write_pairs,
 )
-from relocbench.datasets.importers.kitti.files import Sequence
+from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.pairs.pairing import PosedFrames, make_pairs
 from relocbench.datasets.sensors.stereo import StereoGeometry, stereo_depth
 from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, project_scan, read_scan
@@ -45,25 +45,25 @@ class Options(ImportOptions):
     sequence: tuple[str, ...] = Field(
         (),
         max_length=2,
-        description="one sequence, such as 06, or reference and query, whose poses must share a world (KITTI's own do "
-        "not); default: the only one there is",
+        description="one sequence, such as 06, or a reference and a query whose poses share a world (KITTI's own do "
+        "not); default: the folder's only sequence",
     )
     depth: Literal["auto", "stereo", "velodyne"] = Field(
-        "auto", description="where depth comes from; auto: stereo if there are right images, else velodyne"
+        "auto", description="source of depth; auto: stereo if there are right images, else velodyne"
     )
-    camera: CameraName = Field("image_0", description="camera to use (stereo depth: a left one, image_0 or image_2)")
-    rate_hz: float = Field(10.0, gt=0, description="frames a second where times.txt is missing")
-    max_depth: float = Field(80.0, gt=0, lt=256, description="farthest depth to keep, metres")
+    camera: CameraName = Field("image_0", description="camera to use (for stereo depth a left one: image_0 or image_2)")
+    rate_hz: float = Field(10.0, gt=0, description="frames per second if times.txt is missing")
+    max_depth: float = Field(80.0, gt=0, lt=256, description="greatest depth to keep, metres")
     max_disparity: int = Field(128, ge=16, le=512, multiple_of=16, description="pixels searched by stereo matching")
 
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What of a sequence goes into the dataset."""
+    """The part of a sequence that goes into the dataset."""
 
-    sequence: Sequence
+    sequence: KittiSequence
     frames: dict[int, Path]
-    """frame number -> image, of the frames with a pose and a time"""
+    """frame number -> image, for frames with a pose and a time"""
     poses: list[Array]
     """``T_world_cam0`` of frame 0, 1, 2, ..."""
     times: list[int]
@@ -74,7 +74,7 @@ class _Plan:
     camera: Camera
 
     def posed_frames(self) -> PosedFrames:
-        """For pairing; the rig's frame, camera 0, stands for the camera."""
+        """The frames for pairing. The poses are those of the rig's frame, camera 0, instead of the camera's."""
         numbers = tuple(self.frames)
         return PosedFrames(
             tuple(self.times[i] for i in numbers),
@@ -106,40 +106,34 @@ def _compute_depth(unit: _StereoUnit | _LidarUnit) -> None:
         depth = project_scan(read_scan(unit.scan), unit.camera, unit.T_cam_lidar, unit.max_depth)
     else:
         left = images.read_image(unit.left)
-
-        def check_size(size: tuple[int, int]) -> None:
-            if size != left.shape[1::-1]:
-                raise DatasetError(f"size differs from that of the left image {unit.left}", unit.right)
-
-        right = images.read_image(unit.right, check_size)
+        size = images.ExpectedSize((left.shape[1], left.shape[0]), f"the left image {unit.left}")
+        right = images.read_image(unit.right, size)
         depth = stereo_depth(left, right, unit.geometry)
     images.write_depth(unit.depth, depth)
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """A dataset of one sequence, or of a reference and a query sequence.
+    """Build a dataset from one sequence, or from a reference and a query sequence.
 
     Args:
         sources: the folder that holds ``sequences`` and ``poses``, or one sequence folder.
 
     Raises:
-        DatasetError: with file and line, what is missing or wrong in the recording.
-        ConfigError: options that do not fit it.
+        DatasetError: with file and line: something in the recording is missing or wrong.
+        ConfigError: the options do not fit the recording.
     """
     assert isinstance(options, Options)
     sequences = _find_sequences(sources, options)
     check_conditions(options, [s.traversal for s in sequences])
-    default_name = "kitti_" + "_".join(s.name for s in sequences)
-    settings = configuration("kitti", sources, options)
     plans = [_read(s, options, needs_depth=s is sequences[0], reporter=reporter) for s in sequences]
     reference, query = plans[0], plans[-1]
     if query is not reference and all(np.allclose(p.poses[0], np.eye(4), atol=1e-6) for p in plans):
         reporter.note(
             f"the poses of {reference.sequence.name} and {query.sequence.name} both begin at the identity, as KITTI's "
-            "own do: each is then in a world of its own, and pairs across them have no true pose. Bring "
-            f"{query.sequence.poses_file} into the world of {reference.sequence.name} first"
+            "own do, so each is probably in a world of its own and pairs across them would have wrong true poses. "
+            f"Transform {query.sequence.poses_file} into the world of {reference.sequence.name} first"
         )
-    # Options that give no pair are told before the depth of a long recording is computed.
+    # Options that give no pair are reported before the depth of a long recording is computed.
     make_pairs(
         reference.posed_frames(),
         query.posed_frames(),
@@ -148,7 +142,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         source="",
         where=reference.sequence.folder,
     )
-    writer = DatasetWriter(out, options.name or default_name, settings, options.licence)
+    writer = open_writer("kitti", sources, options, out, "kitti_" + "_".join(s.name for s in sequences))
     for plan in plans:
         _write_traversal(writer, plan, options, reporter, run)
     write_pairs(
@@ -166,7 +160,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     return writer.finish()
 
 
-def _find_sequences(sources: list[Path], options: Options) -> list[Sequence]:
+def _find_sequences(sources: list[Path], options: Options) -> list[KittiSequence]:
     if len(sources) != 1:
         raise ConfigError(f"kitti takes one folder (with sequences/ and poses/), got {len(sources)}; see --sequence")
     root = sources[0].resolve()
@@ -179,38 +173,38 @@ def _find_sequences(sources: list[Path], options: Options) -> list[Sequence]:
         if not options.sequence and len(there) != 1:
             raise ConfigError(f"--sequence is needed: {root} holds {', '.join(there) or 'none'}")
         asked = options.sequence or (there[0],)
-    found = [Sequence(root, name) for name in dict.fromkeys(asked)]
+    found = [KittiSequence(root, name) for name in dict.fromkeys(asked)]
     for sequence in found:
         check_folder(sequence.folder, f"KITTI sequence {sequence.name}")
     return found
 
 
-def _read(sequence: Sequence, options: Options, needs_depth: bool, reporter: Reporter) -> _Plan:
-    """What a sequence holds that can be used; nothing is written."""
-    found = sequence.frames(options.camera, ".png") or sequence.frames(options.camera, ".jpg")
+def _read(sequence: KittiSequence, options: Options, needs_depth: bool, reporter: Reporter) -> _Plan:
+    """Read a sequence and select its usable frames; nothing is written."""
+    found = sequence.image_frames(options.camera)
     if not found:
-        raise DatasetError("no images (000000.png, ...)", sequence.folder / options.camera)
+        raise DatasetError("holds no images (000000.png, ...)", sequence.folder / options.camera)
     poses = sequence.poses()
     times = sequence.times(options.rate_hz, len(poses), reporter)
     frames = {i: path for i, path in found.items() if i < min(len(poses), len(times))}
     if len(frames) < len(found):
-        reporter.note(f"{sequence.name}: {len(found) - len(frames)} images left out, they have no pose or no time")
+        reporter.note(f"{sequence.name}: {len(found) - len(frames)} images without a pose or time are left out")
     if not frames:
-        raise DatasetError(f"holds {len(poses)} poses, none for the images there are", sequence.poses_file)
+        raise DatasetError(f"holds {len(poses)} poses, but none for an existing image", sequence.poses_file)
     kind = _depth_kind(sequence, options, needs_depth)
     depth_files = {i: path for i, path in _depth_files(sequence, options, kind).items() if i in frames}
     if kind and len(depth_files) < len(frames):
         lacking = "right image" if kind == "stereo" else "lidar scan"
         reporter.note(
-            f"{sequence.name}: {len(frames) - len(depth_files)} of {len(frames)} frames are no keyframes, "
+            f"{sequence.name}: {len(frames) - len(depth_files)} of {len(frames)} frames are not keyframes, because "
             f"they have no {lacking}"
         )
-    camera = _camera(sequence, options.camera, next(iter(frames.values())))
+    camera = sequence.camera(options.camera, next(iter(frames.values())))
     return _Plan(sequence, frames, poses, times, kind, depth_files, camera)
 
 
 def _write_traversal(writer: DatasetWriter, plan: _Plan, options: Options, reporter: Reporter, run: Run) -> None:
-    """One traversal with its images and what depth there is."""
+    """Write one traversal with its images and depth."""
     name, calibration = plan.sequence.traversal, plan.sequence.calibration
     sigma = (0.0, 0.0, 0.0)
     if plan.kind:
@@ -234,7 +228,7 @@ def _write_traversal(writer: DatasetWriter, plan: _Plan, options: Options, repor
 
 
 def _depth_units(writer: DatasetWriter, plan: _Plan, options: Options) -> list[_StereoUnit | _LidarUnit]:
-    """The depth images that are not there yet."""
+    """The depth images that still have to be computed."""
     name, sequence = plan.sequence.traversal, plan.sequence
     units: list[_StereoUnit | _LidarUnit] = []
     for i, source in plan.depth_files.items():
@@ -249,13 +243,13 @@ def _depth_units(writer: DatasetWriter, plan: _Plan, options: Options) -> list[_
     return units
 
 
-def _depth_kind(sequence: Sequence, options: Options, needs_depth: bool) -> Literal["stereo", "velodyne"] | None:
-    """Where the depth of a sequence comes from; None where a query sequence has none."""
+def _depth_kind(sequence: KittiSequence, options: Options, needs_depth: bool) -> Literal["stereo", "velodyne"] | None:
+    """The source of a sequence's depth; None for a query sequence without depth."""
     right = _right_of(options.camera)
-    has_right = right is not None and bool(sequence.frames(right, ".png") or sequence.frames(right, ".jpg"))
+    has_right = right is not None and bool(sequence.image_frames(right))
     has_scans = bool(sequence.frames("velodyne", ".bin"))
     if options.depth == "stereo" and right is None:
-        raise ConfigError(f"stereo depth is that of a left camera (image_0 or image_2), not of {options.camera}")
+        raise ConfigError(f"stereo depth needs a left camera (image_0 or image_2), got {options.camera}")
     if options.depth != "velodyne" and has_right:
         return "stereo"
     if options.depth != "stereo" and has_scans:
@@ -263,39 +257,28 @@ def _depth_kind(sequence: Sequence, options: Options, needs_depth: bool) -> Lite
     if not needs_depth:
         return None
     wanted = {"auto": f"{right or 'image_1'}/ or velodyne/", "stereo": f"{right}/", "velodyne": "velodyne/"}
-    raise DatasetError(f"no depth for the keyframes; expected {wanted[options.depth]}", sequence.folder)
+    raise DatasetError(f"has no depth for the keyframes; expected {wanted[options.depth]}", sequence.folder)
 
 
 def _right_of(camera: str) -> str | None:
     return {"image_0": "image_1", "image_2": "image_3"}.get(camera)
 
 
-def _depth_files(sequence: Sequence, options: Options, kind: str | None) -> dict[int, Path]:
+def _depth_files(sequence: KittiSequence, options: Options, kind: str | None) -> dict[int, Path]:
     """Frame number -> right image or scan."""
     if kind == "stereo":
-        right = str(_right_of(options.camera))
-        return sequence.frames(right, ".png") or sequence.frames(right, ".jpg")
+        return sequence.image_frames(str(_right_of(options.camera)))
     return sequence.frames("velodyne", ".bin") if kind == "velodyne" else {}
 
 
-def _stereo_geometry(sequence: Sequence, options: Options) -> StereoGeometry:
+def _stereo_geometry(sequence: KittiSequence, options: Options) -> StereoGeometry:
     left = sequence.calibration.projection(options.camera)
     right = sequence.calibration.matrix(f"P{int(options.camera[-1]) + 1}", "stereo depth")
     focal_baseline = float(left[0, 3] - right[0, 3])
     if focal_baseline <= 0:
-        raise DatasetError("the right camera does not lie to the right of the left one", sequence.calibration.path)
+        raise DatasetError("the right camera is not to the right of the left one", sequence.calibration.path)
     offset = float(left[0, 2] - right[0, 2])
     return StereoGeometry(focal_baseline, offset, options.max_depth, options.max_disparity)
-
-
-def _camera(sequence: Sequence, camera: str, example: Path) -> Camera:
-    """Intrinsics from P, size from an image."""
-    p = sequence.calibration.projection(camera)
-    height, width = images.read_image(example).shape[:2]
-    try:
-        return Camera("pinhole", width, height, p[0, 0], p[1, 1], p[0, 2], p[1, 2])
-    except ValueError as bad:
-        raise DatasetError(f"line 'P{camera[-1]}:' is no projection ({bad})", sequence.calibration.path) from None
 
 
 def _rate(times: list[int]) -> float | None:

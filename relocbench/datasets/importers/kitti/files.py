@@ -1,4 +1,4 @@
-"""Reading the text files of a KITTI odometry sequence: calibration, poses, times."""
+"""Parsers for the text files of a KITTI odometry sequence: calibration, poses, times."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.core import images
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, parse_seconds, read_rows, read_text, whole_number
-from relocbench.geometry import is_rotation, make_transform, project_to_rotation
+from relocbench.geometry import Camera, is_rotation, make_transform, project_to_rotation
 from relocbench.progress import Reporter
 
 Array = NDArray[np.float64]
@@ -23,7 +24,7 @@ _ROTATION_TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class Calibration:
-    """``calib.txt``: lines ``P0`` to ``P3`` and ``Tr``, twelve numbers each, the names optional."""
+    """``calib.txt``: lines ``P0`` to ``P3`` and ``Tr``, each with an optional name and twelve numbers."""
 
     path: Path
     matrices: dict[str, Array]
@@ -31,7 +32,7 @@ class Calibration:
 
     @classmethod
     def read(cls, path: Path) -> Calibration:
-        """Raises DatasetError with file and line."""
+        """Read the file. Raises DatasetError with file and line."""
         matrices: dict[str, Array] = {}
         for order, (number, fields) in enumerate(read_rows(path, "a KITTI calibration", DatasetError)):
             if fields[0].endswith(":"):
@@ -45,28 +46,28 @@ class Calibration:
         return cls(path, matrices)
 
     def matrix(self, name: str, why: str) -> Array:
-        """(3, 4). Raises DatasetError where the line is missing."""
+        """The matrix (3, 4) of a line. Raises DatasetError if the line is missing."""
         if name not in self.matrices:
-            raise DatasetError(f"line '{name}:' is missing; {why} needs it", self.path)
+            raise DatasetError(f"line '{name}:' is missing, which {why} needs", self.path)
         return self.matrices[name]
 
     def projection(self, camera: str) -> Array:
-        """P of ``image_N``, (3, 4): ``K [I | t]``, from the frame of camera 0."""
+        """Projection P (3, 4) of ``image_N`` from the frame of camera 0: ``K [I | t]``."""
         return self.matrix(f"P{camera[-1]}", camera)
 
     def T_cam0_cam(self, camera: str) -> Array:
-        """(4, 4) of a rectified camera: ``P = K [I | t]`` has ``T_cam_cam0 = [I | t]``."""
+        """Pose (4, 4) of a rectified camera: ``P = K [I | t]`` has ``T_cam_cam0 = [I | t]``."""
         p = self.projection(camera)
         return make_transform(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3]))
 
     def T_cam0_lidar(self) -> Array:
-        """(4, 4)"""
+        """Pose (4, 4) of the lidar in the frame of camera 0."""
         tr = self.matrix("Tr", "velodyne depth")
         return make_transform(project_to_rotation(tr[:, :3]), tr[:, 3])
 
 
 @dataclass(frozen=True)
-class Sequence:
+class KittiSequence:
     """One sequence folder."""
 
     root: Path
@@ -89,31 +90,52 @@ class Sequence:
         return Calibration.read(self.folder / "calib.txt")
 
     def frames(self, folder: str, suffix: str) -> dict[int, Path]:
-        """Frame number -> file, of a folder that may be absent."""
+        """Files of a folder by frame number; a missing folder has none."""
         found = (self.folder / folder).glob(f"*{suffix}")
         return {number: p for p in sorted(found) if (number := whole_number(p.stem)) is not None}
 
+    def image_frames(self, camera: str) -> dict[int, Path]:
+        """Images of a camera by frame number."""
+        return self.frames(camera, ".png") or self.frames(camera, ".jpg")
+
+    def camera(self, camera: str, example: Path) -> Camera:
+        """The rectified camera with the intrinsics of its projection and the size of an image.
+
+        Raises:
+            DatasetError: the image or the projection is bad.
+        """
+        p = self.calibration.projection(camera)
+        height, width = images.read_image(example).shape[:2]
+        try:
+            return Camera("pinhole", width, height, float(p[0, 0]), float(p[1, 1]), float(p[0, 2]), float(p[1, 2]))
+        except ValueError as bad:
+            raise DatasetError(f"line 'P{camera[-1]}:' is not a projection ({bad})", self.calibration.path) from None
+
     def poses(self) -> list[Array]:
-        """``T_world_cam0`` of frame 0, 1, 2, ... Raises DatasetError with file and line."""
+        """``T_world_cam0`` (4, 4) of frames 0, 1, 2, ... Raises DatasetError with file and line."""
         poses = []
         for number, fields in read_rows(
             self.poses_file, f"poses of sequence {self.name} (12 numbers a line)", DatasetError
         ):
             m = np.array(parse_floats(fields, self.poses_file, number, _MATRIX, DatasetError)).reshape(3, 4)
             if not is_rotation(m[:, :3], _ROTATION_TOLERANCE):
-                raise DatasetError("the left 3x3 of the pose is no rotation", self.poses_file, number)
+                raise DatasetError("the left 3x3 of the pose is not a rotation", self.poses_file, number)
             poses.append(make_transform(project_to_rotation(m[:, :3]), m[:, 3]))
         return poses
 
     def times(self, rate_hz: float, frames: int, reporter: Reporter) -> list[int]:
-        """Nanoseconds of frame 0, 1, 2, ... Raises DatasetError with file and line."""
+        """Times of frames 0, 1, 2, ... in nanoseconds, from ``times.txt`` or ``rate_hz``.
+
+        Raises:
+            DatasetError: with file and line.
+        """
         path = self.folder / "times.txt"
         if not path.exists():
-            reporter.note(f"{self.name}: no times.txt; frames are taken to be {rate_hz:g} a second")
+            reporter.note(f"{self.name}: no times.txt; {rate_hz:g} frames per second are assumed")
             return [round(i * 1e9 / rate_hz) for i in range(frames)]
         times: list[int] = []
         for number, line in enumerate(read_text(path, "times in seconds", DatasetError).split(), start=1):
             times.append(parse_seconds(line, path, number, DatasetError))
             if len(times) > 1 and times[-1] <= times[-2]:
-                raise DatasetError(f"time {line} does not come after the one before", path, number)
+                raise DatasetError(f"time {line} is not later than the previous one", path, number)
         return times

@@ -1,4 +1,4 @@
-"""Kind ``kitti-lidar``: sequences in the layout of KITTI odometry, with ground truth across them from their lidar."""
+"""Kind ``kitti-lidar``: sequences in the layout of KITTI odometry, with ground truth across drives from their lidar."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field, field_validator
 
 from relocbench.datasets.core.build_options import ImportOptions
-from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.importers.assembly import check_conditions, check_folder, configuration
+from relocbench.datasets.importers.assembly import check_conditions, check_folder, open_writer
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
 from relocbench.files import fitting_name
@@ -24,18 +23,18 @@ class Options(FieldOptions):
     """Options of ``relocbench build-dataset kitti-lidar``."""
 
     sequence: tuple[str, ...] = Field(
-        (), description="sequences, such as 00,01: the reference, and those that ask about it"
+        (), description="two or more sequences, such as 00,01: the reference first, then the queries"
     )
     odometry: Literal["lidar", "poses"] = Field(
-        "lidar", description="motion between scans: by registering them, or poses/NN.txt (KITTI's own jump locally)"
+        "lidar", description="motion between scans: by registering them, or from poses/NN.txt (KITTI's own have jumps)"
     )
     motion: Literal["compensated", "distorted"] = Field(
-        "compensated", description="'distorted': the car's own motion is still in the scans; KITTI has taken it out"
+        "compensated", description="'distorted' if the scans are not motion-compensated; KITTI's own are"
     )
     elevation: float = Field(
-        0.0, gt=-5, lt=5, description="degrees by which beams are turned up; the real KITTI lidar wants 0.205"
+        0.0, gt=-5, lt=5, description="degrees by which to turn the beams up; the real KITTI lidar needs 0.205"
     )
-    rate_hz: float = Field(10.0, gt=0, description="frames a second where times.txt is missing")
+    rate_hz: float = Field(10.0, gt=0, description="frames per second if times.txt is missing")
 
     @field_validator("sequence")
     @classmethod
@@ -46,11 +45,11 @@ class Options(FieldOptions):
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """A dataset of a reference sequence and the sequences that ask about it.
+    """Build a dataset from a reference sequence and one or more query sequences.
 
     Raises:
-        DatasetError: with file and line, what is missing or wrong in a sequence; or that no pair can be accepted.
-        ConfigError: options that do not fit the recordings.
+        DatasetError: with file and line: something in a sequence is missing or wrong, or no pair can be accepted.
+        ConfigError: the options do not fit the recordings.
     """
     from relocbench.datasets.groundtruth.jobs.build import build_ground_truth
     from relocbench.datasets.groundtruth.odometry.files import kept_in
@@ -61,13 +60,13 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         raise ConfigError(f"kitti-lidar takes one folder with sequences/ in it, got {len(sources)}; see --sequence")
     check_folder(sources[0], "KITTI odometry (sequences, poses)")
     if len(options.sequence) < 2:
-        raise ConfigError("--sequence: ground truth across drives needs two sequences or more, such as 00,01")
+        raise ConfigError("--sequence: ground truth across drives needs two or more sequences, such as 00,01")
     for sequence in options.sequence:
         check_folder(sources[0] / "sequences" / sequence, "a sequence of KITTI odometry")
     names = [f"kitti_{sequence}" for sequence in options.sequence]
     check_conditions(options, names)
-    name = options.name or fitting_name(f"kitti_lidar_{'_'.join(options.sequence)}")
-    writer = DatasetWriter(out, name, configuration("kitti-lidar", sources, options), options.licence)
+    default_name = fitting_name(f"kitti_lidar_{'_'.join(options.sequence)}")
+    writer = open_writer("kitti-lidar", sources, options, out, default_name)
     recordings = [
         read_kitti(
             sources[0],

@@ -1,11 +1,11 @@
-"""A sequence in the layout of KITTI odometry as a recording: velodyne, rectified cameras, odometry.
+"""A sequence in the layout of KITTI odometry, read as a recording: velodyne, rectified cameras, odometry.
 
 The rig is the lidar: x forward, y left, z up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence as Several
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.core import images
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
-from relocbench.datasets.importers.kitti.files import Sequence
+from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording, Scan, Trajectory
 from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, read_scan
 from relocbench.errors import ConfigError, DatasetError
@@ -30,14 +30,14 @@ OdometrySource = Literal["lidar", "poses"]
 
 CAMERAS = ("image_0", "image_1", "image_2", "image_3")
 REAL_ELEVATION_DEG = 0.205
-"""by which the beams of the real KITTI point too low, Deschaud, IMLS-SLAM, ICRA 2018, as KISS-ICP applies it"""
+"""by how much the beams of the real KITTI lidar point too low (Deschaud, IMLS-SLAM, ICRA 2018; as in KISS-ICP)"""
 _TURN_NS = 100_000_000
 _MAX_RANGE_M = 120.0
 
 
 @dataclass(frozen=True, eq=False)
 class VelodyneStream:
-    """Scans of the velodyne; the rig's frame is its own."""
+    """The scans of the velodyne, whose frame is the rig's."""
 
     files: tuple[Path, ...]
     times_ns: Times
@@ -53,11 +53,13 @@ class VelodyneStream:
         return np.eye(4)
 
     def read(self, index: int) -> Scan:
-        """A scan. Where the car's motion is still in it, a point's azimuth tells when its beam was fired: the lidar
-        turns clockwise seen from above, ten times a second, and looks forward at the scan's time.
+        """Read a scan.
+
+        If scans are not motion-compensated, a point's time follows from its azimuth: seen from above the lidar turns
+        clockwise, ten times a second, and faces forward at the scan's time.
 
         Raises:
-            DatasetError: the file is missing or cut off.
+            DatasetError: the file is missing or truncated.
         """
         points = read_scan(self.files[index])
         times = np.full(len(points), self.times_ns[index], dtype=np.int64)
@@ -68,7 +70,7 @@ class VelodyneStream:
 
 
 def raised(points: Array, elevation_deg: float) -> Array:
-    """(N, 3) points turned up by an angle, each within the vertical plane of its own beam."""
+    """Points (N, 3) turned up by an angle, each within the vertical plane of its beam."""
     level = np.hypot(points[:, 0], points[:, 1])
     c, s = np.cos(np.radians(elevation_deg)), np.sin(np.radians(elevation_deg))
     scale = c - s * points[:, 2] / np.maximum(level, 1e-9)
@@ -77,7 +79,7 @@ def raised(points: Array, elevation_deg: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RectifiedCamera:
-    """Rectified images: they can be linked to as they are."""
+    """The images of a rectified camera, which can be linked unchanged."""
 
     name: str
     camera: Camera
@@ -86,15 +88,9 @@ class RectifiedCamera:
     times_ns: Times
 
     def read(self, index: int) -> NDArray[np.uint8]:
-        """(H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
+        """Read an image, (H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
         path = self.files[index]
-
-        def check_size(size: tuple[int, int]) -> None:
-            if size != self.camera.size:
-                wanted = f"{self.camera.width}x{self.camera.height}"
-                raise DatasetError(f"is {size[0]}x{size[1]}, the first image of {self.name} {wanted}", path)
-
-        return images.read_image(path, check_size)
+        return images.read_image(path, images.ExpectedSize(self.camera.size, f"the first image of {self.name}"))
 
     def file(self, index: int) -> Path | None:
         return self.files[index]
@@ -106,7 +102,7 @@ def read_kitti(
     *,
     name: str | None = None,
     odometry: OdometrySource = "lidar",
-    cameras: Several[str] | None = None,
+    cameras: Sequence[str] | None = None,
     motion: ScanMotion = "compensated",
     elevation_deg: float = 0.0,
     rate_hz: float = 10.0,
@@ -114,24 +110,24 @@ def read_kitti(
     reporter: Reporter | None = None,
     from_lidar: FromLidar = lidar_odometry,
 ) -> FieldRecording:
-    """Look through a sequence, and compute its odometry where none is taken from it.
+    """Read a sequence as a recording; scans and images are opened later, on demand.
 
     Args:
-        root: holds ``sequences`` and ``poses``.
-        odometry: ``lidar`` registers scan after scan; ``poses`` takes ``poses/NN.txt``, whose real ones are smoothed
-            GNSS/INS and locally wrong by up to a quarter of a step.
-        cameras: which to read; default: those whose folders hold images.
-        motion: whether the car's own motion is still in the scans (``distorted``) or not, as in KITTI's own.
-        elevation_deg: turn beams up; the real lidar's want :data:`REAL_ELEVATION_DEG`.
-        rate_hz: frames a second where ``times.txt`` is missing.
-        from_lidar: computes odometry from scans; called when everything else was found good.
+        root: folder that holds ``sequences`` and ``poses``.
+        odometry: ``lidar`` registers successive scans; ``poses`` reads ``poses/NN.txt``, which for the real data is
+            smoothed GNSS/INS and locally wrong by up to a quarter of a step.
+        cameras: cameras to read; default: those whose folders hold images.
+        motion: ``compensated`` if the scans are motion-compensated, as KITTI's own are, or ``distorted``.
+        elevation_deg: angle by which to turn the beams up; the real lidar needs :data:`REAL_ELEVATION_DEG`.
+        rate_hz: frames per second if ``times.txt`` is missing.
+        from_lidar: computes odometry from scans; called after everything else has been checked.
 
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
-        ConfigError: a camera that KITTI does not have.
+        ConfigError: KITTI has no such camera.
     """
     report = reporter or Silent()
-    files = Sequence(root, sequence)
+    files = KittiSequence(root, sequence)
     scans = files.frames("velodyne", ".bin")
     if not scans:
         raise DatasetError("holds no lidar scan; expected velodyne/NNNNNN.bin", files.folder)
@@ -153,14 +149,14 @@ def read_kitti(
     )
 
 
-def _image_files(files: Sequence, cameras: Several[str] | None) -> dict[str, dict[int, Path]]:
-    """Camera -> frame number -> file."""
+def _image_files(files: KittiSequence, cameras: Sequence[str] | None) -> dict[str, dict[int, Path]]:
+    """Image files by camera and frame number."""
     for name in cameras or ():
         if name not in CAMERAS:
             raise ConfigError(f"KITTI has no camera '{name}'; there is {', '.join(CAMERAS)}")
     found: dict[str, dict[int, Path]] = {}
     for name in CAMERAS if cameras is None else dict.fromkeys(cameras):
-        numbers = files.frames(name, ".png") or files.frames(name, ".jpg")
+        numbers = files.image_frames(name)
         if numbers:
             found[name] = numbers
         elif cameras is not None:
@@ -168,33 +164,27 @@ def _image_files(files: Sequence, cameras: Several[str] | None) -> dict[str, dic
     return found
 
 
-def _times(files: Sequence, rate_hz: float, frames: int, reporter: Reporter) -> Times:
+def _times(files: KittiSequence, rate_hz: float, frames: int, reporter: Reporter) -> Times:
     times = files.times(rate_hz, frames, reporter)
     if len(times) < frames:
-        raise DatasetError(f"holds {len(times)} times, there are {frames} frames", files.folder / "times.txt")
+        raise DatasetError(f"holds {len(times)} times for {frames} frames", files.folder / "times.txt")
     return np.array(times, dtype=np.int64)
 
 
-def _poses(files: Sequence, times: Times) -> Trajectory:
-    """``poses/NN.txt``, which is of camera 0, as the motion of the lidar."""
+def _poses(files: KittiSequence, times: Times) -> Trajectory:
+    """The motion of the lidar by ``poses/NN.txt``, whose poses are those of camera 0."""
     T_world_cam0 = files.poses()
     if len(T_world_cam0) < 2:
         raise DatasetError(f"holds {len(T_world_cam0)} poses; odometry needs at least 2", files.poses_file)
     if len(times) < len(T_world_cam0):
-        # Times made up from a rate go on as long as there are poses.
+        # times.txt may be shorter than the poses; poses without a time are not used.
         T_world_cam0 = T_world_cam0[: len(times)]
     T_cam0_rig = files.calibration.T_cam0_lidar()
     T_world_rig = np.array(T_world_cam0) @ T_cam0_rig
     return Trajectory(times[: len(T_world_rig)], invert(T_world_rig[0]) @ T_world_rig)
 
 
-def _camera(files: Sequence, name: str, numbers: dict[int, Path], times: Times) -> CameraStream:
-    projection = files.calibration.projection(name)
-    height, width = images.read_image(next(iter(numbers.values()))).shape[:2]
-    fx, fy, cx, cy = (float(projection[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    try:
-        camera = Camera("pinhole", width, height, fx, fy, cx, cy)
-    except ValueError as bad:
-        raise DatasetError(f"line 'P{name[-1]}:' is no projection ({bad})", files.calibration.path) from None
+def _camera(files: KittiSequence, name: str, numbers: dict[int, Path], times: Times) -> CameraStream:
+    camera = files.camera(name, next(iter(numbers.values())))
     T_rig_cam = invert(files.calibration.T_cam0_lidar()) @ files.calibration.T_cam0_cam(name)
     return RectifiedCamera(name, camera, T_rig_cam, tuple(numbers.values()), times[list(numbers)])

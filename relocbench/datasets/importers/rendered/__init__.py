@@ -1,1 +1,1 @@
-"""Datasets for which nothing was recorded: rendered towns, and their buildings from above."""
+"""Rendered datasets: drives through procedural towns, and cross-view sets of their buildings."""

@@ -1,6 +1,6 @@
 """Kind ``cross-view``: buildings of procedural towns from a drone, a satellite and the street. Nothing is downloaded.
 
-The layout is University-1652's, so that whatever reads that reads this. Places of train and of test stand in towns that
+The layout is University-1652's, so that programs which read that can read this. The towns of the train and test places
 share no street.
 """
 
@@ -28,26 +28,26 @@ class Options(Strict):
     name: str = Field("", description="name of the set; default: cross-view-SPLIT")
     licence: str = Field("CC0-1.0", description="licence, kept in dataset.yaml")
     split: Literal["train", "test", "all"] = Field("all", description="folders to make; train and test share no town")
-    places: int = Field(60, ge=2, description="places (classes) of each split")
-    distractors: int = Field(0, ge=0, description="places of test that are in galleries and nobody asks for")
-    towns: int | None = Field(None, ge=1, le=1000, description="towns a split; default: one to 50 places")
+    places: int = Field(60, ge=2, description="places (classes) in each split")
+    distractors: int = Field(0, ge=0, description="test places that are in the galleries but have no query")
+    towns: int | None = Field(None, ge=1, le=1000, description="towns per split; default: one per 50 places")
     conditions: tuple[str, ...] = Field(
         ("Sunny", "Overcast", "Rain", "Snow"),
-        description="the satellite's condition, then those of drone and street images in turn; the first may be among "
-        "them again; one alone is everybody's",
+        description="condition of the satellite images, then those that drone and street images take in turn; the "
+        "first may be repeated there; a single condition is used for all",
     )
     factors: dict[str, Factors] = Field({}, description="conditions of your own, name -> factors; YAML only")
-    drone_views: int = Field(54, ge=1, le=1000, description="drone images a place, along three descending rounds")
-    street_views: int = Field(0, ge=0, le=20, description="street images a place")
-    size: int = Field(256, ge=32, le=2048, description="pixels of a side")
+    drone_views: int = Field(54, ge=1, le=1000, description="drone images per place, along three descending circles")
+    street_views: int = Field(0, ge=0, le=20, description="street images per place")
+    size: int = Field(256, ge=32, le=2048, description="width and height of the images in pixels")
     far: float = Field(
         110.0,
         ge=60,
         le=300,
-        description="distance in metres at which the drone's flight begins; it ends at 0.475 of it",
+        description="distance in metres at which the drone's flight begins; it ends at 0.475 times that",
     )
     satellite_side: float = Field(80.0, ge=30, le=200, description="metres of ground that a satellite image covers")
-    satellite_heading: Literal["north", "random"] = Field("north", description="what is up in satellite images")
+    satellite_heading: Literal["north", "random"] = Field("north", description="up direction of satellite images")
     spacing: float = Field(25.0, ge=10, le=200, description="least distance between places in metres")
     extent: float = Field(350.0, ge=190, le=1000, description="side of a town in metres")
     seed: int = Field(0, ge=0, description="seed of every random choice")
@@ -56,15 +56,18 @@ class Options(Strict):
     @classmethod
     def _some(cls, conditions: tuple[str, ...]) -> tuple[str, ...]:
         if not conditions or len(set(conditions[1:])) != len(conditions[1:]):
-            raise ValueError("conditions are the satellite's and then those of the others, each of these once")
+            raise ValueError("conditions are the satellite's, then those of the other views, each of these once")
         return conditions
 
 
 def build_places(sources: list[Path], options: Strict, out: Path, reporter: Reporter, run: Run) -> CrossViewSet:
-    """A rendered cross-view set; it takes no sources.
+    """Render a cross-view set.
+
+    Args:
+        sources: must be empty.
 
     Raises:
-        ConfigError: sources were named, a condition that there is not, or more places than the towns have room for.
+        ConfigError: sources are given, a condition is unknown, or the towns have too little room for the places.
         DatasetError: ``out`` holds something else.
     """
     from relocbench.datasets.core.writer import DatasetWriter
@@ -79,8 +82,8 @@ def build_places(sources: list[Path], options: Strict, out: Path, reporter: Repo
     if sources:
         raise ConfigError(f"cross-view is rendered and takes no recordings, got {sources[0]}")
     if options.distractors and options.split == "train":
-        raise ConfigError("--distractors are of the test split")
-    above, below = options.conditions[0], options.conditions[1:] or options.conditions
+        raise ConfigError("--distractors applies to the test split only")
+    satellite_condition, other_conditions = options.conditions[0], options.conditions[1:] or options.conditions
     named = conditions_of(tuple(dict.fromkeys(options.conditions)), options.factors, None, 0)
     factors = {name: condition.factors for name, condition in named.items()}
     record: dict[str, Any] = {"kind": "cross-view", "sources": [], "options": options.model_dump(mode="json")}
@@ -92,15 +95,15 @@ def build_places(sources: list[Path], options: Strict, out: Path, reporter: Repo
         try:
             return open_cross_view(out, reporter)
         except DatasetError as bad:
-            reporter.note(f"{bad}; what is missing is made again")
+            reporter.note(f"{bad}; missing images are rendered again")
     views = Views(
         Optics(options.size, options.satellite_side),
         options.drone_views,
         options.street_views,
         options.far,
         options.satellite_heading == "random",
-        above,
-        below,
+        satellite_condition,
+        other_conditions,
     )
     places, photos = [], []
     for split in ("train", "test") if options.split == "all" else (options.split,):
@@ -118,9 +121,9 @@ def build_places(sources: list[Path], options: Strict, out: Path, reporter: Repo
         for place, network in chosen:
             places.append(place)
             photos += photos_of(place, network, views, split, options.seed)
-    writing.refuse_strangers(out, photos)
+    writing.refuse_other_files(out, photos)
     render_missing(out, photos, factors, views, reporter, run)
-    writing.link_again(out, photos)
+    writing.link_other_names(out, photos)
     writing.write_poses(out, photos)
     writing.write_places(out, places)
     made = {

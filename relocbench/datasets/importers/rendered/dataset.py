@@ -1,8 +1,8 @@
-"""Kind ``synthetic``: a procedural town, driven through in any weather. Nothing is downloaded; the truth is exact.
+"""Kind ``synthetic``: drives through procedural towns in any weather. Nothing is downloaded; the truth is exact.
 
-Every split has a district of its own. In each, the same route is driven in every condition, ``traversals`` times; the
-first traversal of the first condition is the map whose keyframes the others ask about. With ``recording``, drives are
-written as a car would record them, in the layout of a real data set; from those no dataset is made here.
+Every split has its own district, a piece of town. In each district the same route is driven ``traversals`` times in
+every condition. The first traversal of the first condition is the map, whose keyframes are paired with the frames of
+the others. With ``recording``, drives are instead written as a car would record them, in the layout of a real data set.
 """
 
 from __future__ import annotations
@@ -28,27 +28,25 @@ if TYPE_CHECKING:
 
 
 _RECORDING_FRAMES = 160
-"""unless a preset other than ``demo`` has its own number"""
-_OF_RECORDINGS = ("route", "recording_cameras", "image_scale", "rings", "azimuths", "motion_distorted")
-_OF_KITTI = ("rings", "azimuths", "motion_distorted")
-_OF_DATASETS = (
+"""default of ``steps`` for recordings, unless a preset sets it"""
+_RECORDING_OPTIONS = ("route", "recording_cameras", "image_scale", "rings", "azimuths", "motion_distorted")
+_KITTI_OPTIONS = ("rings", "azimuths", "motion_distorted")
+_DATASET_OPTIONS = (
     "name", "licence", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences", "copy_images",
     "cameras", "size", "distance", "reference", "extras",
 )  # fmt: skip
 
 
 class Options(ImportOptions):
-    """Options of ``relocbench build-dataset synthetic``; what is not given is the preset's."""
+    """Options of ``relocbench build-dataset synthetic``; the preset sets the others' defaults."""
 
-    preset: Literal["smoke", "demo", "carla", "oxford"] = Field("demo", description="what the other options start from")
-    conditions: tuple[str, ...] = Field(  # type: ignore[assignment]  # here they are chosen, not told
+    preset: Literal["smoke", "demo", "carla", "oxford"] = Field("demo", description="defaults of the other options")
+    conditions: tuple[str, ...] = Field(  # type: ignore[assignment]  # names of conditions instead of descriptions
         ("Sunny", "Overcast", "WetNoon", "Night"), description="conditions to drive in, the reference's first"
     )
     factors: dict[str, Factors] = Field({}, description="conditions of your own, name -> factors; YAML only")
-    sweep: str | None = Field(
-        None, description="a sweep instead of conditions: one factor alone changes, such as light"
-    )
-    sweep_steps: int = Field(5, ge=2, le=100, description="conditions that a sweep is made of")
+    sweep: str | None = Field(None, description="a sweep instead of conditions: only one factor changes, such as light")
+    sweep_steps: int = Field(5, ge=2, le=100, description="number of conditions in a sweep")
     traffic: float | None = Field(
         None, ge=0, le=10, description="moving cars per 100 m of lane, in all conditions; default: each condition's own"
     )
@@ -58,16 +56,16 @@ class Options(ImportOptions):
         16,
         ge=2,
         le=100_000,
-        description="steps of a traversal, ten a second; of a recording: frames, by default 160, 16 (robotcar) or 10 "
-        "(kitti) a second",
+        description="steps of a traversal, ten per second; for recordings: frames, by default 160, at 16 (robotcar) or "
+        "10 (kitti) per second",
     )
-    traversals: int = Field(1, ge=1, le=100, description="traversals in each condition and split")
-    split: Literal["train", "validation", "test", "all"] = Field("test", description="whose district is driven in")
+    traversals: int = Field(1, ge=1, le=100, description="traversals per condition and split")
+    split: Literal["train", "validation", "test", "all"] = Field("test", description="split whose district is driven")
     extent: float = Field(250.0, ge=190, le=1000, description="side of a district in metres")
     speed: float = Field(8.0, gt=0, le=40, description="mean speed in m/s")
-    lateral: float = Field(0.6, ge=0, le=4, description="how far drives keep from the lane's middle at most, in metres")
+    lateral: float = Field(0.6, ge=0, le=4, description="greatest distance of drives from the lane's middle in metres")
     heading: float = Field(
-        2.0, ge=0, le=45, description="how far rigs are turned from the direction of travel, degrees"
+        2.0, ge=0, le=45, description="greatest angle in degrees between rig and direction of travel"
     )
     distance: float = Field(1.6, gt=0, le=100, description="mean distance of pairs in metres (default pair rule)")
     max_distance: float = Field(10.0, gt=0, description="farthest pair in metres")
@@ -75,40 +73,39 @@ class Options(ImportOptions):
     pair_rule: Literal["step", "nearest"] | None = Field(
         None,
         description="'step': frame i with frame i + k of the same traversal; 'nearest': each query with the nearest "
-        "keyframe; default: a keyframe whose distance is drawn about --distance",
+        "keyframe; default: a keyframe at a random distance with mean --distance",
     )
     reference: Literal["first", "all"] = Field(
-        "first", description="'first': all traversals ask the first one of their split; 'all': all ask all"
+        "first",
+        description="'first': the first traversal of each split is the reference of all; 'all': each is a reference",
     )
     correspondences: int = Field(
-        500, ge=0, description="ground-truth correspondences to keep a pair, drawn over the image; 0 for none"
+        500, ge=0, description="ground-truth correspondences kept for each pair, spread over the image; 0 for none"
     )
     extras: tuple[ExtraKind, ...] = Field(
-        (), description="pictures to write to OUT/extras: normals, instance, semantic, changed"
+        (), description="further images to write to OUT/extras: normals, instance, semantic, changed"
     )
 
     recording: Literal["robotcar", "kitti"] | None = Field(
         None,
-        description="record drives (camera, lidar, odometry, GNSS) in this layout instead of making a dataset; one for "
-        "each split, condition, route and traversal",
+        description="record drives (camera, lidar, odometry, GNSS) in this layout instead of making a dataset: one per "
+        "split, condition, route and traversal",
     )
     route: tuple[Literal["common", "detour", "crossing", "periodic"], ...] = Field(
         ("common",),
-        description="recording: what is driven: the common route; a detour from it over other streets and back; "
-        "through one of its crossings another way; along the street with repeating facades",
+        description="recording: the routes to drive: the common one; a detour from it through other streets; one that "
+        "takes one of its crossings in another direction; one along the street with repeating facades",
     )
     recording_cameras: tuple[str, ...] = Field(
         (),
         description="recording: cameras, such as stereo/left,mono_rear or image_0, or none; default: all six of "
         "robotcar, the two grey ones of kitti",
     )
-    image_scale: float = Field(
-        0.5, ge=0.05, le=1, description="recording: size of the images over that of the real cameras"
-    )
+    image_scale: float = Field(0.5, ge=0.05, le=1, description="recording: image size relative to the real cameras")
     rings: int = Field(64, ge=16, le=64, description="kitti recording: rings of the lidar")
-    azimuths: int = Field(2000, ge=100, le=10_000, description="kitti recording: directions of each ring in a turn")
+    azimuths: int = Field(2000, ge=100, le=10_000, description="kitti recording: points per ring and turn")
     motion_distorted: bool = Field(
-        False, description="kitti recording: leave the car's own motion in the lidar's scans, which KITTI takes out"
+        False, description="kitti recording: write scans without motion compensation, unlike KITTI's own"
     )
 
     @model_validator(mode="before")
@@ -131,30 +128,33 @@ class Options(ImportOptions):
 
     @property
     def width_height(self) -> tuple[int, int]:
-        """Pixels."""
+        """Image size in pixels."""
         width, height = self.size.split("x")
         return int(width), int(height)
 
 
 def _refuse_what_has_no_effect(values: dict[str, Any]) -> None:
-    """Raises PydanticCustomError on an option that was given and would change nothing."""
+    """Raise PydanticCustomError if an option was given that has no effect."""
     layout = values.get("recording")
-    refused: tuple[str, ...] = _OF_RECORDINGS
-    why = "is of recordings (--recording)"
+    refused: tuple[str, ...] = _RECORDING_OPTIONS
+    why = "applies to recordings (--recording) only"
     if layout is not None:
-        refused, why = _OF_DATASETS, "is of datasets; a recording (--recording) has none"
+        refused, why = _DATASET_OPTIONS, "applies to datasets only, not to recordings (--recording)"
     found = [name for name in refused if name in values]
     if not found and layout == "robotcar":
-        found, why = [name for name in _OF_KITTI if name in values], "is of --recording kitti"
+        found, why = [name for name in _KITTI_OPTIONS if name in values], "applies to --recording kitti only"
     if found:
         raise PydanticCustomError("no_effect", f"--{found[0].replace('_', '-')} {why}")
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """A rendered dataset; it takes no sources.
+    """Render a dataset.
+
+    Args:
+        sources: must be empty.
 
     Raises:
-        ConfigError: sources were named, or a condition or sweep that there is not.
+        ConfigError: sources are given, or a condition or sweep is unknown.
     """
     from relocbench.datasets.core.writer import DatasetWriter
     from relocbench.datasets.importers.assembly import configuration
@@ -172,8 +172,8 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         raise ConfigError(f"--recording {options.recording} makes recordings, not a dataset")
     conditions = conditions_of(options.conditions, options.factors, options.sweep, options.sweep_steps, options.traffic)
     record = configuration("synthetic", [], options)
-    # Pictures that no score depends on can be asked for later.
-    for name in ("extras", "recording", *_OF_RECORDINGS):
+    # Extra images can be added to a finished dataset later, because no score depends on them.
+    for name in ("extras", "recording", *_RECORDING_OPTIONS):
         del record["options"][name]
     record["renderer"] = RENDERER_REVISION
     record["factors"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
@@ -201,26 +201,26 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
 def record(
     sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run
 ) -> RecordingFolder | None:
-    """Recordings of drives; None where a dataset is asked for.
+    """Record drives; returns None if the options ask for a dataset instead.
 
     Raises:
-        ConfigError: sources were named, a condition, sweep or camera that there is not, a route too short for it.
+        ConfigError: sources are given, a condition, sweep or camera is unknown, or a district has no such route.
         DatasetError: ``out`` holds something else.
     """
     assert isinstance(options, Options)
     if options.recording is None:
         return None
     from relocbench.datasets.synthetic.drives.drive import DriveStyle
-    from relocbench.datasets.synthetic.jobs.field import check_folder, plan_drives, record_all
     from relocbench.datasets.synthetic.jobs.recording import DriveOptions
+    from relocbench.datasets.synthetic.jobs.recording_set import check_folder, plan_drives, record_all
 
     _no_sources(sources)
     conditions = conditions_of(options.conditions, options.factors, options.sweep, options.sweep_steps, options.traffic)
     if len(set(options.route)) != len(options.route) or not options.route:
-        raise ConfigError(f"--route: each at most once, and at least one, got {','.join(options.route) or 'none'}")
+        raise ConfigError(f"--route takes one or more different routes, got {','.join(options.route) or 'none'}")
     cameras = None if not options.recording_cameras else tuple(c for c in options.recording_cameras if c != "none")
     if cameras is not None and len(set(cameras)) != len(cameras):
-        raise ConfigError(f"--recording-cameras names one twice: {','.join(cameras)}")
+        raise ConfigError(f"--recording-cameras names a camera twice: {','.join(cameras)}")
     each = DriveOptions(
         layout=options.recording,
         seed=options.seed,
@@ -233,8 +233,8 @@ def record(
         motion_distorted=options.motion_distorted,
     )
     each.target(out)
-    unused = {*_OF_DATASETS, "preset", "conditions", "factors", "sweep", "sweep_steps", "traffic"}
-    unused |= set() if options.recording == "kitti" else set(_OF_KITTI)
+    unused = {*_DATASET_OPTIONS, "preset", "conditions", "factors", "sweep", "sweep_steps", "traffic"}
+    unused |= set() if options.recording == "kitti" else set(_KITTI_OPTIONS)
     settings = {"kind": "synthetic", "licence": "CC0-1.0", **options.model_dump(mode="json", exclude=unused)}
     settings["conditions"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
     check_folder(out, settings)
@@ -257,9 +257,9 @@ def _no_sources(sources: list[Path]) -> None:
 
 
 def asked(plans: list[TraversalPlan], options: Options) -> list[tuple[TraversalPlan, TraversalPlan]]:
-    """(reference, query) traversals of every pair set.
+    """The (reference, query) traversals of every pair set.
 
-    A condition is also asked about itself: by its second traversal, or else by the reference's own other frames.
+    The reference's condition is also a query condition: in its second traversal, or else in the reference itself.
     """
     found = []
     for split in dict.fromkeys(plan.split for plan in plans):

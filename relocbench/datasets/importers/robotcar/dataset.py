@@ -1,4 +1,4 @@
-"""Kind ``robotcar``: recordings in the layout of the Oxford RobotCar data set, with ground truth from their lidar."""
+"""Kind ``robotcar``: recordings in the layout of Oxford RobotCar, with ground truth across drives from their lidar."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from relocbench.datasets.core.build_options import ImportOptions
-from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.importers.assembly import check_conditions, check_folder, configuration
+from relocbench.datasets.importers.assembly import check_conditions, check_folder, open_writer
 from relocbench.execution import Run
 from relocbench.progress import Reporter
 
@@ -25,18 +24,18 @@ class Options(FieldOptions):
     extrinsics: Path | None = Field(None, description="the SDK's folder of extrinsics; default: beside the recordings")
     models: Path | None = Field(None, description="the SDK's folder of camera models and undistortion tables")
     tags: Path | None = Field(None, description="the SDK's folder of condition tags")
-    lidars: tuple[str, ...] = Field((), description="lidars to use, such as lms_front,lms_rear; default: all there are")
+    lidars: tuple[str, ...] = Field((), description="lidars to use, such as lms_front,lms_rear; default: all recorded")
     odometry: Literal["vo", "ins"] = Field("vo", description="visual odometry (vo/vo.csv) or GNSS/INS (gps/ins.csv)")
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """A dataset of a reference traversal (the first source) and the traversals that ask about it.
+    """Build a dataset from a reference traversal (the first source) and one or more query traversals.
 
     Raises:
-        DatasetError: with file and line, what is missing or wrong in a recording; or that no pair can be accepted.
-        ConfigError: options that do not fit the recordings.
+        DatasetError: with file and line: something in a recording is missing or wrong, or no pair can be accepted.
+        ConfigError: the options do not fit the recordings.
     """
-    from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check
+    from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
     from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
 
     assert isinstance(options, Options)
@@ -48,19 +47,18 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         models=options.models,
         tags=options.tags,
         lidars=options.lidars or None,
-        cameras=_with_partners(sources, options.cameras),
+        cameras=_with_right_camera(sources, options.cameras),
         odometry=options.odometry,
         reporter=reporter,
     )
     check_conditions(options, [r.name for r in recordings])
-    check(recordings, options)
-    name = options.name or "robotcar_" + recordings[0].name
-    writer = DatasetWriter(out, name, configuration("robotcar", sources, options), options.licence)
+    check_recordings(recordings, options)
+    writer = open_writer("robotcar", sources, options, out, "robotcar_" + recordings[0].name)
     return build_ground_truth(recordings, writer, options, reporter, run)
 
 
-def _with_partners(sources: Sequence[Path], cameras: tuple[str, ...]) -> tuple[str, ...] | None:
-    """The cameras that are asked for, and the right one of the stereo pair, which depth is checked with; None: all."""
+def _with_right_camera(sources: Sequence[Path], cameras: tuple[str, ...]) -> tuple[str, ...] | None:
+    """The chosen cameras and, for the check of depth against stereo, the right partner of the left one; None: all."""
     if not cameras:
         return None
     right = "stereo_left" in cameras and all((source / "stereo" / "right").is_dir() for source in sources)

@@ -1,4 +1,4 @@
-"""The text files of an Oxford RobotCar traversal and of its calibration.
+"""Parsers for the text files of an Oxford RobotCar traversal and its calibration.
 
 Times are microseconds in the files and nanoseconds here. Six numbers ``x y z roll pitch yaw`` are a transform with
 ``R = Rz(yaw) Ry(pitch) Rx(roll)``. The vehicle's axes are x forward, y right, z down.
@@ -31,15 +31,15 @@ _GOOD_STATUS = ("INS_SOLUTION_GOOD", "INS_ALIGNMENT_COMPLETE")
 _MOST_US = (2**63 - 1) // 1000
 _ROTATION_TOLERANCE = 1e-3
 _WEATHER = {"snow": "snow", "rain": "rain", "overcast": "overcast", "clouds": "cloudy", "sun": "sunny"}
-"""tag -> weather; the first of a traversal's tags in this order names it"""
+"""tag -> weather; the first of these that is among a traversal's tags determines its weather"""
 _TIMES_OF_DAY = ("night", "dusk")
 _SEASONS = ("winter", "spring", "summer", "autumn")
 
 
 def transform_from_xyzrpy(values: ArrayLike) -> Array:
-    """(..., 4, 4) of x, y, z, roll, pitch, yaw (..., 6): metres, radians."""
+    """Transforms (..., 4, 4) of x, y, z, roll, pitch, yaw (..., 6) in metres and radians."""
     v = np.asarray(values, dtype=np.float64)
-    # Lower-case axes are fixed ones: about x first, about z last.
+    # Lower-case axes are fixed (extrinsic): about x first, about z last.
     rotation = Rotation.from_euler("xyz", v[..., 3:].reshape(-1, 3)).as_matrix()
     return make_transform(rotation.reshape(*v.shape[:-1], 3, 3), v[..., :3])
 
@@ -47,15 +47,15 @@ def transform_from_xyzrpy(values: ArrayLike) -> Array:
 def parse_microseconds(text: str, path: Path, line: int | None = None) -> int:
     """Nanoseconds of a time in microseconds since 1970. Raises DatasetError with file and line."""
     if not re.fullmatch(r"[0-9]{1,19}", text) or int(text) > _MOST_US:
-        raise DatasetError(f"{quoted(text, 30)} is not a time in integer microseconds", path, line)
+        raise DatasetError(f"{quoted(text, 30)} is not a time in whole microseconds", path, line)
     return int(text) * 1000
 
 
 def read_timestamps(path: Path) -> Times:
-    """(N,) of a ``*.timestamps`` file: a time and a chunk's number a line.
+    """Times (N,) of a ``*.timestamps`` file, whose lines hold a time and a chunk number.
 
     Raises:
-        DatasetError: with file and line: no time, or one that does not come after the one before.
+        DatasetError: with file and line: a field is not a time, or the times do not increase.
     """
     times: list[int] = []
     for line, fields in read_rows(path, "timestamps (microseconds, chunk)", DatasetError):
@@ -67,24 +67,24 @@ def read_timestamps(path: Path) -> Times:
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
-    """Visual odometry as the file has it, in the vehicle's axes."""
+class OdometrySteps:
+    """Visual odometry as in the file, in the vehicle's axes."""
 
     earlier_ns: Times
-    """(N,) destination of each row"""
+    """(N,) destination time of each row"""
     later_ns: Times
-    """(N,) source of each row, increasing; rows do not overlap"""
+    """(N,) source time of each row, increasing; rows do not overlap"""
     T_earlier_later: Array
     """(N, 4, 4)"""
 
 
-def read_visual_odometry(path: Path) -> Steps:
-    """``vo.csv``: a row is the pose of the vehicle at the source's time seen from where it was at the destination's.
+def read_visual_odometry(path: Path) -> OdometrySteps:
+    """Read ``vo.csv``: each row is the vehicle's pose at the source time, in its frame at the destination time.
 
-    The source is the *later* image, and rows multiply from left to right.
+    The source is the *later* image; multiplying the rows from left to right gives the trajectory.
 
     Raises:
-        DatasetError: with file and line: columns, numbers, a row that does not come after the one before.
+        DatasetError: with file and line: a column is missing, a field is not a number, or rows are out of order.
     """
     earlier: list[int] = []
     later: list[int] = []
@@ -92,36 +92,37 @@ def read_visual_odometry(path: Path) -> Steps:
     for line, row in _read_table(path, VO_COLUMNS, "visual odometry"):
         source, destination = (parse_microseconds(text, path, line) for text in row[:2])
         if source <= destination:
-            raise DatasetError("source_timestamp does not come after destination_timestamp", path, line)
+            raise DatasetError("source_timestamp is not later than destination_timestamp", path, line)
         if later and destination < later[-1]:
-            raise DatasetError(f"the step from {row[1]} begins before the one above has ended", path, line)
+            raise DatasetError(f"the step from {row[1]} begins before the previous one ends", path, line)
         values.append(parse_floats(row[2:], path, line, POSE_COLUMNS, DatasetError))
         earlier.append(destination)
         later.append(source)
     if not later:
         raise DatasetError("holds no step of visual odometry", path)
-    return Steps(np.array(earlier, np.int64), np.array(later, np.int64), transform_from_xyzrpy(values))
+    return OdometrySteps(np.array(earlier, np.int64), np.array(later, np.int64), transform_from_xyzrpy(values))
 
 
 @dataclass(frozen=True, eq=False)
 class InertialTrack:
-    """GNSS/INS as the file has it: positions on the UTM grid, attitudes in north, east, down."""
+    """GNSS/INS as in the file: positions on the UTM grid, attitudes in north, east, down."""
 
     times_ns: Times
     """(N,) strictly increasing"""
     T_ned_ins: Array
-    """(N, 4, 4) northing, easting and down, of the instrument's own axes (forward, right, down)"""
+    """(N, 4, 4) poses of the instrument (axes forward, right, down) in northing, easting and down"""
     zone: str
-    """of the UTM grid"""
+    """UTM zone"""
     left_out: int
-    """solutions that the receiver itself did not call good"""
+    """number of solutions that the receiver itself did not mark as good"""
 
 
 def read_inertial(path: Path) -> InertialTrack:
-    """``ins.csv``, solutions that are good alone.
+    """Read the good solutions of ``ins.csv``.
 
     Raises:
-        DatasetError: with file and line: columns, numbers, times that do not increase, another zone, none good.
+        DatasetError: with file and line: a column is missing, a field is not a number, times do not increase, the UTM
+            zone changes, or no solution is good.
     """
     times: list[int] = []
     values: list[list[float]] = []
@@ -132,13 +133,13 @@ def read_inertial(path: Path) -> InertialTrack:
         time, status, *numbers = row[0], row[1], *row[2:5], *row[6:]
         now = parse_microseconds(time, path, line)
         if now <= last:
-            raise DatasetError(f"time {time} does not come after the one before", path, line)
+            raise DatasetError(f"time {time} is not later than the previous one", path, line)
         last = now
         if status not in _GOOD_STATUS:
             left_out += 1
             continue
         if zone and row[5] != zone:
-            raise DatasetError(f"utm_zone changes from {zone} to {row[5]}; one grid is expected", path, line)
+            raise DatasetError(f"utm_zone changes from {zone} to {row[5]}; expected a single zone", path, line)
         zone = row[5]
         values.append(parse_floats(numbers, path, line, "northing easting down roll pitch yaw", DatasetError))
         times.append(now)
@@ -148,9 +149,9 @@ def read_inertial(path: Path) -> InertialTrack:
 
 
 def read_extrinsics(path: Path) -> Array:
-    """(4, 4) of ``extrinsics/SENSOR.txt``: a line of six numbers.
+    """Read ``extrinsics/SENSOR.txt``, one line of six numbers, as a (4, 4) transform.
 
-    That of a camera maps from the vehicle to the camera, those of all other sensors from the sensor to the vehicle.
+    A camera's extrinsics map from the vehicle to the camera, those of all other sensors from the sensor to the vehicle.
     """
     rows = list(read_rows(path, f"extrinsics ({POSE_COLUMNS})", DatasetError))
     if len(rows) != 1:
@@ -161,7 +162,7 @@ def read_extrinsics(path: Path) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class LensModel:
-    """``models/NAME.txt``: the pinhole camera that the look-up table undistorts to."""
+    """``models/NAME.txt``: the pinhole camera to which the look-up table undistorts images."""
 
     path: Path
     intrinsics: tuple[float, float, float, float]
@@ -171,7 +172,7 @@ class LensModel:
 
 
 def read_lens_model(path: Path) -> LensModel:
-    """``fx fy cx cy``, then the 4x4 ``G_camera_image``. Raises DatasetError with file and line."""
+    """Read a camera model: ``fx fy cx cy``, then the 4x4 ``G_camera_image``. Raises DatasetError with file and line."""
     rows = list(read_rows(path, "a camera model (fx fy cx cy, then a 4x4 matrix)", DatasetError))
     if len(rows) != 5:
         raise DatasetError(f"expected 5 lines (fx fy cx cy, then a 4x4 matrix), found {len(rows)}", path)
@@ -179,13 +180,13 @@ def read_lens_model(path: Path) -> LensModel:
     fx, fy, cx, cy = parse_floats(fields, path, line, "fx fy cx cy", DatasetError)
     matrix = np.array([parse_floats(f, path, n, "m0 m1 m2 m3", DatasetError) for n, f in rows[1:]])
     if not is_rotation(matrix[:3, :3], _ROTATION_TOLERANCE):
-        raise DatasetError("the 4x4 matrix holds no rotation", path)
+        raise DatasetError("the upper left 3x3 of the matrix is not a rotation", path)
     pose = make_transform(project_to_rotation(matrix[:3, :3]), matrix[:3, 3])
     return LensModel(path, (fx, fy, cx, cy), pose)
 
 
 def read_tags(path: Path) -> tuple[str, ...]:
-    """``tags/TRAVERSAL.yaml``: a list of words. Raises DatasetError naming the file."""
+    """Read ``tags/TRAVERSAL.yaml``, a list of words. Raises DatasetError naming the file."""
     found = load_yaml_value(path, "a list of tags", DatasetError)
     if found is None:
         return ()
@@ -195,14 +196,14 @@ def read_tags(path: Path) -> tuple[str, ...]:
 
 
 def condition_of(tags: Sequence[str], month: int | None = None) -> Condition:
-    """Weather, time of day and season of a traversal; tags that these do not tell are kept as they are.
+    """Weather, time of day and season of a traversal from its tags; all other tags are kept as tags.
 
     Args:
-        month: of the drive, 1 to 12; seasons are those of the northern hemisphere. None: the season is not known.
+        month: month of the drive, 1 to 12, for the season on the northern hemisphere; None if unknown.
     """
     weather = next((tag for tag in _WEATHER if tag in tags), None)
     time_of_day = next((tag for tag in _TIMES_OF_DAY if tag in tags), None)
-    # No tag speaks of daylight; but where weather was noted and neither night nor dusk was, it was day.
+    # There is no tag for daylight, but a drive with a weather tag and neither night nor dusk was by day.
     by_default = "day" if weather is not None else "unknown"
     return Condition(
         weather="unknown" if weather is None else _WEATHER[weather],
@@ -213,7 +214,7 @@ def condition_of(tags: Sequence[str], month: int | None = None) -> Condition:
 
 
 def _read_table(path: Path, columns: Sequence[str], what: str) -> Iterator[tuple[int, list[str]]]:
-    """Line number and the fields of ``columns``, in that order, of a CSV file with a header."""
+    """Line numbers and the fields of ``columns``, in that order, from a CSV file with a header."""
     lines = lines_of(read_text(path, f"{what} ({','.join(columns)})", DatasetError))
     header = [name.strip() for name in lines[0].split(",")] if lines else []
     missing = [name for name in columns if name not in header]
@@ -231,4 +232,4 @@ def _read_table(path: Path, columns: Sequence[str], what: str) -> Iterator[tuple
 
 def _check_order(times: Sequence[int], text: str, path: Path, line: int) -> None:
     if len(times) > 1 and times[-1] <= times[-2]:
-        raise DatasetError(f"time {text} does not come after the one before", path, line)
+        raise DatasetError(f"time {text} is not later than the previous one", path, line)

@@ -1,8 +1,8 @@
-"""A traversal of the Oxford RobotCar dataset as a recording: lidar, cameras, visual odometry, GNSS/INS, conditions.
+"""A traversal of the Oxford RobotCar dataset, read as a recording: lidar, cameras, odometry, GNSS/INS, conditions.
 
-The rig's origin is the vehicle's, which is the left lens of the stereo camera; its axes are x forward, y left, z up.
-``extrinsics``, ``models`` and ``tags`` are those of the dataset's SDK. They are looked for in the traversal's folder
-and in the two folders above it. LD-MRS scans are not read.
+The rig's origin is that of the vehicle, the left lens of the stereo camera; its axes are x forward, y left, z up. The
+folders ``extrinsics``, ``models`` and ``tags`` come from the dataset's SDK and are looked for in the traversal's folder
+and the two folders above it. LD-MRS scans are not read.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ OdometrySource = Literal["vo", "ins"]
 LIDARS = ("lms_front", "lms_rear")
 _PRIOR_SIGMA_M = 10.0
 _POOR_PRIOR_SIGMA_M = 30.0
-"""of traversals that are tagged poor-gps"""
+"""for traversals tagged poor-gps"""
 _NAME = re.compile(r"([0-9]{4})-([0-9]{2})-([0-9]{2})-[0-9]{2}-[0-9]{2}-[0-9]{2}")
 
 
 @dataclass(frozen=True)
 class Lens:
-    """One camera of the car."""
+    """One camera of the car, each lens of the stereo camera counted separately."""
 
     folder: str
     model: str
@@ -52,7 +52,7 @@ class Lens:
 
     @property
     def sensor(self) -> str:
-        """Whose timestamps and extrinsics it shares."""
+        """The device that timestamps and extrinsics belong to: ``stereo`` for all three of its lenses."""
         return self.folder.split("/")[0]
 
 
@@ -68,18 +68,18 @@ CAMERAS: dict[str, Lens] = {
 
 @dataclass(frozen=True)
 class Calibration:
-    """Folders of the dataset's SDK."""
+    """The folders of the dataset's SDK."""
 
     extrinsics: Path
     models: Path | None
     tags: Path | None
 
     def T_vehicle_sensor(self, sensor: str) -> Array:
-        """(4, 4) of a lidar or the INS, whose files map from the sensor to the vehicle."""
+        """Extrinsics (4, 4) of a lidar or the INS, whose files map from the sensor to the vehicle."""
         return files.read_extrinsics(self.extrinsics / f"{sensor}.txt")
 
     def T_camera_vehicle(self, sensor: str) -> Array:
-        """(4, 4) of a camera, whose file maps from the vehicle to the camera."""
+        """Extrinsics (4, 4) of a camera, whose file maps from the vehicle to the camera."""
         return files.read_extrinsics(self.extrinsics / f"{sensor}.txt")
 
 
@@ -96,20 +96,20 @@ def read_robotcar(
     origin: MapOrigin | None = None,
     reporter: Reporter | None = None,
 ) -> FieldRecording:
-    """Look through a traversal; scans and images are opened when they are asked for.
+    """Read a traversal as a recording; scans and images are opened later, on demand.
 
     Args:
-        folder: of the traversal (``lms_front``, ``stereo``, ``vo``, ``gps``).
-        name: of the recording; default: after the folder.
+        folder: folder of the traversal (with ``lms_front``, ``stereo``, ``vo``, ``gps``).
+        name: name of the recording; default: that of the folder.
         extrinsics, models, tags: folders of the SDK; default: in the traversal's folder or the two above it.
-        lidars, cameras: which to read (:data:`LIDARS`, :data:`CAMERAS`); default: those whose folders are there.
-        odometry: ``vo`` chains visual odometry, ``ins`` takes GNSS/INS for it.
-        origin: of the map that priors are in; give that of the first drive (:func:`map_origin`) to all others.
+        lidars, cameras: sensors to read (:data:`LIDARS`, :data:`CAMERAS`); default: those whose folders exist.
+        odometry: ``vo`` chains visual odometry, ``ins`` uses GNSS/INS instead.
+        origin: origin of the map that priors are in; all drives need that of the first (:func:`map_origin`).
             Default: this drive's own.
 
     Raises:
         DatasetError: with file and line: something needed is missing or damaged.
-        ConfigError: a lidar or camera that the data set does not have.
+        ConfigError: RobotCar has no such lidar or camera.
     """
     report = reporter or Silent()
     title = name or traversal_names([folder])[0]
@@ -124,9 +124,9 @@ def read_robotcar(
         steps = files.read_visual_odometry(folder / "vo" / "vo.csv")
         motion = visual_trajectory(steps, prior)
         if motion.breaks:
-            report.note(f"{title}: visual odometry is interrupted {len(motion.breaks)} times")
+            report.note(f"{title}: visual odometry has {len(motion.breaks)} interruptions")
     if found_origin is not None and origin is None:
-        report.note(f"{title}: positions by GNSS are relative to {found_origin}")
+        report.note(f"{title}: GNSS positions are relative to {found_origin}")
     return FieldRecording(
         name=title,
         folder=folder,
@@ -140,10 +140,10 @@ def read_robotcar(
 
 
 def read_robotcar_drives(folders: Sequence[Path], **options: object) -> list[FieldRecording]:
-    """Several traversals whose priors share a map, that of the first traversal with GNSS.
+    """Read several traversals whose priors share a map, that of the first traversal with GNSS.
 
     Args:
-        options: of :func:`read_robotcar`, for all.
+        options: options of :func:`read_robotcar` for all traversals.
     """
     origin = next((found for folder in folders if (found := map_origin(folder)) is not None), None)
     names = traversal_names(folders)
@@ -154,7 +154,7 @@ def read_robotcar_drives(folders: Sequence[Path], **options: object) -> list[Fie
 
 
 def map_origin(folder: Path) -> MapOrigin | None:
-    """Where a traversal's own map begins; None without GNSS/INS. Raises DatasetError with file and line."""
+    """Origin of a traversal's own map; None without GNSS/INS. Raises DatasetError with file and line."""
     path = folder / "gps" / "ins.csv"
     return MapOrigin.of(files.read_inertial(path)) if path.exists() else None
 
@@ -170,7 +170,7 @@ def _find_calibration(folder: Path, extrinsics: Path | None, models: Path | None
 
     found = find(extrinsics, "extrinsics")
     if found is None:
-        raise DatasetError("no folder 'extrinsics' in it or above it; expected that of the dataset's SDK", folder)
+        raise DatasetError("has no folder 'extrinsics' in it or above it; expected that of the dataset's SDK", folder)
     return Calibration(found, find(models, "models"), find(tags, "tags"))
 
 
@@ -197,7 +197,7 @@ def _cameras(
     folder: Path, calibration: Calibration, chosen: Sequence[str] | None, title: str, reporter: Reporter
 ) -> dict[str, CameraStream]:
     streams: dict[str, CameraStream] = {}
-    as_they_are: list[str] = []
+    distorted: list[str] = []
     for name in _chosen(chosen, tuple(CAMERAS), "camera"):
         lens = CAMERAS[name]
         where = folder / lens.folder
@@ -210,11 +210,11 @@ def _cameras(
         if not len(times):
             continue
         if calibration.models is None:
-            raise DatasetError("no folder 'models' in it or above it; expected that of the dataset's SDK", folder)
+            raise DatasetError("has no folder 'models' in it or above it; expected that of the dataset's SDK", folder)
         model = files.read_lens_model(calibration.models / f"{lens.model}.txt")
         table = calibration.models / f"{lens.model}_distortion_lut.bin"
         if not table.exists():
-            as_they_are.append(name)
+            distorted.append(name)
         size = image_size(where / f"{int(times[0]) // 1000}.png")
         try:
             camera = Camera("pinhole", *size, *model.intrinsics)
@@ -223,16 +223,16 @@ def _cameras(
         T_rig_cam = T_RIG_VEHICLE @ _T_vehicle_image(calibration, lens, model)
         found = table if table.exists() else None
         streams[name] = RobotCarCamera(name, where, camera, T_rig_cam, times, lens.bayer, found)
-    if as_they_are:
-        reporter.note(f"{title}: no look-up table for {', '.join(as_they_are)}; images are not undistorted")
+    if distorted:
+        reporter.note(f"{title}: no look-up table for {', '.join(distorted)}; images are not undistorted")
     return streams
 
 
 def _T_vehicle_image(calibration: Calibration, lens: Lens, model: files.LensModel) -> Array:
-    """(4, 4) from image axes to the vehicle.
+    """(4, 4) transform from image axes to the vehicle.
 
-    The narrow pair of the published models counts from the centre lens, the wide pair from the left one, which is the
-    vehicle's origin. The right lens is in both: it tells how far the centre lens stands from the left one.
+    The published models of the narrow pair are relative to the centre lens, those of the wide pair to the left lens,
+    which is the vehicle's origin. The right lens is in both pairs, which gives the centre lens's offset from the left.
     """
     T_camera_vehicle = calibration.T_camera_vehicle(lens.sensor)
     T_left_camera = np.eye(4)
@@ -253,21 +253,21 @@ def _prior(
     required: bool,
     reporter: Reporter,
 ) -> tuple[Trajectory | None, MapOrigin | None]:
-    """``T_map_rig`` by GNSS/INS, and where the map begins."""
+    """The prior ``T_map_rig`` by GNSS/INS and the origin of its map; (None, None) without usable GNSS/INS."""
     path = folder / "gps" / "ins.csv"
     if not required:
         if "no-gps" in tags:
             reporter.note(f"{folder.name} is tagged no-gps; its GNSS/INS is not used")
             return None, None
         if not path.exists():
-            reporter.note(f"{folder.name}: no gps/ins.csv, so that places are found without GNSS")
+            reporter.note(f"{folder.name} has no gps/ins.csv; drives are registered without GNSS")
             return None, None
     track = files.read_inertial(path)
     if track.left_out:
-        reporter.note(f"{path}: {track.left_out} solutions are not good by their own status and left out")
+        reporter.note(f"{path}: {track.left_out} solutions whose status is not good are left out")
     start = origin or MapOrigin.of(track)
     if start.zone != track.zone:
-        raise DatasetError(f"is on the UTM grid of zone {track.zone}, the other drives of zone {start.zone}", path)
+        raise DatasetError(f"is in UTM zone {track.zone}, but the other drives are in zone {start.zone}", path)
     T_rig_ins = T_RIG_VEHICLE @ calibration.T_vehicle_sensor("ins")
     return map_trajectory(track, start, T_rig_ins), start
 
@@ -280,9 +280,9 @@ def _tags(calibration: Calibration, folder: Path) -> tuple[str, ...]:
 
 
 def _condition(folder: Path, tags: Sequence[str]) -> Condition:
-    """From the tags and the date in the folder's name.
+    """The condition by the tags and the date in the folder's name.
 
-    A simulated drive's date is made up; ``drives.csv`` beside it names its condition, which becomes a tag.
+    The date of a simulated drive means nothing; its condition is named in ``drives.csv`` beside it and becomes a tag.
     """
     path = folder.resolve()
     table = next((p / "drives.csv" for p in (path.parent, path.parent.parent) if (p / "drives.csv").is_file()), None)

@@ -1,4 +1,4 @@
-"""Scans and images of an Oxford RobotCar traversal, as streams that a worker can read."""
+"""Scans and images of an Oxford RobotCar traversal."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _POINT_BYTES = 24
 _BEAMS = 541
 _BEAM_STEP = np.radians(0.5)
 _TURN_NS = 20_000_000
-"""the mirror of an LMS-151 turns 50 times a second; 541 beams over 270 degrees take 15 ms of that"""
+"""the mirror of an LMS-151 turns 50 times a second; the 541 beams over 270 degrees take 15 ms of a turn"""
 _NEAREST_M = 0.1
-"""the scanner measures from 0.5 m on; beams without a return stand in the files as (0, 0, 0)"""
+"""nearer points are beams without a return, (0, 0, 0); the scanner measures from 0.5 m on"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +48,13 @@ class LmsStream:
     """data sheet"""
 
     def read(self, index: int) -> Scan:
-        """A scan; each point at the time of its own beam, the middle one at the scan's.
+        """Read a scan. Each point has the time of its own beam; the middle beam has the scan's time.
 
-        The mirror turns counter-clockwise seen from the scanner's +z. A point's place in a whole scan tells when its
-        beam was fired; where beams were left out of the file, its azimuth does, the middle beam looking along x.
+        The mirror turns counter-clockwise seen from the scanner's +z. In a complete scan a point's index gives the time
+        of its beam; if beams are missing in the file, its azimuth does, the middle beam pointing along x.
 
         Raises:
-            DatasetError: the file is missing, is no whole number of points, or holds a value that is not finite.
+            DatasetError: the file is missing, is not a whole number of points, or holds a value that is not finite.
         """
         path = self.folder / f"{int(self.times_ns[index]) // 1000}.bin"
         data = read_bytes(path, "a lidar scan", DatasetError, MOST_SCAN_BYTES)
@@ -73,16 +73,16 @@ class LmsStream:
 
 
 def check_scan_size(path: Path, size: int) -> None:
-    """Raises DatasetError where a file of this size is no scan."""
+    """Raise DatasetError if a scan's file cannot have this size."""
     if size == 0:
         raise DatasetError("is empty; expected a lidar scan (float64 x, y, reflectance)", path)
     if size % _POINT_BYTES:
-        raise DatasetError(f"{size} bytes are no whole number of points (float64 x, y, reflectance)", path)
+        raise DatasetError(f"{size} bytes are not a whole number of points (float64 x, y, reflectance)", path)
 
 
 @dataclass(frozen=True, eq=False)
 class RobotCarCamera:
-    """Images of one lens: Bayer mosaics as recorded, developed and undistorted when read."""
+    """The images of one lens: stored as Bayer mosaics, demosaicked and undistorted when read."""
 
     name: str
     folder: Path
@@ -92,21 +92,16 @@ class RobotCarCamera:
     bayer: Literal["GBRG", "RGGB"]
     """colours of the top left 2x2 pixels"""
     look_up_table: Path | None
-    """of the undistortion; None: images are taken as a pinhole camera's"""
+    """table of the undistortion; None if images are not undistorted"""
 
     _CODES: ClassVar[dict[str, int]] = {"GBRG": cv2.COLOR_BayerGBRG2RGB, "RGGB": cv2.COLOR_BayerRGGB2RGB}
 
     def read(self, index: int) -> NDArray[np.uint8]:
-        """(H, W, 3) RGB, black where the lens did not look. Raises DatasetError with the file."""
+        """Read an image, (H, W, 3) RGB, black outside the lens's view. Raises DatasetError with the file."""
         path = self.folder / f"{int(self.times_ns[index]) // 1000}.png"
 
-        def check_size(size: tuple[int, int]) -> None:
-            if size != self.camera.size:
-                wanted = f"{self.camera.width}x{self.camera.height}"
-                raise DatasetError(f"is {size[0]}x{size[1]}, the first image of this camera {wanted}", path)
-
-        image = images.read_image(path, check_size)
-        # Converted copies of the data set hold colour images already.
+        image = images.read_image(path, images.ExpectedSize(self.camera.size, f"the first image of {self.name}"))
+        # Some copies of the data set already hold colour images.
         colour = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, self._CODES[self.bayer]), dtype=np.uint8)
         if self.look_up_table is None:
             return colour
@@ -114,22 +109,22 @@ class RobotCarCamera:
         return np.asarray(cv2.remap(colour, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
 
     def file(self, index: int) -> Path | None:
-        """None: every image has to be developed."""
+        """Always None: every image has to be demosaicked."""
         return None
 
 
 @lru_cache(maxsize=8)
 def read_look_up_table(path: Path, width: int, height: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """u and v, (H, W) each: where each pixel of the undistorted image lies in the recorded one.
+    """u and v (H, W) in the recorded image of each pixel of the undistorted one.
 
     The file holds all u, then all v, float64, row by row.
 
     Raises:
-        DatasetError: missing, of an image of another size, or with values that are not finite.
+        DatasetError: the file is missing, belongs to another image size, or holds a value that is not finite.
     """
     data = read_bytes(path, "a look-up table", DatasetError, 16 * MOST_PIXELS)
     if len(data) != 16 * width * height:
-        raise DatasetError(f"{len(data)} bytes are no look-up table of images of {width}x{height}", path)
+        raise DatasetError(f"{len(data)} bytes are not a look-up table for images of {width}x{height}", path)
     table = np.frombuffer(data, dtype="<f8").astype(np.float32)
     if not np.isfinite(table).all():
         raise DatasetError("the look-up table holds a value that is not finite", path)
@@ -138,13 +133,13 @@ def read_look_up_table(path: Path, width: int, height: int) -> tuple[NDArray[np.
 
 
 def present_times(folder: Path, timestamps: Path, suffix: str, what: str, reporter: Reporter) -> Times:
-    """(N,) times that ``timestamps`` lists and whose files are there; how many are not is told.
+    """Times (N,) that ``timestamps`` lists and whose files exist; the others are counted in a note.
 
-    Few are missing in the data set itself, many where only some of its chunks were fetched. Files that are not listed
-    are left out. Without the list, the files' names tell the times.
+    A few files are missing in the data set itself, many if only some of its chunks were downloaded. Files that are not
+    listed are left out. Without the list, times are taken from the files' names.
 
     Raises:
-        DatasetError: a list out of order, a file's name that is no time, a scan that is cut off.
+        DatasetError: the list is out of order, a file's name is not a time, or a scan is truncated.
     """
     found: set[int] = set()
     with os.scandir(folder) as entries:
@@ -155,11 +150,11 @@ def present_times(folder: Path, timestamps: Path, suffix: str, what: str, report
             found.add(parse_microseconds(path.stem, path))
             if suffix == ".bin":
                 if not path.exists():
-                    raise DatasetError("a link to a file that is gone; expected a scan", path)
+                    raise DatasetError("is a link to a file that does not exist; expected a scan", path)
                 check_scan_size(path, entry.stat().st_size)
     if not timestamps.exists():
         if found:
-            reporter.note(f"{timestamps} is missing; times of {what} are taken from the names of the files")
+            reporter.note(f"{timestamps} is missing; the times of {what} are taken from the file names")
         return np.array(sorted(found), dtype=np.int64)
     listed = read_timestamps(timestamps)
     times = listed[np.isin(listed, np.array(sorted(found), dtype=np.int64))]
@@ -171,6 +166,6 @@ def present_times(folder: Path, timestamps: Path, suffix: str, what: str, report
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """(width, height). Raises DatasetError naming the file."""
+    """Size (width, height) of an image. Raises DatasetError naming the file."""
     image: NDArray[Any] = images.read_image(path)
     return image.shape[1], image.shape[0]

@@ -1,4 +1,4 @@
-"""The motion of an Oxford RobotCar traversal: visual odometry chained, GNSS/INS put into a shared map."""
+"""The motion of an Oxford RobotCar traversal: chained visual odometry, and GNSS/INS in a shared map."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.importers.robotcar.files import InertialTrack, Steps
+from relocbench.datasets.importers.robotcar.files import InertialTrack, OdometrySteps
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.geometry import invert, make_transform, project_to_rotation, se3_exp, se3_log
 
 Array = NDArray[np.float64]
 
 T_RIG_VEHICLE = np.diag([1.0, -1.0, -1.0, 1.0])
-"""from x forward, y right, z down"""
+"""from the vehicle's axes (x forward, y right, z down)"""
 _BRIDGED_NS = 200_000_000
-"""a few lost images: the car goes on at its speed (at 1 m/s^2, 5 mm off in the middle)"""
+"""gap of a few lost images that is bridged at constant speed (at 1 m/s^2, 5 mm off in the middle)"""
 _VO_GAP_NS = 500_000_000
 _INS_GAP_NS = 1_000_000_000
 _T_ENU_NED = make_transform(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.zeros(3))
@@ -24,7 +24,7 @@ _T_ENU_NED = make_transform(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.
 
 @dataclass(frozen=True)
 class MapOrigin:
-    """Where the map of a dataset begins on the UTM grid. The map's axes are x east, y north, z up."""
+    """Origin of a dataset's map on the UTM grid. The map's axes are x east, y north, z up."""
 
     easting_m: float
     northing_m: float
@@ -40,14 +40,14 @@ class MapOrigin:
         return f"easting {self.easting_m:.0f} m, northing {self.northing_m:.0f} m (UTM {self.zone})"
 
 
-def visual_trajectory(steps: Steps, inertial: Trajectory | None) -> Trajectory:
-    """Steps chained from left to right, in the frame of the first rig pose.
+def visual_trajectory(steps: OdometrySteps, inertial: Trajectory | None) -> Trajectory:
+    """The trajectory by chained odometry steps, in the frame of the first rig pose.
 
-    Where rows are missing for up to 0.2 s, the car is taken to go on at the speed of the step before. A longer gap
-    breaks the trajectory: GNSS/INS, or else the last speed, says where it goes on, and nothing is interpolated there.
+    Gaps of up to 0.2 s are bridged with the velocity of the step before. A longer gap breaks the trajectory: it
+    continues where GNSS/INS, or else the last velocity, says, and nothing is interpolated within the gap.
 
     Args:
-        inertial: ``T_map_rig``, for the gaps.
+        inertial: ``T_map_rig`` by GNSS/INS, for the gaps.
     """
     count = len(steps.later_ns)
     chain = np.empty((2 * count, 4, 4))
@@ -73,8 +73,8 @@ def visual_trajectory(steps: Steps, inertial: Trajectory | None) -> Trajectory:
     return Trajectory(times[:length].copy(), T_odom_rig, _VO_GAP_NS, tuple(breaks))
 
 
-def _across_gap(steps: Steps, moves: Array, i: int, inertial: Trajectory | None) -> Array:
-    """(4, 4) ``T_before_after`` of the rig, from the end of step i - 1 to the begin of step i."""
+def _across_gap(steps: OdometrySteps, moves: Array, i: int, inertial: Trajectory | None) -> Array:
+    """The rig's motion (4, 4) ``T_before_after`` from the end of step i - 1 to the start of step i."""
     before, after = int(steps.later_ns[i - 1]), int(steps.earlier_ns[i])
     ends = np.array([before, after])
     if after - before > _BRIDGED_NS and inertial is not None and inertial.covers(ends).all():
@@ -85,9 +85,9 @@ def _across_gap(steps: Steps, moves: Array, i: int, inertial: Trajectory | None)
 
 
 def map_trajectory(track: InertialTrack, origin: MapOrigin, T_rig_ins: Array) -> Trajectory:
-    """``T_map_rig`` by GNSS/INS: north, east, down become east, north, up."""
+    """``T_map_rig`` by GNSS/INS, converted from north, east, down to east, north, up."""
     T_ned_ins = track.T_ned_ins.copy()
-    # The large numbers go first, so that no digits are lost to them.
+    # The large offsets are subtracted first, so that no digits are lost.
     T_ned_ins[:, 0, 3] -= origin.northing_m
     T_ned_ins[:, 1, 3] -= origin.easting_m
     return Trajectory(track.times_ns, _T_ENU_NED @ T_ned_ins @ invert(T_rig_ins), _INS_GAP_NS)

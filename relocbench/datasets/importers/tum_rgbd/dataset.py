@@ -1,17 +1,15 @@
 """TUM RGB-D layout: ``rgb.txt``, ``depth.txt``, ``groundtruth.txt`` and the images they list.
 
 Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems, IROS 2012. Depth is registered to the colour
-camera, so that both share its intrinsics. Images and depth are undistorted to a pinhole camera of the same K.
+camera, so that both share its intrinsics. Images and depth are undistorted to a pinhole camera with the same K.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -25,14 +23,16 @@ from relocbench.datasets.importers.assembly import (
     check_conditions,
     check_folder,
     condition_of,
-    configuration,
+    open_writer,
     write_pairs,
 )
+from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
+from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run, run_units
 from relocbench.files import fitting_name, parse_seconds, read_rows
-from relocbench.geometry import Camera, interpolate_trajectory
+from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ INTRINSICS: dict[Preset, Camera] = {
     "fr3": Camera("pinhole", 640, 480, 535.4, 539.2, 320.1, 247.6),
     "ros-default": Camera("pinhole", 640, 480, 525.0, 525.0, 319.5, 239.5),
 }
-"""the calibration that the benchmark publishes for each of its cameras"""
+"""the calibrations that the benchmark publishes for its cameras"""
 
 
 class Options(ImportOptions):
@@ -63,25 +63,25 @@ class Options(ImportOptions):
         ("auto",),
         min_length=1,
         max_length=2,
-        description="camera calibration, one or one a recording; auto: by freiburg1..3 in the folder's name",
+        description="camera calibration, one for all or one per recording; auto: by freiburg1..3 in the folder's name",
     )
     time_offset: tuple[float, ...] = Field(
         (0.0,),
         min_length=1,
         max_length=2,
-        description="seconds, one or one a recording: the truth of an image of time t is that of t + time_offset "
-        "(-0.02 mends the clock of freiburg1)",
+        description="seconds, one for all or one per recording: an image at time t has the true pose at t + "
+        "time_offset (-0.02 corrects the clock of freiburg1)",
     )
     max_time_difference: float = Field(
-        0.02, ge=0, description="seconds between an image and its depth image at the most"
+        0.02, ge=0, description="greatest time in seconds between an image and its depth image"
     )
-    max_truth_gap: float = Field(0.1, gt=0, description="seconds of missing truth to interpolate over at the most")
-    depth_scale: float = Field(5000.0, gt=0, description="stored depth of one metre")
+    max_truth_gap: float = Field(0.1, gt=0, description="longest gap in seconds in the true poses to interpolate over")
+    depth_scale: float = Field(5000.0, gt=0, description="stored depth value of one metre")
 
 
 @dataclass(frozen=True)
 class _Frame:
-    """One image, and what belongs to it."""
+    """One image with its depth image and true pose."""
 
     time: int
     image: Path
@@ -91,53 +91,36 @@ class _Frame:
 
 @dataclass(frozen=True)
 class _Unit:
-    """A file to write from a file of the recording."""
+    """One file to convert."""
 
     source: Path
     target: Path
     camera: Camera
     metres_per_unit: float | None
-    """of a depth image; None for an image"""
+    """scale of a depth image; None for an image"""
 
 
 def _convert(unit: _Unit) -> None:
-    """Undistort to the pinhole camera; depth without interpolation, which would invent surfaces between two."""
+    """Undistort an image, or a depth image without interpolation, which would invent surfaces between two others."""
+    size = images.ExpectedSize(unit.camera.size, "--intrinsics")
     if unit.metres_per_unit is None:
-        image = images.read_image(unit.source, partial(_check_size, unit))
-        images.write_image(unit.target, _undistort(image, unit.camera, cv2.INTER_LINEAR))
+        image = images.read_image(unit.source, size)
+        images.write_image(unit.target, undistort(image, unit.camera) if unit.camera.distortion else image)
     else:
-        depth = images.read_raw_depth(unit.source, unit.metres_per_unit, partial(_check_size, unit))
-        images.write_depth(unit.target, _undistort(depth, unit.camera, cv2.INTER_NEAREST))
-
-
-def _undistort(image: NDArray[Any], camera: Camera, interpolation: int) -> NDArray[Any]:
-    if not camera.distortion:
-        return image
-    u, v = _undistortion_map(camera)
-    return np.asarray(cv2.remap(image, u, v, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
-
-
-@lru_cache(maxsize=2)
-def _undistortion_map(camera: Camera) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    return camera.undistortion_map()
-
-
-def _check_size(unit: _Unit, size: tuple[int, int]) -> None:
-    if size != unit.camera.size:
-        raise DatasetError(
-            f"image is {size[0]}x{size[1]}, expected {unit.camera.width}x{unit.camera.height}", unit.source
-        )
+        depth = images.read_raw_depth(unit.source, unit.metres_per_unit, size)
+        depth = undistort(depth, unit.camera, nearest=True) if unit.camera.distortion else depth
+        images.write_depth(unit.target, depth)
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:
-    """A dataset of one recording, or of a reference and a query recording that share the world's frame.
+    """Build a dataset from one recording, or from a reference and a query recording that share a world.
 
     Args:
         sources: one or two sequence folders: reference, query.
 
     Raises:
-        DatasetError: with file and line, what is missing or wrong in the recording.
-        ConfigError: options that do not fit it.
+        DatasetError: with file and line: something in a recording is missing or wrong.
+        ConfigError: the options do not fit the recordings.
     """
     assert isinstance(options, Options)
     if not 1 <= len(sources) <= 2:
@@ -146,8 +129,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         check_folder(source, "a TUM RGB-D sequence")
     names = traversal_names(sources)
     check_conditions(options, names)
-    settings = configuration("tum-rgbd", sources, options)
-    writer = DatasetWriter(out, options.name or fitting_name("_to_".join(names)), settings, options.licence)
+    writer = open_writer("tum-rgbd", sources, options, out, fitting_name("_to_".join(names)))
     for index, (source, name) in enumerate(zip(sources, names, strict=True)):
         _write_traversal(writer, source, name, index, options, reporter, run)
     write_pairs(
@@ -199,22 +181,22 @@ def _intrinsics(source: Path, asked: str) -> Camera:
         if f"freiburg{number}" in folder or f"fr{number}" in folder:
             return INTRINSICS[f"fr{number}"]  # type: ignore[index]
     raise ConfigError(
-        f"{source}: --intrinsics is needed (fr1, fr2, fr3 or ros-default); the folder's name does not tell the camera"
+        f"{source}: give --intrinsics (fr1, fr2, fr3 or ros-default); the folder's name does not name the camera"
     )
 
 
 def _frames(source: Path, name: str, time_offset: float, options: Options, reporter: Reporter) -> list[_Frame]:
-    """The images that are there and have a pose, each with the depth image nearest in time."""
+    """The existing images with a pose, each with the depth image nearest in time."""
     listed, depths = _listed(source / "rgb.txt"), _listed(source / "depth.txt")
     there = {t: p for t, p in listed.items() if p.exists()}
     if len(there) < len(listed):
-        reporter.note(f"{name}: {len(listed) - len(there)} of {len(listed)} images in rgb.txt are not there")
+        reporter.note(f"{name}: {len(listed) - len(there)} of {len(listed)} images in rgb.txt do not exist")
     if not there:
-        raise DatasetError("none of the images it lists are there", source / "rgb.txt")
+        raise DatasetError("none of the images it lists exist", source / "rgb.txt")
     depths = {t: p for t, p in depths.items() if p.exists()}
     poses = _poses_at(source / "groundtruth.txt", list(there), round(time_offset * 1e9), options.max_truth_gap)
     if len(poses) < len(there):
-        reporter.note(f"{name}: {len(there) - len(poses)} of {len(there)} images left out, the truth has a gap there")
+        reporter.note(f"{name}: {len(there) - len(poses)} of {len(there)} images without a true pose are left out")
     if not poses:
         raise DatasetError("holds no pose at the time of any image", source / "groundtruth.txt")
     limit = round(options.max_time_difference * 1e9)
@@ -222,14 +204,14 @@ def _frames(source: Path, name: str, time_offset: float, options: Options, repor
     bare = sum(frame.depth is None for frame in frames)
     if bare:
         reporter.note(
-            f"{name}: {bare} of {len(frames)} images are no keyframes, no depth image lies within "
+            f"{name}: {bare} of {len(frames)} images are not keyframes, because no depth image is within "
             f"{options.max_time_difference:g} s"
         )
     return frames
 
 
 def _listed(path: Path) -> dict[int, Path]:
-    """Time in nanoseconds -> file, of a list ``seconds path``. Raises DatasetError with file and line."""
+    """Files by time in nanoseconds from a list ``seconds path``. Raises DatasetError with file and line."""
     files: dict[int, Path] = {}
     for line, fields in read_rows(path, "a list of images (seconds path)", DatasetError):
         if len(fields) != 2:
@@ -239,32 +221,28 @@ def _listed(path: Path) -> dict[int, Path]:
             raise DatasetError(f"time {fields[0]} occurs again", path, line)
         files[time] = path.parent / fields[1]
     if not files:
-        raise DatasetError("lists nothing; expected images (seconds path)", path)
+        raise DatasetError("is empty; expected a list of images (seconds path)", path)
     return files
 
 
 def _poses_at(path: Path, times: list[int], offset_ns: int, max_gap: float) -> dict[int, Array]:
-    """``T_world_cam`` of the times that the truth, read at t + offset, covers without a gap.
+    """True poses ``T_world_cam`` at t + offset, for the times t that are not outside the trajectory or in a gap.
 
     Raises:
-        DatasetError: with file and line, an impossible pose.
+        DatasetError: with file and line: a pose is invalid, or there is none.
     """
     truth = read_trajectory(path)
     if not truth:
         raise DatasetError("holds no pose", path)
     stamps = np.array(list(truth), dtype=np.int64)
+    trajectory = Trajectory(stamps, np.array(list(truth.values())), round(max_gap * 1e9))
     wanted = np.array(times, dtype=np.int64) + offset_ns
-    right = np.clip(np.searchsorted(stamps, wanted), 1, max(len(stamps) - 1, 1))
-    inside = (wanted >= stamps[0]) & (wanted <= stamps[-1])
-    covered = inside & ((stamps[right % len(stamps)] - stamps[right - 1]) <= round(max_gap * 1e9))
-    if not np.any(covered):
-        return {}
-    poses = interpolate_trajectory(stamps, np.array(list(truth.values())), wanted[covered])
-    return {times[i]: pose for i, pose in zip(np.nonzero(covered)[0], poses, strict=True)}
+    covered = np.nonzero(trajectory.covers(wanted))[0]
+    return {times[i]: pose for i, pose in zip(covered, trajectory.at(wanted[covered]), strict=True)}
 
 
 def _nearest(files: dict[int, Path], time: int, limit: int) -> Path | None:
-    """The file nearest in time, if it is within the limit."""
+    """The file nearest in time, or None if it is beyond the limit."""
     times = np.array(sorted(files), dtype=np.int64)
     if not times.size:
         return None

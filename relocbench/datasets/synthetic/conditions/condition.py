@@ -1,4 +1,4 @@
-"""Weather, season and time of day as separate continuous factors, and the named conditions made of them."""
+"""Weather, season and time of day as separate continuous factors, and named conditions made of them."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ class Factors(Strict):
     cloud_cover: float = Field(0.0, ge=0, le=1)
     """0 clear sky, 1 no sun and no shadows"""
     fog_density: float = Field(0.0, ge=0)
-    """extinction by Beer-Lambert, 1/m; 0.02 hides what is beyond 150 m"""
+    """extinction coefficient (Beer-Lambert), 1/m; 0.02 hides what is beyond 150 m"""
     rain_mm_h: float = Field(0.0, ge=0)
-    """falling rain: streaks, fewer lidar returns"""
+    """falling rain, which gives streaks and fewer lidar returns"""
     lens_drops: float = Field(0.0, ge=0, le=1)
-    """share of the lens that drops may cover, of a stated worst case"""
+    """drops on the lens, as a share of a fixed worst case"""
     wetness: float = Field(0.0, ge=0, le=1)
-    """of all surfaces that rain reaches: darker, mirror-like when flat"""
+    """wetness of all surfaces that rain reaches; they are darker and, if flat, mirror-like"""
     puddles: float = Field(0.0, ge=0, le=1)
-    """share of the road's hollows that hold water"""
+    """share of the road's hollows that are filled with water"""
     snow_cover: float = Field(0.0, ge=0, le=1)
-    """of up-facing surfaces; 1 covers the road as well"""
+    """snow on upward-facing surfaces; 1 covers the road as well"""
     snowfall_mm_h: float = Field(0.0, ge=0)
     """falling snow, water equivalent"""
     foliage: float = Field(1.0, ge=0, le=1)
-    """leaf density of what sheds its leaves; 0 is bare winter"""
+    """leaf density of deciduous plants; 0 is bare winter"""
     leaf_colour: float = Field(0.3, ge=0, le=1)
     """0 spring green, 0.5 late summer, 1 autumn yellow and red"""
     parked_share: float = Field(0.6, ge=0, le=1)
-    """of the parking bays that are taken"""
+    """share of the parking bays that are occupied"""
     parked_seed: int = Field(0, ge=0)
-    """which cars stand where"""
+    """chooses which cars are parked where"""
     traffic: float = Field(0.0, ge=0)
     """moving cars per 100 m of lane"""
     exposure_ev: float = 0.0
@@ -48,18 +48,18 @@ class Factors(Strict):
     auto_exposure: bool = True
     gamma: float = Field(2.2, gt=0)
     vignetting: float = Field(0.15, ge=0, le=1)
-    """loss of light in the image's corners"""
+    """share of light lost in the image's corners"""
     read_noise: float = Field(0.6, ge=0)
-    """standard deviation in grey levels of 255 in the dark"""
+    """standard deviation in the dark, grey levels of 255"""
     shot_noise: float = Field(0.02, ge=0)
-    """standard deviation over the signal at full scale"""
+    """standard deviation at full scale, relative to the signal"""
     street_lamps: bool = False
     headlights: bool = False
-    """of the car that drives and of the others"""
+    """headlights of the recording car and of the moving cars"""
 
 
 class NamedCondition(Strict):
-    """A condition as ``--conditions NAME`` names it."""
+    """A condition that ``--conditions NAME`` can select."""
 
     label: Condition
     factors: Factors
@@ -183,11 +183,11 @@ CONDITIONS: dict[str, NamedCondition] = {
         parked_seed=8,
     ),
 }
-"""The last three are those of the GN-Net benchmark, after CARLA 0.8.2's presets of these names."""
+"""The last three are those of the GN-Net benchmark, modelled on CARLA 0.8.2's presets of these names."""
 
 
 def condition_named(name: str) -> NamedCondition:
-    """One of :data:`CONDITIONS`. Raises ConfigError, listing them, if there is none of the name."""
+    """The condition of a name in :data:`CONDITIONS`. Raises ConfigError, listing the names, if there is none."""
     if name not in CONDITIONS:
         raise ConfigError(f"no condition '{name}'; there is {', '.join(CONDITIONS)}")
     return CONDITIONS[name]
@@ -205,11 +205,11 @@ SWEEPS: dict[str, tuple[dict[str, float], dict[str, float]]] = {
     "exposure": ({"exposure_ev": -2.0}, {"exposure_ev": 2.0}),
     "parked-cars": ({"parked_share": 0.0}, {"parked_share": 1.0}),
 }
-"""One factor at a time: its value at the start and at the end; all else stays."""
+"""Name -> values of the swept factors at the start and at the end; all other factors stay the same."""
 
 
 def sweep(name: str, steps: int, base: Factors | None = None) -> Sequence[Factors]:
-    """``steps`` conditions in which one factor alone moves from end to end. Raises ConfigError on an unknown name."""
+    """``steps`` conditions that differ only in one swept factor. Raises ConfigError on an unknown name."""
     if name not in SWEEPS:
         raise ConfigError(f"no sweep '{name}'; there is {', '.join(SWEEPS)}")
     if steps < 2:

@@ -1,4 +1,4 @@
-"""Ready-made builds, and the conditions that a build drives in."""
+"""Presets of builds, and the selection of conditions by name, sweep or factors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from relocbench.datasets.synthetic.conditions.condition import (
 from relocbench.errors import ConfigError
 
 ExtraKind = Literal["normals", "instance", "semantic", "changed"]
-"""pictures beside the dataset"""
+"""further images that can be written beside a dataset"""
 SPLITS = ("train", "validation", "test")
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -49,11 +49,11 @@ PRESETS: dict[str, dict[str, Any]] = {
         "correspondences": 2000,
     },
 }
-"""What each preset sets apart from the options' defaults, which are those of ``demo``.
+"""Options that each preset changes; the options' defaults are those of ``demo``.
 
-``carla`` has the proportions of the GN-Net benchmark's synthetic half: 3 conditions x 3 traversals x 3 splits, 500
-steps, 6 cameras, 512 x 512, pairs about 1.6 m apart. ``oxford`` has the conditions and the mean distance, 0.84 m, of
-its RobotCar half.
+``carla`` has the size of the GN-Net benchmark's synthetic half: 3 conditions x 3 traversals x 3 splits, 500 steps,
+6 cameras, 512 x 512, pairs about 1.6 m apart. ``oxford`` has the conditions and the mean distance, 0.84 m, of its
+RobotCar half.
 """
 
 
@@ -64,25 +64,25 @@ def conditions_of(
     sweep_steps: int,
     traffic: float | None = None,
 ) -> dict[str, NamedCondition]:
-    """name -> condition of each that a build drives in; the first is the reference's.
+    """The conditions of a build by name; the first is the reference's.
 
     Args:
-        names: of :data:`CONDITIONS` or of ``factors``.
-        factors: conditions of the user's own.
-        swept: a sweep that takes the place of ``names``; its steps are called ``SWEEP-0``, ``SWEEP-1``, ...
-        traffic: moving cars per 100 m of lane in all of them.
+        names: names in :data:`CONDITIONS` or in ``factors``.
+        factors: the user's own conditions.
+        swept: a sweep that replaces ``names``; its steps are called ``SWEEP-0``, ``SWEEP-1``, ...
+        traffic: moving cars per 100 m of lane in all conditions, or None to keep each condition's own.
 
     Raises:
-        ConfigError: an unknown name, or one named twice.
+        ConfigError: a name is unknown or occurs twice.
     """
     for name in factors:
         if name in CONDITIONS:
-            raise ConfigError(f"factors: '{name}' is the name of a ready-made condition; choose another")
+            raise ConfigError(f"factors: '{name}' is the name of a built-in condition; choose another name")
     if swept is not None:
         found = {f"{swept}-{i}": _labelled(f"{swept} {i}", f) for i, f in enumerate(sweep(swept, sweep_steps))}
     else:
         if len(set(names)) != len(names) or not names:
-            raise ConfigError(f"conditions must be at least one, each named once, got {', '.join(names) or 'none'}")
+            raise ConfigError(f"conditions takes one or more different names, got {', '.join(names) or 'none'}")
         found = {n: _labelled(n, factors[n]) if n in factors else condition_named(n) for n in names}
     if traffic is None:
         return found
@@ -97,14 +97,14 @@ def _labelled(name: str, factors: Factors) -> NamedCondition:
 
 
 def previewed(names: Sequence[str], *, everything: bool, swept: str | None, steps: int) -> dict[str, Factors]:
-    """label -> factors of what ``relocbench preview`` shows.
+    """The conditions that ``relocbench preview`` shows: label -> factors.
 
     Raises:
-        ConfigError: not exactly one of named conditions, all of them and a sweep was asked for, or an unknown name.
+        ConfigError: not exactly one of named conditions, all conditions and a sweep is chosen, or a name is unknown.
     """
     if bool(names) + everything + (swept is not None) != 1:
         raise ConfigError(
-            "preview shows --condition NAME (repeat for several), --all or --sweep NAME: give one of them"
+            "preview takes exactly one of --condition NAME (which can be repeated), --all and --sweep NAME"
         )
     if swept is not None:
         return {_sweep_label(swept, f): f for f in sweep(swept, steps)}

@@ -1,1 +1,1 @@
-"""Where the car drives, with which cameras, in which traffic, and what it knows of its motion."""
+"""Drives through a district: routes, motion, camera rigs, other traffic, and simulated odometry."""

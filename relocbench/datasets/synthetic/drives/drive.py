@@ -1,7 +1,7 @@
-"""Drives: where the car is at every step of a traversal.
+"""The car's pose at every step of a traversal.
 
-Every traversal of a district follows the same route from end to end, on its own line within the lane, at its own
-pace and with its own small heading offset.
+Every traversal of a district follows the same route from end to end, with its own lateral position in the lane, its own
+speed profile and its own small heading offset.
 """
 
 from __future__ import annotations
@@ -19,49 +19,49 @@ Array = NDArray[np.float64]
 RATE_HZ = 10.0
 STEP_NS = 100_000_000
 MARGIN_M = 40.0
-"""of the route before the start and after the end of a drive, where other cars come from and go to"""
+"""length of the route before the start and after the end of a drive, where other cars appear and disappear"""
 _START_M = 0.5
-"""traversals start up to so far before or behind the same place"""
+"""greatest distance of a traversal's start from the nominal one"""
 _PACE = 0.4
-"""the speed differs from its mean by less than this share"""
+"""greatest deviation of the speed relative to its mean"""
 _PACE_WAVE_M = 45.0
 _HARDEST_MPS2 = 2.0
-"""nobody brakes or speeds up harder"""
+"""greatest acceleration and deceleration"""
 _SWAY_WAVES_M = (27.0, 61.0)
 _BODY_DEG = 0.3
-"""largest pitch and roll of the car's body"""
+"""greatest pitch and roll of the car's body"""
 _BODY_M = 0.01
-"""largest heave"""
+"""greatest heave of the car's body"""
 
 
 class Route(Protocol):
-    """The line that is driven: :class:`relocbench.datasets.synthetic.town.network.Path`."""
+    """The line to drive, such as :class:`relocbench.datasets.synthetic.town.network.Path`."""
 
     @property
     def length(self) -> float:
-        """Metres."""
+        """Length in metres."""
         ...
 
     def pose(self, s: float, lateral_m: float = 0.0, yaw_rad: float = 0.0) -> Array:
-        """``T_world_vehicle`` (4, 4) at ``s`` metres."""
+        """``T_world_vehicle`` (4, 4) at ``s`` metres along the route."""
         ...
 
 
 @dataclass(frozen=True)
 class DriveStyle:
-    """What differs from traversal to traversal, as bounds."""
+    """Mean speed, and bounds for what differs between traversals."""
 
     speed_mps: float = 8.0
-    """mean"""
+    """mean speed"""
     lateral_m: float = 0.6
-    """the car keeps within so much of the lane's middle"""
+    """greatest distance from the lane's middle"""
     heading_deg: float = 2.0
-    """the rig is turned against the direction of travel by up to so much"""
+    """greatest angle between the rig and the direction of travel"""
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One traversal."""
+    """The motion of one traversal."""
 
     along: Array
     """(N,) metres along the route, increasing"""
@@ -70,12 +70,12 @@ class Drive:
 
 
 def route_length(steps: int, style: DriveStyle) -> float:
-    """Metres of the route that all drives of so many steps stay on."""
+    """Length of route in metres that any drive of so many steps needs."""
     return (steps - 1) * style.speed_mps / RATE_HZ + 2 * MARGIN_M
 
 
 def drive(route: Route, steps: int, style: DriveStyle, rng: np.random.Generator) -> Drive:
-    """``steps`` poses at 10 Hz along the route, from ``MARGIN_M`` behind its start to ``MARGIN_M`` before its end."""
+    """A drive of ``steps`` poses at 10 Hz, from ``MARGIN_M`` after the route's start to ``MARGIN_M`` before its end."""
     driven = (steps - 1) * style.speed_mps / RATE_HZ
     along = MARGIN_M + rng.uniform(-_START_M, _START_M) + driven * _pace(steps, driven, rng)
     lateral, slope = _sway(along, style.lateral_m, rng)
@@ -88,10 +88,11 @@ def drive(route: Route, steps: int, style: DriveStyle, rng: np.random.Generator)
 
 
 def _pace(steps: int, driven_m: float, rng: np.random.Generator) -> Array:
-    """(steps,) share of the way, from 0 to 1; its derivative stays within ``_PACE`` of its mean, and the acceleration
-    ``v sum a_k w_k`` (mean speed v, waves of w_k radians a second) below ``_HARDEST_MPS2``.
+    """Share (steps,) of the distance that has been driven, from 0 to 1, with varying speed.
 
-    ``t + sum a_k / (2 pi k) (cos p_k - cos(2 pi k t + p_k))``: whole periods, so that all traversals end together.
+    It is ``t + sum a_k / (2 pi k) (cos p_k - cos(2 pi k t + p_k))``, with whole periods so that all traversals end at
+    the same place. Its derivative stays within ``_PACE`` of its mean, and the acceleration ``v sum a_k w_k`` (mean
+    speed v, waves of w_k radians per second) below ``_HARDEST_MPS2``.
     """
     t = np.linspace(0.0, 1.0, steps) if steps > 1 else np.zeros(1)
     slowest = max(1, round(driven_m / _PACE_WAVE_M))
@@ -117,7 +118,7 @@ def _sway(along: Array, bound_m: float, rng: np.random.Generator) -> tuple[Array
 
 
 def _body(along: Array, rng: np.random.Generator) -> Array:
-    """(N, 4, 4) ``T_vehicle_rig``: how the body pitches, rolls and heaves on its springs."""
+    """``T_vehicle_rig`` (N, 4, 4): pitch, roll and heave of the car's body on its springs."""
     waves = 2 * np.pi / np.array([5.3, 9.1, 3.7])
     motion = np.sin(waves * along[:, None] + rng.uniform(0, 2 * np.pi, size=3))
     zero = np.zeros_like(along)

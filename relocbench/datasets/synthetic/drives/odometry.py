@@ -1,6 +1,6 @@
-"""What a car knows of its own motion: visual odometry that drifts, and GNSS/INS that is off by metres.
+"""Simulated measurements of the car's motion: visual odometry with drift, and GNSS/INS with errors of metres.
 
-Rotations as roll, pitch and yaw are ``R = Rz(yaw) Ry(pitch) Rx(roll)``, the convention of the Oxford RobotCar files.
+Roll, pitch and yaw stand for ``R = Rz(yaw) Ry(pitch) Rx(roll)``, the convention of the Oxford RobotCar files.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ Times = NDArray[np.int64]
 
 
 def rotation_from_rpy(roll_pitch_yaw: ArrayLike) -> Array:
-    """``Rz(yaw) Ry(pitch) Rx(roll)`` of (..., 3) radians: (..., 3, 3)."""
+    """Rotations ``Rz(yaw) Ry(pitch) Rx(roll)`` (..., 3, 3) of roll, pitch and yaw (..., 3) in radians."""
     angles = np.asarray(roll_pitch_yaw, dtype=np.float64)
     x, y, z = (so3_exp(angles[..., i, None] * np.eye(3)[i]) for i in range(3))
     return np.asarray(z @ y @ x)
 
 
 def rpy_from_rotation(rotation: ArrayLike) -> Array:
-    """Roll, pitch and yaw (..., 3) of (..., 3, 3), pitch in [-pi/2, pi/2]; looking straight up or down, roll is 0."""
+    """Roll, pitch and yaw (..., 3) of rotations (..., 3, 3), pitch in [-pi/2, pi/2]; roll is 0 if pitch is +-pi/2."""
     r = np.asarray(rotation, dtype=np.float64)
     level = np.hypot(r[..., 0, 0], r[..., 1, 0])
     pitch = np.arctan2(-r[..., 2, 0], level)
@@ -35,13 +35,13 @@ def rpy_from_rotation(rotation: ArrayLike) -> Array:
 
 
 def transform_from_xyzrpy(values: ArrayLike) -> Array:
-    """(..., 4, 4) of x, y, z, roll, pitch, yaw (..., 6)."""
+    """Transforms (..., 4, 4) of x, y, z, roll, pitch, yaw (..., 6)."""
     v = np.asarray(values, dtype=np.float64)
     return make_transform(rotation_from_rpy(v[..., 3:]), v[..., :3])
 
 
 def xyzrpy_from_transform(transform: ArrayLike) -> Array:
-    """x, y, z, roll, pitch, yaw (..., 6) of (..., 4, 4)."""
+    """x, y, z, roll, pitch, yaw (..., 6) of transforms (..., 4, 4)."""
     m = np.asarray(transform, dtype=np.float64)
     return np.concatenate([m[..., :3, 3], rpy_from_rotation(m[..., :3, :3])], axis=-1)
 
@@ -51,17 +51,17 @@ class OdometryErrors:
     """The errors of stereo visual odometry; by default it drifts by about 0.8 m and 0.3 degrees in 100 m."""
 
     scale: float = 0.008
-    """standard deviation of the share by which steps are too long or too short"""
+    """standard deviation of the relative error of scale"""
     scale_length_m: float = 150.0
-    """after so much driving little is left of the present error of scale"""
+    """correlation length of the error of scale"""
     turn_rad_per_m: float = 6e-5
-    """standard deviation of the rate at which it bends to a side"""
+    """standard deviation of the yaw drift rate"""
     turn_length_m: float = 60.0
-    """after so much driving little is left of the present bend"""
+    """correlation length of the yaw drift rate"""
     step_m: float = 0.002
-    """noise of each step, each axis"""
+    """noise of each step and axis"""
     step_rad: float = 2e-4
-    """noise of each step, each axis"""
+    """noise of each step and axis"""
 
 
 EXACT = OdometryErrors(scale=0.0, turn_rad_per_m=0.0, step_m=0.0, step_rad=0.0)
@@ -69,16 +69,16 @@ EXACT = OdometryErrors(scale=0.0, turn_rad_per_m=0.0, step_m=0.0, step_rad=0.0)
 
 
 def visual_odometry(T_world_body: Array, errors: OdometryErrors, rng: np.random.Generator) -> Array:
-    """What odometry says of each step of a drive.
+    """Simulated visual odometry for each step of a drive.
 
-    Scale and bend are first-order Gauss-Markov processes over the way driven. The bend is about the vertical, which
-    is taken to be the body's z.
+    The error of scale and the yaw drift rate are first-order Gauss-Markov processes over the driven distance. Yaw is
+    about the body's z axis.
 
     Args:
         T_world_body: (N, 4, 4) true poses.
 
     Returns:
-        (N - 1, 4, 4) ``T_earlier_later`` of successive poses; their product, left to right, is the track.
+        (N - 1, 4, 4) ``T_earlier_later`` of successive poses; their product from left to right is the trajectory.
     """
     steps = invert(T_world_body[:-1]) @ T_world_body[1:]
     length = np.linalg.norm(steps[:, :3, 3], axis=1)
@@ -91,7 +91,7 @@ def visual_odometry(T_world_body: Array, errors: OdometryErrors, rng: np.random.
 
 
 def gauss_markov(steps: Array, rng: np.random.Generator) -> Array:
-    """A process (N,) of unit variance whose correlation falls as ``exp(-distance)``; steps (N,) in its length."""
+    """A Gauss-Markov process (N,) of unit variance and correlation ``exp(-distance)``, at distances ``steps`` (N,)."""
     kept = np.exp(-steps)
     fresh = np.sqrt(1 - kept**2) * rng.normal(size=len(steps))
     values = np.empty(len(steps))
@@ -107,22 +107,22 @@ class InertialErrors:
     """The errors of a GNSS/INS without corrections from a base station, as standard deviations."""
 
     offset_m: tuple[float, float, float] = (1.5, 1.5, 3.0)
-    """east, north, up: of the whole drive; another drive has another"""
+    """constant offset per drive: east, north, up"""
     walk_m: float = 0.03
-    """by which the offset wanders in a second, each axis"""
+    """random walk of the offset per axis in a second"""
     noise_m: float = 0.01
-    """of each solution, each axis"""
+    """noise of each solution and axis"""
     heading_deg: float = 0.3
-    """of the whole drive"""
+    """constant error of heading per drive"""
     tilt_deg: float = 0.05
-    """roll and pitch, of the whole drive"""
+    """constant error of roll and pitch per drive"""
     receiver_m: float = 0.8
-    """of the receiver alone against the INS, each axis, over seconds"""
+    """slowly varying error of the receiver's own positions relative to the INS, per axis"""
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What the receiver or the INS says at N times, world axes (x east, y north, z up)."""
+    """Solutions of the receiver or the INS at N times, in world axes (x east, y north, z up)."""
 
     times_ns: Times
     """(N,)"""
@@ -131,11 +131,11 @@ class Solution:
     velocity: Array
     """(N, 3) m/s"""
     offset_m: Array
-    """(3,) error of position of the whole drive; what wanders comes on top"""
+    """(3,) constant error of position; the random walk is added to it"""
 
 
 def inertial(times_ns: Times, T_world_body: Array, errors: InertialErrors, rng: np.random.Generator) -> Solution:
-    """GNSS/INS of a drive: a constant offset, a slow random walk and a little noise; a constant error of attitude.
+    """Simulated GNSS/INS of a drive: constant offset, slow random walk, noise, and a constant error of attitude.
 
     Args:
         times_ns: (N,) increasing, N at least 2.
@@ -154,7 +154,7 @@ def inertial(times_ns: Times, T_world_body: Array, errors: InertialErrors, rng: 
 
 
 def receiver(solution: Solution, every: int, errors: InertialErrors, rng: np.random.Generator) -> Solution:
-    """The positions of the receiver alone, each so-many-th time: those of the INS with slow errors of its own."""
+    """The receiver's own fixes at every ``every``-th solution: the INS's positions with further slow errors."""
     times, pose = solution.times_ns[::every], solution.T_world_body[::every].copy()
     since = np.diff(times / 1e9, prepend=times[0] / 1e9) / 10.0
     own = np.stack([gauss_markov(since, rng) for _ in range(3)], axis=1)

@@ -1,4 +1,4 @@
-"""Rigs: cameras on the car and how they are mounted.
+"""Camera rigs: cameras and their mounts on the car.
 
 Vehicle axes: x forward, y left, z up, origin on the road surface below the middle of the car. Camera axes: x right,
 y down, z forward.
@@ -18,12 +18,12 @@ from relocbench.geometry import Camera, make_transform, so3_exp
 Array = NDArray[np.float64]
 
 _R_VEHICLE_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""of a camera that looks straight ahead"""
+"""rotation of a camera that looks straight ahead"""
 
 
 @dataclass(frozen=True)
 class Mount:
-    """Where a camera sits and looks, in vehicle axes."""
+    """Position and viewing direction of a camera in vehicle axes."""
 
     forward_m: float
     left_m: float
@@ -35,7 +35,7 @@ class Mount:
 
     @property
     def T_rig_cam(self) -> Array:
-        """(4, 4): first turned down, then to the left."""
+        """Pose (4, 4), turned first down and then to the left."""
         yaw, down = np.radians(self.yaw_deg), np.radians(self.down_deg)
         rotation = so3_exp([0.0, 0.0, yaw]) @ so3_exp([0.0, down, 0.0]) @ _R_VEHICLE_CAMERA
         return make_transform(rotation, [self.forward_m, self.left_m, self.up_m])
@@ -43,19 +43,19 @@ class Mount:
 
 @dataclass(frozen=True)
 class Rig:
-    """Cameras of one model, each with its own mount."""
+    """Cameras of the same model on different mounts."""
 
     mounts: Mapping[str, Mount]
     field_of_view_deg: float
-    """across the width of the image"""
+    """horizontal"""
 
     def camera(self, width: int, height: int) -> Camera:
-        """The pinhole camera that all mounts of the rig carry."""
+        """The pinhole camera on each mount of the rig."""
         focal = 0.5 * width / np.tan(np.radians(self.field_of_view_deg) / 2)
         return Camera("pinhole", width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
     def cameras(self, width: int, height: int) -> dict[str, tuple[Camera, Array]]:
-        """name -> (camera, ``T_rig_cam`` (4, 4)); the vehicle's frame is that of the rig."""
+        """The cameras by name: (camera, ``T_rig_cam`` (4, 4)). The rig's frame is the vehicle's."""
         return {name: (self.camera(width, height), mount.T_rig_cam) for name, mount in self.mounts.items()}
 
 
@@ -75,12 +75,12 @@ RIGS: dict[str, Rig] = {
         90.0,
     ),
 }
-"""``six`` has as many cameras as the rig of the GN-Net benchmark's synthetic half, all of them in different poses; the
+"""``six`` has as many cameras as the rig of the GN-Net benchmark's synthetic half, all with different poses. The
 baselines of the stereo rigs, 0.24 m and 0.54 m, are those of the Bumblebee XB3 (RobotCar) and of KITTI's car."""
 
 
 def rig_named(name: str) -> Rig:
-    """One of :data:`RIGS`. Raises ConfigError, listing them, if there is none of the name."""
+    """The rig of a name in :data:`RIGS`. Raises ConfigError, listing the names, if there is none."""
     if name not in RIGS:
         raise ConfigError(f"no rig '{name}'; there is {', '.join(RIGS)}")
     return RIGS[name]

@@ -1,8 +1,8 @@
-"""Routes of a district beside the common one, for recordings that are to be registered against each other.
+"""Further routes of a district, for recordings that are to be registered against each other.
 
-``common`` is what all traversals of a dataset follow. ``detour`` leaves it for other streets and comes back;
+``common`` is the route that all traversals of a dataset follow. ``detour`` leaves it for other streets and comes back;
 ``crossing`` passes one of its crossings in another direction; ``periodic`` runs along the street with repeating
-facades. What matters lies in the part that is driven, ``MARGIN_M`` from either end of the path.
+facades. All of this happens within the driven part of the path, which begins and ends ``MARGIN_M`` from its ends.
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ from typing import Literal, Protocol
 import numpy as np
 
 from relocbench.datasets.synthetic.drives.drive import MARGIN_M
-from relocbench.datasets.synthetic.town.network import RUN_IN_M, Path, StreetNetwork, turns_of
+from relocbench.datasets.synthetic.town.network import RUN_IN_M, Path, StreetNetwork
+from relocbench.datasets.synthetic.town.polylines import arc_lengths, turns_of
 from relocbench.datasets.synthetic.town.shapes import Floats
 from relocbench.errors import ConfigError
 
 RouteName = Literal["common", "detour", "crossing", "periodic"]
 _INSIDE_M = 15.0
-"""of the drive before it parts from the common route or passes its crossing, and after it came back"""
+"""least length driven before leaving the common route or passing the crossing, and after coming back"""
 _SHARPEST = np.radians(125)
-_DETOUR_BLOCKS_M = 320.0
-"""longest way through other streets"""
+_LONGEST_DETOUR_M = 320.0
+"""greatest length through other streets"""
 
 Street = tuple[int, int]
-"""nodes at its ends, the smaller first"""
+"""the nodes at its ends, the smaller first"""
 
 
 class PeriodicStreet(Protocol):
@@ -36,7 +37,7 @@ class PeriodicStreet(Protocol):
 
 
 class Roads(Protocol):
-    """What routes run through: :class:`relocbench.datasets.synthetic.town.town.District`."""
+    """The streets that routes use, such as :class:`relocbench.datasets.synthetic.town.town.District`."""
 
     @property
     def network(self) -> StreetNetwork: ...
@@ -46,15 +47,15 @@ class Roads(Protocol):
 
 
 def route(district: Roads, name: RouteName, length_m: float, seed: int) -> Path:
-    """A path of ``length_m`` metres; the common one is the network's drive of the seed.
+    """The path of a route, ``length_m`` metres long; the common one is the network's drive for the seed.
 
     Raises:
-        ConfigError: a drive of this length has no such place.
+        ConfigError: no detour or crossing fits into a drive of this length.
     """
     network = district.network
     if name == "common":
         return network.drive(length_m, seed)
-    common = network.walk(length_m + _DETOUR_BLOCKS_M, seed)
+    common = network.walk(length_m + _LONGEST_DETOUR_M, seed)
     if name == "detour":
         return network.path(_detour(network, common, length_m), RUN_IN_M, length_m)
     middle = network.nodes_of(district.periodic.street)
@@ -64,15 +65,15 @@ def route(district: Roads, name: RouteName, length_m: float, seed: int) -> Path:
     at = _along(network, chain)
     first = _index_of(chain, middle)
     centre = at[first + 1] if name == "crossing" else (at[first] + at[first + len(middle) - 1]) / 2
-    # A path knows its streets if its nodes begin where it does.
+    # A path assigns places to streets correctly only if its chain of nodes begins where the path does.
     start = centre - length_m / 2
     skipped = int(np.flatnonzero(at <= start - RUN_IN_M)[-1])
     return network.path(chain[skipped:], start - at[skipped], length_m)
 
 
 def _along(network: StreetNetwork, chain: Sequence[int]) -> Floats:
-    """(N,) metres of the nodes along the middle of the road."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(network.nodes[list(chain)], axis=0), axis=1))])
+    """Distances (N,) of the nodes along the middle of the road."""
+    return arc_lengths(network.nodes[list(chain)])
 
 
 def _street(u: int, v: int) -> Street:
@@ -80,21 +81,24 @@ def _street(u: int, v: int) -> Street:
 
 
 def _driven(network: StreetNetwork, chain: Sequence[int], length_m: float) -> set[Street]:
-    """The streets of a walk up to the end of its path."""
+    """The streets of a walk up to the end of the path."""
     at = _along(network, chain)
     return {_street(u, v) for k, (u, v) in enumerate(pairwise(chain)) if at[k] < RUN_IN_M + length_m}
 
 
 def _ways_on(network: StreetNetwork, before: int, here: int) -> Iterator[int]:
-    """Where one may drive on to: never back, never round a hairpin."""
+    """The nodes to which one can continue without turning back or making a hairpin turn."""
     for there in network.neighbours(here):
         if there != before and abs(float(turns_of(network.nodes[[before, here, there]])[0])) < _SHARPEST:
             yield there
 
 
 def _detour(network: StreetNetwork, common: Sequence[int], length_m: float) -> list[int]:
-    """The walk with a piece replaced by other streets, of about the same length and near the middle if there is one;
-    or else the walk that goes back by other streets to where it was before."""
+    """The walk with a part replaced by other streets.
+
+    Preferred are detours of about the same length as the replaced part and near the middle of the path; a detour may
+    also return to an earlier node of the walk.
+    """
     at = _along(network, common) - RUN_IN_M
     first, last = MARGIN_M + _INSIDE_M, length_m - MARGIN_M - _INSIDE_M
     taken = _driven(network, common, length_m)
@@ -110,8 +114,8 @@ def _detour(network: StreetNetwork, common: Sequence[int], length_m: float) -> l
                 found.append((abs(long - (at[j] - at[i])) + 0.2 * centred, chain))
     if not found:
         raise ConfigError(
-            f"no detour leaves and meets again a route of {length_m - 2 * MARGIN_M:.0f} m; drive further or try "
-            "another seed"
+            f"a route of {length_m - 2 * MARGIN_M:.0f} m has no detour that leaves and rejoins it; increase --steps or "
+            "change --seed"
         )
     return min(found)[1]
 
@@ -119,7 +123,7 @@ def _detour(network: StreetNetwork, common: Sequence[int], length_m: float) -> l
 def _ways_back(
     network: StreetNetwork, common: Sequence[int], i: int, taken: set[Street]
 ) -> Iterator[tuple[int, list[int]]]:
-    """Shortest ways over streets that are not taken from node i of a walk to its nodes j: (j, nodes)."""
+    """Shortest connections (j, nodes) from node i of a walk to its nodes j over streets that are not ``taken``."""
     start = (common[i - 1], common[i])
     best: dict[tuple[int, int], float] = {start: 0.0}
     before: dict[tuple[int, int], tuple[int, int]] = {}
@@ -131,7 +135,7 @@ def _ways_back(
         for there in _ways_on(network, *edge):
             step = (edge[1], there)
             reached = long + float(np.linalg.norm(network.nodes[there] - network.nodes[edge[1]]))
-            if _street(*step) in taken or reached > _DETOUR_BLOCKS_M or reached >= best.get(step, np.inf):
+            if _street(*step) in taken or reached > _LONGEST_DETOUR_M or reached >= best.get(step, np.inf):
                 continue
             best[step], before[step] = reached, edge
             heapq.heappush(waiting, (reached, step))
@@ -147,7 +151,7 @@ def _ways_back(
 
 
 def _across(network: StreetNetwork, common: Sequence[int], length_m: float) -> list[int]:
-    """Three nodes about a crossing of a walk, by other streets than it takes, or by one other at least."""
+    """Three nodes that pass a crossing of the walk by two streets that the walk does not take, or at least one."""
     at = _along(network, common) - RUN_IN_M
     taken = _driven(network, common, length_m)
     found: list[tuple[int, float, list[int]]] = []
@@ -162,14 +166,14 @@ def _across(network: StreetNetwork, common: Sequence[int], length_m: float) -> l
                     found.append((shared, abs(float(at[k]) - length_m / 2), [before, here, there]))
     if not found:
         raise ConfigError(
-            f"no crossing that leads elsewhere on a route of {length_m - 2 * MARGIN_M:.0f} m; drive further or try "
-            "another seed"
+            f"a route of {length_m - 2 * MARGIN_M:.0f} m has no crossing with other streets; increase --steps or "
+            "change --seed"
         )
     return min(found)[2]
 
 
 def _extended(network: StreetNetwork, middle: Sequence[int], length_m: float, avoided: set[Street]) -> list[int]:
-    """A walk through the middle that goes on far enough before and after it, by other streets where it can."""
+    """A walk through the nodes ``middle``, extended far enough before and after them, avoiding streets if possible."""
     ahead = _grown(network, middle, length_m, avoided)
     return _grown(network, ahead[::-1], length_m, avoided)[::-1]
 
@@ -187,6 +191,6 @@ def _grown(network: StreetNetwork, chain: Sequence[int], by_m: float, avoided: s
 
 
 def _index_of(chain: Sequence[int], part: Sequence[int]) -> int:
-    """Where a part that was extended at both ends begins, nearest to the middle."""
+    """The index at which ``part`` begins in the chain; of several, the one nearest to the middle."""
     starts = [k for k in range(len(chain) - len(part) + 1) if list(chain[k : k + len(part)]) == list(part)]
     return min(starts, key=lambda k: abs(k - (len(chain) - len(part)) / 2))

@@ -1,4 +1,4 @@
-"""Other cars on the road while a traversal is driven."""
+"""Other cars on the road during a traversal."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ MovingCar = tuple[Array, int]
 """``T_world_car`` (4, 4) and the seed of the car's look"""
 
 _NEAREST_M = 14.0
-"""a car in our lane keeps so far away, centre to centre"""
+"""least distance between the centres of our car and another one in the same lane"""
 _OWN_LANE_M = 2.2
-"""a car whose centre is less to the side is in our way"""
+"""lateral distance below which another car is in our way"""
 
 
 def moving_cars(
@@ -23,28 +23,28 @@ def moving_cars(
 ) -> list[list[MovingCar]]:
     """The moving cars at every step of a drive.
 
-    Cars ahead and behind keep their distance to ours but for a slow wave; oncoming ones come down the other lane at
-    their own constant speeds, and one that has left the route at its start comes in again at its end.
+    Cars ahead and behind keep their distance to ours, apart from a slow variation. Oncoming cars use the other lane at
+    a common constant speed; one that leaves the route at its start reappears at its end.
 
     Args:
-        per_100_m: cars in 100 m of each lane.
-        lane_m: from the middle of our lane to that of the other, which is on the left.
+        per_100_m: cars per 100 m of each lane.
+        lane_m: distance between the middles of our lane and of the oncoming lane, which is on the left.
     """
     count = round(per_100_m * route.length / 100)
     time = np.arange(len(drive.along)) / RATE_HZ
-    # A car every so many metres, each somewhere in its own stretch: never two in one place.
-    stretch = route.length / max(count, 1)
-    starts = (np.arange(count) + rng.uniform(0.0, 0.4, size=count)) * stretch
+    # Each car starts within its own section of the route, so that no two overlap.
+    section = route.length / max(count, 1)
+    starts = (np.arange(count) + rng.uniform(0.0, 0.4, size=count)) * section
     speed = rng.uniform(7.0, 10.0)
     looks = rng.integers(2**31, size=(2, count)).tolist()
     cars: list[list[MovingCar]] = [[] for _ in time]
     gaps = starts - drive.along[0]
     waves = np.sin(2 * np.pi * (time[:, None] / 20.0 + rng.uniform(0, 1, size=count)))
     for k in range(count):
-        same_lane = drive.along + gaps[k] + 0.1 * min(stretch, 20.0) * waves[:, k]
+        same_lane = drive.along + gaps[k] + 0.1 * min(section, 20.0) * waves[:, k]
         oncoming = (starts[k] - speed * time) % route.length
         for i in range(len(time)):
-            # Pose and direction of travel: the route's own, and turned round on the other side of the road.
+            # Cars in our lane have the route's pose; oncoming ones are turned round in the other lane.
             if abs(same_lane[i] - drive.along[i]) >= _NEAREST_M and 0 <= same_lane[i] <= route.length:
                 cars[i].append((route.pose(float(same_lane[i])), looks[0][k]))
             cars[i].append((route.pose(float(oncoming[i]), lane_m, np.pi), looks[1][k]))
@@ -55,6 +55,6 @@ def moving_cars(
 
 
 def _in_the_way(T_world_rig: Array, T_world_car: Array) -> bool:
-    """Where a route meets itself, cars of its other leg must not drive through ours."""
+    """Whether another car overlaps ours, which can happen where a route crosses itself."""
     x, y, _ = (invert(T_world_rig) @ T_world_car)[:3, 3]
     return bool(abs(x) < _NEAREST_M - 0.5 and abs(y) < _OWN_LANE_M)

@@ -1,7 +1,7 @@
-"""Geographic coordinates of places on a UTM grid, WGS 84.
+"""Geographic coordinates (WGS 84) of UTM coordinates.
 
-Krüger's series to the third order in the flattening, good to a millimetre within a zone (Karney, Transverse Mercator
-with an accuracy of a few nanometers, J. Geodesy 2011).
+Uses Krüger's series to the third order in the flattening, which is accurate to a millimetre within a zone (Karney,
+Transverse Mercator with an accuracy of a few nanometers, J. Geodesy 2011).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _FALSE_EASTING_M = 500_000.0
 
 
 def latitude_longitude(northing_m: ArrayLike, easting_m: ArrayLike, zone: int) -> tuple[Array, Array]:
-    """Degrees of places (...) on the northern half of a zone."""
+    """Latitude and longitude (...) in degrees of places (...) in the northern half of a UTM zone."""
     n = _FLATTENING / (2 - _FLATTENING)
     rectifying = _EQUATORIAL_M / (1 + n) * (1 + n**2 / 4 + n**4 / 64)
     beta = (n / 2 - 2 / 3 * n**2 + 37 / 96 * n**3, n**2 / 48 + n**3 / 15, 17 / 480 * n**3)

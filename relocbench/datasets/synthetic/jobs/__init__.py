@@ -1,1 +1,1 @@
-"""What is rendered and recorded, by whom, and the exact truth of it."""
+"""Building datasets and recordings: planning, distributing the rendering, and exact ground truth."""

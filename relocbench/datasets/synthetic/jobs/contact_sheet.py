@@ -1,4 +1,4 @@
-"""One place in several conditions, side by side, for people to look at."""
+"""A contact sheet of one place in several conditions."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.drive import MARGIN_M
 from relocbench.datasets.synthetic.drives.rig import rig_named
-from relocbench.datasets.synthetic.jobs import stage
-from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.progress import Reporter
 
 _ROW_LENGTH = 5
@@ -25,15 +25,15 @@ _EXTENT_M = 250.0
 def contact_sheet(
     conditions: Mapping[str, Factors], *, seed: int, split: str, at_m: float, width: int, reporter: Reporter
 ) -> NDArray[np.uint8]:
-    """(H, W, 3) RGB: the front camera's view ``at_m`` metres along the drive in each condition, with its label."""
-    place = Place(seed, split, _EXTENT_M)
-    route = stage.district(place).network.drive(_ROUTE_M, seed)
+    """The front camera's view ``at_m`` metres along the drive in each condition, with labels, (H, W, 3) RGB."""
+    place = DistrictSpec(seed, split, _EXTENT_M)
+    route = scenes.district(place).network.drive(_ROUTE_M, seed)
     camera, T_rig_cam = rig_named("front").cameras(width, width * 3 // 4)["front"]
     T_world_cam = route.pose(MARGIN_M + at_m) @ T_rig_cam
     pictures = []
     with reporter.stage("rendering", len(conditions)) as advance:
         for k, (label, factors) in enumerate(conditions.items()):
-            frame = stage.renderer(place, factors).render(camera, T_world_cam, stage.frame_seed(seed, k, 0, 0))
+            frame = scenes.renderer(place, factors).render(camera, T_world_cam, scenes.frame_seed(seed, k, 0, 0))
             pictures.append(labelled(frame.rgb, label))
             advance(1)
     return tiled(pictures)
@@ -51,7 +51,7 @@ def labelled(picture: NDArray[np.uint8], label: str) -> NDArray[np.uint8]:
 
 
 def tiled(pictures: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """Pictures of one size in rows as even as they can be, on white."""
+    """Pictures of the same size in rows of nearly equal length, on white."""
     rows = -(-len(pictures) // _ROW_LENGTH)
     columns = -(-len(pictures) // rows)
     height, width = pictures[0].shape[:2]

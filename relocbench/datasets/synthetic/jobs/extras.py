@@ -1,7 +1,7 @@
-"""What a build can write besides the dataset: normals, objects, classes, and what changed since the reference.
+"""Extra images of a build: normals, objects, classes, and changes since the reference.
 
-``extras/TRAVERSAL/KIND/CAMERA/TIMESTAMP.png`` beside ``traversals/``: no score depends on these files, so that they
-stand in no manifest and in no fingerprint.
+They are written to ``extras/TRAVERSAL/KIND/CAMERA/TIMESTAMP.png`` beside ``traversals/``. No score depends on them, so
+neither the manifest nor the fingerprint covers them.
 """
 
 from __future__ import annotations
@@ -18,29 +18,23 @@ from relocbench.files import write_bytes
 
 
 def extra_path(root: Path, traversal: str, kind: str, camera: str, timestamp_ns: int) -> Path:
-    """Where a picture of a kind lies below the dataset's folder."""
+    """Path of an extra image below the dataset's folder."""
     return root / "extras" / traversal / kind / camera / f"{timestamp_ns}.png"
 
 
 def write_normals(path: Path, normal: NDArray[np.float32]) -> None:
-    """(H, W, 3) unit normals in world axes as 16-bit RGB: ``(n + 1) 32767.5``; the sky's (0, 0, 0) is mid grey."""
+    """Write unit normals (H, W, 3) in world axes as 16-bit RGB ``(n + 1) 32767.5``; the sky, (0, 0, 0), is mid grey."""
     _write_png(path, np.rint((np.clip(normal, -1, 1) + 1) * 32767.5).astype(np.uint16)[..., ::-1])
 
 
 def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
-    """(H, W) object numbers as 8-bit RGB: ``R + 256 G + 65536 B``."""
+    """Write object numbers (H, W) as 8-bit RGB: ``R + 256 G + 65536 B``."""
     parts = [(instance >> shift & 255).astype(np.uint8) for shift in (0, 8, 16)]
     images.write_image(path, np.stack(parts, axis=-1))
 
 
-def read_instance(path: Path) -> NDArray[np.uint32]:
-    """(H, W) object numbers."""
-    r, g, b = np.moveaxis(images.read_image(path).astype(np.uint32), -1, 0)
-    return np.asarray(r + 256 * g + 65536 * b)
-
-
 def write_mask(path: Path, mask: NDArray[np.bool_]) -> None:
-    """(H, W) as 8-bit grey: 255 where it holds."""
+    """Write a mask (H, W) as 8-bit grey, 255 where it is true."""
     images.write_image(path, np.where(mask, 255, 0).astype(np.uint8))
 
 

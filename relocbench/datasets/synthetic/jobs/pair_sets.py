@@ -1,23 +1,20 @@
-"""The pair sets of a rendered dataset, each made and written by one worker."""
+"""The pair sets of a rendered dataset; each is computed and written by one worker."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from relocbench.datasets.core import pairfile
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
-from relocbench.datasets.pairs.correspondences import PairCorrespondences, write_correspondences
+from relocbench.datasets.pairs.correspondences import PairCorrespondences, is_finished, write_measured
 from relocbench.datasets.pairs.pairing import make_pairs
+from relocbench.datasets.synthetic.jobs.exact_correspondences import View, exact_correspondences
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
 from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
-from relocbench.datasets.synthetic.jobs.truth import View, exact_correspondences
 from relocbench.errors import DatasetError
 from relocbench.execution import Run, run_units
 from relocbench.geometry import Camera
@@ -27,12 +24,12 @@ if TYPE_CHECKING:
     from relocbench.datasets.core.build_options import ImportOptions
 
 _WORTH_WORKERS = 600
-"""pairs: fewer are done before other processes have a district of their own"""
+"""pairs; fewer are finished before other processes have made their districts"""
 
 
 @dataclass(frozen=True, eq=False)
 class PairSetUnit:
-    """One pair set, as a worker needs it."""
+    """One pair set to write."""
 
     layout: DatasetLayout
     name: str
@@ -57,9 +54,12 @@ def write_pair_sets(
     reporter: Reporter,
     run: Run,
 ) -> Mapping[str, Sequence[str]]:
-    """Pair sets of (reference, query) traversals for every camera, with their correspondences: split -> names.
+    """Write the pair sets of (reference, query) traversals for every camera, with correspondences.
 
-    Sets that a former run of the same build finished are kept.
+    Sets that an earlier run of the same build has finished are kept.
+
+    Returns:
+        split -> names of its pair sets.
 
     Raises:
         DatasetError: a pair set would be empty.
@@ -70,7 +70,7 @@ def write_pair_sets(
         for camera in cameras:
             unit = _unit(reference, query, camera, cameras, layout, options, spread, reporter)
             splits.setdefault(reference.split, []).append(unit.name)
-            if not _is_finished(unit):
+            if not is_finished(layout, unit.name, unit.pairs, with_correspondences=unit.count > 0):
                 units.append(unit)
     run = run if sum(len(u.pairs) for u in units) >= _WORTH_WORKERS else run.alone()
     with reporter.stage("pairs and their correspondences", len(units)) as advance:
@@ -93,7 +93,7 @@ def _unit(
     frames = reference.frames(camera, cameras), query.frames(camera, cameras)
     same = reference is query
     if options.pair_rule is None:
-        # The cameras of a rig share their seed: their pairs are of the same moments wherever the rig allows it.
+        # All cameras of a rig use the same seed, so that their pairs are of the same moments wherever possible.
         rng = np.random.default_rng([options.seed, 6, reference.number, query.number])
         pairs = drawn_pairs(*frames, spread, rng, same_traversal=same)
     else:
@@ -136,35 +136,13 @@ def _views(plan: TraversalPlan, *T_world_cam: np.ndarray, camera: Camera, wanted
 
 
 def write_set(unit: PairSetUnit) -> None:
-    """Measure and write one pair set: correspondences first, the pair file, which tells that all is done, last."""
-    overlaps: dict[PairKey, float] = {}
+    """Compute and write one pair set: the correspondences first, and last the pair file, which marks it as finished."""
 
     def measured() -> Iterator[tuple[PairKey, PairCorrespondences]]:
         for pair in unit.pairs:
             assert pair.T_query_ref is not None
             rng = np.random.default_rng([unit.seed, 8, *pair.key])
             views = unit.references[pair.ref_timestamp_ns], unit.queries[pair.query_timestamp_ns]
-            found = exact_correspondences(*views, pair.T_query_ref, unit.count, rng)
-            overlaps[pair.key] = found.overlap
-            yield pair.key, found
+            yield pair.key, exact_correspondences(*views, pair.T_query_ref, unit.count, rng)
 
-    layout = unit.layout
-    if unit.count:
-        write_correspondences(layout.correspondence_file(unit.name), measured())
-    else:
-        for _ in measured():
-            pass
-    pairs = [replace(p, overlap=overlaps[p.key]) for p in unit.pairs]
-    pairfile.write_pairs(layout.pair_file(unit.name), layout.pair_table(unit.name), pairs)
-
-
-def _is_finished(unit: PairSetUnit) -> bool:
-    """Whether a former run wrote this set and its files are whole."""
-    layout = unit.layout
-    try:
-        if unit.count:
-            pq.ParquetFile(layout.correspondence_file(unit.name)).close()
-        known = pairfile.read_pairs(layout.pair_file(unit.name), layout.pair_table(unit.name))
-    except (pa.ArrowInvalid, OSError, DatasetError):
-        return False
-    return layout.pair_table(unit.name).exists() and [p.key for p in known] == [p.key for p in unit.pairs]
+    write_measured(unit.layout, unit.name, unit.pairs, measured(), with_correspondences=unit.count > 0)

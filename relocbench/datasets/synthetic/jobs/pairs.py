@@ -1,4 +1,4 @@
-"""Which keyframe a query is paired with: distances follow the distribution that was asked for."""
+"""Pairing of queries and keyframes whose distances follow a given distribution."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from relocbench.geometry import rotation_angle
 Array = NDArray[np.float64]
 
 _SHAPE = 4.0
-"""of the gamma distribution: a standard deviation of half its mean"""
+"""shape of the gamma distribution, which gives a standard deviation of half its mean"""
 _BOUNDS_M = (1.0, 2.0, 5.0)
-"""between the groups by distance"""
+"""bounds between the groups by distance"""
 
 
 @dataclass(frozen=True)
 class DistanceSpread:
-    """How far keyframes are to be from their queries: gamma distributed about a mean, cut off at the farthest."""
+    """Distribution of distances between keyframes and queries: a gamma distribution truncated at ``max_m``."""
 
     mean_m: float = 1.6
     max_m: float = 10.0
     max_angle_deg: float = 30.0
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
-        """(count,) metres."""
+        """Draw distances (count,) in metres."""
         law = gamma(_SHAPE, scale=self.mean_m / _SHAPE)
         return np.asarray(law.ppf(rng.uniform(0.0, law.cdf(self.max_m), size=count)))
 
@@ -42,10 +42,10 @@ def drawn_pairs(
     *,
     same_traversal: bool,
 ) -> list[Pair]:
-    """Each query frame with the keyframe whose distance is nearest to one drawn for it.
+    """Pair each query frame with the keyframe whose distance is closest to a drawn one.
 
-    Keyframes farther than ``max_m`` or turned by more than ``max_angle_deg`` are not taken, nor within the same
-    traversal the frame itself; a query without any has no pair. The truth is exact: its sigma is 0.
+    Keyframes farther than ``max_m`` or turned by more than ``max_angle_deg`` are excluded and, within the same
+    traversal, the frame itself. Queries without a keyframe have no pair. The truth is exact: its sigma is 0.
     """
     rows = np.array(reference.keyframe_rows, dtype=np.int64)
     T_world_keys = reference.T_world_cam[rows]
@@ -77,7 +77,7 @@ def drawn_pairs(
 
 
 def group_of(distance_m: float) -> str:
-    """``under_1m``, ``1_to_2m``, ``2_to_5m`` or ``over_5m``."""
+    """The group of a distance: ``under_1m``, ``1_to_2m``, ``2_to_5m`` or ``over_5m``."""
     low, middle, high = _BOUNDS_M
     if distance_m < low:
         return f"under_{low:g}m"

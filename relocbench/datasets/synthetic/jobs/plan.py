@@ -1,4 +1,4 @@
-"""Who drives when and where: all that is decided before anything is rendered."""
+"""The plan of a rendered dataset: route, motion and condition of each traversal."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from relocbench.datasets.synthetic.conditions.condition import NamedCondition
 from relocbench.datasets.synthetic.conditions.presets import SPLITS
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, Drive, DriveStyle, drive, route_length
 from relocbench.datasets.synthetic.drives.traffic import MovingCar, moving_cars
-from relocbench.datasets.synthetic.jobs import stage
-from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.town.network import LANE_M
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
@@ -26,9 +26,9 @@ Cameras = Mapping[str, tuple[Camera, Array]]
 """name -> (camera, ``T_rig_cam`` (4, 4))"""
 
 _DEPTH_SIGMA = (1 / DEPTH_SCALE / np.sqrt(12), 0.0, 0.0)
-"""metres: stored depth is rounded to 1/256 m"""
+"""metres; the standard deviation of rounding to 1/256 m"""
 _FIRST_NS = 1_000_000_000_000
-"""traversals begin so far apart"""
+"""time between the starts of traversals"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,24 +37,24 @@ class TraversalPlan:
 
     name: str
     number: int
-    """within the dataset's numbering of (split, condition, traversal); seeds hang on it"""
+    """number in the order of (split, condition, traversal), on which seeds depend"""
     split: str
-    place: Place
+    place: DistrictSpec
     condition: NamedCondition
     reference: NamedCondition
-    """that of the traversal that the others of the split ask"""
+    """condition of the split's reference traversal"""
     drive: Drive
     moving: tuple[tuple[MovingCar, ...], ...]
     """the moving cars at each step"""
 
     @property
     def times(self) -> tuple[int, ...]:
-        """Nanoseconds of the steps."""
+        """Times of the steps in nanoseconds."""
         start = (self.number + 1) * _FIRST_NS
         return tuple(start + i * STEP_NS for i in range(len(self.drive.along)))
 
     def file(self, cameras: Cameras) -> TraversalFile:
-        """``traversal.yaml``."""
+        """The content of ``traversal.yaml``."""
         entries = {name: CameraEntry.of(c, T_rig_cam, _DEPTH_SIGMA) for name, (c, T_rig_cam) in cameras.items()}
         return TraversalFile(
             name=self.name,
@@ -66,7 +66,7 @@ class TraversalPlan:
         )
 
     def frames(self, camera: str, cameras: Cameras) -> PosedFrames:
-        """All frames of a camera; each has depth."""
+        """All frames of a camera, each of which has depth."""
         return PosedFrames(self.times, self.drive.T_world_rig @ cameras[camera][1], frozenset(self.times))
 
 
@@ -81,16 +81,16 @@ def make_plans(
     extent_m: float,
     reporter: Reporter,
 ) -> list[TraversalPlan]:
-    """All traversals: by split, then condition, then their own number; those of a split follow one route.
+    """Plan all traversals, ordered by split, condition and number. Those of a split follow the same route.
 
-    A traversal is the same whichever other splits are built with it.
+    A traversal does not depend on which other splits are built with it.
     """
     plans = []
     first = next(iter(conditions.values()))
     with reporter.stage("laying out districts", len(splits)) as advance:
         for split in splits:
-            place = Place(seed, split, extent_m)
-            route = stage.district(place).network.drive(route_length(steps, style), seed)
+            place = DistrictSpec(seed, split, extent_m)
+            route = scenes.district(place).network.drive(route_length(steps, style), seed)
             for k, (name, condition) in enumerate(conditions.items()):
                 for number in range(traversals):
                     identity = (SPLITS.index(split) * len(conditions) + k) * traversals + number

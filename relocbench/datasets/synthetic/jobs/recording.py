@@ -1,9 +1,9 @@
-"""Recording a drive through a district: cameras, lidars and odometry in a real data set's layout, and the exact truth.
+"""Recording one drive through a district: cameras, lidars and odometry in a real data set's layout, and exact truth.
 
 ``OUT/truth/NAME`` holds what no importer reads: ``poses.csv``, ``T_world_rig`` at 100 Hz (between its lines the motion
-*is* the interpolation of :func:`relocbench.geometry.interpolate_trajectory`); ``settings.yaml``, all that the drive was
-made of (seeds, condition, cameras, extrinsics); ``drawn.yaml``, errors that hold for the whole drive; and
-``moving_cars.csv``.
+*is* the interpolation of :func:`relocbench.geometry.interpolate_trajectory`); ``settings.yaml``, everything that
+determines the drive (seeds, condition, cameras, extrinsics); ``drawn.yaml``, the random errors that are constant over
+the drive; and ``moving_cars.csv``.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from relocbench.datasets.synthetic.drives.traffic import moving_cars
 from relocbench.datasets.synthetic.jobs.recording_jobs import DriveJob, carry_out
 from relocbench.datasets.synthetic.jobs.recording_work import (
     Composer,
+    RecordableDistrict,
     RendererFactory,
-    Town,
     town_compose,
     town_renderer,
 )
 from relocbench.datasets.synthetic.layouts import robotcar as robotcar_layout
 from relocbench.datasets.synthetic.layouts.kitti import KittiLayout
-from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, Trajectory, car_tracks
+from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, TrueTrajectory, car_tracks
 from relocbench.datasets.synthetic.town.network import LANE_M
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
@@ -45,21 +45,21 @@ from relocbench.version import __version__
 Array = NDArray[np.float64]
 
 LEAD_NS = 500_000_000
-"""the drive begins so long before the first image and ends so long after the last"""
+"""time from the start of the drive to the first image or scan, and from the last one to the end"""
 _TRUTH_NS = 10_000_000
 _FIRST_US = 1_709_287_200_000_000
-"""2024-03-01, 10:00; drive n of the RobotCar layout is n days later"""
+"""2024-03-01, 10:00; in the RobotCar layout drive n is n days later"""
 _DAY_US = 86_400_000_000
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """Where a recording lies."""
+    """The folders of a recorded drive."""
 
     name: str
-    """of the traversal or sequence"""
+    """name of the traversal or sequence"""
     folder: Path
-    """its images and scans"""
+    """folder of its images and scans"""
     truth: Path
 
 
@@ -69,38 +69,42 @@ LAYOUTS: tuple[LayoutName, ...] = ("robotcar", "kitti")
 
 @dataclass(frozen=True)
 class DriveOptions:
-    """What is recorded of a drive, and how."""
+    """Options of a recorded drive."""
 
     layout: LayoutName = "robotcar"
     seed: int = 0
-    """of everything that is random; together with ``number``"""
+    """seed, together with ``number``, of everything random"""
     number: int = 0
-    """of the drive: another day (RobotCar) or sequence (KITTI), another line in the lane, other errors"""
+    """number of the drive, which determines its day (RobotCar) or sequence (KITTI), its motion and its errors"""
     frames: int = 160
-    """stereo images of each lens (RobotCar, 16 Hz) or frames (KITTI, 10 Hz)"""
+    """stereo images per lens (RobotCar, 16 Hz) or frames (KITTI, 10 Hz)"""
     scale: float = 0.5
-    """size of the images over that of the real cameras"""
+    """image size relative to that of the real cameras"""
     cameras: tuple[str, ...] | None = None
-    """which to record; all six of RobotCar, the two grey ones of KITTI by default"""
+    """cameras to record; default: all six of RobotCar, the two grey ones of KITTI"""
     style: DriveStyle = field(default_factory=DriveStyle)
     rings: int = 64
-    """of the spinning lidar (KITTI)"""
+    """rings of the spinning lidar (KITTI)"""
     azimuths: int = 2000
-    """of the spinning lidar (KITTI)"""
+    """points per ring and turn of the spinning lidar (KITTI)"""
     motion_distorted: bool = False
-    """leave the car's own motion in the scans of the spinning lidar (KITTI)"""
+    """write scans of the spinning lidar without motion compensation (KITTI)"""
 
     @property
     def path_length_m(self) -> float:
-        """Road that the drive needs. Raises ConfigError on an unknown layout or too few frames."""
+        """Length of road that the drive needs. Raises ConfigError on an unknown layout or too few frames."""
         return path_length(self.frames, self.layout, self.style)
 
     def target(self, out: Path) -> Layout:
-        """Raises ConfigError on an unknown layout or camera."""
+        """The layout that writes the drive below ``out``.
+
+        Raises:
+            ConfigError: the layout or a camera is unknown, or the scale is out of range.
+        """
         if self.layout not in LAYOUTS:
             raise ConfigError(f"no recording layout '{self.layout}'; there is {', '.join(LAYOUTS)}")
         if not 0 < self.scale <= 1:
-            raise ConfigError(f"the scale of the images lies in (0, 1], got {self.scale}")
+            raise ConfigError(f"the scale of the images must be in (0, 1], got {self.scale}")
         if self.layout == "kitti":
             chosen = ("image_0", "image_1") if self.cameras is None else self.cameras
             spinning = (self.rings, self.azimuths, not self.motion_distorted)
@@ -111,7 +115,7 @@ class DriveOptions:
 
 
 def record(
-    district: Town,
+    district: RecordableDistrict,
     path: Route,
     factors: Factors,
     out: Path,
@@ -123,15 +127,15 @@ def record(
     compose: Composer | None = None,
     **options: Any,
 ) -> Recorded:
-    """Record one drive. Run again, it does only what is missing; the bytes are the same for any number of workers.
+    """Record one drive. A repeated call does only what is missing; the bytes do not depend on the number of workers.
 
     Args:
-        path: what is driven; at least ``path_length(frames, layout, style)`` metres long.
-        renderer_factory, compose: take the place of the town's own; importable, since workers import them.
-        options: of :class:`DriveOptions`.
+        path: the route to drive, at least ``path_length(frames, layout, style)`` metres long.
+        renderer_factory, compose: replacements for the town's own; they must be importable by workers.
+        options: fields of :class:`DriveOptions`.
 
     Raises:
-        ConfigError: an unknown layout or camera, too few frames, a path that is too short.
+        ConfigError: the layout or a camera is unknown, there are too few frames, or the path is too short.
         DatasetError: ``out`` holds another recording of this name.
     """
     recorded, job = prepare(district, path, factors, out, DriveOptions(layout, **options))
@@ -141,14 +145,14 @@ def record(
 
 
 def prepare(
-    district: Town, path: Route, factors: Factors, out: Path, options: DriveOptions
+    district: RecordableDistrict, path: Route, factors: Factors, out: Path, options: DriveOptions
 ) -> tuple[Recorded, DriveJob]:
-    """Write a drive's texts and its truth; the images and scans that are missing are left to do.
+    """Write a drive's text files and truth, and return a job for the images and scans that are missing.
 
     Raises:
-        ConfigError, DatasetError: as :func:`record`.
+        ConfigError, DatasetError: like :func:`record`.
     """
-    # Workers of a cluster start in folders of their own.
+    # Cluster workers have other working directories, so paths must be absolute.
     out = out.resolve()
     target = options.target(out)
     identity = (options.seed, options.number)
@@ -185,26 +189,26 @@ def prepare(
 
 
 def path_length(frames: int, layout: str, style: DriveStyle | None = None) -> float:
-    """Metres of road that a recording needs."""
+    """Length of road in metres that a recording needs."""
     return route_length(_steps(frames, layout), style or DriveStyle())
 
 
 def _steps(frames: int, layout: str) -> int:
-    """Steps of the drive, lead and tail among them."""
+    """Number of steps of the drive, including the time before the first and after the last image."""
     rate = {"robotcar": 16.0, "kitti": 10.0}
     if layout not in rate:
         raise ConfigError(f"no recording layout '{layout}'; there is {', '.join(rate)}")
     if frames < 2:
-        raise ConfigError(f"a recording has at least 2 frames, got {frames}")
+        raise ConfigError(f"a recording needs at least 2 frames, got {frames}")
     return int(np.ceil(((frames - 1) / rate[layout] + 2 * LEAD_NS / 1e9) * RATE_HZ)) + 1
 
 
 def _drive(
     path: Route, factors: Factors, layout: Layout, style: DriveStyle, seed: tuple[int, int], needed_m: float
-) -> tuple[Trajectory, list[CarTrack]]:
-    """The smooth motion through the steps of a drive, and the other cars."""
+) -> tuple[TrueTrajectory, list[CarTrack]]:
+    """The smooth motion of a drive, and the tracks of the other cars."""
     if path.length < needed_m - 1e-6:
-        raise ConfigError(f"the recording needs {needed_m:.1f} m of road, the path is {path.length:.1f} m long")
+        raise ConfigError(f"the recording needs {needed_m:.1f} m of road, but the path is {path.length:.1f} m long")
     first = min(int(times[0]) for times in layout.times.values()) - LEAD_NS
     last = max(int(times[-1]) for times in layout.times.values())
     steps = int(np.ceil((last + LEAD_NS - first) / STEP_NS)) + 1
@@ -215,17 +219,17 @@ def _drive(
     return _smooth(step_times, driven.T_world_rig), car_tracks(step_times, others)
 
 
-def _smooth(times_ns: NDArray[np.int64], T_world_rig: Array) -> Trajectory:
-    """Splines through the steps, with continuous velocity and turning rate, sampled at 100 Hz."""
+def _smooth(times_ns: NDArray[np.int64], T_world_rig: Array) -> TrueTrajectory:
+    """Splines through the steps, with continuous velocity and angular velocity, sampled at 100 Hz."""
     fine = np.arange(times_ns[0], times_ns[-1] + 1, _TRUTH_NS, dtype=np.int64)
     knots, at = (times_ns - times_ns[0]) / 1e9, (fine - times_ns[0]) / 1e9
     position = CubicSpline(knots, T_world_rig[:, :3, 3], axis=0)(at)
     rotation = RotationSpline(knots, Rotation.from_matrix(T_world_rig[:, :3, :3]))(at).as_matrix()
-    return Trajectory(fine, make_transform(rotation, position))
+    return TrueTrajectory(fine, make_transform(rotation, position))
 
 
 def _missing(layout: Layout, sensors: Iterable[str]) -> list[tuple[str, int]]:
-    """(sensor, index) of what is not there or torn, in order of time, so that images of one moment share a scene."""
+    """(sensor, index) of missing or truncated files, ordered by time so that images of one moment share a scene."""
     found = [
         (int(time), sensor, i)
         for sensor in sensors
@@ -236,10 +240,10 @@ def _missing(layout: Layout, sensors: Iterable[str]) -> list[tuple[str, int]]:
 
 
 def _claim(path: Path, settings: Mapping[str, Any]) -> None:
-    """A folder with another recording of this name is refused. Raises DatasetError."""
+    """Write the settings. Raises DatasetError if the folder holds another recording of this name."""
     text = dump_yaml(dict(settings))
     if path.exists() and read_bytes(path, "settings of a recording", DatasetError) != text.encode():
-        raise DatasetError("another recording of this name lies here; choose another folder or number", path)
+        raise DatasetError("belongs to another recording of this name; choose another folder or number", path)
     write_text(path, text)
 
 
@@ -252,7 +256,7 @@ def _cameras(layout: Layout) -> dict[str, Any]:
     return {name: mount.camera.to_dict() for name, mount in layout.cameras.items()}
 
 
-def _write_poses(path: Path, trajectory: Trajectory) -> None:
+def _write_poses(path: Path, trajectory: TrueTrajectory) -> None:
     t, q = transform_to_tq(trajectory.T_world_rig)
     with atomic_write(path) as stream:
         stream.write("timestamp_ns,tx,ty,tz,qx,qy,qz,qw\n")
@@ -261,7 +265,7 @@ def _write_poses(path: Path, trajectory: Trajectory) -> None:
 
 
 def _write_cars(path: Path, tracks: Sequence[CarTrack]) -> None:
-    """``T_world_car`` at the steps of the drive; between them it is interpolated."""
+    """Write ``T_world_car`` at the steps of the drive; between them it is interpolated."""
     with atomic_write(path) as stream:
         stream.write("timestamp_ns,variant,tx,ty,tz,qx,qy,qz,qw\n")
         for track in tracks:

@@ -1,4 +1,4 @@
-"""Getting the images and scans of drives made: by whom, and how long it will take."""
+"""Distribution of the images and scans of drives to workers, with an estimate of the time."""
 
 from __future__ import annotations
 
@@ -7,29 +7,26 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from relocbench.datasets.synthetic.conditions.condition import Factors
+from relocbench.datasets.synthetic.jobs.estimates import Spent, duration, remaining, split_pilots, workers_text
 from relocbench.datasets.synthetic.jobs.recording_work import (
     Composer,
+    DriveContext,
+    RecordableDistrict,
     RendererFactory,
-    Spent,
-    Stage,
-    Town,
     Unit,
     shared,
     write_images,
     write_scans,
 )
-from relocbench.datasets.synthetic.jobs.rendering import duration
-from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, Trajectory
+from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, TrueTrajectory
 from relocbench.execution import Run, chunks, run_units
 from relocbench.progress import Advance, Reporter
 
 _IMAGES_A_UNIT = 8
 _SCANS_A_UNIT = 64
 _WORTH_AN_ESTIMATE = 400
-"""images: fewer are rendered soon"""
+"""images; fewer take too little time for an estimate"""
 
 Files = Sequence[tuple[str, int]]
 """(sensor, index) of each"""
@@ -38,12 +35,12 @@ Work = Callable[[Unit], Spent]
 
 @dataclass(frozen=True, eq=False)
 class DriveJob:
-    """What is left to do of a drive."""
+    """The missing images and scans of a drive."""
 
-    district: Town
+    district: RecordableDistrict
     factors: Factors
     layout: Layout
-    trajectory: Trajectory
+    trajectory: TrueTrajectory
     tracks: Sequence[CarTrack]
     seed: tuple[int, int]
     truth: Path
@@ -54,15 +51,15 @@ class DriveJob:
 def carry_out(
     jobs: Sequence[DriveJob], renderer_factory: RendererFactory, compose: Composer, reporter: Reporter, run: Run
 ) -> None:
-    """Measure and render what is missing, drive after drive; a long job is first measured on a few files."""
+    """Scan and render what is missing, drive by drive; a long job is first timed on a few files."""
     jobs = [job for job in jobs if job.scans or job.pictures]
     with ExitStack() as stack:
         pickled: dict[int, Path] = {}
         for job in jobs:
             if id(job.district) not in pickled:
                 pickled[id(job.district)] = stack.enter_context(shared(job.district, job.truth))
-        stages = [
-            Stage(
+        drives = [
+            DriveContext(
                 pickled[id(job.district)],
                 job.factors,
                 job.layout,
@@ -74,9 +71,9 @@ def carry_out(
             )
             for job in jobs
         ]
-        both = list(zip(stages, jobs, strict=True))
-        scans = [Unit(stage, part) for stage, job in both for part in chunks(job.scans, _SCANS_A_UNIT)]
-        pictures = [Unit(stage, part) for stage, job in both for part in chunks(job.pictures, _IMAGES_A_UNIT)]
+        both = list(zip(drives, jobs, strict=True))
+        scans = [Unit(drive, part) for drive, job in both for part in chunks(job.scans, _SCANS_A_UNIT)]
+        pictures = [Unit(drive, part) for drive, job in both for part in chunks(job.pictures, _IMAGES_A_UNIT)]
         if _count(pictures) >= _WORTH_AN_ESTIMATE:
             scans, pictures = _measured(scans, pictures, reporter, run)
         for what, work, units in (("scanning", write_scans, scans), ("rendering", write_images, pictures)):
@@ -100,40 +97,28 @@ def _do(work: Work, units: Sequence[Unit], advance: Advance, run: Run) -> list[S
 def _measured(
     scans: Sequence[Unit], pictures: Sequence[Unit], reporter: Reporter, run: Run
 ) -> tuple[list[Unit], list[Unit]]:
-    """Do the first unit of each kind in each condition and tell how long the others, which are returned, will take."""
+    """Run the first unit of each kind and condition, report an estimate for the others, and return these."""
     lines, left = [], []
-    pilots = {what: _split(units) for what, units in (("scans", scans), ("images", pictures))}
+    pilots = {what: split_pilots(units, _scene) for what, units in (("scans", scans), ("images", pictures))}
     with reporter.stage("measuring", sum(_count(first) for first, _ in pilots.values())) as advance:
         for what, work in (("scans", write_scans), ("images", write_images)):
             first, rest = pilots[what]
             lines.append(estimate(what, _do(work, first, advance, run), rest, run.workers))
             left.append(rest)
-    reporter.note("left to record: " + "; ".join(lines))
+    reporter.note("still to record: " + "; ".join(lines))
     return left[0], left[1]
 
 
-def _split(units: Sequence[Unit]) -> tuple[list[Unit], list[Unit]]:
-    """The first unit of each condition in one district; and all others."""
-    first: list[Unit] = []
-    rest: list[Unit] = []
-    taken: set[Factors] = set()
-    for unit in units:
-        new = unit.stage.district == units[0].stage.district and unit.stage.factors not in taken
-        taken.add(unit.stage.factors)
-        (first if new else rest).append(unit)
-    return first, rest
-
-
 def estimate(what: str, spent: Sequence[Spent], rest: Sequence[Unit], workers: int) -> str:
-    """How long the rest will take and how much it will hold, by what the first files took."""
-    left, measured = _count(rest), sum(s.files - 1 for s in spent)
-    if not left or not measured:
+    """Time and disk space for the rest, extrapolated from the first files."""
+    left = _count(rest)
+    if not left or not sum(s.files - 1 for s in spent):
         return f"{left} {what}"
-    each = sum(s.seconds for s in spent) / measured
-    scenes = len({(unit.stage.district, unit.stage.factors) for unit in rest})
-    seconds = left * each / workers + scenes * float(np.median([s.setup_s for s in spent]))
-    size = sum(s.bytes for s in spent) / sum(s.files for s in spent) * left
+    expected = remaining(spent, left, len({_scene(unit) for unit in rest}), workers)
     return (
-        f"{left} {what}, about {duration(seconds)} with {workers} worker{'s' if workers != 1 else ''}, "
-        f"{size / 1e9:.1f} GB"
+        f"{left} {what}, about {duration(expected.seconds)} with {workers_text(workers)}, {expected.gigabytes:.1f} GB"
     )
+
+
+def _scene(unit: Unit) -> tuple[Path, Factors]:
+    return unit.drive.district, unit.drive.factors

@@ -1,4 +1,4 @@
-"""What a worker does for a recording: some images or some scans, from a district that all workers share."""
+"""A worker's part of a recording: rendering some images or simulating some scans."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
-from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, SensorMotion, Trajectory, cars_at
+from relocbench.datasets.synthetic.jobs.estimates import Spent
+from relocbench.datasets.synthetic.layouts.recorded import CarTrack, Layout, SensorMotion, TrueTrajectory, cars_at
 from relocbench.datasets.synthetic.lidar import lidar
 from relocbench.datasets.synthetic.town.cars import cars
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
@@ -29,8 +30,8 @@ _CAR_RADIUS_M = 3.5
 _MOVING_INSTANCE = 2**31
 
 
-class Town(Protocol):
-    """What is recorded: :class:`relocbench.datasets.synthetic.town.town.District`; it must be picklable."""
+class RecordableDistrict(Protocol):
+    """What can be recorded, such as :class:`relocbench.datasets.synthetic.town.town.District`; must be picklable."""
 
     @property
     def seed(self) -> int: ...
@@ -47,31 +48,31 @@ class Picture(Protocol):
 
 
 class FrameRenderer(Protocol):
-    """What makes images: :class:`relocbench.datasets.synthetic.renderer.render.Renderer`."""
+    """A renderer of images, such as :class:`relocbench.datasets.synthetic.renderer.render.Renderer`."""
 
     def render(self, camera: Camera, T_world_cam: Array, frame_seed: int, /) -> Picture: ...
 
     @property
     def surroundings(self) -> Any:
-        """What can be given to another renderer of the same town, with cars that move."""
+        """What another renderer of the same town with other moving cars can reuse."""
         ...
 
 
 RendererFactory = Callable[[Mesh, Factors, Array, int, Any], FrameRenderer]
-"""mesh, factors, lamps (N, 3), the seed of all surfaces' patterns, and surroundings or None"""
+"""called with mesh, factors, lamps (N, 3), the seed of the surfaces' patterns, and surroundings or None"""
 Composer = Callable[[Any, Factors, Sequence[MovingCar]], Mesh]
-"""district, factors and moving cars"""
+"""called with district, factors and moving cars"""
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
-    """What all units of a recording share."""
+class DriveContext:
+    """What all units of a drive share."""
 
     district: Path
-    """pickled: workers read it once each"""
+    """the pickled district, which each worker reads once"""
     factors: Factors
     layout: Layout
-    trajectory: Trajectory
+    trajectory: TrueTrajectory
     tracks: Sequence[CarTrack]
     seed: tuple[int, int]
     make_renderer: RendererFactory
@@ -80,31 +81,19 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """Some images or some scans: (sensor, index) of each."""
+    """Some images or some scans of a drive, as (sensor, index)."""
 
-    stage: Stage
+    drive: DriveContext
     work: Sequence[tuple[str, int]]
 
     def __str__(self) -> str:
         sensor, index = self.work[0]
-        return f"{len(self.work)} files from {self.stage.layout.path(sensor, index)} on"
-
-
-@dataclass(frozen=True)
-class Spent:
-    """What a unit took."""
-
-    files: int
-    setup_s: float
-    """up to the first file"""
-    seconds: float
-    """the others"""
-    bytes: int
+        return f"{len(self.work)} files from {self.drive.layout.path(sensor, index)} on"
 
 
 @contextmanager
-def shared(district: Town, folder: Path) -> Iterator[Path]:
-    """The district where workers find it, wherever they run; gone in the end (or at the next start)."""
+def shared(district: RecordableDistrict, folder: Path) -> Iterator[Path]:
+    """Pickle the district to a file that workers can read; it is removed afterwards, or by the next run."""
     pickled = folder / f".district.{secrets.token_hex(4)}.part"
     with atomic_write(pickled, "wb") as stream:
         pickle.dump(district, stream, protocol=pickle.HIGHEST_PROTOCOL)
@@ -127,60 +116,60 @@ def _latest(kind: str, key: Any, make: Callable[[], Any]) -> Any:
     return _ready[kind][1]
 
 
-def _district(stage: Stage) -> Any:
-    return _latest("district", stage.district, lambda: pickle.loads(stage.district.read_bytes()))
+def _district(drive: DriveContext) -> Any:
+    return _latest("district", drive.district, lambda: pickle.loads(drive.district.read_bytes()))
 
 
 def write_images(unit: Unit) -> Spent:
-    stage, layout = unit.stage, unit.stage.layout
+    drive, layout = unit.drive, unit.drive.layout
 
     def write(camera: str, index: int) -> None:
         moment = int(layout.times[camera][index])
-        present = cars_at(stage.tracks, moment)
-        renderer = _renderer(stage, present)
+        present = cars_at(drive.tracks, moment)
+        renderer = _renderer(drive, present)
         mount = layout.cameras[camera]
-        pose = SensorMotion(stage.trajectory, mount.T_rig_cam)(np.array([moment]))[0]
-        number = np.random.SeedSequence([*stage.seed, 5, sorted(layout.cameras).index(camera), index])
+        pose = SensorMotion(drive.trajectory, mount.T_rig_cam)(np.array([moment]))[0]
+        number = np.random.SeedSequence([*drive.seed, 5, sorted(layout.cameras).index(camera), index])
         picture = renderer.render(mount.camera, pose, int(number.generate_state(1)[0]))
         layout.write_image(camera, layout.path(camera, index), picture.rgb)
 
     return _measured(unit, write)
 
 
-def _renderer(stage: Stage, present: Sequence[MovingCar]) -> FrameRenderer:
+def _renderer(drive: DriveContext, present: Sequence[MovingCar]) -> FrameRenderer:
     def make() -> FrameRenderer:
-        town = _district(stage)
+        town = _district(drive)
 
         def still() -> FrameRenderer:
-            return stage.make_renderer(
-                stage.compose(town, stage.factors, ()), stage.factors, town.lamps, town.seed, None
+            return drive.make_renderer(
+                drive.compose(town, drive.factors, ()), drive.factors, town.lamps, town.seed, None
             )
 
         if not present:
             return still()
-        around = _latest("surroundings", (stage.district, stage.factors), lambda: still().surroundings)
-        mesh = stage.compose(town, stage.factors, present)
-        return stage.make_renderer(mesh, stage.factors, town.lamps, town.seed, around)
+        around = _latest("surroundings", (drive.district, drive.factors), lambda: still().surroundings)
+        mesh = drive.compose(town, drive.factors, present)
+        return drive.make_renderer(mesh, drive.factors, town.lamps, town.seed, around)
 
     positions = tuple((pose.tobytes(), variant) for pose, variant in present)
-    renderer: FrameRenderer = _latest("renderer", (stage.district, stage.factors, positions), make)
+    renderer: FrameRenderer = _latest("renderer", (drive.district, drive.factors, positions), make)
     return renderer
 
 
 def write_scans(unit: Unit) -> Spent:
-    stage, layout = unit.stage, unit.stage.layout
+    drive, layout = unit.drive, unit.drive.layout
     scene = _latest(
         "scene",
-        (stage.district, stage.factors),
-        lambda: lidar.LidarScene(stage.compose(_district(stage), stage.factors, ())),
+        (drive.district, drive.factors),
+        lambda: lidar.LidarScene(drive.compose(_district(drive), drive.factors, ())),
     )
-    others = _latest("cars", (stage.district, stage.factors), lambda: _moving_objects(stage.tracks))
+    others = _latest("cars", (drive.district, drive.factors), lambda: _moving_objects(drive.tracks))
 
     def write(sensor: str, index: int) -> None:
         mount = layout.lidars[sensor]
-        rng = np.random.default_rng([*stage.seed, 7, sorted(layout.lidars).index(sensor), index])
-        motion = SensorMotion(stage.trajectory, mount.T_rig_lidar)
-        scan = lidar.scan(mount.lidar, scene, motion, int(layout.times[sensor][index]), stage.factors, rng, others)
+        rng = np.random.default_rng([*drive.seed, 7, sorted(layout.lidars).index(sensor), index])
+        motion = SensorMotion(drive.trajectory, mount.T_rig_lidar)
+        scan = lidar.scan(mount.lidar, scene, motion, int(layout.times[sensor][index]), drive.factors, rng, others)
         points = lidar.compensate(mount.lidar, scan, motion) if mount.compensated else scan.points
         layout.write_scan(layout.path(sensor, index), points, scan.reflectance, scan.returned)
 
@@ -188,18 +177,18 @@ def write_scans(unit: Unit) -> Spent:
 
 
 def _measured(unit: Unit, write: Callable[[str, int], None]) -> Spent:
-    """Write the files of a unit. The first one waits for the district and its ray tree."""
+    """Write the files of a unit and time it. The first file includes preparing the district and its ray tree."""
     begin = ready = time.perf_counter()
     for k, (sensor, index) in enumerate(unit.work):
         write(sensor, index)
         ready = ready if k else time.perf_counter()
-    layout = unit.stage.layout
+    layout = unit.drive.layout
     size = sum(layout.path(sensor, index).stat().st_size for sensor, index in unit.work)
     return Spent(len(unit.work), ready - begin, time.perf_counter() - ready, size)
 
 
 def _moving_objects(tracks: Sequence[CarTrack]) -> list[lidar.MovingObject]:
-    """Each car in its own frame."""
+    """The moving cars, each with its mesh in its own frame."""
     objects = []
     for k, track in enumerate(tracks):
         mesh = cars(np.eye(4)[None], np.array([track.variant]), np.array([_MOVING_INSTANCE + k]), Semantic.MOVING_CAR)

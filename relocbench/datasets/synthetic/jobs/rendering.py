@@ -1,4 +1,4 @@
-"""Rendering all frames of a build: what is missing, by whom, and how long it will take."""
+"""Rendering of a build's missing frames by workers, with an estimate of the time."""
 
 from __future__ import annotations
 
@@ -14,9 +14,17 @@ from relocbench.datasets.core import images
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
-from relocbench.datasets.synthetic.jobs import extras, stage
+from relocbench.datasets.synthetic.jobs import extras, scenes
+from relocbench.datasets.synthetic.jobs.estimates import (
+    Spent,
+    duration,
+    rate,
+    remaining,
+    split_pilots,
+    workers_text,
+)
 from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan
-from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.renderer.render import Frame
 from relocbench.execution import Run, chunks, run_units
 from relocbench.geometry import Camera
@@ -26,9 +34,9 @@ Array = NDArray[np.float64]
 
 _STEPS_A_UNIT = 8
 _WORTH_AN_ESTIMATE = 400
-"""images: fewer are rendered soon"""
+"""images; fewer take too little time for an estimate"""
 _WORTH_WORKERS = 8
-"""images: fewer are rendered before other processes have started"""
+"""images; fewer are rendered before other processes have started"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +60,9 @@ class StepWork:
 
 @dataclass(frozen=True, eq=False)
 class RenderUnit:
-    """Some steps of one traversal, done by one worker one after the other; each frame is written on its own."""
+    """Some steps of one traversal, rendered by one worker."""
 
-    place: Place
+    place: DistrictSpec
     factors: Factors
     reference: Factors
     steps: tuple[StepWork, ...]
@@ -68,18 +76,6 @@ class RenderUnit:
         return f"{self.images} images from {first} on"
 
 
-@dataclass(frozen=True)
-class Spent:
-    """What a unit took."""
-
-    images: int
-    setup_s: float
-    """making the district and its renderer ready, up to the first image"""
-    seconds: float
-    """rendering and writing the others"""
-    bytes: int
-
-
 def render_all(
     plans: Sequence[TraversalPlan],
     cameras: Cameras,
@@ -89,27 +85,27 @@ def render_all(
     reporter: Reporter,
     run: Run,
 ) -> None:
-    """Render what is missing; a long job is first measured on a few frames of each condition."""
+    """Render what is missing; a long job is first timed on a few frames of each condition."""
     steps = [(plan, missing_steps(plan, cameras, layout, seed, kinds)) for plan in plans]
     units = [_unit(plan, part) for plan, missing in steps for part in chunks(missing, _STEPS_A_UNIT)]
     total = sum(unit.images for unit in units)
     run = run if total >= _WORTH_WORKERS else run.alone()
     with reporter.stage("rendering", total) as advance:
         if total >= _WORTH_AN_ESTIMATE:
-            pilots, units = _split_pilots(units)
+            pilots, units = split_pilots(units, _scene)
             spent = []
             for _, done in run_units(render_unit, pilots, run):
                 spent.append(done)
-                advance(done.images)
+                advance(done.files)
             reporter.note(estimate(spent, units, run.workers))
         for _, done in run_units(render_unit, units, run):
-            advance(done.images)
+            advance(done.files)
 
 
 def missing_steps(
     plan: TraversalPlan, cameras: Cameras, layout: DatasetLayout, seed: int, kinds: Sequence[str]
 ) -> list[StepWork]:
-    """The steps of a traversal of which a file is missing or torn."""
+    """The steps of a traversal with missing or truncated files."""
     target = layout.traversal(plan.name)
     found = []
     for i, (timestamp, T_world_rig) in enumerate(zip(plan.times, plan.drive.T_world_rig, strict=True)):
@@ -119,7 +115,7 @@ def missing_steps(
             files |= {k: extras.extra_path(layout.root, plan.name, k, name, timestamp) for k in kinds}
             missing = {kind: path for kind, path in files.items() if not images.is_whole(path)}
             if missing:
-                number = stage.frame_seed(seed, plan.number, i, c)
+                number = scenes.frame_seed(seed, plan.number, i, c)
                 frames.append(FrameWork(camera, T_world_rig @ T_rig_cam, number, missing))
         if frames:
             found.append(StepWork(plan.moving[i], tuple(frames)))
@@ -135,20 +131,20 @@ def render_unit(unit: RenderUnit) -> Spent:
     written, start = 0, time.perf_counter()
     ready = None
     for step in unit.steps:
-        renderer = stage.renderer(unit.place, unit.factors, step.moving)
+        renderer = scenes.renderer(unit.place, unit.factors, step.moving)
         for work in step.frames:
             frame = renderer.render(work.camera, work.T_world_cam, work.seed)
             for kind, path in work.missing.items():
                 _WRITERS[kind](path, frame, work, unit)
                 written += path.stat().st_size
-            # The first image waits for the district, for its ray tree and for compilation.
+            # The first image includes making the district and its ray tree, and compilation.
             ready = ready or time.perf_counter()
     assert ready is not None
     return Spent(unit.images, ready - start, time.perf_counter() - ready, written)
 
 
 def _write_changed(path: Path, frame: Frame, work: FrameWork, unit: RenderUnit) -> None:
-    extras.write_mask(path, stage.changed_since(unit.place, unit.reference, frame, work.camera, work.T_world_cam))
+    extras.write_mask(path, scenes.changed_since(unit.place, unit.reference, frame, work.camera, work.T_world_cam))
 
 
 _WRITERS: dict[str, Callable[[Path, Frame, FrameWork, RenderUnit], None]] = {
@@ -161,44 +157,18 @@ _WRITERS: dict[str, Callable[[Path, Frame, FrameWork, RenderUnit], None]] = {
 }
 
 
-def _split_pilots(units: Sequence[RenderUnit]) -> tuple[list[RenderUnit], list[RenderUnit]]:
-    """The first unit of each condition, in one district; and all others."""
-    pilots: list[RenderUnit] = []
-    rest: list[RenderUnit] = []
-    taken: set[Factors] = set()
-    for unit in units:
-        new = unit.place == units[0].place and unit.factors not in taken
-        taken.add(unit.factors)
-        (pilots if new else rest).append(unit)
-    return pilots, rest
-
-
 def estimate(spent: Sequence[Spent], rest: Sequence[RenderUnit], workers: int) -> str:
-    """How long the rest will take and how much it will hold, by what the first images took.
-
-    The first units ran beside each other, as the rest will. Every worker makes every district and condition ready.
-    """
+    """Time and disk space for the rest, extrapolated from the first images."""
     left = sum(unit.images for unit in rest)
-    measured = sum(s.images - 1 for s in spent)
-    size = sum(s.bytes for s in spent) / sum(s.images for s in spent) * left
-    if not measured:
-        return f"{left} images are left to render, {size / 1e9:.1f} GB"
-    per_image = sum(s.seconds for s in spent) / measured
-    scenes = len({(unit.place, unit.factors) for unit in rest})
-    seconds = left * per_image / workers + scenes * float(np.median([s.setup_s for s in spent]))
+    expected = remaining(spent, left, len({_scene(unit) for unit in rest}), workers)
+    if not expected.measured:
+        return f"{left} images are left to render, {expected.gigabytes:.1f} GB"
     return (
-        f"{left} images are left to render: about {duration(seconds)} at {rate(workers, per_image)} with "
-        f"{workers} worker{'s' if workers != 1 else ''}, {size / 1e9:.1f} GB (measured on {measured} images)"
+        f"{left} images are left to render: about {duration(expected.seconds)} at "
+        f"{rate(workers, expected.per_file_s)} with {workers_text(workers)}, {expected.gigabytes:.1f} GB "
+        f"(measured on {expected.measured} images)"
     )
 
 
-def rate(workers: int, per_image_s: float) -> str:
-    """Images a second; a clock that stands still measures nothing."""
-    return f"{workers / per_image_s:.1f} images/s" if per_image_s > 0 else "an unknown rate"
-
-
-def duration(seconds: float) -> str:
-    """In the unit that people would say it in."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+def _scene(unit: RenderUnit) -> tuple[DistrictSpec, Factors]:
+    return unit.place, unit.factors

@@ -1,1 +1,1 @@
-"""Recordings written in the layouts of real data sets."""
+"""Writers of recordings in the layouts of real data sets."""

@@ -1,8 +1,9 @@
-"""A recording in the layout of KITTI odometry.
+"""Writing recordings in the layout of KITTI odometry.
 
-``OUT/sequences/NN/{image_0..3,velodyne,calib.txt,times.txt}`` and ``OUT/poses/NN.txt``, which is what a GNSS/INS says,
-as KITTI's own is: each sequence in a world of its own, that of its first camera. The exact poses, in one world for all
-sequences, are in ``OUT/truth/NN/poses_cam0.txt``. Geiger et al., Are we ready for autonomous driving?, CVPR 2012.
+``OUT/sequences/NN/{image_0..3,velodyne,calib.txt,times.txt}`` and ``OUT/poses/NN.txt``. As in KITTI itself, the poses
+are those of a GNSS/INS, and each sequence has its own world, the frame of its first camera. The exact poses, in one
+world for all sequences, are in ``OUT/truth/NN/poses_cam0.txt``. Geiger et al., Are we ready for autonomous driving?,
+CVPR 2012.
 """
 
 from __future__ import annotations
@@ -13,14 +14,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core import images
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives import odometry
-from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, Trajectory
+from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, TrueTrajectory
 from relocbench.datasets.synthetic.lidar import lidar
 from relocbench.errors import ConfigError
 from relocbench.files import write_bytes, write_text
@@ -30,14 +30,14 @@ Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 CAMERAS: dict[str, float] = {"image_0": 0.0, "image_1": 0.53715, "image_2": -0.06, "image_3": 0.47}
-"""metres to the right of camera 0; 0 and 1 are grey, 2 and 3 are in colour"""
+"""metres to the right of camera 0; cameras 0 and 1 are grey, 2 and 3 colour"""
 _CAMERA = Camera("pinhole", 1226, 370, 707.0912, 707.0912, 601.8873, 183.1104)
-"""of sequences 04 to 12"""
+"""the camera of sequences 04 to 12"""
 _R_FORWARD_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""axes x forward, y left, z up from x right, y down, z forward"""
+"""from axes x right, y down, z forward to x forward, y left, z up"""
 _T_RIG_LIDAR = make_transform(np.eye(3), [0.0, 0.27, 1.73])
 _T_LIDAR_CAM0 = make_transform(_R_FORWARD_CAMERA, [0.27, 0.0, -0.08])
-"""the lidar stands 1.73 m and the cameras 1.65 m above the road, 0.27 m further forward (KITTI's set-up page)"""
+"""the lidar is 1.73 m above the road, the cameras 1.65 m and 0.27 m further forward (KITTI's set-up page)"""
 _PERIOD_NS = 100_000_000
 
 
@@ -49,13 +49,13 @@ class KittiLayout(FieldsOnly):
     sequence: str
     frames: int
     scale: float
-    """size of the images over that of the real ones"""
+    """image size relative to the real cameras"""
     chosen: tuple[str, ...] = ("image_0", "image_1")
     """cameras to record"""
     rings: int = 64
     azimuths: int = 2000
     compensated: bool = True
-    """whether scans have the car's own motion taken out, as those of KITTI's odometry benchmark have"""
+    """whether scans are motion-compensated, as those of KITTI's odometry benchmark are"""
 
     def __post_init__(self) -> None:
         for name in self.chosen:
@@ -86,7 +86,7 @@ class KittiLayout(FieldsOnly):
 
     @cached_property
     def times(self) -> Mapping[str, Times]:
-        """A scan looks forward when the cameras are triggered."""
+        """Times by sensor. The lidar faces forward when the cameras are triggered."""
         ticks = np.arange(self.frames, dtype=np.int64) * _PERIOD_NS
         return dict.fromkeys((*self.chosen, *self.lidars), ticks)
 
@@ -95,19 +95,19 @@ class KittiLayout(FieldsOnly):
 
     def is_whole(self, sensor: str, path: Path) -> bool:
         if sensor in self.lidars:
-            # The number of returns differs: only whole points can be told from torn ones.
+            # The number of returns varies, so only a size that is not a whole number of points shows truncation.
             return path.is_file() and path.stat().st_size > 0 and path.stat().st_size % 16 == 0
         return images.is_whole(path)
 
     def write_image(self, camera: str, path: Path, rgb: NDArray[np.uint8]) -> None:
         colour = camera in ("image_2", "image_3")
-        images.write_image(path, rgb if colour else np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)))
+        images.write_image(path, rgb if colour else images.as_grey(rgb))
 
     def write_scan(self, path: Path, points: Array, reflectance: Array, returned: NDArray[np.bool_]) -> None:
-        """x, y, z, reflectance as float32, what came back alone."""
+        """Write x, y, z, reflectance of the returned points as float32."""
         write_bytes(path, np.column_stack([points, reflectance])[returned].astype("<f4").tobytes())
 
-    def write_texts(self, trajectory: Trajectory, factors: Factors, seed: int) -> dict[str, Any]:
+    def write_texts(self, trajectory: TrueTrajectory, factors: Factors, seed: int) -> dict[str, Any]:
         camera = _CAMERA.scaled(self.scale)
         rows = []
         for i, right_m in enumerate(CAMERAS.values()):

@@ -1,4 +1,4 @@
-"""What a recording is made of, whatever its layout: sensors and their times, the car's motion, other cars."""
+"""The parts of a recording, independent of its layout: sensors and their times, the car's motion, other cars."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ MovingCar = tuple[Array, int]
 """``T_world_car`` (4, 4) and the seed of the car's look"""
 
 _TELEPORT_M = 5.0
-"""a car that moves further from one step to the next left the route at one end and came in at the other"""
+"""a car that moves further than this in one step has left the route at one end and reappeared at the other"""
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
-    """The exact motion of the car: :func:`interpolate_trajectory` between these poses."""
+class TrueTrajectory:
+    """The exact motion of the car, defined by :func:`interpolate_trajectory` between these poses."""
 
     times_ns: Times
     """(N,)"""
@@ -33,7 +33,7 @@ class Trajectory:
     """(N, 4, 4)"""
 
     def at(self, times_ns: Times) -> Array:
-        """(M, 4, 4) ``T_world_rig``. Raises ValueError outside the drive."""
+        """``T_world_rig`` (M, 4, 4) at times (M,). Raises ValueError outside the drive."""
         return interpolate_trajectory(self.times_ns, self.T_world_rig, times_ns)
 
 
@@ -41,7 +41,7 @@ class Trajectory:
 class SensorMotion:
     """``T_world_sensor`` at any time of the drive."""
 
-    trajectory: Trajectory
+    trajectory: TrueTrajectory
     T_rig_sensor: Array
 
     def __call__(self, times_ns: Times, /) -> Array:
@@ -50,16 +50,16 @@ class SensorMotion:
 
 @dataclass(frozen=True, eq=False)
 class CarTrack:
-    """Where another car is, at the steps of the drive and between them."""
+    """The motion of another car, given at the steps of the drive and interpolated between them."""
 
     variant: int
     times_ns: Times
     """(N,)"""
     T_world_car: Array
-    """(N, 4, 4), NaN where it is not there"""
+    """(N, 4, 4), NaN where the car is absent"""
 
     def __call__(self, times_ns: Times, /) -> Array:
-        """(M, 4, 4), NaN where it is not there."""
+        """``T_world_car`` (M, 4, 4) at times (M,), NaN where the car is absent."""
         right = np.clip(np.searchsorted(self.times_ns, times_ns, side="right"), 1, len(self.times_ns) - 1)
         before, after = self.T_world_car[right - 1], self.T_world_car[right]
         span = self.times_ns[right] - self.times_ns[right - 1]
@@ -72,7 +72,7 @@ class CarTrack:
 
 
 def car_tracks(times_ns: Times, steps: Sequence[Sequence[MovingCar]]) -> list[CarTrack]:
-    """The tracks of cars that are listed step by step; a car is known by its look."""
+    """The tracks of cars that are listed step by step; a car is identified by its look."""
     poses: dict[int, Array] = {}
     for i, cars in enumerate(steps):
         for T_world_car, variant in cars:
@@ -83,7 +83,7 @@ def car_tracks(times_ns: Times, steps: Sequence[Sequence[MovingCar]]) -> list[Ca
 
 
 def cars_at(tracks: Sequence[CarTrack], time_ns: int) -> list[MovingCar]:
-    """The cars that are there at one moment."""
+    """The cars that are present at one time."""
     found = [(track(np.array([time_ns]))[0], track.variant) for track in tracks]
     return [(pose, variant) for pose, variant in found if np.isfinite(pose[0, 0])]
 
@@ -103,18 +103,18 @@ class LidarMount:
     lidar: Lidar
     T_rig_lidar: Array
     compensated: bool = False
-    """whether scans are written with the car's own motion taken out"""
+    """whether scans are written motion-compensated"""
 
 
 class FieldsOnly:
-    """A dataclass that goes to workers without what it has worked out for itself."""
+    """A dataclass that is pickled without its cached properties."""
 
     def __getstate__(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(cast(Any, self))}
 
 
 class Layout(Protocol):
-    """A format on disk. It says which sensors there are, when each measures, and writes what they measured."""
+    """A format on disk: it defines the sensors and their times, and writes what they measure."""
 
     @property
     def name(self) -> str:
@@ -123,7 +123,7 @@ class Layout(Protocol):
 
     @property
     def folder(self) -> Path:
-        """Where the drive's images and scans lie."""
+        """The folder of the drive's images and scans."""
         ...
 
     @property
@@ -134,7 +134,7 @@ class Layout(Protocol):
 
     @property
     def times(self) -> Mapping[str, Times]:
-        """Nanoseconds of each image and scan, by sensor."""
+        """Times of the images and scans in nanoseconds, by sensor."""
         ...
 
     def path(self, sensor: str, index: int) -> Path:
@@ -142,17 +142,17 @@ class Layout(Protocol):
         ...
 
     def is_whole(self, sensor: str, path: Path) -> bool:
-        """Whether the file is there, to its end."""
+        """Whether the file exists and was written to its end."""
         ...
 
     def write_image(self, camera: str, path: Path, rgb: NDArray[np.uint8]) -> None: ...
 
     def write_scan(self, path: Path, points: Array, reflectance: Array, returned: NDArray[np.bool_]) -> None: ...
 
-    def write_texts(self, trajectory: Trajectory, factors: Factors, seed: int) -> dict[str, Any]:
-        """Calibration, times, odometry and the like; returns what was drawn to make them, for the truth.
+    def write_texts(self, trajectory: TrueTrajectory, factors: Factors, seed: int) -> dict[str, Any]:
+        """Write calibration, times, odometry and other text files; returns the random errors in them, for the truth.
 
         Raises:
-            DatasetError: the folder holds a calibration that is not this one's.
+            DatasetError: the folder holds another calibration.
         """
         ...

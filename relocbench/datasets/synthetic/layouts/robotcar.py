@@ -1,9 +1,9 @@
-"""A recording in the layout of the Oxford RobotCar dataset.
+"""Writing recordings in the layout of the Oxford RobotCar dataset.
 
 ``OUT/TRAVERSAL/{stereo/left,stereo/centre,stereo/right,mono_left,mono_right,mono_rear,lms_front,lms_rear}``,
 ``*.timestamps``, ``vo/vo.csv``, ``gps/{ins,gps}.csv``, and beside the traversals ``extrinsics``, ``models`` and
-``tags``, which come apart from the recordings there as well. Vehicle axes: x forward, y right, z down, origin at the
-left lens of the stereo camera. Maddern et al., 1 Year, 1000 km: The Oxford RobotCar Dataset, IJRR 2017.
+``tags``, which the real data set's SDK has. Vehicle axes: x forward, y right, z down, origin at the left lens of the
+stereo camera. Maddern et al., 1 Year, 1000 km: The Oxford RobotCar Dataset, IJRR 2017.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from relocbench.datasets.core import images
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives import odometry
 from relocbench.datasets.synthetic.layouts import robotcar_odometry
-from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, Trajectory
+from relocbench.datasets.synthetic.layouts.recorded import CameraMount, FieldsOnly, LidarMount, TrueTrajectory
 from relocbench.datasets.synthetic.lidar import lidar
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.files import plain_file, write_bytes, write_text
@@ -41,20 +41,20 @@ EXTRINSICS: dict[str, tuple[float, ...]] = {
     "ins": (-1.7132, 0.1181, 1.1948, -0.0125, 0.0400, 0.0050),
 }
 """x, y, z, roll, pitch, yaw as published with the dataset's SDK. Those of cameras map from the vehicle to the camera
-(the left camera's 1.6375 m and +70.6 degrees cannot be read otherwise), all others from the sensor to the vehicle."""
+(which the left camera's 1.6375 m and +70.6 degrees show), all others from the sensor to the vehicle."""
 
 T_RIG_VEHICLE = make_transform(np.diag([1.0, -1.0, -1.0]), [0.4, 0.12, 1.55])
-"""from the car's frame of the town: x forward, y left, z up, origin on the road"""
+"""from the RobotCar vehicle to the rig of the simulation: x forward, y left, z up, origin on the road"""
 _R_CAMERA_IMAGE = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""camera axes x forward, y right, z down from image axes x right, y down, z forward"""
+"""from image axes (x right, y down, z forward) to camera axes (x forward, y right, z down)"""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A camera model file: undistorted pinhole intrinsics at full size, and the lens' place to the right."""
+    """A camera model file: undistorted pinhole intrinsics at full size, and the lens's offset to the right."""
 
     camera: str
-    """whose images it is for"""
+    """the camera whose images it is for"""
     intrinsics: tuple[float, float, float]
     """focal length, cx, cy"""
     size: tuple[int, int]
@@ -71,9 +71,9 @@ LENSES: dict[str, Lens] = {
     "mono_right": Lens("mono_right", (400.0, 502.503754, 490.259033), (1024, 1024), pattern="RGGB"),
     "mono_rear": Lens("mono_rear", (400.0, 508.222931, 498.187378), (1024, 1024), pattern="RGGB"),
 }
-"""Intrinsics and baselines as published with the dataset's SDK. Its narrow pair counts from the centre lens; here all
-lenses count from the left one, so that the files hold the exact places. Images of a camera are rendered with the
-first model that is for it; the look-up table of another one leads there."""
+"""Intrinsics and baselines as published with the dataset's SDK. The SDK's narrow pair is relative to the centre lens;
+here all lenses are relative to the left one, so that the files are exact. Images of a camera are rendered with the
+first model for it; the look-up tables of its other models refer to these images."""
 
 CAMERAS = tuple(dict.fromkeys(lens.camera for lens in LENSES.values()))
 _STEREO_PERIOD_NS = 62_500_000
@@ -83,7 +83,7 @@ _PHASES_NS = {"stereo": 0, "mono_left": 11_000_000, "mono_right": 12_000_000, "m
               "lms_front": 3_000_000, "lms_rear": 14_000_000, "ins": 1_000_000}  # fmt: skip
 """sensors are not triggered together"""
 _CHUNK = 6000
-"""a new chunk id after so many images or scans"""
+"""images or scans per chunk"""
 _SCAN_BYTES = 541 * 3 * 8
 
 
@@ -93,11 +93,11 @@ class RobotCarLayout(FieldsOnly):
 
     root: Path
     start_us: int
-    """of the first stereo image, since 1970"""
+    """time of the first stereo image, microseconds since 1970"""
     frames: int
-    """stereo images of each lens"""
+    """stereo images per lens"""
     scale: float
-    """size of the images over that of the real ones"""
+    """image size relative to the real cameras"""
     chosen: tuple[str, ...] = CAMERAS
     """cameras to record"""
 
@@ -136,7 +136,7 @@ class RobotCarLayout(FieldsOnly):
         return stereo | mono | {name: self._ticks(name, 20_000_000) for name in self.lidars}
 
     def _ticks(self, sensor: str, period_ns: int) -> Times:
-        """Times of a sensor while the stereo camera records: whole microseconds."""
+        """Times of a sensor, whole microseconds, while the stereo camera records."""
         duration = (self.frames - 1) * _STEREO_PERIOD_NS
         first = self.start_us * 1000 + _PHASES_NS[sensor]
         return np.arange(first, self.start_us * 1000 + duration + 1, period_ns, dtype=np.int64)
@@ -164,10 +164,10 @@ class RobotCarLayout(FieldsOnly):
         images.write_image(path, mosaic(rgb, LENSES[self.model_of(camera)].pattern))
 
     def write_scan(self, path: Path, points: Array, reflectance: Array, returned: NDArray[np.bool_]) -> None:
-        """All 541 beams, (0, 0, 0) where nothing came back."""
+        """Write all 541 beams, (0, 0, 0) for those without a return."""
         write_bytes(path, np.column_stack([points[:, :2], reflectance]).astype("<f8").tobytes())
 
-    def write_texts(self, trajectory: Trajectory, factors: Factors, seed: int) -> dict[str, Any]:
+    def write_texts(self, trajectory: TrueTrajectory, factors: Factors, seed: int) -> dict[str, Any]:
         self._write_calibration()
         for sensor in {name.split("/")[0]: name for name in self.times}.values():
             rows = (f"{t // 1000} {1 + i // _CHUNK}\n" for i, t in enumerate(self.times[sensor].tolist()))
@@ -184,7 +184,7 @@ class RobotCarLayout(FieldsOnly):
         return drawn
 
     def _write_calibration(self) -> None:
-        """Extrinsics and models are one set for all traversals in the folder."""
+        """Write extrinsics and models, which all traversals in the folder share."""
         files = {
             f"extrinsics/{name}.txt": (" ".join(f"{v:.4f}" for v in values) + "\n").encode()
             for name, values in EXTRINSICS.items()
@@ -197,10 +197,10 @@ class RobotCarLayout(FieldsOnly):
             if not path.exists():
                 write_bytes(path, data)
             elif plain_file(path, "a table").read_bytes() != data:
-                raise DatasetError("belongs to recordings of another size; choose another folder", path)
+                raise DatasetError("belongs to recordings with another image size; choose another folder", path)
 
     def _look_up_table(self, model: str) -> bytes:
-        """Two rows of float64, u and v in the recorded image of each pixel of the undistorted one, row by row."""
+        """The look-up table of a model: u, then v in the recorded image of each undistorted pixel, float64."""
         there = self.camera(model)
         recorded = self.camera(self.model_of(LENSES[model].camera))
         v, u = np.mgrid[: there.height, : there.width].astype(np.float64)
@@ -210,7 +210,7 @@ class RobotCarLayout(FieldsOnly):
 
 
 def T_vehicle_image(model: str) -> Array:
-    """(4, 4): extrinsics of the camera and the lens' own place together."""
+    """(4, 4) from image axes to the vehicle: the camera's extrinsics combined with the lens's offset."""
     lens = LENSES[model]
     T_camera_image = make_transform(_R_CAMERA_IMAGE, [0.0, lens.right_m, 0.0])
     T_camera_vehicle = odometry.transform_from_xyzrpy(EXTRINSICS[lens.camera.split("/")[0]])
@@ -218,14 +218,14 @@ def T_vehicle_image(model: str) -> Array:
 
 
 def model_text(camera: Camera, lens: Lens) -> str:
-    """``fx fy cx cy``, then 4x4 G_camera_image."""
+    """Text of a model file: ``fx fy cx cy``, then the 4x4 G_camera_image."""
     T_camera_image = make_transform(_R_CAMERA_IMAGE, [0.0, lens.right_m, 0.0])
     first = f"{camera.fx:.6f} {camera.fy:.6f} {camera.cx:.6f} {camera.cy:.6f}\n"
     return first + "".join(" ".join(f"{v:.6f}" for v in row) + "\n" for row in T_camera_image)
 
 
 def mosaic(rgb: NDArray[np.uint8], pattern: str) -> NDArray[np.uint8]:
-    """(H, W): of each pixel of (H, W, 3) the colour that its filter lets through; ``pattern`` names the 2x2 corner."""
+    """Bayer mosaic (H, W) of an image (H, W, 3); ``pattern`` names the colours of the top left 2x2 pixels."""
     out = np.empty(rgb.shape[:2], dtype=np.uint8)
     for k, colour in enumerate(pattern):
         row, column = divmod(k, 2)
@@ -234,7 +234,7 @@ def mosaic(rgb: NDArray[np.uint8], pattern: str) -> NDArray[np.uint8]:
 
 
 def tags(factors: Factors) -> list[str]:
-    """Conditions in the words of the dataset's tags."""
+    """The dataset's tags that describe a condition."""
     if factors.sun_elevation_deg < -6:
         light = "night"
     elif factors.sun_elevation_deg < 3:

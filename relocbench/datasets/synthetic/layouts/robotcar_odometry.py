@@ -1,4 +1,4 @@
-"""``vo/vo.csv``, ``gps/ins.csv`` and ``gps/gps.csv`` of the Oxford RobotCar layout."""
+"""The files ``vo/vo.csv``, ``gps/ins.csv`` and ``gps/gps.csv`` of the Oxford RobotCar layout."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _GRID_ORIGIN = (5_735_000.0, 620_000.0)
 """northing and easting of the town's origin, in Oxford's zone"""
 _ZONE = 30
 _RECEIVER_EVERY = 10
-"""solutions of the INS a fix of the receiver alone"""
+"""INS solutions per fix of the receiver"""
 _R_NED_WORLD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
@@ -36,11 +36,13 @@ def vo_text(
     rng: np.random.Generator,
     errors: odometry.OdometryErrors | None = None,
 ) -> str:
-    """Steps of visual odometry. The source of a row is the later image: x, y, z, roll, pitch, yaw are the vehicle's
-    pose at its time in the frame of the vehicle at the destination's time.
+    """Text of ``vo.csv``, with the steps of visual odometry.
+
+    The source of a row is the later image: x, y, z, roll, pitch, yaw are the vehicle's pose at the source time, in its
+    frame at the destination time.
 
     Args:
-        times_ns: (N,) of the images.
+        times_ns: (N,) times of the images.
         T_world_vehicle: (N, 4, 4), x forward, y right, z down.
     """
     steps = odometry.visual_odometry(T_world_vehicle, errors or odometry.OdometryErrors(), rng)
@@ -53,10 +55,10 @@ def vo_text(
 
 
 def gps_texts(times_ns: Times, T_world_ins: Array, rng: np.random.Generator) -> tuple[dict[str, str], dict[str, Any]]:
-    """``ins.csv`` and ``gps.csv``, and what was drawn for them. Attitudes are of the INS's axes in north, east, down.
+    """Texts of ``ins.csv`` and ``gps.csv``, and the random errors in them. Attitudes are in north, east, down.
 
     Args:
-        times_ns: (N,)
+        times_ns: (N,) times of the INS solutions.
         T_world_ins: (N, 4, 4), x forward, y right, z down.
     """
     errors = odometry.InertialErrors()
@@ -80,7 +82,7 @@ def gps_texts(times_ns: Times, T_world_ins: Array, rng: np.random.Generator) -> 
 
 
 def _places(solution: odometry.Solution) -> tuple[list[list[str]], list[list[str]]]:
-    """Latitude, longitude and altitude, and northing, easting and down, of each time."""
+    """Latitude, longitude and altitude, and northing, easting and down, at each time."""
     east, north, up = solution.T_world_body[:, :3, 3].T
     northing, easting = _GRID_ORIGIN[0] + north, _GRID_ORIGIN[1] + east
     latitude, longitude = utm.latitude_longitude(northing, easting, _ZONE)

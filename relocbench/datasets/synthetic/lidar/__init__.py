@@ -1,1 +1,1 @@
-"""Lidars in the weather."""
+"""Simulated lidars in any weather."""

@@ -1,4 +1,4 @@
-"""What comes back of a lidar's beam: reflectance of surfaces, dry, wet and under snow, and what the air takes."""
+"""Echoes of a lidar's beams: reflectance of dry, wet and snowy surfaces, and attenuation by the air."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from relocbench.datasets.synthetic.town.mesh import Material
 Array = NDArray[np.float64]
 
 DARK = 0.1
-"""reflectance of the dark surface by which data sheets state a range"""
+"""reflectance of the dark surface for which data sheets state a range"""
 _DIFFUSE_WHEN_WET = 0.4
-"""share of the diffuse reflection that is left under a film of water seen from above"""
+"""share of the diffuse reflection that remains under a film of water, at normal incidence"""
 _SNOW_REFLECTANCE = 0.8
 _CLUTTER_PER_MM_H = (1e-4, 4e-3)
-"""share of beams that rain and snow in the air send back, per mm/h"""
+"""share of beams that falling rain and snow reflect, per mm/h"""
 
 _REFLECTANCE_OF = {
     Material.ASPHALT: 0.15,
@@ -48,26 +48,26 @@ _REFLECTANCE_OF = {
     Material.LAMP: 0.30,
     Material.PLASTIC: 0.30,
 }
-"""diffuse, near 905 nm: leaves are bright there, glass sends the beam elsewhere, signs send it straight back"""
+"""diffuse reflectance near 905 nm: leaves are bright there, glass deflects the beam, signs are retroreflective"""
 _REFLECTANCE = np.array([_REFLECTANCE_OF[material] for material in Material])
 
 
 def extinction(factors: Factors) -> float:
-    """Extinction of the air, 1/m: fog; rain and dry snow after ITU-R P.1814 (1.076 R^0.67, 5.545 S^1.38 dB/km)."""
+    """Extinction of the air, 1/m, by fog, rain and dry snow (ITU-R P.1814: 1.076 R^0.67 and 5.545 S^1.38 dB/km)."""
     decibels_per_km = 1.076 * factors.rain_mm_h**0.67 + 5.545 * factors.snowfall_mm_h**1.38
     return float(factors.fog_density + decibels_per_km / 1000 * np.log(10) / 10)
 
 
 def surface_reflectance(material: NDArray[np.uint8], upward: Array, cosine: Array, factors: Factors) -> Array:
-    """(N,) diffuse reflectance near 905 nm of what was hit, wet or under snow.
+    """Diffuse reflectance (N,) near 905 nm of the surfaces that were hit, in the given weather.
 
-    A film of water darkens a surface and mirrors what comes in flat: Fresnel by Schlick's formula, on the way in and
-    on the way out. Walls get a third of the rain that the ground gets.
+    A film of water darkens a surface and reflects grazing beams specularly, by Schlick's approximation of Fresnel's
+    equations, on the way in and on the way out. Walls get a third of the rain that the ground gets.
 
     Args:
         material: (N,) :class:`Material`.
-        upward: (N,) vertical part of the surface's normal.
-        cosine: (N,) of the angle between beam and normal.
+        upward: (N,) vertical component of the surface's normal.
+        cosine: (N,) cosine of the angle between beam and normal.
     """
     upward = np.clip(upward, 0.0, 1.0)
     dry = _REFLECTANCE[material]
@@ -79,7 +79,7 @@ def surface_reflectance(material: NDArray[np.uint8], upward: Array, cosine: Arra
 
 
 def signal(distance: Array, reflectance: Array, extinction_per_m: float, dark_range_m: float) -> Array:
-    """(N,) power of the echo over that which is just seen: the lidar equation, ``rho cos / r^2 exp(-2 a r)``."""
+    """Power (N,) of echoes relative to the detection threshold, by the lidar equation ``rho cos / r^2 exp(-2 a r)``."""
     met = np.isfinite(distance)
     r = np.where(met, np.maximum(distance, 1e-3), 1.0)
     power = reflectance / r**2 * np.exp(-2 * extinction_per_m * r)
@@ -87,6 +87,6 @@ def signal(distance: Array, reflectance: Array, extinction_per_m: float, dark_ra
 
 
 def clutter(factors: Factors) -> float:
-    """Share of beams that meet a drop or a flake which sends an echo."""
+    """Share of beams that are reflected by a raindrop or a snowflake."""
     rain, snow = _CLUTTER_PER_MM_H
     return float(1 - np.exp(-rain * factors.rain_mm_h - snow * factors.snowfall_mm_h))

@@ -1,7 +1,7 @@
-"""Lidar: a push-broom scanner and a spinning one, in the weather and among moving cars.
+"""Simulated lidar: a push-broom scanner and a spinning one, in any weather and among moving cars.
 
-Each beam is fired from where the sensor is at its own time and measures what stands there at that time, so that scans
-of a moving sensor are distorted as real ones are.
+Each beam is fired from the sensor's pose at the beam's own time and hits objects where they are at that time, so that
+scans of a moving sensor are distorted like real ones.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ _BEAMS = 541
 _LMS_PERIOD_NS = 20_000_000
 _SPIN_PERIOD_NS = 100_000_000
 _SPECKLE = 0.2
-"""standard deviation of the logarithm of the power that comes back"""
+"""standard deviation of the logarithm of the returned power"""
 _CLUTTER_RANGE_M = 3.0
-"""mean range of the echoes of drops and flakes in the air"""
+"""mean range of echoes from raindrops and snowflakes"""
 _STRAY_M = 1.0
-"""within a scan, something that moves strays less from the straight line between where it is first and last"""
+"""greatest deviation of a moving object from the straight line between its positions at a scan's start and end"""
 _BLOCKED_BY_DROPS = 0.15
-"""share of beams lost where drops cover the sensor's window as far as they may"""
+"""share of beams that are blocked if ``lens_drops`` is 1"""
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
-    """What N rays met first."""
+class RayHits:
+    """The first surfaces that N rays hit."""
 
     range: Array
-    """(N,) in lengths of the direction; inf where nothing was met"""
+    """(N,) in lengths of the direction; inf without a hit"""
     material: NDArray[np.uint8]
-    """(N,) :class:`Material`; 0 where nothing was met"""
+    """(N,) :class:`Material`; 0 without a hit"""
     instance: NDArray[np.uint32]
-    """(N,) object; 0 where nothing was met"""
+    """(N,) object; 0 without a hit"""
     normal: Array
-    """(N, 3) unit normal of the surface; 0 where nothing was met"""
+    """(N, 3) unit normal of the surface; 0 without a hit"""
 
 
 class LidarScene:
-    """Rays against a mesh; one thread, so that N workers use N cores."""
+    """Casts rays against a mesh, in a single thread so that N workers use N cores."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
@@ -65,23 +65,23 @@ class LidarScene:
         self._instance = mesh.instance
 
     def cast(self, origins: Array, directions: Array) -> tuple[Array, NDArray[np.uint8], NDArray[np.uint32]]:
-        """What rays meet first.
+        """Range, material and instance of the first surface that each ray hits.
 
         Args:
             origins: (N, 3) metres, world.
-            directions: (N, 3); ranges are in their lengths, so metres for unit directions.
+            directions: (N, 3); ranges are in their lengths, so in metres for unit directions.
 
         Returns:
-            range (N,), inf where nothing is met, material (N,) and instance (N,), 0 there.
+            range (N,), inf without a hit; material (N,) and instance (N,), 0 without a hit.
         """
         hits = self.hits(origins, directions)
         return hits.range, hits.material, hits.instance
 
-    def hits(self, origins: Array, directions: Array) -> Hits:
-        """As :meth:`cast`, with the normals of the surfaces."""
+    def hits(self, origins: Array, directions: Array) -> RayHits:
+        """Like :meth:`cast`, with the normals of the surfaces."""
         count = len(origins)
         if self._empty or count == 0:
-            return Hits(
+            return RayHits(
                 np.full(count, np.inf),
                 np.zeros(count, np.uint8),
                 np.zeros(count, np.uint32),
@@ -92,7 +92,7 @@ class LidarScene:
         distance = found["t_hit"].numpy().astype(np.float64)
         met = np.isfinite(distance)
         triangle = np.where(met, found["primitive_ids"].numpy(), 0)
-        return Hits(
+        return RayHits(
             distance,
             np.where(met, self._material[triangle], 0).astype(np.uint8),
             np.where(met, self._instance[triangle], 0).astype(np.uint32),
@@ -101,58 +101,58 @@ class LidarScene:
 
 
 class Motion(Protocol):
-    """Where something is at each time."""
+    """The pose of something as a function of time."""
 
     def __call__(self, times_ns: Times, /) -> Array:
-        """(N, 4, 4) ``T_world_body``; NaN where it is not there."""
+        """``T_world_body`` (N, 4, 4) at times (N,); NaN where it is absent."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class MovingObject:
-    """Something that moves while a scan is taken."""
+    """An object that moves during a scan."""
 
     scene: LidarScene
     """its mesh in its own frame"""
     motion: Motion
     radius_m: float
-    """of a ball about its origin that it stays within"""
+    """radius of a sphere around its origin that contains it"""
 
 
 @dataclass(frozen=True, eq=False)
 class Lidar:
-    """A scanner: N beams, each fired at its own time within a scan."""
+    """A scanner with N beams per scan, each fired at its own time."""
 
     directions: Array
-    """(N, 3) unit, sensor frame"""
+    """(N, 3) unit vectors in the sensor's frame"""
     offsets_ns: Times
-    """(N,) when each is fired, relative to the scan's timestamp"""
+    """(N,) firing times relative to the scan's timestamp"""
     period_ns: int
     sigma_m: float
-    """of a range with a strong echo"""
+    """standard deviation of a range with a strong echo"""
     nearest_m: float
     farthest_m: float
     dark_range_m: float
-    """where the echo of a surface with a reflectance of 0.1, hit head-on in clear air, is just seen"""
+    """greatest range for a surface with a reflectance of 0.1 at normal incidence in clear air"""
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
-    """What a lidar measured."""
+class SimulatedScan:
+    """One simulated scan of N beams."""
 
     time_ns: int
     points: Array
-    """(N, 3) metres, each in the sensor's frame at the time of its own firing; 0 where nothing came back"""
+    """(N, 3) metres, each in the sensor's frame at its own firing time; 0 without a return"""
     reflectance: Array
     """(N,) in [0, 1]"""
     returned: NDArray[np.bool_]
     """(N,)"""
     instance: NDArray[np.uint32]
-    """(N,) object that sent the echo back; 0 for echoes out of the air"""
+    """(N,) object that reflected the beam; 0 for echoes from rain and snow"""
 
 
 def push_broom() -> Lidar:
-    """A SICK LMS-151: 541 beams over 270 degrees, 50 Hz, axes x to the middle beam, z the axis of rotation.
+    """A SICK LMS-151: 541 beams over 270 degrees at 50 Hz, x along the middle beam, z along the axis of rotation.
 
     Range 50 m, 18 m for a reflectance of 0.1, noise 12 mm (data sheet). The timestamp is that of the middle beam.
     """
@@ -163,16 +163,16 @@ def push_broom() -> Lidar:
 
 
 def spinning(rings: int = 64, azimuths: int = 2000, highest_deg: float = 2.0, lowest_deg: float = -24.8) -> Lidar:
-    """A spinning lidar, 10 Hz, ring after ring; by default a Velodyne HDL-64E, which reaches 50 m on asphalt and 120 m.
+    """A spinning lidar at 10 Hz, ordered by ring; by default a Velodyne HDL-64E with 120 m range, 50 m on asphalt.
 
-    Axes x forward, y left, z up. It turns clockwise seen from above, begins and ends looking backward, and its
-    timestamp is that of looking forward.
+    Axes: x forward, y left, z up. It turns clockwise seen from above, each scan begins and ends facing backward, and
+    its timestamp is that of facing forward.
 
     Raises:
-        ConfigError: not 16 to 64 rings.
+        ConfigError: the number of rings is not 16 to 64.
     """
     if not 16 <= rings <= 64:
-        raise ConfigError(f"a spinning lidar has 16 to 64 rings, got {rings}")
+        raise ConfigError(f"a spinning lidar needs 16 to 64 rings, got {rings}")
     elevation = np.radians(np.linspace(highest_deg, lowest_deg, rings))[:, None]
     turned = (np.arange(azimuths) + 0.5) / azimuths - 0.5
     azimuth = -2 * np.pi * turned[None, :]
@@ -196,13 +196,13 @@ def scan(
     factors: Factors,
     rng: np.random.Generator,
     moving: Sequence[MovingObject] = (),
-) -> Scan:
-    """One scan.
+) -> SimulatedScan:
+    """Simulate one scan.
 
     Args:
         motion: ``T_world_lidar`` (N, 4, 4) at times (N,).
-        factors: rain, snow, fog and wetness weaken echoes and make false ones.
-        rng: of the noise; the same number of draws whatever is hit.
+        factors: the weather; rain, snow, fog and wetness weaken echoes and cause false ones.
+        rng: generator of the noise; the number of draws does not depend on what is hit.
     """
     times = time_ns + lidar.offsets_ns
     T_world_lidar = motion(times)
@@ -225,7 +225,7 @@ def scan(
     returned = (seen | false_echo) & (blocked >= _BLOCKED_BY_DROPS * factors.lens_drops)
     distance = np.where(returned, np.where(false_echo, echo_m, measured), 0.0)
     brightness = np.where(false_echo, 0.02, reflectance * cosine) * (1 + 0.05 * glitter)
-    return Scan(
+    return SimulatedScan(
         time_ns,
         distance[:, None] * lidar.directions,
         np.where(returned, np.clip(brightness, 0.0, 1.0), 0.0),
@@ -234,8 +234,8 @@ def scan(
     )
 
 
-def compensate(lidar: Lidar, measured: Scan, motion: Motion) -> Array:
-    """Points (N, 3) of a scan in the sensor's frame at the scan's timestamp, its own motion taken out; 0 stays 0."""
+def compensate(lidar: Lidar, measured: SimulatedScan, motion: Motion) -> Array:
+    """Motion-compensated points (N, 3) of a scan, in the sensor's frame at the scan's timestamp; 0 without a return."""
     T_world_lidar = motion(measured.time_ns + lidar.offsets_ns)
     T_now_world = invert(motion(np.array([measured.time_ns]))[0])
     moved = apply(T_now_world @ T_world_lidar, measured.points[:, None, :])[:, 0]
@@ -244,10 +244,10 @@ def compensate(lidar: Lidar, measured: Scan, motion: Motion) -> Array:
 
 def trace(
     scene: LidarScene, moving: Sequence[MovingObject], origins: Array, directions: Array, times_ns: Times
-) -> Hits:
-    """What rays (N, 3) fired at times (N,) meet first, among what stands and what moves.
+) -> RayHits:
+    """The first surfaces that rays (N, 3), fired at times (N,), hit among static and moving objects.
 
-    A ray against something that moves is cast in that object's frame at the ray's time: no mesh is moved.
+    For a moving object, rays are transformed to its frame at their times, so that no mesh has to be moved.
     """
     nearest = scene.hits(origins, directions)
     for thing in moving:
@@ -270,7 +270,7 @@ def trace(
 
 
 def _may_meet(thing: MovingObject, origins: Array, directions: Array, times_ns: Times) -> NDArray[np.bool_]:
-    """(N,) rays that pass by an object near enough; all where it comes or goes while they are fired."""
+    """Mask (N,) of the rays that pass near an object; all of them if it appears or disappears during the scan."""
     ends = thing.motion(np.array([times_ns.min(), times_ns.max()]))[:, :3, 3]
     present = np.isfinite(ends[:, 0])
     if not present.all():

@@ -1,1 +1,1 @@
-"""Images with exact depth, by casting rays."""
+"""The renderer: images with exact depth by ray casting."""

@@ -1,4 +1,4 @@
-"""Edges in the image, and which samples across them need colours of their own."""
+"""Anti-aliasing: edges in the image, and the samples across them that have to be shaded."""
 
 from __future__ import annotations
 
@@ -6,24 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic.renderer.raycast import NOTHING
-from relocbench.datasets.synthetic.renderer.samples import View, ray
+from relocbench.datasets.synthetic.renderer.samples import PIXEL_OFFSETS, View, ray
 from relocbench.datasets.synthetic.renderer.surfaces import Geometry, Hits, corner
-from relocbench.datasets.synthetic.renderer.vectors import cross, dot, minus
+from relocbench.datasets.synthetic.renderer.vectors import cross, dot, subtract
 from relocbench.kernels import njit
 
 Floats = NDArray[np.float32]
-OFFSETS = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]], dtype=np.float32)
-"""(4, 2) of the samples in a pixel of an edge: a rotated square meets edges near the axes at four places"""
 _CONTRAST = 0.04
-"""between the pixels of an edge, of their sum; a fainter edge needs no smoothing"""
-
+"""least difference of two pixels relative to their sum that makes an edge worth smoothing"""
 _AROUND = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
-"""rows and columns to a pixel and its neighbours, the nearest first"""
-_KEPT = 256
+"""row and column offsets of a pixel and its neighbours, the nearest first"""
+_CACHE_SIZE = 256
+"""triangles"""
 
 
 def surface_names(geometry: Geometry) -> NDArray[np.uint32]:
-    """(T,) one number for each object, material and variant."""
+    """A number (T,) for each triangle that is the same for the same object, material and variant."""
     name = geometry.instance * np.uint32(0x9E3779B1)
     name ^= geometry.variant * np.uint32(0x85EBCA6B)
     return np.asarray(name * np.uint32(32) + geometry.material)
@@ -33,9 +31,10 @@ def surface_names(geometry: Geometry) -> NDArray[np.uint32]:
 def edge_pixels(
     names: NDArray[np.uint32], triangle: NDArray[np.uint32], hits: Hits, light: Floats, width: int
 ) -> NDArray[np.int64]:
-    """Pixels whose right, left, upper or lower neighbour shows another surface in another brightness.
+    """Pixels with a horizontal or vertical neighbour that shows another surface and differs in brightness.
 
-    One smooth surface is what has one name (see :func:`surface_names`), normals alike and no step between.
+    Two pixels show the same surface if they have the same name (see :func:`surface_names`), similar normals and no step
+    in between.
     """
     n = len(triangle)
     depth, normal, position = hits.depth, hits.normal, hits.position
@@ -72,27 +71,27 @@ def edge_pixels(
 def neighbours_seen(
     view: View, geometry: Geometry, edges: NDArray[np.int64], triangle: NDArray[np.uint32], width: int
 ) -> NDArray[np.int64]:
-    """For each sample of the edge pixels (4 E,) the pixel nearby whose triangle it meets first, or -1 if it meets none.
+    """For each sample of the edge pixels (4 E,) the nearby pixel whose triangle it hits first, or -1 if it hits none.
 
-    Only the triangles that the 3 x 3 pixels around show are tried, which nearly always include the right one, and cost
-    a tenth of a ray. Seen from o, the ray along d meets the triangle of corners o + A, o + B, o + C if d.(A x B),
-    d.(B x C) and d.(C x A) have one sign, at A.(B x C) over their sum.
+    Only the triangles shown by the surrounding 3 x 3 pixels are tested, which nearly always include the right one and
+    cost a tenth of a ray. A ray from o along d hits the triangle with corners o + A, o + B, o + C if d.(A x B),
+    d.(B x C) and d.(C x A) have the same sign, at the parameter A.(B x C) divided by their sum.
     """
     n = len(triangle)
     out = np.full(4 * len(edges), -1, dtype=np.int64)
     tried = np.empty(9, dtype=np.uint32)
     nearest = np.empty(4)
-    # Neighbouring edge pixels try the same triangles: the last ones are kept, each in the place its number says.
-    kept = np.full(_KEPT, NOTHING, dtype=np.uint32)
-    planes = np.empty((_KEPT, 10))
+    # Neighbouring edge pixels test the same triangles, so recent ones are cached by their numbers.
+    cached = np.full(_CACHE_SIZE, NOTHING, dtype=np.uint32)
+    planes = np.empty((_CACHE_SIZE, 10))
     o = (view.origin[0], view.origin[1], view.origin[2])
     for e in range(len(edges)):
         i = edges[e]
         column = i % width
-        d0, _, _ = ray(view, column + OFFSETS[0, 0], i // width + OFFSETS[0, 1])
-        d1, _, _ = ray(view, column + OFFSETS[1, 0], i // width + OFFSETS[1, 1])
-        d2, _, _ = ray(view, column + OFFSETS[2, 0], i // width + OFFSETS[2, 1])
-        d3, _, _ = ray(view, column + OFFSETS[3, 0], i // width + OFFSETS[3, 1])
+        d0, _, _ = ray(view, column + PIXEL_OFFSETS[0, 0], i // width + PIXEL_OFFSETS[0, 1])
+        d1, _, _ = ray(view, column + PIXEL_OFFSETS[1, 0], i // width + PIXEL_OFFSETS[1, 1])
+        d2, _, _ = ray(view, column + PIXEL_OFFSETS[2, 0], i // width + PIXEL_OFFSETS[2, 1])
+        d3, _, _ = ray(view, column + PIXEL_OFFSETS[3, 0], i // width + PIXEL_OFFSETS[3, 1])
         nearest[:] = np.inf
         count = 0
         for step, aside in _AROUND:
@@ -107,12 +106,12 @@ def neighbours_seen(
                 continue
             tried[count] = t
             count += 1
-            slot = t % _KEPT
-            if kept[slot] != t:
-                kept[slot] = t
-                A = minus(corner(geometry.vertices, geometry.triangles[t, 0]), o)
-                B = minus(corner(geometry.vertices, geometry.triangles[t, 1]), o)
-                C = minus(corner(geometry.vertices, geometry.triangles[t, 2]), o)
+            slot = t % _CACHE_SIZE
+            if cached[slot] != t:
+                cached[slot] = t
+                A = subtract(corner(geometry.vertices, geometry.triangles[t, 0]), o)
+                B = subtract(corner(geometry.vertices, geometry.triangles[t, 1]), o)
+                C = subtract(corner(geometry.vertices, geometry.triangles[t, 2]), o)
                 AB, BC, CA = cross(A, B), cross(B, C), cross(C, A)
                 for k in range(3):
                     planes[slot, k], planes[slot, 3 + k], planes[slot, 6 + k] = AB[k], BC[k], CA[k]
@@ -142,9 +141,10 @@ def known_colours(
     hits: Hits,
     width: int,
 ) -> NDArray[np.int64]:
-    """For each sample (S,) in some pixel the pixel nearby that shows the same surface, or -1.
+    """For each sample (S,) the nearby pixel that shows the same surface, or -1.
 
-    ``found`` (S,) holds the samples' triangles; ``triangle`` and ``hits`` are those of the pixels' centres.
+    ``pixels`` and ``found`` (S,) hold the samples' pixels and triangles; ``triangle`` and ``hits`` are those of all
+    pixels' centres.
     """
     n = len(triangle)
     out = np.full(len(found), -1, dtype=np.int64)
@@ -169,7 +169,7 @@ def known_colours(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cosine(vertices: Floats, triangles: NDArray[np.uint32], t: int, normal: Floats, j: int) -> float:
-    """Between the normals of a triangle and of a pixel."""
+    """Cosine of the angle between the normals of a triangle and of a pixel."""
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
     x1, y1, z1 = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
     x2, y2, z2 = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
@@ -182,9 +182,9 @@ def _cosine(vertices: Floats, triangles: NDArray[np.uint32], t: int, normal: Flo
 def blend_edges(
     image: Floats, edges: NDArray[np.int64], known: NDArray[np.int64], own: Floats, index: NDArray[np.int64]
 ) -> Floats:
-    """The image (N, 3) with each edge pixel the mean of its centre and its four samples.
+    """The image (N, 3) in which each edge pixel is the mean of its centre and its four samples.
 
-    Samples take the colour of a pixel that is known (4 E,), or their own (M, 3) at ``index`` (4 E,).
+    A sample has the colour of pixel ``known`` (4 E,) or, if that is -1, of ``own`` (M, 3) at ``index`` (4 E,).
     """
     out = image.copy()
     for e in range(len(edges)):

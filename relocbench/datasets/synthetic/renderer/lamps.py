@@ -1,10 +1,10 @@
-"""Street lamps and the own car's headlights.
+"""Street lamps and the headlights of the recording car.
 
-By night a unit of irradiance stands for :data:`NIGHT_LUX`. Lamps are road luminaires: their intensity grows towards the
-sides, so that the road between two of them is not dark, and ends below the horizon (EN 13201-2:2015: 10 to 30 lx on the
-road in classes C4 to C1, the least no less than 0.4 of the mean). Headlights are dipped beams after UN Regulation 112,
-class B: the brightest part lies just below a sharp cut-off at 1 % below the horizon, and hardly any light above it. A
-pattern that moves with the car is then but a part of what lights the road.
+At night a unit of irradiance stands for :data:`NIGHT_LUX`. Lamps are road luminaires: their intensity increases towards
+the sides, so that the road between two of them is not dark, and ends below the horizon (EN 13201-2:2015: 10 to 30 lx on
+the road in classes C4 to C1, the minimum at least 0.4 of the mean). Headlights are dipped beams after UN Regulation
+112, class B: brightest just below a sharp cut-off at 1 % below the horizon, with hardly any light above it. Thus only a
+part of the road's light moves with the car.
 """
 
 from __future__ import annotations
@@ -14,43 +14,43 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.synthetic.renderer.vectors import smooth
+from relocbench.datasets.synthetic.renderer.vectors import smoothstep
 from relocbench.kernels import njit
 
 Floats = NDArray[np.float32]
 NIGHT_LUX = 80.0
-"""lx, of a unit of irradiance; by day, when lamps hardly count, it stands for some hundred times as much"""
+"""lux per unit of irradiance; by day, when lamps hardly matter, a unit stands for several hundred times as much"""
 _LAMP_CELL_M = 8.0
 _LAMP_REACH_M = 26.0
 _LAMPS_A_CELL = 6
 _LAMP_POWER = 7.0
-"""straight down, 560 cd: with lamps of 5.6 m every 23 m on both sides 28 lx on the road on average"""
+"""intensity straight down, 560 cd; with lamps of 5.6 m every 23 m on both sides this gives 28 lx on average"""
 _WIDEST = 0.42
 """cosine of the angle from straight down, 65 degrees, at which a luminaire is brightest"""
 _UPWARDS = 0.02
-"""of the intensity straight down: what housing and lit road send up"""
+"""light upwards by housing and lit road, relative to the intensity straight down"""
 _BEAM_POWER = 250.0
-"""20 000 cd of two headlights where they are brightest"""
+"""greatest intensity of the two headlights, 20 000 cd"""
 _CUT_OFF = -0.01
 """sine of the angle above the horizon"""
 _ABOVE = 0.03
-"""of the largest intensity, above the cut-off: at most 350 cd for an oncoming eye (B50L) and 625 cd elsewhere (zone
-III), of some 10 000 cd in a headlight"""
+"""intensity above the cut-off relative to the greatest: at most 350 cd for an oncoming eye (B50L) and 625 cd elsewhere
+(zone III), of about 10 000 cd per headlight"""
 _FOREGROUND = 0.075
-"""so much further below the cut-off (sine of the angle) the beam has fallen to half: the road nearby needs less"""
+"""angle below the cut-off (as sine) at which the intensity is halved, because the road nearby needs less light"""
 _SPREAD = 0.25
-"""tangent of the angle to either side at which it has fallen to 1/e"""
+"""tangent of the angle to either side at which the intensity has fallen to 1/e"""
 
 
 class Lamps(NamedTuple):
-    """Street lamps by place."""
+    """Street lamps with a grid for looking them up."""
 
     heads: Floats
     """(L, 3)"""
     low: Floats
     """(2,) corner of the first cell"""
     near: NDArray[np.int32]
-    """(rows, columns, 6) nearest lamps of a cell, -1 for none"""
+    """(rows, columns, 6) nearest lamps of each cell, -1 for none"""
 
 
 class Beam(NamedTuple):
@@ -61,7 +61,7 @@ class Beam(NamedTuple):
 
 
 def make_lamps(heads: NDArray[np.floating]) -> Lamps:
-    """Which lamps reach which cell of the town."""
+    """Build the grid of the lamps that reach each cell of the town."""
     heads = np.ascontiguousarray(heads, dtype=np.float32).reshape(-1, 3)
     if len(heads) == 0:
         return Lamps(heads, np.zeros(2, np.float32), np.full((1, 1, _LAMPS_A_CELL), -1, np.int32))
@@ -79,17 +79,19 @@ def make_lamps(heads: NDArray[np.floating]) -> Lamps:
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _luminaire(down: float) -> float:
-    """Intensity over that straight down, by the cosine of the angle from straight down.
+    """Intensity relative to that straight down, by the cosine of the angle from straight down.
 
-    As 1 / cosine^2 up to the brightest direction, so that the road is lit more evenly; then it falls to nearly nothing
-    at the horizon.
+    It grows as 1 / cosine^2 up to the brightest direction, so that the road is lit evenly, and falls to nearly zero at
+    the horizon.
     """
-    return (1 - _UPWARDS) / max(down, _WIDEST) ** 2 * smooth(down, 0.0, _WIDEST) + _UPWARDS
+    return (1 - _UPWARDS) / max(down, _WIDEST) ** 2 * smoothstep(down, 0.0, _WIDEST) + _UPWARDS
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def strongest(lamps: Lamps, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tuple[int, float, float]:
-    """The lamp that gives most light at a point, its irradiance, and that of all others."""
+def strongest_lamp(
+    lamps: Lamps, x: float, y: float, z: float, nx: float, ny: float, nz: float
+) -> tuple[int, float, float]:
+    """The lamp that gives the most light at a point with a normal, its irradiance, and that of all other lamps."""
     column, row = int((x - lamps.low[0]) / _LAMP_CELL_M), int((y - lamps.low[1]) / _LAMP_CELL_M)
     rows, columns, _ = lamps.near.shape
     best, most, total = -1, 0.0, 0.0
@@ -106,7 +108,7 @@ def strongest(lamps: Lamps, x: float, y: float, z: float, nx: float, ny: float, 
         if facing <= 0.0 or distance > _LAMP_REACH_M:
             continue
         down = lz / distance
-        fade = 1 - smooth(distance, 0.75 * _LAMP_REACH_M, _LAMP_REACH_M)
+        fade = 1 - smoothstep(distance, 0.75 * _LAMP_REACH_M, _LAMP_REACH_M)
         power = _LAMP_POWER * _luminaire(down) * facing * fade / (square + 1.0)
         total += power
         if power > most:
@@ -115,8 +117,8 @@ def strongest(lamps: Lamps, x: float, y: float, z: float, nx: float, ny: float, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def beam_light(beam: Beam, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
-    """Irradiance by the dipped headlights of the own car, seen as one."""
+def headlight_irradiance(beam: Beam, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
+    """Irradiance at a point with a normal by the dipped headlights of the recording car, modelled as one lamp."""
     dx, dy, dz = x - beam.origin[0], y - beam.origin[1], z - beam.origin[2]
     square = dx * dx + dy * dy + dz * dz
     distance = np.sqrt(square) + 1e-6
@@ -127,6 +129,6 @@ def beam_light(beam: Beam, x: float, y: float, z: float, nx: float, ny: float, n
     rise = dz / distance
     facing = -(dx * nx + dy * ny + dz * nz) / distance
     below = (rise - _CUT_OFF) / _FOREGROUND
-    lobe = _ABOVE + (1 - _ABOVE) * (1 - smooth(rise, _CUT_OFF - 0.005, _CUT_OFF + 0.005)) / (1 + below * below)
+    lobe = _ABOVE + (1 - _ABOVE) * (1 - smoothstep(rise, _CUT_OFF - 0.005, _CUT_OFF + 0.005)) / (1 + below * below)
     lobe *= np.exp(-((side / (ahead * distance * _SPREAD)) ** 2))
     return _BEAM_POWER * max(facing, 0.0) * lobe / (square + 0.5)

@@ -1,4 +1,4 @@
-"""How each material looks: colours that the variant chooses from, gloss, what water does to it."""
+"""Appearance of each material: the colours that a variant can choose, gloss, and the effect of water."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ CHOICES = 6
 
 @dataclass(frozen=True)
 class Look:
-    """Colours are sRGB of 255, as a painter's chart gives them; they are kept as linear albedo."""
+    """Appearance of a material. Colours are 8-bit sRGB here and are converted to linear albedo for rendering."""
 
     first: tuple[Colour, ...]
-    """the variant takes one"""
+    """main colours, of which the variant chooses one"""
     second: Colour
+    """colour of the pattern, such as mortar, dirt or grain"""
     spread: float = 0.06
-    """standard variation of the brightness between objects"""
+    """variation of brightness between objects"""
     gloss: float = 0.0
-    """share of the mirror's reflection when dry"""
+    """strength of the specular reflection when dry"""
     porous: float = 0.0
-    """share of the light that is lost when the surface is soaked"""
+    """share of the diffuse light that is lost when the surface is soaked"""
     film: float = 0.0
-    """share of the mirror's reflection when wet and flat"""
+    """strength of the specular reflection when wet and horizontal"""
     hollows: float = 0.0
-    """how readily puddles stand on it"""
+    """how readily puddles form on it"""
 
 
 LOOKS: dict[Material, Look] = {
@@ -115,17 +116,17 @@ class Looks(NamedTuple):
     film: Floats
     hollows: Floats
     foliage: Floats
-    """(4, 3) the colour of leaves of four kinds of tree at this time of the year"""
+    """(4, 3) leaf colours of four kinds of tree in the season"""
 
 
 def linear(colour: Colour) -> Floats:
-    """Linear albedo (3,) of an sRGB colour."""
+    """Linear albedo (3,) of an 8-bit sRGB colour."""
     c = np.array(colour) / 255.0
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
 def make_looks(leaf_colour: float) -> Looks:
-    """Tables at a time of the year: see :attr:`Factors.leaf_colour`."""
+    """Tables of all looks for a season, given by :attr:`Factors.leaf_colour`."""
     if leaf_colour <= 0.5:
         leaves = [linear(SPRING) + (linear(SUMMER) - linear(SPRING)) * np.float32(2 * leaf_colour)] * 4
     else:
@@ -145,7 +146,7 @@ def make_looks(leaf_colour: float) -> Looks:
 
 @njit(cache=True, nogil=True)
 def scramble(a: int | np.int64, b: int | np.int64) -> int:
-    """32 well-mixed bits of two numbers (finaliser of MurmurHash3, public domain)."""
+    """Hash of two numbers to 32 bits (finaliser of MurmurHash3, public domain)."""
     x = (a * 0x9E3779B1 + b * 0x85EBCA6B + 0x7F4A7C15) & 0xFFFFFFFF
     x ^= x >> 16
     x = (x * 0x85EBCA6B) & 0xFFFFFFFF

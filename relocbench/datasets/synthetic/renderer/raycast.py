@@ -1,4 +1,4 @@
-"""Rays against triangles by Embree (Open3D's RaycastingScene), one thread a worker."""
+"""Ray casting by Embree (Open3D's RaycastingScene), single-threaded in each worker."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from relocbench.datasets.synthetic.town.mesh import Mesh
 
 Floats = NDArray[np.float32]
 NOTHING = 0xFFFFFFFF
-"""number of the triangle where a ray hits none"""
+"""triangle number of a ray that hits nothing"""
 
 
 class Scene:
@@ -25,14 +25,14 @@ class Scene:
             )
 
     def closest(self, rays: Floats) -> NDArray[np.uint32]:
-        """Number of the first triangle (N,) that each ray (N, 6) of origin and direction hits, or NOTHING."""
+        """Number (N,) of the first triangle that each ray (N, 6), origin and direction, hits, or NOTHING."""
         if len(rays) == 0:
             return np.zeros(0, dtype=np.uint32)
         hit = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=1)
         return np.asarray(hit["primitive_ids"].numpy())
 
     def occluded(self, rays: Floats, far: float = np.inf) -> NDArray[np.bool_]:
-        """Whether anything (N,) lies on each ray (N, 6) before ``far``, in lengths of its direction."""
+        """Whether each ray (N, 6) hits anything before ``far``, in lengths of its direction: (N,)."""
         if len(rays) == 0:
             return np.zeros(0, dtype=np.bool_)
         hit = self._scene.test_occlusions(o3d.core.Tensor.from_numpy(rays), tfar=far, nthreads=1)

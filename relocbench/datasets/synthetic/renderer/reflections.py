@@ -1,8 +1,8 @@
-"""Which mirroring pixels do without a ray of their own, and how the film on wet ground blurs what it mirrors.
+"""Reflections on wet ground: pixels whose reflection is interpolated, and the blur of a rough film of water.
 
-In odd rows, wet ground takes the mean of the pixels above and below, puddles too, whose waves hide it. In even rows,
-where the film blurs, every other pixel takes the mean of those on its left and right, in turn from row to row: it blurs
-less across than along, so that its rays are denser across. Glass has a ray for every pixel.
+In odd rows, wet ground and puddles, whose waves hide it, take the mean of the pixels above and below. In even rows
+every other pixel of a blurring film takes the mean of its left and right neighbours, alternating between rows: the film
+blurs less across than along the light's direction, so rays are denser across. Glass has a ray for every pixel.
 """
 
 from __future__ import annotations
@@ -16,21 +16,22 @@ from relocbench.kernels import njit
 
 Floats = NDArray[np.float32]
 _CLEAR = 0.5
-"""sharpness of a mirror that is not blurred"""
+"""sharpness from which on a reflection is not interpolated in even rows"""
 _ACROSS, _ALONG = 4, 30
-"""half the width and height of the blur in pixels of an image 512 wide, 75 degrees across. A facet that leans by b
-turns the mirrored ray by 2 b along the way of the light and by 2 b sin(t) across it, t being the angle at which the
-road is seen (Cox and Munk 1954, of the glitter of water). Facets lean by 1.5 degrees, root mean square, at a t of about
-8 degrees: grains stick out of the film on asphalt, so that facades become streaks, and only puddles mirror clearly"""
+"""half width and half height of the blur in pixels, for an image 512 pixels wide with 75 degrees field of view. A facet
+tilted by b turns the reflected ray by 2 b along the light's direction and by 2 b sin(t) across it, where t is the angle
+at which the road is seen (Cox and Munk 1954, on the glitter of water). The values are for facets tilted by 1.5 degrees
+(root mean square) and t of about 8 degrees: grains protrude from the film on asphalt, so that facades become streaks
+and only puddles reflect clearly"""
 _FLAT = 0.97
-"""z of the normal of ground that water can lie on"""
+"""least z of the normal of ground that can hold water"""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def skipped(casts: NDArray[np.bool_], hits: Hits, width: int) -> NDArray[np.int64]:
-    """Pixels that can do with their neighbours, in the order in which they are filled in: even rows first.
+def interpolated_pixels(casts: NDArray[np.bool_], hits: Hits, width: int) -> NDArray[np.int64]:
+    """Pixels whose reflection is interpolated, in the order in which they are filled: even rows first.
 
-    ``casts`` (N,) says which pixels of the image mirror.
+    ``casts`` (N,) marks the reflecting pixels of the image.
     """
     n = len(casts)
     normal = hits.normal
@@ -52,7 +53,7 @@ def skipped(casts: NDArray[np.bool_], hits: Hits, width: int) -> NDArray[np.int6
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fill(reflected: Floats, pixels: NDArray[np.int64], width: int) -> None:
-    """Give each of the pixels, in their order, the mean of its two neighbours in ``reflected`` (N, 3)."""
+    """Set each of the pixels in ``reflected`` (N, 3), in their order, to the mean of its two neighbours."""
     for i in pixels:
         step = width if (i // width) % 2 else 1
         for k in range(3):
@@ -60,9 +61,9 @@ def fill(reflected: Floats, pixels: NDArray[np.int64], width: int) -> None:
 
 
 def roughen(reflected: Floats, casts: NDArray[np.bool_], sharpness: Floats, width: int) -> None:
-    """Blur what wet ground mirrors, more along the way of the light, as a rough film does; puddles stay clear.
+    """Blur reflections on wet ground, more along the light's direction, as a rough film does; puddles stay clear.
 
-    ``casts`` (N,) tells the pixels that mirror, of ``reflected`` (N, 3).
+    ``casts`` (N,) marks the reflecting pixels of ``reflected`` (N, 3).
     """
     rough = np.flatnonzero(casts & (sharpness < 1.0))
     if len(rough) == 0:
@@ -78,7 +79,7 @@ def roughen(reflected: Floats, casts: NDArray[np.bool_], sharpness: Floats, widt
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _scatter(image: Floats, reflected: Floats, pixels: NDArray[np.int64], first: int) -> None:
-    """Copy the pixels into an image (M, 4) that begins at pixel ``first``, with a weight of 1."""
+    """Copy the pixels with weight 1 into an image (M, 4) that begins at pixel ``first``."""
     for i in pixels:
         for k in range(3):
             image[i - first, k] = reflected[i, k]
@@ -87,7 +88,7 @@ def _scatter(image: Floats, reflected: Floats, pixels: NDArray[np.int64], first:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _mix(reflected: Floats, mean: Floats, sharpness: Floats, pixels: NDArray[np.int64], first: int) -> None:
-    """Leave of each pixel what its sharpness says; the rest becomes the weighted mean (M, 4)."""
+    """Blend each pixel with the blurred image (M, 4, with weights) according to its sharpness."""
     for i in pixels:
         rest = (np.float32(1.0) - sharpness[i]) / mean[i - first, 3]
         for k in range(3):

@@ -1,4 +1,4 @@
-"""The renderer: images with exact depth, normals and objects of a district in a condition."""
+"""The renderer: images of a district in a condition, with exact depth, normals and objects."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from relocbench.datasets.synthetic.renderer import lamps as lighting
 from relocbench.datasets.synthetic.renderer import reflections, shading, shadows, surfaces
 from relocbench.datasets.synthetic.renderer import samples as sampling
 from relocbench.datasets.synthetic.renderer.edges import (
-    OFFSETS,
     blend_edges,
     edge_pixels,
     known_colours,
@@ -22,26 +21,26 @@ from relocbench.datasets.synthetic.renderer.edges import (
 from relocbench.datasets.synthetic.renderer.lamps import Beam
 from relocbench.datasets.synthetic.renderer.materials import make_looks
 from relocbench.datasets.synthetic.renderer.raycast import NOTHING, Scene
-from relocbench.datasets.synthetic.renderer.response import respond
-from relocbench.datasets.synthetic.renderer.samples import Floats, Samples, View, direct_samples
+from relocbench.datasets.synthetic.renderer.response import apply_response
+from relocbench.datasets.synthetic.renderer.samples import PIXEL_OFFSETS, Floats, Samples, View, direct_samples
 from relocbench.datasets.synthetic.renderer.sky import Sky, make_sky
-from relocbench.datasets.synthetic.renderer.skylight import Skylight, make_skylight, with_moving
+from relocbench.datasets.synthetic.renderer.skylight import Skylight, make_skylight, with_moving_cars
 from relocbench.datasets.synthetic.renderer.surfaces import Hits, Setting
 from relocbench.datasets.synthetic.renderer.textures import bake
-from relocbench.datasets.synthetic.renderer.weather import add_lens_drops, draw_falling, falling_extinction
+from relocbench.datasets.synthetic.renderer.weather import add_lens_drops, draw_precipitation, falling_extinction
 from relocbench.datasets.synthetic.town.mesh import Mesh
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera
 
 _LEAST_MIRROR = 0.03
-"""share of reflected light below which no ray is cast for it"""
+"""specular reflectance below which no ray is cast"""
 _LAMP_AT = 0.95
-"""rays to a lamp end before its own glass"""
+"""ray parameter at which shadow rays to a lamp end, before its own glass"""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One image and its truth, which is that of the ray through the centre of each pixel."""
+    """One image with its ground truth, which is that of the ray through each pixel's centre."""
 
     rgb: NDArray[np.uint8]
     """(H, W, 3)"""
@@ -57,7 +56,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What the cars that move leave as it is."""
+    """The parts of a scene that do not depend on moving cars."""
 
     sky: Sky
     skylight: Skylight
@@ -68,11 +67,11 @@ class Renderer:
 
     Args:
         mesh: world frame, z up.
-        factors: weather, hour and camera response.
-        lamps: (L, 3) heads of street lamps, metres.
-        seed: of patterns, colours and clouds.
-        surroundings: of the same town in the same condition without moving cars, where they are at hand: they take
-            longer than an image.
+        factors: weather, time of day and camera response.
+        lamps: (L, 3) positions of street lamps, metres.
+        seed: seed of patterns, colours and clouds.
+        surroundings: those of the same town and condition without moving cars, if available; computing them takes
+            longer than rendering an image.
     """
 
     def __init__(
@@ -92,7 +91,7 @@ class Renderer:
         if surroundings is None:
             self._sky, self._skylight = make_sky(factors, seed), make_skylight(mesh, self._scene)
         else:
-            self._sky, self._skylight = surroundings.sky, with_moving(surroundings.skylight, mesh, self._scene)
+            self._sky, self._skylight = surroundings.sky, with_moving_cars(surroundings.skylight, mesh, self._scene)
         self._lamps = lighting.make_lamps(lamps)
         self._by_lamp = not self._sky.sun.any()
         extinction = factors.fog_density + falling_extinction(factors.rain_mm_h, factors.snowfall_mm_h)
@@ -110,7 +109,7 @@ class Renderer:
 
     @property
     def surroundings(self) -> Surroundings:
-        """For renderers of the same town with cars that move."""
+        """What renderers of the same town with moving cars can reuse."""
         return Surroundings(self._sky, self._skylight)
 
     def render(
@@ -120,11 +119,16 @@ class Renderer:
         frame_seed: int,
         T_world_vehicle: NDArray[np.float64] | None = None,
     ) -> Frame:
-        """The image of a pinhole camera at T_world_cam (4, 4); the same arguments give the same bytes.
+        """Render the image of a pinhole camera; the same arguments give the same bytes.
 
-        ``frame_seed`` draws what differs from image to image: noise, falling rain and snow, drops on the lens.
-        ``T_world_vehicle`` says where the own headlights are; without it they shine below the camera, where it looks.
-        Raises ConfigError if the camera is not a pinhole camera.
+        Args:
+            T_world_cam: (4, 4).
+            frame_seed: seed of what differs between images: noise, falling rain and snow, drops on the lens.
+            T_world_vehicle: (4, 4) pose of the car with the headlights; default: they are below the camera and point
+                where it looks.
+
+        Raises:
+            ConfigError: the camera is not a pinhole camera.
         """
         if camera.model != "pinhole":
             raise ConfigError(f"images are rendered with a pinhole camera, got '{camera.model}'")
@@ -146,14 +150,14 @@ class Renderer:
         return Frame(rgb, depth, hits.normal.reshape(*shape, 3), instance.reshape(shape), semantic.reshape(shape))
 
     def _trace(self, view: View, samples: Samples) -> Samples:
-        """The samples with what their rays hit."""
+        """The samples with the triangles that their rays hit."""
         return samples._replace(triangle=self._scene.closest(sampling.make_rays(view, samples)))
 
     def _surfaces(self, view: View, samples: Samples) -> Hits:
         return surfaces.surfaces(view, self._geometry, self._patterns, self._looks, self._setting, samples)
 
     def _light(self, view: View, beam: Beam, samples: Samples, hits: Hits, width: int = 0) -> tuple[Floats, Floats]:
-        """Radiance (N, 3) and the share of light (N,) that is not in shadow; ``width`` if they are a whole image."""
+        """Radiance (N, 3) and share of unshadowed light (N,); ``width`` is given if the samples are a whole image."""
         lit = self._lit(view, hits, width)
         reflected = np.full((len(lit), 3), -1, dtype=np.float32)
         if not samples.before.any():
@@ -178,8 +182,8 @@ class Renderer:
         if self._by_lamp and not self._setting.lamps_on:
             return lit
         if width:
-            self._cast_shadows(hits, shadows.every_other(len(lit), width), lit)
-            self._cast_shadows(hits, shadows.fill_between(hits, lit, width), lit)
+            self._cast_shadows(hits, shadows.chessboard(len(lit), width), lit)
+            self._cast_shadows(hits, shadows.interpolate_chessboard(hits, lit, width), lit)
         else:
             self._cast_shadows(hits, np.ones(len(lit), dtype=np.bool_), lit)
         if width and not self._by_lamp:
@@ -192,11 +196,11 @@ class Renderer:
         lit[index] = 1.0 - self._scene.occluded(rays, _LAMP_AT if self._by_lamp else np.inf)
 
     def _reflect(self, view: View, beam: Beam, samples: Samples, hits: Hits, reflected: Floats, width: int) -> None:
-        """Fill in the light (N, 3) that comes to the samples that mirror."""
+        """Compute the light (N, 3) that specular samples reflect, into ``reflected``."""
         casts = surfaces.casts_reflection(self._geometry, samples, hits, _LEAST_MIRROR)
-        skipped = reflections.skipped(casts, hits, width) if width else np.zeros(0, dtype=np.int64)
+        interpolated = reflections.interpolated_pixels(casts, hits, width) if width else np.zeros(0, dtype=np.int64)
         mirrors = casts.copy()
-        casts[skipped] = False
+        casts[interpolated] = False
         index = np.flatnonzero(casts)
         if len(index) == 0:
             return
@@ -211,18 +215,18 @@ class Renderer:
         colour, _ = self._light(view, beam, mirrored, self._surfaces(view, mirrored))
         reflected[index] = colour
         if width:
-            reflections.fill(reflected, skipped, width)
+            reflections.fill(reflected, interpolated, width)
             reflections.roughen(reflected, mirrors, hits.sharpness, width)
 
     def _smooth_edges(self, view: View, beam: Beam, samples: Samples, hits: Hits, light: Floats, width: int) -> Floats:
-        """Edge pixels become the mean of five samples; only those of surfaces not seen nearby are shaded anew."""
+        """Make each edge pixel the mean of five samples. Only samples of surfaces not seen nearby are shaded."""
         edges = edge_pixels(self._names, samples.triangle, hits, light, width)
         if len(edges) == 0:
             return light
         known = neighbours_seen(view, self._geometry, edges, samples.triangle, width)
-        # What none of the neighbours shows is found by a ray: the sky, or a triangle smaller than a pixel.
+        # Samples that hit no neighbour's triangle, but sky or a triangle smaller than a pixel, need a ray.
         cast = np.flatnonzero(known < 0)
-        pixels, offsets = edges[cast // 4], OFFSETS[cast % 4]
+        pixels, offsets = edges[cast // 4], PIXEL_OFFSETS[cast % 4]
         finer = self._trace(view, direct_samples(samples.u[pixels] + offsets[:, 0], samples.v[pixels] + offsets[:, 1]))
         known[cast] = known_colours(self._geometry, self._names, pixels, finer.triangle, samples.triangle, hits, width)
         unknown = known[cast] < 0
@@ -235,7 +239,7 @@ class Renderer:
     def _develop(
         self, image: Floats, depth: Floats, camera: Camera, pose: NDArray[np.float64], frame_seed: int
     ) -> NDArray[np.uint8]:
-        """Weather between scene and lens, then the camera's response; each factor draws from its own stream."""
+        """Apply the weather between scene and lens, then the camera's response, each with its own random stream."""
         f = self.factors
         falling, drops, noise = (np.random.default_rng([frame_seed & (2**64 - 1), k]) for k in range(3))
         if f.rain_mm_h > 0 or f.snowfall_mm_h > 0:
@@ -243,7 +247,7 @@ class Renderer:
             size = float(np.hypot(*down))
             down = down / size if size > 1e-6 else np.array([0.0, 1.0])
             particles = np.asarray(0.75 * self._sky.ambient + 0.35 * self._sky.horizon, dtype=np.float32)
-            draw_falling(
+            draw_precipitation(
                 image,
                 depth,
                 (camera.fx, camera.fy),
@@ -255,11 +259,11 @@ class Renderer:
             )
         if f.lens_drops > 0:
             image = add_lens_drops(image, f.lens_drops, drops)
-        return respond(image, f, noise)
+        return apply_response(image, f, noise)
 
 
 def _headlights(pose: NDArray[np.float64], of_camera: bool) -> Beam:
-    """The own car's headlights at its front, or below the camera where it looks."""
+    """Headlights at the front of the vehicle or, for a camera's pose, below the camera in its viewing direction."""
     forward = pose[:3, 2] if of_camera else pose[:3, 0]
     flat = np.array([forward[0], forward[1], 0.0])
     flat /= max(float(np.linalg.norm(flat)), 1e-9)

@@ -1,4 +1,4 @@
-"""From light to grey levels: bloom, exposure, vignetting, tone curve and noise."""
+"""The camera's response, from light to grey levels: bloom, exposure, vignetting, tone curve and noise."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from relocbench.kernels import njit
 Floats = NDArray[np.float32]
 _KEY = 0.17
 _LEAST_GAIN, _MOST_GAIN = 0.05, 5.0
-"""an automatic exposure does not turn night into day"""
+"""limits of the automatic exposure, so that it does not turn night into day"""
 _FIXED_GAIN = 0.45
 _WHITE = 6.0
 _BLOOM = 0.06
@@ -26,7 +26,7 @@ _DRAWN = np.uint16(_DEVIATES - 1)
 
 
 def exposure_gain(image: Floats, factors: Factors) -> float:
-    """Factor on linear light: the log-mean luminance of the image (H, W, 3) becomes middle grey, within limits."""
+    """Exposure factor for linear light, which within limits makes the log-mean luminance of (H, W, 3) middle grey."""
     gain = _FIXED_GAIN
     if factors.auto_exposure:
         luminance = image[::2, ::2] @ _LUMA
@@ -35,8 +35,8 @@ def exposure_gain(image: Floats, factors: Factors) -> float:
     return gain * 2.0**factors.exposure_ev
 
 
-def respond(image: Floats, factors: Factors, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """8-bit RGB of linear light (H, W, 3)."""
+def apply_response(image: Floats, factors: Factors, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """8-bit RGB image (H, W, 3) of linear light (H, W, 3)."""
     gain = exposure_gain(image, factors)
     curve = tone_curve(factors.gamma)
     dark, growth = _noise(factors)
@@ -47,25 +47,25 @@ def respond(image: Floats, factors: Factors, rng: np.random.Generator) -> NDArra
 
 @lru_cache(maxsize=1)
 def _normal_deviates() -> Floats:
-    """(4096,) equally likely values of a normal distribution with deviation 1: twelve random bits draw one."""
+    """(4096,) equally likely values of a normal distribution with deviation 1, to be chosen by twelve random bits."""
     values = ndtri((np.arange(_DEVIATES) + 0.5) / _DEVIATES)
     return np.asarray(values / values.std(), dtype=np.float32)
 
 
 def tone_curve(gamma: float) -> Floats:
-    """Grey levels of light sqrt-spaced from 0 to :data:`_WHITE`: Narkowicz's filmic curve (2015), then the gamma."""
+    """Grey levels of light, sqrt-spaced from 0 to :data:`_WHITE`, by Narkowicz's filmic curve (2015) and the gamma."""
     x = np.linspace(0, 1, _TABLE) ** 2 * _WHITE
     level = x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14)
     return (255 * (level / level[-1]) ** (1 / gamma)).astype(np.float32)
 
 
 def _noise(factors: Factors) -> tuple[float, float]:
-    """Variance in the dark, and its growth per grey level: photons arrive independently."""
+    """Noise variance in the dark, and its increase per grey level by shot noise."""
     return factors.read_noise**2, (255 * factors.shot_noise) ** 2 / 255
 
 
 def _bloom(image: Floats, gain: float) -> Floats:
-    """Light that the lens scatters around what is brighter than white, at a quarter of the size."""
+    """Light that the lens scatters around very bright pixels, at a quarter of the size."""
     height, width = image.shape[:2]
     small = cv2.resize(image, (max(1, width // 4), max(1, height // 4)), interpolation=cv2.INTER_AREA)
     bright = np.minimum(np.maximum(small * gain - 1.5, 0), 12).astype(np.float32)

@@ -1,7 +1,7 @@
-"""Which renderer a rendered dataset was made by."""
+"""The revision of the renderer that a dataset was made with."""
 
 RENDERER_REVISION = 1
-"""Part of every rendered dataset's recipe: raise it with each change that shows in pictures, depths or drives.
+"""Part of every rendered dataset's recipe; to be increased with each change that affects images, depths or drives.
 
-Two datasets of one recipe ask the same question, although processors differ in the last digits of what they render.
+Two datasets with the same recipe have the same question digest, although processors differ in the last digits.
 """

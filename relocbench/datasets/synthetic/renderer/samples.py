@@ -1,8 +1,8 @@
-"""Points of the image as rays, direct and mirrored.
+"""Image samples and their rays, direct and reflected.
 
-A sample is a point (u, v) of the image. Its direction d = R_world_cam ((u - cx)/fx, (v - cy)/fy, 1) keeps length 1
-along the optical axis, so that the ray's parameter is the depth. A mirrored sample starts where the direct one ended
-and goes on along d - 2 (d.m) m; its footprint grows with the sum of both depths, as if seen by the mirrored camera.
+A sample is a point (u, v) of the image. Its direction d = R_world_cam ((u - cx)/fx, (v - cy)/fy, 1) has length 1 along
+the optical axis, so that the ray's parameter is the depth. A reflected sample starts where the direct one ended and
+continues along d - 2 (d.m) m; its footprint grows with the sum of both depths, as if seen by the mirrored camera.
 """
 
 from __future__ import annotations
@@ -13,14 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic.renderer.raycast import NOTHING
-from relocbench.datasets.synthetic.renderer.vectors import Vector, along, dot
+from relocbench.datasets.synthetic.renderer.vectors import Vector, add_scaled, dot
 from relocbench.kernels import njit
 
 Floats = NDArray[np.float32]
 
+PIXEL_OFFSETS = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]], dtype=np.float32)
+"""(4, 2) offsets of the samples in a supersampled pixel: a rotated square, so that edges near the axes cross it at four
+places"""
+
 
 class View(NamedTuple):
-    """A pinhole camera in the world."""
+    """A pinhole camera with its pose."""
 
     origin: NDArray[np.float64]
     rotation: NDArray[np.float64]
@@ -32,26 +36,26 @@ class View(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Points of the image and what their rays hit; ``before`` and ``mirror`` are 0 for direct ones."""
+    """N points of the image and the triangles that their rays hit; ``before`` and ``mirror`` are 0 for direct rays."""
 
     u: Floats
     v: Floats
     before: Floats
-    """(N,) depth at which the ray was mirrored"""
+    """(N,) depth at which the ray was reflected"""
     mirror: Floats
     """(N, 3) normal of the mirror"""
     triangle: NDArray[np.uint32]
 
 
 def direct_samples(u: Floats, v: Floats) -> Samples:
-    """Samples at points of the image, what they hit still open."""
+    """Samples at points of the image, not traced yet."""
     n = len(u)
     return Samples(u, v, np.zeros(n, np.float32), np.zeros((n, 3), np.float32), np.full(n, NOTHING, np.uint32))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def ray(view: View, u: float, v: float) -> tuple[Vector, Vector, Vector]:
-    """Direction of a point of the image, and its derivatives by u and by v."""
+    """Direction of the ray through a point of the image, and its derivatives by u and v."""
     r, ix, iy = view.rotation, 1.0 / view.fx, 1.0 / view.fy
     x, y = (u - view.cx) * ix, (v - view.cy) * iy
     d = (r[0, 0] * x + r[0, 1] * y + r[0, 2], r[1, 0] * x + r[1, 1] * y + r[1, 2], r[2, 0] * x + r[2, 1] * y + r[2, 2])
@@ -62,21 +66,21 @@ def ray(view: View, u: float, v: float) -> tuple[Vector, Vector, Vector]:
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def start(view: View, samples: Samples, i: int) -> tuple[Vector, Vector, Vector, Vector]:
-    """Origin, direction and its derivatives of a sample, direct or mirrored."""
+    """Origin, direction and its derivatives of a sample's ray, direct or reflected."""
     d, dx, dy = ray(view, samples.u[i], samples.v[i])
     origin = (view.origin[0], view.origin[1], view.origin[2])
     if samples.before[i] > 0:
         m = (samples.mirror[i, 0], samples.mirror[i, 1], samples.mirror[i, 2])
-        origin = along(origin, samples.before[i], d)
-        d = along(d, -2 * dot(d, m), m)
-        dx = along(dx, -2 * dot(dx, m), m)
-        dy = along(dy, -2 * dot(dy, m), m)
+        origin = add_scaled(origin, samples.before[i], d)
+        d = add_scaled(d, -2 * dot(d, m), m)
+        dx = add_scaled(dx, -2 * dot(dx, m), m)
+        dy = add_scaled(dy, -2 * dot(dy, m), m)
     return origin, d, dx, dy
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def make_rays(view: View, samples: Samples) -> Floats:
-    """(N, 6) origins and directions; mirrored ones start 2 mm off the mirror."""
+    """Rays (N, 6), origins and directions; reflected ones start 2 mm off the mirror."""
     n = len(samples.u)
     rays = np.empty((n, 6), dtype=np.float32)
     r, origin = view.rotation, view.origin
@@ -88,7 +92,7 @@ def make_rays(view: View, samples: Samples) -> Floats:
                 rays[i, 3 + k] = r[k, 0] * x + r[k, 1] * y + r[k, 2]
             continue
         o, d, _, _ = start(view, samples, i)
-        o = along(o, 0.002, (samples.mirror[i, 0], samples.mirror[i, 1], samples.mirror[i, 2]))
+        o = add_scaled(o, 0.002, (samples.mirror[i, 0], samples.mirror[i, 1], samples.mirror[i, 2]))
         for k in range(3):
             rays[i, k] = o[k]
             rays[i, 3 + k] = d[k]

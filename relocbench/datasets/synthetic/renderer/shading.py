@@ -1,16 +1,16 @@
-"""Light that comes back along each ray, by sun, sky and lamps, through the air between."""
+"""Shading: the light that returns along each ray, by sun, sky and lamps, attenuated by the air."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.synthetic.renderer.lamps import Beam, Lamps, beam_light, strongest
+from relocbench.datasets.synthetic.renderer.lamps import Beam, Lamps, headlight_irradiance, strongest_lamp
 from relocbench.datasets.synthetic.renderer.samples import Samples, View, start
 from relocbench.datasets.synthetic.renderer.sky import MAP, Sky
 from relocbench.datasets.synthetic.renderer.skylight import Skylight, ground_share, sky_share
 from relocbench.datasets.synthetic.renderer.surfaces import Geometry, Hits, Setting
-from relocbench.datasets.synthetic.renderer.vectors import Vector, dot, fading, smooth
+from relocbench.datasets.synthetic.renderer.vectors import Vector, dot, exp_negative, smoothstep
 from relocbench.datasets.synthetic.town.mesh import Material
 from relocbench.kernels import njit
 
@@ -24,7 +24,7 @@ _FOG_LAYER_M = 160.0
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def sky_radiance(sky: Sky, x: float, y: float, z: float) -> Vector:
-    """The sky's radiance in a unit direction; below the horizon it is the horizon's."""
+    """The sky's radiance in a unit direction; directions below the horizon get that of the horizon."""
     z = max(z, 0.0)
     scale = MAP * 0.5 / (1 + z)
     u, v = x * scale + MAP * 0.5 - 0.5, y * scale + MAP * 0.5 - 0.5
@@ -54,12 +54,12 @@ def radiance(
     lit: Floats,
     reflected: Floats,
 ) -> Floats:
-    """Light (N, 3) that comes back along the samples.
+    """Radiance (N, 3) of the samples.
 
     Args:
-        lit: (N,) share of the sun, or of the strongest lamp, that is not in shadow.
-        reflected: (N, 3) light that comes to the surface from where it mirrors; negative where no ray was cast for
-            it, and the sky stands in.
+        lit: (N,) unshadowed share of the sun or of the strongest lamp.
+        reflected: (N, 3) light from the direction of specular reflection; negative where no ray was cast for it, and
+            the sky is used instead.
     """
     n = len(hits.depth)
     out = np.empty((n, 3), dtype=np.float32)
@@ -72,7 +72,7 @@ def radiance(
         if hits.depth[i] <= 0.0:
             r, g, b = sky_radiance(sky, d[0], d[1], d[2])
             distance = _FOG_LAYER_M / (max(d[2], 0.0) + 0.02)
-            veil = fading(setting.extinction * distance)
+            veil = exp_negative(setting.extinction * distance)
         else:
             x, y, z = hits.position[i, 0], hits.position[i, 1], hits.position[i, 2]
             nx, ny, nz = hits.normal[i, 0], hits.normal[i, 1], hits.normal[i, 2]
@@ -84,7 +84,7 @@ def radiance(
             elif nz > 0.9 and z < 0.4:
                 near = ground_share(skylight, x, y)
                 share, open_sky = share * near, open_sky * near
-            # The ground sends light back up: about a quarter of what falls on it.
+            # The ground reflects about a quarter of the light that falls on it.
             below = 0.5 * (1 - 0.6 * nz) * 0.25
             sun_down = max(sky.to_sun[2], 0.0) * 0.45 * open_sky
             er = sky.ambient[0] * (share + below * open_sky) + below * sun_down * sky.sun[0]
@@ -93,16 +93,16 @@ def radiance(
             if not by_lamp:
                 facing = nx * sky.to_sun[0] + ny * sky.to_sun[1] + nz * sky.to_sun[2]
                 if leafy:
-                    # A leaf lets a third of the light through, and is never quite edge on.
+                    # A leaf transmits a third of the light and is never seen exactly edge-on.
                     facing = 0.25 + 0.75 * abs(facing) if facing > 0 else 0.3 * abs(facing)
                 facing = max(facing, 0.0) * lit[i]
                 er, eg, eb = er + facing * sky.sun[0], eg + facing * sky.sun[1], eb + facing * sky.sun[2]
             if setting.lamps_on:
-                _, most, rest = strongest(lamps, x, y, z, nx, ny, nz)
+                _, most, rest = strongest_lamp(lamps, x, y, z, nx, ny, nz)
                 power = most * (lit[i] if by_lamp else 1.0) + 0.5 * rest
                 er, eg, eb = er + power, eg + 0.76 * power, eb + 0.46 * power
             if setting.headlights:
-                power = beam_light(beam, x, y, z, nx, ny, nz) * (0.01 + 0.99 * setting.night)
+                power = headlight_irradiance(beam, x, y, z, nx, ny, nz) * (0.01 + 0.99 * setting.night)
                 er, eg, eb = er + power, eg + 0.93 * power, eb + 0.8 * power
             r, g, b = hits.albedo[i, 0] * er, hits.albedo[i, 1] * eg, hits.albedo[i, 2] * eb
             f = hits.mirror[i]
@@ -113,12 +113,12 @@ def radiance(
                     turn = 2 * (d[0] * nx + d[1] * ny + d[2] * nz)
                     ux, uy, uz = d[0] - turn * nx, d[1] - turn * ny, d[2] - turn * nz
                     mr, mg, mb = sky_radiance(sky, ux, uy, uz)
-                    # Low directions meet houses where little of the sky is seen.
-                    low = 1 - (1 - open_sky) * (1 - smooth(uz, 0.2, 0.7)) if uz > 0 else 0.25 * open_sky
+                    # Where little of the sky is visible, low directions hit houses.
+                    low = 1 - (1 - open_sky) * (1 - smoothstep(uz, 0.2, 0.7)) if uz > 0 else 0.25 * open_sky
                     mr, mg, mb = mr * low, mg * low, mb * low
                 r, g, b = r + f * (mr - r), g + f * (mg - g), b + f * (mb - b)
             r, g, b = r + hits.emission[i, 0], g + hits.emission[i, 1], b + hits.emission[i, 2]
-            veil = fading((setting.extinction + _HAZE) * hits.depth[i] * length)
+            veil = exp_negative((setting.extinction + _HAZE) * hits.depth[i] * length)
         glow = 0.0
         if setting.extinction > 0.0:
             glow = 0.25 * max(d[0] * sky.to_sun[0] + d[1] * sky.to_sun[1] + d[2] * sky.to_sun[2], 0.0) ** 8

@@ -1,14 +1,14 @@
-"""Rays to the light: the sun or, at night, the strongest lamp."""
+"""Shadow rays to the light, which is the sun or, at night, the strongest lamp."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.synthetic.renderer.lamps import Lamps, strongest
-from relocbench.datasets.synthetic.renderer.samples import View, ray
+from relocbench.datasets.synthetic.renderer.lamps import Lamps, strongest_lamp
+from relocbench.datasets.synthetic.renderer.samples import PIXEL_OFFSETS, View, ray
 from relocbench.datasets.synthetic.renderer.surfaces import Hits
-from relocbench.datasets.synthetic.renderer.vectors import along, cross, dot
+from relocbench.datasets.synthetic.renderer.vectors import add_scaled, cross, dot
 from relocbench.kernels import njit
 
 Floats = NDArray[np.float32]
@@ -18,9 +18,9 @@ Floats = NDArray[np.float32]
 def shadow_rays(
     hits: Hits, asked: NDArray[np.bool_], to_sun: Floats, by_lamp: bool, lamps: Lamps
 ) -> tuple[NDArray[np.int64], Floats]:
-    """Which of the samples asked for (N,) face the light, and a ray (M, 6) from each to it.
+    """The samples among those asked for (N,) that face the light, and a ray (M, 6) from each to it.
 
-    The light is the sun, or at night the strongest lamp. A ray to a lamp has the lamp at parameter 1.
+    The light is the sun or, at night, the strongest lamp. A ray to a lamp reaches it at parameter 1.
     """
     n = len(hits.depth)
     index = np.empty(n, dtype=np.int64)
@@ -33,7 +33,7 @@ def shadow_rays(
         nx, ny, nz = hits.normal[i, 0], hits.normal[i, 1], hits.normal[i, 2]
         lx, ly, lz = to_sun[0], to_sun[1], to_sun[2]
         if by_lamp:
-            best, most, _ = strongest(lamps, x, y, z, nx, ny, nz)
+            best, most, _ = strongest_lamp(lamps, x, y, z, nx, ny, nz)
             if best < 0 or most < 0.002:
                 continue
             lx, ly, lz = lamps.heads[best, 0] - x, lamps.heads[best, 1] - y, lamps.heads[best, 2] - z
@@ -48,8 +48,8 @@ def shadow_rays(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def every_other(count: int, width: int) -> NDArray[np.bool_]:
-    """The dark squares (count,) of a chess board ``width`` wide."""
+def chessboard(count: int, width: int) -> NDArray[np.bool_]:
+    """Mask (count,) of the dark squares of a chessboard over an image ``width`` pixels wide."""
     out = np.zeros(count, dtype=np.bool_)
     for row in range(count // width):
         out[row * width + row % 2 : (row + 1) * width : 2] = True
@@ -57,10 +57,10 @@ def every_other(count: int, width: int) -> NDArray[np.bool_]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fill_between(hits: Hits, lit: Floats, width: int) -> NDArray[np.bool_]:
-    """Give the light squares of the board what their four neighbours have in common; those (N,) that are left over.
+def interpolate_chessboard(hits: Hits, lit: Floats, width: int) -> NDArray[np.bool_]:
+    """Set the light squares of the chessboard from their neighbours where possible; returns the others (N,).
 
-    A square takes it if all five lie in one plane, or nearly.
+    A pixel takes the value that its four neighbours have in common, if all five lie nearly in one plane.
     """
     n = len(lit)
     depth, normal, position = hits.depth, hits.normal, hits.position
@@ -95,17 +95,15 @@ def fill_between(hits: Hits, lit: Floats, width: int) -> NDArray[np.bool_]:
     return left
 
 
-_SPREAD = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]], dtype=np.float32)
-"""of samples in a pixel: a rotated square, so that edges near the axes are met at four places"""
 _SUN_RADIUS = 0.008
-"""radians; a little more than the disc, for the glow around it"""
+"""radians; slightly more than the disc, to include the glow around it"""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def penumbra_rays(view: View, hits: Hits, lit: Floats, width: int, to_sun: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Pixels at the rims of shadows, and four rays (4 M, 6) from each: over the pixel and over the sun's disc.
+    """Pixels at the edges of shadows (M,), and four rays (4 M, 6) from each, spread over the pixel and the sun's disc.
 
-    ``hits`` and ``lit`` are those of the whole image. The rays of a pixel are the same whatever else is rendered.
+    ``hits`` and ``lit`` are those of the whole image. The rays of a pixel do not depend on what else is rendered.
     """
     n = len(lit)
     found = np.empty(n, dtype=np.int64)
@@ -141,15 +139,15 @@ def penumbra_rays(view: View, hits: Hits, lit: Floats, width: int, to_sun: Float
         d, dx, dy = ray(view, i % width, i // width)
         c = (float(hits.normal[i, 0]), float(hits.normal[i, 1]), float(hits.normal[i, 2]))
         slope, t = dot(c, d), hits.depth[i]
-        px = along((t * dx[0], t * dx[1], t * dx[2]), -t * dot(c, dx) / slope, d)
-        py = along((t * dy[0], t * dy[1], t * dy[2]), -t * dot(c, dy) / slope, d)
+        px = add_scaled((t * dx[0], t * dx[1], t * dx[2]), -t * dot(c, dx) / slope, d)
+        py = add_scaled((t * dy[0], t * dy[1], t * dy[2]), -t * dot(c, dy) / slope, d)
         off = 0.003 + 2e-5 * t
         for k in range(4):
-            a, b = _SPREAD[k, 0], _SPREAD[k, 1]
-            p = along(along((view.origin[0], view.origin[1], view.origin[2]), t, d), off, c)
-            p = along(along(p, a, px), b, py)
-            # The square is turned against that of the pixel, or rims along one diagonal would stay hard.
-            to_light = along(along(s, 2 * _SUN_RADIUS * b, across), 2 * _SUN_RADIUS * a, upward)
+            a, b = PIXEL_OFFSETS[k, 0], PIXEL_OFFSETS[k, 1]
+            p = add_scaled(add_scaled((view.origin[0], view.origin[1], view.origin[2]), t, d), off, c)
+            p = add_scaled(add_scaled(p, a, px), b, py)
+            # Samples on the disc are turned against those in the pixel, or edges along one diagonal would stay hard.
+            to_light = add_scaled(add_scaled(s, 2 * _SUN_RADIUS * b, across), 2 * _SUN_RADIUS * a, upward)
             for e in range(3):
                 rays[4 * q + k, e] = p[e]
                 rays[4 * q + k, 3 + e] = to_light[e]

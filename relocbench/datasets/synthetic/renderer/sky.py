@@ -1,6 +1,6 @@
-"""Sun and sky: a gradient with the sun's glow, clouds by cover, dusk and night.
+"""Sun and sky: a gradient with the sun's glow, clouds, dusk and night.
 
-Radiance is in units in which white paper in the sun of a clear noon has about 3.
+In the units of radiance used here, white paper in the sun of a clear noon has about 3.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ _NIGHT = np.array([0.0009, 0.0012, 0.0021])
 
 
 class Sky(NamedTuple):
-    """What shines from above."""
+    """The light of sun and sky."""
 
     radiance: Floats
-    """(MAP, MAP, 3) over the stereographic disc: direction d lies at (d.x, d.y) / (1 + d.z) in [-1, 1]"""
+    """(MAP, MAP, 3) in stereographic projection: direction d is at (d.x, d.y) / (1 + d.z) in [-1, 1]"""
     ambient: Floats
-    """(3,) mean radiance of the upper half"""
+    """(3,) mean radiance of the upper hemisphere"""
     horizon: Floats
     """(3,) mean radiance just above the horizon, the colour of fog"""
     to_sun: Floats
     """(3,) unit vector"""
     sun: Floats
-    """(3,) radiance of white paper that faces the sun, 0 when it is hidden or down"""
+    """(3,) radiance of white paper that faces the sun; 0 if the sun is hidden or below the horizon"""
 
 
-def _smooth(x: NDArray[np.floating] | float, low: float, high: float) -> NDArray[np.float64]:
+def _smoothstep(x: NDArray[np.floating] | float, low: float, high: float) -> NDArray[np.float64]:
     t = np.clip((np.asarray(x, dtype=np.float64) - low) / (high - low), 0, 1)
     return np.asarray(t * t * (3 - 2 * t))
 
 
 def sun_direction(factors: Factors) -> Floats:
-    """(3,) unit vector to the sun; azimuth clockwise from north (y), elevation above the horizon."""
+    """Unit vector (3,) towards the sun; azimuth is clockwise from north (y), elevation above the horizon."""
     elevation, azimuth = np.radians(factors.sun_elevation_deg), np.radians(factors.sun_azimuth_deg)
     flat = np.cos(elevation)
     return np.array([flat * np.sin(azimuth), flat * np.cos(azimuth), np.sin(elevation)], dtype=np.float32)
@@ -57,15 +57,15 @@ def make_sky(factors: Factors, seed: int) -> Sky:
     d /= np.linalg.norm(d, axis=-1, keepdims=True)
     high = d[..., 2]
 
-    day = float(_smooth(factors.sun_elevation_deg, -9, 12))
-    low_sun = float(1 - _smooth(factors.sun_elevation_deg, 1, 22)) * day
-    overcast = float(_smooth(factors.cloud_cover, 0.45, 1.0))
+    day = float(_smoothstep(factors.sun_elevation_deg, -9, 12))
+    low_sun = float(1 - _smoothstep(factors.sun_elevation_deg, 1, 22)) * day
+    overcast = float(_smoothstep(factors.cloud_cover, 0.45, 1.0))
     towards = np.clip(d @ to_sun.astype(np.float64), -1, 1)
 
     up = high[..., None] ** 0.45
     clear = np.array([0.50, 0.62, 0.76]) * (1 - up) + np.array([0.10, 0.22, 0.50]) * up
     warm = np.array([1.15, 0.55, 0.22]) * (1 - high[..., None]) ** 4
-    facing = _smooth(towards, -0.6, 1.0)[..., None]
+    facing = _smoothstep(towards, -0.6, 1.0)[..., None]
     clear = clear * (1 - 0.55 * low_sun) + low_sun * warm * (0.15 + 0.95 * facing)
     glow = 0.9 * np.exp((towards - 1) * 14) + 3.0 * np.exp((towards - 1) * 220)
     sun_colour = np.array([1.0, 0.94, 0.84]) * (1 - low_sun) + np.array([1.0, 0.55, 0.24]) * low_sun
@@ -73,8 +73,8 @@ def make_sky(factors: Factors, seed: int) -> Sky:
 
     thickness = _clouds(d, seed)
     cover = factors.cloud_cover
-    share = _smooth(thickness, 1.02 - 1.12 * cover, 1.22 - 1.12 * cover)[..., None] * (cover > 0)
-    # Far clouds are seen edge on: near the horizon they close into a veil of the mean cover.
+    share = _smoothstep(thickness, 1.02 - 1.12 * cover, 1.22 - 1.12 * cover)[..., None] * (cover > 0)
+    # Near the horizon, distant clouds are seen edge-on and merge into a veil of the mean cover.
     veil = np.exp(-high[..., None] * 12)
     share = share * (1 - veil) + veil * 0.8 * cover
     shade = 0.75 + 0.5 * (thickness[..., None] - 0.5)
@@ -83,7 +83,7 @@ def make_sky(factors: Factors, seed: int) -> Sky:
     cloud = lit * (1.15 - 0.55 * share) * (1 - overcast) + grey * shade * overcast
     cloud = cloud + 0.8 * (np.exp((towards - 1) * 30))[..., None] * sun_colour * (1 - overcast)
 
-    strength = day * (0.25 + 0.75 * float(_smooth(factors.sun_elevation_deg, -2, 45)))
+    strength = day * (0.25 + 0.75 * float(_smoothstep(factors.sun_elevation_deg, -2, 45)))
     radiance = (clear * (1 - share) + cloud * share) * strength
     radiance = radiance + _NIGHT * (1 + 5 * np.exp(-high[..., None] * 6) * np.array([1.5, 1.0, 0.6]))
     radiance = np.minimum(radiance, 8.0).astype(np.float32)
@@ -95,14 +95,14 @@ def make_sky(factors: Factors, seed: int) -> Sky:
 
     elevation = max(float(to_sun[2]), 0.0)
     air = 1 / max(elevation + 0.05, 0.05)
-    through = np.exp(-np.array([0.055, 0.105, 0.21]) * air) * float(_smooth(factors.sun_elevation_deg, -1, 5))
-    hidden = 1 - _smooth(cover, 0.35, 0.88)
+    through = np.exp(-np.array([0.055, 0.105, 0.21]) * air) * float(_smoothstep(factors.sun_elevation_deg, -1, 5))
+    hidden = 1 - _smoothstep(cover, 0.35, 0.88)
     sun = 3.3 * through * float(hidden)
     return Sky(radiance, ambient.astype(np.float32), horizon.astype(np.float32), to_sun, sun.astype(np.float32))
 
 
 def _clouds(d: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
-    """Slow noise in [0, 1] on a layer above the town, seen in directions (..., 3)."""
+    """Low-frequency noise in [0, 1] on a layer above the town, seen in directions (..., 3)."""
     layer = bake(seed).second(MACRO)
     total = np.zeros(d.shape[:-1])
     for weight, scale in ((0.7, 0.16), (0.3, 0.55)):
@@ -112,7 +112,7 @@ def _clouds(d: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
 
 
 def _periodic(layer: Floats, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bilinear lookup in a tile that repeats in units of 1."""
+    """Bilinear lookup in a tile that repeats with period 1."""
     x, y = u * SIZE, v * SIZE
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
     fx, fy = x - x0, y - y0

@@ -1,6 +1,6 @@
-"""How much of the sky is seen from where: on a coarse grid of the district, and on a fine one close to the ground.
+"""Sky visibility, precomputed on a coarse grid over the district and on a fine grid close to the ground.
 
-Both hang on the world, not on the camera, so that the light on a surface stays as the camera moves.
+Both grids are fixed in the world, so that the light on a surface does not change as the camera moves.
 """
 
 from __future__ import annotations
@@ -21,37 +21,37 @@ _HEIGHTS = np.array([0.3, 1.5, 3.5, 6.5, 10.5, 16.0, 24.0], dtype=np.float32)
 _DIRECTIONS = 14
 _FAR_M = 80.0
 _OFF_WALL_M = 1.6
-"""light is looked up this far in front of a surface: behind it lies the dark inside of a house"""
+"""distance in front of a surface at which light is looked up, because grid points inside a house are dark"""
 _FINE_M = 0.25
 _FINE_DIRECTIONS = 9
 _GROUND_M = 0.17
 """just above the pavement"""
 _LOW_M = 0.9
-"""what stands lower than this above the ground darkens it"""
+"""height below which objects darken the ground"""
 _ROWS_AT_ONCE = 64
-"""of the fine grid, in fours: what is in hand at one time stays small"""
+"""blocks of four rows of the fine grid that are processed together, which bounds the memory"""
 _TRIANGLES_AT_ONCE = 100_000
 _SIDE_M = 600.0
 _FAR_GROUND = (Semantic.NONE, Semantic.ROAD, Semantic.PAVEMENT, Semantic.MARKING, Semantic.TERRAIN)
 
 
 class Skylight(NamedTuple):
-    """Share of the sky seen and where it lies, at grid points."""
+    """Visibility of the sky at grid points."""
 
     low: Floats
     """(2,) x and y of the first point of both grids"""
     shape: tuple[int, int, int]
-    """points of the coarse grid by height, y and x"""
+    """number of points of the coarse grid along height, y and x"""
     points: Floats
-    """(height y x, 4): mean visibility of the upper half, then mean of visibility times direction"""
+    """(height y x, 4): mean visibility of the upper hemisphere, and mean of visibility times direction"""
     heights: Floats
     """(height,) metres"""
     ground: Floats
-    """(y, x) share of the light on the ground that nothing within 1.2 m takes away"""
+    """(y, x) share of the light on the ground that is not blocked within 1.2 m"""
 
 
 def upper_directions(count: int) -> Floats:
-    """(count, 3) unit vectors spread evenly over the upper half sphere (golden spiral)."""
+    """Unit vectors (count, 3) spread evenly over the upper hemisphere (golden spiral)."""
     k = np.arange(count)
     z = (k + 0.5) / count
     turn = k * np.pi * (3 - np.sqrt(5))
@@ -60,7 +60,7 @@ def upper_directions(count: int) -> Floats:
 
 
 def make_skylight(mesh: Mesh, scene: Scene) -> Skylight:
-    """Cast rays to the sky from points all over the part of the mesh where anything is built."""
+    """Compute the skylight by casting rays from points over the built-up part of the mesh."""
     low, high = np.full(2, np.inf, dtype=np.float32), np.full(2, -np.inf, dtype=np.float32)
     for corners in _corners(mesh, mesh.semantic != Semantic.TERRAIN):
         low = np.minimum(low, corners[..., :2].min((0, 1)))
@@ -85,10 +85,10 @@ def make_skylight(mesh: Mesh, scene: Scene) -> Skylight:
     return Skylight(low.astype(np.float32), shape, values.reshape(-1, 4), _HEIGHTS, ground)
 
 
-def with_moving(light: Skylight, mesh: Mesh, scene: Scene) -> Skylight:
-    """The skylight of a town, and what the cars that move in ``mesh`` take from the ground beneath and beside them.
+def with_moving_cars(light: Skylight, mesh: Mesh, scene: Scene) -> Skylight:
+    """The skylight of a town with the ground under and beside the moving cars in ``mesh`` darkened.
 
-    What they take from anything else is left out: it is little, and all of the rest is as it was.
+    Their small effect on everything else is ignored.
     """
     moving = mesh.semantic == Semantic.MOVING_CAR
     rows, columns = light.ground.shape
@@ -97,14 +97,14 @@ def with_moving(light: Skylight, mesh: Mesh, scene: Scene) -> Skylight:
 
 
 def _ground(mesh: Mesh, standing: NDArray[np.bool_], scene: Scene, low: Floats, shape: tuple[int, int]) -> Floats:
-    """Cosine-weighted openness of the ground, near the low ones of the triangles (T,) that stand on it; 1 elsewhere."""
+    """Cosine-weighted sky visibility (y, x) of the ground near the low ones of the triangles (T,); 1 elsewhere."""
     ny, nx = shape
     ground = np.ones(shape, dtype=np.float32)
     near = np.zeros((-(-ny // 4) + 2, -(-nx // 4) + 2), dtype=np.bool_)
     steps = np.linspace(0, 1, 25, dtype=np.float32)[:, None, None]
     for corners in _corners(mesh, standing):
         corners = corners[corners[..., 2].min(1) < _LOW_M][..., :2]
-        # Long edges are walked in steps, so that no cell between their ends is missed.
+        # Long edges are sampled, so that no cell between their ends is missed.
         long = corners[np.ptp(corners, axis=1).max(1) > 4 * _FINE_M]
         walked = [long[:, i] + steps * (long[:, (i + 1) % 3] - long[:, i]) for i in range(3)]
         points = np.concatenate([corners.reshape(-1, 2), *(w.reshape(-1, 2) for w in walked)])
@@ -132,7 +132,7 @@ def _ground(mesh: Mesh, standing: NDArray[np.bool_], scene: Scene, low: Floats, 
 
 
 def _corners(mesh: Mesh, chosen: NDArray[np.bool_]) -> Iterator[Floats]:
-    """The corners (M, 3, 3) of the chosen triangles (T,), some at a time."""
+    """The corners (M, 3, 3) of the chosen triangles (T,), in chunks."""
     for first in range(0, len(mesh), _TRIANGLES_AT_ONCE):
         part = slice(first, first + _TRIANGLES_AT_ONCE)
         triangles = mesh.triangles[part][chosen[part]]
@@ -147,7 +147,7 @@ def _sees(scene: Scene, points: Floats, direction: Floats, far: float) -> Floats
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def sky_share(light: Skylight, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> tuple[float, float]:
-    """Irradiance by a sky of radiance 1/pi at a point with a normal, and the mean visibility there."""
+    """Irradiance at a point with a normal under a sky of radiance 1/pi, and the mean visibility of the sky there."""
     points, heights = light.points, light.heights
     layers, rows, columns = light.shape
     gx = (x + _OFF_WALL_M * nx - light.low[0]) * (1 / _CELL_M)
@@ -166,7 +166,7 @@ def sky_share(light: Skylight, x: float, y: float, z: float, nx: float, ny: floa
         a, b, e = c & 1, (c >> 1) & 1, c >> 2
         at = np.uint64(((k + e) * rows + iy + b) * columns + ix + a)
         open_sky = points[at, 0]
-        # A point inside a house sees nothing: it says nothing about the street either.
+        # Points inside a house see no sky and must not count for the street.
         w = (fx if a else 1 - fx) * (fy if b else 1 - fy) * (fz if e else 1 - fz) * min(1.0, 8.0 * open_sky)
         weight += w
         v0 += w * open_sky
@@ -178,7 +178,7 @@ def sky_share(light: Skylight, x: float, y: float, z: float, nx: float, ny: floa
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def ground_share(light: Skylight, x: float, y: float) -> float:
-    """Light that is left on the ground beside and under what stands on it."""
+    """Share of light on the ground that is not blocked by objects standing on it."""
     ground = light.ground
     rows, columns = ground.shape
     gx, gy = (x - light.low[0]) / _FINE_M, (y - light.low[1]) / _FINE_M

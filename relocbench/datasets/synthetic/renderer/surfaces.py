@@ -1,4 +1,4 @@
-"""What each ray meets: depth, normal and colour, dry, wet and under snow."""
+"""The surface that each ray hits: depth, normal and colour, dry, wet and under snow."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from relocbench.datasets.synthetic.renderer.materials import CHOICES, Looks, scr
 from relocbench.datasets.synthetic.renderer.raycast import NOTHING
 from relocbench.datasets.synthetic.renderer.samples import Samples, View, start
 from relocbench.datasets.synthetic.renderer.textures import MACRO, Patterns, sample
-from relocbench.datasets.synthetic.renderer.vectors import Vector, along, cross, dot, minus, smooth
+from relocbench.datasets.synthetic.renderer.vectors import Vector, add_scaled, cross, dot, smoothstep, subtract
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
 from relocbench.kernels import njit
 
@@ -37,12 +37,12 @@ class Geometry(NamedTuple):
 
 
 def make_geometry(mesh: Mesh) -> Geometry:
-    """The mesh as compiled code takes it."""
+    """The mesh in the form that compiled code takes."""
     return Geometry(*(np.ascontiguousarray(getattr(mesh, name)) for name in Geometry._fields))
 
 
 class Setting(NamedTuple):
-    """What the weather and the hour do to surfaces and light."""
+    """Parameters of weather and time of day that affect surfaces and light."""
 
     wetness: float
     puddles: float
@@ -51,24 +51,24 @@ class Setting(NamedTuple):
     lamps_on: bool
     headlights: bool
     night: float
-    """0 by day, 1 at night: windows are lit"""
+    """0 by day, 1 at night, when windows are lit"""
     seed: int
 
 
 class Hits(NamedTuple):
-    """What the samples see, before light."""
+    """The surfaces that N samples hit, before lighting."""
 
     depth: NDArray[np.float64]
-    """(N,) along the ray from where it started; 0 for the sky"""
+    """(N,) ray parameter from the ray's start; 0 for the sky"""
     position: Floats
     normal: Floats
-    """(N, 3) of the surface, on the side that is seen"""
+    """(N, 3) normal of the visible side"""
     albedo: Floats
     emission: Floats
     mirror: Floats
-    """(N,) share of the light that comes by reflection"""
+    """(N,) specular reflectance"""
     sharpness: Floats
-    """(N,) of that reflection, 1 for glass and still water"""
+    """(N,) sharpness of the specular reflection, 1 for glass and still water"""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -81,20 +81,20 @@ def _fresnel(cosine: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def corner(vertices: Floats, i: int) -> Vector:
-    """One vertex in double precision."""
+    """A vertex in double precision."""
     return float(vertices[i, 0]), float(vertices[i, 1]), float(vertices[i, 2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _facet(geometry: Geometry, triangle: int) -> tuple[Vector, Vector, Vector, Vector, float, float]:
-    """A corner, the unit normal, the gradients of u and v in space, and u and v at the corner.
+    """A corner, the unit normal, the spatial gradients of u and v, and u and v at the corner of a triangle.
 
-    Barycentric coordinates are linear in the point, and so are u and v. All is 0 for a triangle without area.
+    Barycentric coordinates, and thus u and v, are linear in the point. Everything is 0 for a triangle without area.
     """
     corners = geometry.triangles
     a = corner(geometry.vertices, corners[triangle, 0])
-    e1 = minus(corner(geometry.vertices, corners[triangle, 1]), a)
-    e2 = minus(corner(geometry.vertices, corners[triangle, 2]), a)
+    e1 = subtract(corner(geometry.vertices, corners[triangle, 1]), a)
+    e2 = subtract(corner(geometry.vertices, corners[triangle, 2]), a)
     c = cross(e1, e2)
     area2 = dot(c, c)
     per_area = 1.0 / area2 if area2 > 0.0 else 0.0
@@ -118,7 +118,7 @@ def _facet(geometry: Geometry, triangle: int) -> tuple[Vector, Vector, Vector, V
 def _paint(
     geometry: Geometry, looks: Looks, seed: int, triangle: int
 ) -> tuple[np.int64, np.int64, float, float, Vector]:
-    """Material, dice, shift of the pattern, tone and first colour of a triangle."""
+    """Material, random bits, shift of the pattern, tone and first colour of a triangle."""
     material, variant = np.int64(geometry.material[triangle]), np.int64(geometry.variant[triangle])
     dice = np.int64(scramble(variant, material * 7919 + seed))
     shift = 0.0 if material == _MARKING else (dice & 255) / 255.0 * 7.3
@@ -140,9 +140,9 @@ def _paint(
 def surfaces(
     view: View, geometry: Geometry, patterns: Patterns, looks: Looks, setting: Setting, samples: Samples
 ) -> Hits:
-    """Depth, normal and colour of what each sample sees.
+    """Depth, normal and colour of the surface that each sample hits.
 
-    The depth is that of the ray and the triangle's plane in double precision, whatever Embree's own rounding.
+    The depth is computed in double precision from the ray and the triangle's plane, not taken from Embree.
     """
     n = len(samples.u)
     texels, per_tile = patterns.texels, patterns.per_tile
@@ -153,7 +153,7 @@ def surfaces(
     emission = np.zeros((n, 3), dtype=np.float32)
     mirror = np.empty(n, dtype=np.float32)
     sharpness = np.empty(n, dtype=np.float32)
-    # Neighbours in a row mostly meet one triangle, of which all but the point itself stays the same.
+    # Neighbours in a row mostly hit the same triangle, so everything but the point itself is reused.
     last = np.uint32(NOTHING)
     a = c = gu = gv = first_colour = (0.0, 0.0, 0.0)
     u0 = v0 = shift = varied = 0.0
@@ -175,24 +175,24 @@ def surfaces(
             mirror[i] = sharpness[i] = 0.0
             continue
         per_slope = 1.0 / slope
-        t = dot(c, minus(a, o)) * per_slope
-        p = along(o, t, d)
+        t = dot(c, subtract(a, o)) * per_slope
+        p = add_scaled(o, t, d)
         side = -1.0 if slope > 0 else 1.0
         nx, ny, nz = c[0] * side, c[1] * side, c[2] * side
 
         reach = samples.before[i] + t
-        px = along((reach * dx[0], reach * dx[1], reach * dx[2]), -reach * dot(c, dx) * per_slope, d)
-        py = along((reach * dy[0], reach * dy[1], reach * dy[2]), -reach * dot(c, dy) * per_slope, d)
-        q = minus(p, a)
+        px = add_scaled((reach * dx[0], reach * dx[1], reach * dx[2]), -reach * dot(c, dx) * per_slope, d)
+        py = add_scaled((reach * dy[0], reach * dy[1], reach * dy[2]), -reach * dot(c, dy) * per_slope, d)
+        q = subtract(p, a)
         su, sv = u0 + dot(gu, q) + shift, v0 + dot(gv, q)
         dudx, dvdx, dudy, dvdy = dot(gu, px), dot(gv, px), dot(gu, py), dot(gv, py)
 
-        # What is seen in a mirror is dim or blurred.
+        # Reflections are dim or blurred and need fewer texture samples.
         most = 6 if samples.before[i] <= 0.0 else 3
         share, bright = sample(
             texels, per_tile[material], material, su, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy, most
         )
-        # Slow stains: along the surface on walls, from above on the ground.
+        # Low-frequency stains, in surface coordinates on walls and in world coordinates on the ground.
         flat = nz > 0.7
         if flat:
             slow, stain = sample(texels, per_tile[MACRO], MACRO, p[0], p[1], px[0], px[1], py[0], py[1], most // 3)
@@ -217,20 +217,22 @@ def surfaces(
         if setting.snow > 0.0 and nz > 0.2 and material != _LAMP:
             line = (1 - setting.snow) * 1.2 - 0.1
             grain = slow if flat else 0.5
-            deep = smooth(grain + 0.25 * (bright - 1.0), line - 0.1, line + 0.1)
-            # Where it is swept or trodden a thin layer stays, or the ground would seem to have holes.
+            deep = smoothstep(grain + 0.25 * (bright - 1.0), line - 0.1, line + 0.1)
+            # A thin layer remains where snow is swept or trodden; without it the ground would seem to have holes.
             thin = 0.75 * setting.snow * setting.snow
-            snow = (thin + (1 - thin) * deep) * smooth(nz, 0.3, 0.7)
+            snow = (thin + (1 - thin) * deep) * smoothstep(nz, 0.3, 0.7)
             if snow > 0.0:
                 white = 0.80 + 0.12 * (bright - 1.0) + 0.09 * (stain - 1.0)
                 r, g, b = r + (white - r) * snow, g + (white * 1.01 - g) * snow, b + (white * 1.04 - b) * snow
                 gloss *= 1 - snow
 
         if setting.wetness > 0.0:
-            soaked = setting.wetness * (0.35 + 0.65 * smooth(nz, -0.2, 0.6)) * (1 - snow)
+            soaked = setting.wetness * (0.35 + 0.65 * smoothstep(nz, -0.2, 0.6)) * (1 - snow)
             film, still = 0.0, 0.0
             if nz > 0.97 and looks.film[material] > 0.0:
-                film = looks.film[material] * soaked * (0.65 + 0.35 * smooth(slow, 0.2, 0.7)) * (0.75 + 0.25 * share)
+                film = (
+                    looks.film[material] * soaked * (0.65 + 0.35 * smoothstep(slow, 0.2, 0.7)) * (0.75 + 0.25 * share)
+                )
                 if setting.puddles > 0.0 and looks.hollows[material] > 0.0:
                     hollow, _ = sample(
                         texels,
@@ -245,7 +247,7 @@ def surfaces(
                         3,
                     )
                     line = 1.0 - 0.36 * setting.puddles * looks.hollows[material]
-                    still = smooth(hollow, line, line + 0.05) * (1 - snow)
+                    still = smoothstep(hollow, line, line + 0.05) * (1 - snow)
                 film += (1 - film) * still
                 lost = gloss
                 gloss = lost + (1 - lost) * film * fresnel
@@ -280,7 +282,7 @@ def surfaces(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def casts_reflection(geometry: Geometry, samples: Samples, hits: Hits, least: float) -> NDArray[np.bool_]:
-    """Which samples (N,) mirror so much that a ray is worth it; curved paint makes do with the sky."""
+    """Mask (N,) of the samples specular enough for a reflection ray; curved car paint only reflects the sky."""
     out = np.zeros(len(hits.depth), dtype=np.bool_)
     for i in range(len(out)):
         if hits.depth[i] > 0.0 and hits.mirror[i] > least:
@@ -290,7 +292,7 @@ def casts_reflection(geometry: Geometry, samples: Samples, hits: Hits, least: fl
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def objects(geometry: Geometry, triangle: NDArray[np.uint32]) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
-    """Object and class (N,) of what the rays that met these triangles see."""
+    """Instance number and semantic class (N,) of the triangles that rays hit."""
     n = len(triangle)
     instance = np.zeros(n, dtype=np.uint32)
     semantic = np.full(n, _SKY, dtype=np.uint8)

@@ -1,6 +1,6 @@
 """Tileable surface patterns as mip pyramids, and their filtering over a pixel's footprint.
 
-A pattern has two channels: how much of the material's second colour shows (mortar, dirt, grain), and brightness.
+A pattern has two channels: the share of the material's second colour (mortar, dirt, grain), and brightness.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ SIZE = 256
 """texels along a side of the finest level"""
 LEVELS = 9
 LAYER = (4 * SIZE * SIZE - 1) // 3
-"""texels of all levels of a layer"""
+"""number of texels in all levels of a layer"""
 MACRO = len(Material)
-"""the layer of slow noise with uniform distribution: stains, puddles, drifts of snow"""
+"""the layer of low-frequency noise with uniform distribution, for stains, puddles and snow drifts"""
 MACRO_TILE_M = 29.0
 UNIT_BRIGHTNESS = 128.0
 _POSITIVE = 2.0**40
 _BLENDS = 16
-"""steps from one level to the next; as many times eight probes fit into the bits of a channel"""
+"""blending steps between two levels; eight probes times these still fit into the bits of a channel"""
 _PARTS = np.array([0, *(1 / k for k in range(1, 9))])
 
 
 class Patterns(NamedTuple):
-    """All layers: one per material, then :data:`MACRO`."""
+    """All layers: one for each material, then :data:`MACRO`."""
 
     texels: NDArray[np.uint64]
-    """layer after layer, in each level after level; a texel is second + 2^32 brightness"""
+    """layer by layer, and in each layer level by level; a texel is second + 2^32 brightness"""
     per_tile: Floats
-    """(layer,) tiles a metre: each pattern repeats after its own length"""
+    """(layer,) tiles per metre; each pattern has its own period"""
 
     def second(self, layer: int) -> Floats:
-        """(SIZE, SIZE) the first channel of a layer's finest level, in [0, 1]."""
+        """The first channel (SIZE, SIZE) of a layer's finest level, in [0, 1]."""
         finest = self.texels[layer * LAYER : layer * LAYER + SIZE * SIZE].reshape(SIZE, SIZE)
         return (finest & 0xFF).astype(np.float32) / np.float32(255)
 
 
 def _noise(rng: np.random.Generator, cells: int, octaves: int, gain: float = 0.5, stretch: int = 1) -> Floats:
-    """Tileable value noise (SIZE, SIZE), zero mean and unit deviation; ``stretch`` lengthens it along v."""
+    """Tileable value noise (SIZE, SIZE) with zero mean and unit deviation; ``stretch`` elongates it along v."""
     total = np.zeros((SIZE, SIZE))
     for k in range(octaves):
         n = min(cells * 2**k, SIZE)
@@ -71,7 +71,7 @@ def _enlarge(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
 def _bricks(
     rng: np.random.Generator, columns: int, rows: int, joint: float, shift: float = 0.5
 ) -> tuple[Floats, Floats]:
-    """Running bond: mask of the joints and a brightness of each brick; ``joint`` in texels."""
+    """Running bond of bricks: mask of the joints, ``joint`` texels wide, and a random brightness of each brick."""
     y, x = np.mgrid[:SIZE, :SIZE].astype(np.float32)
     row = np.floor(y * rows / SIZE).astype(int)
     along = (x * columns / SIZE + shift * (row % 2)) % columns
@@ -85,7 +85,7 @@ def _bricks(
 
 
 def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floats, float]:
-    """Share of the second colour, brightness (1 in the mean, about) and metres a tile."""
+    """Share of the second colour, brightness (about 1 on average) and metres per tile."""
     fine, coarse = _noise(rng, 64, 3), _noise(rng, 6, 5, 0.6)
     none = np.zeros((SIZE, SIZE), dtype=np.float32)
     match material:
@@ -93,7 +93,7 @@ def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floa
             y, x = np.mgrid[:SIZE, :SIZE] / SIZE
             wander = 0.12 * np.sin(2 * np.pi * x) + 0.02 * _noise(rng, 12, 3)
             crack = np.clip(1 - np.abs(y - 0.5 - wander) / 0.004, 0, 1) * (_noise(rng, 3, 1) > 0.6)
-            # Stones of one to three centimetres in bitumen: some light, and dark gaps between.
+            # Stones of one to three centimetres in bitumen, some of them light, with dark gaps in between.
             stones, grit = _noise(rng, 128, 1), _noise(rng, 256, 1)
             light = np.clip(grit - 1.3, 0, 1)
             second = np.clip(0.35 + 0.12 * coarse + 0.3 * np.clip(-stones - 0.6, 0, 1) + 0.7 * crack, 0, 1)
@@ -151,7 +151,7 @@ def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floa
 
 @lru_cache(maxsize=2)
 def bake(seed: int) -> Patterns:
-    """Patterns of all materials; the same seed gives the same bytes."""
+    """Make the patterns of all materials; the same seed gives the same bytes."""
     layers, tiles = [], []
     for layer in range(MACRO + 1):
         rng = np.random.default_rng([seed, 21, layer])
@@ -170,7 +170,7 @@ def bake(seed: int) -> Patterns:
 
 
 def _pyramid(image: NDArray[np.floating]) -> NDArray[np.uint64]:
-    """All levels of (SIZE, SIZE, 2) one after the other, each the mean of 2 x 2 of the one before."""
+    """All mip levels of an image (SIZE, SIZE, 2), concatenated; each texel is the mean of 2 x 2 of the level before."""
     levels = [image]
     while len(levels[-1]) > 1:
         last = levels[-1]
@@ -181,24 +181,25 @@ def _pyramid(image: NDArray[np.floating]) -> NDArray[np.uint64]:
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _log2(x: float) -> float:
-    """Base-2 logarithm, linear between powers of two: at most 0.09 too small, which no blend of levels shows."""
+    """Base-2 logarithm, linear between powers of two; it is at most 0.09 too small, which blending does not show."""
     bits = np.int64(np.float32(x).view(np.int32))
     return (bits - 0x3F800000) / 8388608.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _bilinear(texels: NDArray[np.uint64], first: int | np.int64, size: int, u: float, v: float) -> np.int64:
-    """Both channels times 65536 at (u, v) in tiles, on the level with ``size`` texels a side of the layer at ``first``.
+    """Both channels times 65536 at (u, v) in tiles, on the level with ``size`` x ``size`` texels of a layer.
 
-    Both lie in one number and are mixed at once, by weights of 1/256.
+    Both channels are packed in one number and interpolated together, with weights in units of 1/256. ``first`` is the
+    layer's first texel.
     """
     mask = size - 1
-    # The offset makes numbers positive, so that cutting off their fraction rounds down; the masks take it away again.
+    # The offset makes numbers positive, so that truncation rounds down; the masks remove it again.
     scale = 256.0 * size
     x, y = np.int64(u * scale + (_POSITIVE - 128.0)), np.int64(v * scale + (_POSITIVE - 128.0))
     fx, fy = x & 255, y & 255
     i, j = (x >> 8) & mask, (y >> 8) & mask
-    # Levels before this one hold SIZE^2 + SIZE^2/4 + ... texels. Unsigned numbers index without a look at the sign.
+    # Levels before this one hold SIZE^2 + SIZE^2/4 + ... texels. Unsigned indices need no check of the sign.
     base = first + 4 * ((SIZE * SIZE - size * size) // 3)
     upper, lower = base + size * j, base + size * ((j + 1) & mask)
     right = (i + 1) & mask
@@ -220,17 +221,17 @@ def sample(
     dvdy: float,
     most: int,
 ) -> tuple[float, float]:
-    """Second colour's share [0, 1] and brightness of a layer at (u, v) metres, averaged over the pixel's footprint.
+    """Second colour's share in [0, 1] and brightness of a layer at (u, v) metres, averaged over the pixel's footprint.
 
-    Trilinear probes along the longer side of the footprint, as many as it is longer than the shorter one but at most
-    ``most`` (of 8), beyond which they blur (Heckbert, "Survey of texture mapping", 1986; the derivatives are Igehy's
-    ray differentials, 1999). Levels are blended over the middle half of the way from one to the next alone: elsewhere
-    one will do. ``texels`` and ``per_tile`` are those of :class:`Patterns`.
+    Trilinear probes are taken along the longer side of the footprint. Their number is the ratio of its sides but at
+    most ``most`` (up to 8), beyond which they blur (Heckbert, "Survey of texture mapping", 1986; the derivatives are
+    Igehy's ray differentials, 1999). Two levels are blended only in the middle half between them; elsewhere one is
+    used. ``texels`` and ``per_tile`` are those of :class:`Patterns`.
     """
     u, v = u * per_tile, v * per_tile
     ax, ay, bx, by = dudx * per_tile, dvdx * per_tile, dudy * per_tile, dvdy * per_tile
     long2, short2 = ax * ax + ay * ay, bx * bx + by * by
-    # The footprint is a parallelogram: across its long side it is as wide as its area says.
+    # The footprint is a parallelogram; its width across the long side follows from its area.
     area = abs(ax * by - ay * bx)
     if long2 < short2:
         ax, ay, long2 = bx, by, short2

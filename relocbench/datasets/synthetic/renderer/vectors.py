@@ -1,4 +1,4 @@
-"""Vectors as triples, and curves, for compiled code."""
+"""Three-dimensional vectors as tuples, and smooth functions, for compiled code."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def minus(a: Vector, b: Vector) -> Vector:
+def subtract(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def along(a: Vector, t: float, b: Vector) -> Vector:
+def add_scaled(a: Vector, t: float, b: Vector) -> Vector:
     """a + t b."""
     return a[0] + t * b[0], a[1] + t * b[1], a[2] + t * b[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def smooth(x: float, low: float, high: float) -> float:
+def smoothstep(x: float, low: float, high: float) -> float:
     t = min(max((x - low) / (high - low), 0.0), 1.0)
     return t * t * (3 - 2 * t)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def fading(x: float) -> float:
-    """exp(-x) of x >= 0, within 5e-5: Taylor's cubic of a sixteenth of x, four times squared."""
+def exp_negative(x: float) -> float:
+    """exp(-x) for x >= 0 within 5e-5: Taylor's cubic for x / 16, squared four times."""
     h = min(x * (1 / 16), 1.5)
     f = 1 - h * (1 - h * (0.5 - h * (1 / 6)))
     f *= f

@@ -1,6 +1,6 @@
-"""What lies between the scene and the sensor: falling rain and snow, and drops on the lens.
+"""Weather between the scene and the sensor: falling rain and snow, and drops on the lens.
 
-Everything is drawn from the generator that is passed, in linear light.
+Images are in linear light; all randomness comes from the generators that are passed.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ _RAIN_SPEED, _SNOW_SPEED = 7.5, 1.2
 _DROPS_PER_MM_H = 0.16
 """visible streaks per cubic metre and mm/h"""
 _STREAK_M = 0.0032
-"""width of a streak: a large drop's, and what the lens adds this near"""
+"""width of a streak: that of a large drop and of its defocus at this distance"""
 _RAIN_OPACITY, _SNOW_OPACITY = 0.15, 0.35
-"""of a streak: a drop stays over a pixel for a tenth of the exposure (Garg and Nayar, CVPR 2004), and brightens it"""
+"""opacity of a streak: a drop brightens a pixel for a tenth of the exposure (Garg and Nayar, CVPR 2004)"""
 _FLAKES_PER_MM_H = 2.2
 _MOST_DROPS = 60
 _DROP_SHARE = 0.06
-"""of the lens, that drops cover in the worst case"""
+"""share of the lens that drops cover in the worst case"""
 
 
 def falling_extinction(rain_mm_h: float, snow_mm_h: float) -> float:
-    """Extinction of light by rain and snow, 1/m (Atlas 1953 for rain; snow dims about ten times as much)."""
+    """Extinction of light by rain and snow, 1/m (Atlas 1953 for rain; that of snow is about ten times as large)."""
     return 2.0e-4 * rain_mm_h**0.63 + 2.5e-3 * snow_mm_h**0.8
 
 
 def _in_view(rng: np.random.Generator, per_m3: float, focal: tuple[float, float], size: tuple[int, int]) -> Floats:
-    """(N, 3) u, v and depth of particles spread evenly through the view."""
+    """Random particles, uniform over the visible volume: (N, 3) u, v and depth."""
     width, height = size
     volume = width * height / (focal[0] * focal[1]) * (_FAR_M**3 - _NEAR_M**3) / 3
     count = rng.poisson(per_m3 * volume)
@@ -43,7 +43,7 @@ def _in_view(rng: np.random.Generator, per_m3: float, focal: tuple[float, float]
     )
 
 
-def draw_falling(
+def draw_precipitation(
     image: Floats,
     depth: Floats,
     focal: tuple[float, float],
@@ -53,11 +53,11 @@ def draw_falling(
     light: Floats,
     rng: np.random.Generator,
 ) -> None:
-    """Draw streaks of rain and flakes of snow into a linear image (H, W, 3), in front of what is farther.
+    """Draw streaks of rain and flakes of snow into a linear image (H, W, 3), in front of farther objects.
 
     Args:
         depth: (H, W) metres, 0 for the sky.
-        down: direction in the image in which things fall, unit length.
+        down: unit vector in the image in which things fall.
         light: (3,) radiance of the particles.
     """
     height, width = depth.shape
@@ -87,7 +87,7 @@ def _streaks(
     light: Floats,
     opacity: float,
 ) -> None:
-    """Soft capsules; thinner than a pixel they keep their light and cover less of it."""
+    """Draw particles as soft capsules; those thinner than a pixel cover less of it, so that their light is the same."""
     height, width = depth.shape
     for k in range(len(at)):
         u, v, z = at[k, 0], at[k, 1], at[k, 2]
@@ -109,7 +109,7 @@ def _streaks(
 
 
 def add_lens_drops(image: Floats, amount: float, rng: np.random.Generator) -> Floats:
-    """The image (H, W, 3) through a lens with drops: each shows the scene upside down, small and out of focus."""
+    """The image (H, W, 3) through a lens with drops, each of which shows the scene upside down, small and defocused."""
     height, width = image.shape[:2]
     count = int(rng.binomial(_MOST_DROPS, amount))
     if count == 0:
@@ -135,7 +135,7 @@ def _refract(out: Floats, blurred: Floats, centre: Floats, radius: Floats, stret
             for x in range(max(0, int(centre[k, 0] - 1.3 * r - 2)), min(width, int(centre[k, 0] + 1.3 * r + 3))):
                 p, q = (x - centre[k, 0]) / r, (y - centre[k, 1]) / (r * s)
                 e = np.sqrt(p * p + q * q)
-                # A lens focused far away shows the rim of a drop as a slope, not as a line.
+                # The camera is focused at a distance, so the rim of a drop is blurred.
                 a = min(max((1.15 - e) / 0.4, 0.0), 1.0)
                 if a <= 0.0:
                     continue

@@ -1,1 +1,1 @@
-"""Districts: streets, houses, plants and cars as triangles."""
+"""Procedural districts: streets, houses, plants and cars as triangle meshes."""

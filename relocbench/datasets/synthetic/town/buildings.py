@@ -1,7 +1,7 @@
-"""Houses of several kinds: what is drawn for one, and its walls, roof and attachments as a shape.
+"""Houses: their random parameters, and the geometry of their walls, roofs and attachments.
 
-A house stands in its own frame: x along the street to the right of who faces it, y into the block, z up from the
-pavement, origin at its left front corner.
+A house has its own frame: x along the street, to the right as seen from there, y into the block, z up from the
+pavement, and the origin at its left front corner.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ DEPTH_M = 10.0
 
 @dataclass(frozen=True)
 class House:
-    """All that is free about a house but its width."""
+    """All parameters of a house except its width."""
 
     front: FrontStyle
     floors: int
@@ -29,11 +29,11 @@ class House:
     roof: str
     """gable, mansard or flat"""
     pitch: float
-    """rise over run"""
+    """slope, rise over run"""
     shop: bool
     awning: bool
     door_at: float
-    """which column has the door, as a share of them"""
+    """position of the door's column, as a share of the columns"""
     band: bool
     dormers: bool
     chimneys: int
@@ -47,7 +47,7 @@ class House:
 
 
 def draw_house(rng: np.random.Generator, style: str, corner: bool = False) -> House:
-    """A house of a style (terrace, town, villa or modern) at random; corner houses are grander."""
+    """A random house of a style (terrace, town, villa or modern); corner houses may have one more floor."""
     pick = rng.choice
     wall = {
         "terrace": ([Material.BRICK, Material.PLASTER, Material.STONE], [0.7, 0.2, 0.1]),
@@ -101,15 +101,16 @@ def draw_house(rng: np.random.Generator, style: str, corner: bool = False) -> Ho
 
 
 def terrace_for_rows(rng: np.random.Generator) -> House:
-    """A house to be built many times over, side by side."""
+    """A house for rows of identical houses."""
     house = draw_house(rng, "terrace")
     return replace(house, floors=2, dormers=False, chimneys=1, door_at=0.0, front=replace(house.front, bay_m=2.4))
 
 
 def house_shape(house: House, width: float, left: float = 0.0, right: float = 0.0, depth: float = DEPTH_M) -> Shape:
-    """A house of ``width`` metres; its back is ``left`` and ``right`` further along x at the two ends than its front.
+    """The geometry of a house ``width`` metres wide.
 
-    Corner houses are mitred with these. The walls, the windows' reveals and the roof face outward.
+    The two ends of its back are shifted along x by ``left`` and ``right`` relative to its front, which mitres corner
+    houses. All faces point outward.
     """
     rng = np.random.default_rng(house.seed)
     parts = [*_front(house, width, rng), *_back(house, left, width + right, depth)]
@@ -119,7 +120,7 @@ def house_shape(house: House, width: float, left: float = 0.0, right: float = 0.
 
 
 def door_x(house: House, width: float) -> float:
-    """Where along the front the middle of the door is."""
+    """Position of the door's middle along the front."""
     columns = _columns(house, width)
     return float((_door_column(house, columns) + 0.5) * width / columns)
 
@@ -135,7 +136,7 @@ def _columns(house: House, width: float) -> int:
 
 
 def _front(house: House, width: float, rng: np.random.Generator) -> list[Shape]:
-    """Ground floor, the floors above and what is fixed to them."""
+    """The front: ground floor, upper floors and attachments."""
     style, columns = house.front, _columns(house, width)
     edge = np.linspace(0, width, columns + 1)
     column, floor = (a.ravel() for a in np.meshgrid(np.arange(columns), np.arange(1, house.floors), indexing="xy"))
@@ -166,12 +167,12 @@ def _front(house: House, width: float, rng: np.random.Generator) -> list[Shape]:
 
 
 def _names(house: House, count: int, first: int) -> np.ndarray:
-    """A look for each window of a house, by its number."""
+    """Variants of the windows of a house, by their numbers."""
     return ((np.arange(count) + first + 1) * 2654435761 % 2**32).astype(np.uint32)
 
 
 def _ground_floor(house: House, edge: Floats) -> list[Shape]:
-    """A door in one column; in the others windows or, joined, shop fronts."""
+    """The ground floor: a door in one column, and windows or shop fronts in the others."""
     style, columns = house.front, len(edge) - 1
     entry = _door_column(house, columns)
     door_cell = np.array([edge[entry], edge[entry + 1], 0.0, house.ground_m])
@@ -208,7 +209,7 @@ def _ground_windows(house: House, edge: Floats, columns: list[int]) -> list[Shap
 
 
 def _back(house: House, x0: float, x1: float, depth: float) -> list[Shape]:
-    """The wall to the yard with plain windows; turned half round, it is a front."""
+    """The wall to the yard with plain windows, made as a front and turned by half a turn."""
     width = x1 - x0
     if width < 2.0:
         wall = [[(x1, depth, 0), (x0, depth, 0), (x0, depth, house.wall_m), (x1, depth, house.wall_m)]]
@@ -238,7 +239,7 @@ def _ends(house: House, width: float, left: float, right: float, depth: float) -
 
 
 def _along(house: House, width: float, left: float, right: float, depth: float, y: float, z: float) -> Floats:
-    """The two points (2, 3) where a line along the house at depth y and height z meets its ends."""
+    """The two ends (2, 3) of a line along the house at depth y and height z."""
     return np.array([(left * y / depth, y, z), (width + right * y / depth, y, z)])
 
 
@@ -248,7 +249,7 @@ def _cornice(house: House, width: float, height: float = 0.22, reach: float = 0.
 
 
 def _gable(house: House, width: float, left: float, right: float, depth: float) -> list[Shape]:
-    """Two slopes with overhanging eaves and gutters, gable ends, chimneys, perhaps dormers."""
+    """A gable roof: two slopes with overhanging eaves and gutters, gable ends, chimneys, and possibly dormers."""
     z, over = house.wall_m, 0.3
     rise = house.pitch * depth / 2
     ends = (house, width, left, right, depth)
@@ -282,7 +283,7 @@ def _gable(house: House, width: float, left: float, right: float, depth: float) 
 
 
 def _chimneys(house: House, ridge: Floats) -> list[Shape]:
-    """Brick stacks with pots on the ridge, at one end or both."""
+    """Brick chimneys with pots on the ridge, at one or both ends."""
     parts = []
     for k in range(house.chimneys):
         x = ridge[k % 2][0] + (0.5 if k % 2 == 0 else -0.5)
@@ -298,7 +299,7 @@ def _chimneys(house: House, ridge: Floats) -> list[Shape]:
 
 
 def _dormer(house: House, pitch: float) -> Shape:
-    """A window in the roof: its front stands at the origin, its flat top runs back into the slope."""
+    """A dormer window with its front at the origin and a flat top that runs back into the slope."""
     half, height = 0.65, 1.35
     reach = (height + 0.2) / pitch
     style = replace(house.front, wall=Material.PLASTER, recess=0.06)
@@ -314,7 +315,7 @@ def _dormer(house: House, pitch: float) -> Shape:
 
 
 def _mansard(house: House, width: float, left: float, right: float, depth: float) -> list[Shape]:
-    """Steep lower slopes with dormers under a flat top."""
+    """A mansard roof: steep lower slopes with dormers below a flat top."""
     z, inset, rise = house.wall_m, 0.9, 2.3
     ends = (house, width, left, right, depth)
     lines = [_along(*ends, y, h) for y, h in ((0.0, z), (inset, z + rise), (depth - inset, z + rise), (depth, z))]
@@ -335,7 +336,7 @@ def _mansard(house: House, width: float, left: float, right: float, depth: float
 
 
 def _flat_roof(house: House, width: float, left: float, right: float, depth: float) -> list[Shape]:
-    """A flat roof within a parapet, on a cornice; a plant room on some."""
+    """A flat roof with a parapet and a cornice, and for some houses a plant room."""
     z, high, thick = house.wall_m, 0.55, 0.25
     ends = (house, width, left, right, depth)
     outer = np.array([*_along(*ends, 0.0, z), *_along(*ends, depth, z)[::-1]])

@@ -1,4 +1,4 @@
-"""Cars: one closed skin drawn from a side profile, with wheel arches and glass, on turning wheels."""
+"""Cars: a closed body made from a side profile, with wheel arches and glass, and wheels."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from relocbench.datasets.synthetic.town.shapes import (
 
 @dataclass(frozen=True)
 class _Type:
-    """Side view of a car, x from the middle forward in metres."""
+    """Side view of a car; x is forward from its middle, in metres."""
 
     half_length: float
     half_width: float
@@ -82,7 +82,7 @@ CAR_TYPES = len(_TYPES)
 
 
 def _columns(car: _Type) -> Floats:
-    """Places (C,) along the car where its section is drawn: kinks of the profile, arches, and edges of windows."""
+    """Positions (C,) of the cross-sections along the car: kinks of the profile, wheel arches, edges of windows."""
     arch = np.cos(np.linspace(0, np.pi, 9)) * (car.wheel + 0.07)
     marks = [[x for x, _ in car.profile], *(a + arch for a in car.axles), np.ravel(car.glass), np.ravel(car.screens)]
     places = np.unique(np.round(np.concatenate([np.asarray(m, float) for m in marks]), 3))
@@ -90,7 +90,7 @@ def _columns(car: _Type) -> Floats:
 
 
 def _skin(car: _Type) -> Shape:
-    """A closed surface: a ring of 12 points at each column, joined from tail to nose."""
+    """The body as a closed surface: rings of 12 points at the cross-sections, joined from tail to nose."""
     x = _columns(car)
     profile = np.array(car.profile)
     top = np.interp(x, profile[:, 0], profile[:, 1])
@@ -134,7 +134,7 @@ def _skin(car: _Type) -> Shape:
 
 
 def _skin_materials(car: _Type, x: Floats, size: int) -> NDArray[np.int64]:
-    """(C - 1, 12) of the faces between columns, in the ring's order: right side up, over the top, left side down."""
+    """Materials (C - 1, 12) of the faces between cross-sections, in ring order: right side, top, left side."""
     middle = (x[1:] + x[:-1]) / 2
     result = np.full((len(middle), size), int(Material.CAR_PAINT))
     side = np.any([(middle > a) & (middle < b) for a, b in car.glass], axis=0)
@@ -166,7 +166,7 @@ def _wheels(car: _Type) -> list[Shape]:
 
 
 def _details(car: _Type) -> list[Shape]:
-    """Lamps, bumpers, number plates and mirrors."""
+    """Lights, bumpers, number plates and mirrors."""
     nose, width = car.half_length, car.half_width
     lamp_z, tail_z = car.belt - 0.27, car.belt - 0.12
     low, high, material = [], [], []
@@ -197,13 +197,13 @@ def _details(car: _Type) -> list[Shape]:
 
 @cache
 def car_shape(kind: int) -> Shape:
-    """The template of one of CAR_TYPES: x forward, y left, z up, origin on the ground below the middle."""
+    """The shape of a car type: x forward, y left, z up, origin on the ground below the middle."""
     car = _TYPES[kind]
     return join([_skin(car), *_wheels(car), *_details(car)])
 
 
 def cars(transforms: Floats, variant: ArrayLike, instance: ArrayLike, semantic: Semantic) -> Mesh:
-    """Cars at (N, 4, 4): the variant (N,) chooses type (its remainder by CAR_TYPES) and look."""
+    """Cars with poses (N, 4, 4); the variant (N,) chooses the type (modulo CAR_TYPES) and the look."""
     looks, names = np.asarray(variant, dtype=np.uint32), np.asarray(instance, dtype=np.uint32)
     kind = looks % CAR_TYPES
     groups = []

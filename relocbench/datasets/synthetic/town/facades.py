@@ -1,6 +1,6 @@
-"""Fronts of houses: walls with windows set into them, doors, shop fronts, balconies.
+"""Fronts of houses: walls with windows, doors, shop fronts, balconies.
 
-A front lies in the plane y = 0 seen from -y, x to the right, z up; y grows into the house.
+A front lies in the plane y = 0 and is seen from -y: x to the right, z up, y into the house.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.synthetic.town.mesh import Material
-from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, join, quads
+from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, boxes_of, join, quads
 
 NDInts = NDArray[np.uint32]
 _FRAME_M = 0.06
@@ -20,18 +20,18 @@ _REVEAL_NORMAL = ((0, 1), (1, 2), (2, 3), (3, 0))
 
 @dataclass(frozen=True)
 class FrontStyle:
-    """What the windows of a front look like."""
+    """The style of a front's windows."""
 
     wall: Material
     trim: Material
     """sills, lintels and bands"""
     frame: Material
     bay_m: float
-    """distance between windows, about"""
+    """approximate distance between windows"""
     width: float
     height: float
     sill: float
-    """above the floor"""
+    """height above the floor"""
     recess: float
     mullions: int
     transom: bool
@@ -39,7 +39,7 @@ class FrontStyle:
     surround: bool
     shutters: bool
     balconies: float
-    """share of the windows above the ground floor that are doors onto balconies"""
+    """share of the windows above the ground floor that have a balcony"""
 
 
 def ring_quads(outer: Floats, inner: Floats, y_outer: Floats, y_inner: Floats) -> Floats:
@@ -49,13 +49,13 @@ def ring_quads(outer: Floats, inner: Floats, y_outer: Floats, y_inner: Floats) -
 
 
 def _corners(rect: Floats, y: Floats) -> Floats:
-    """(N, 4, 3) counter-clockwise seen from -y."""
+    """Corners (N, 4, 3) of rectangles, counter-clockwise seen from -y."""
     x0, x1, z0, z1 = rect.T
     return np.stack([np.stack(p, axis=1) for p in ((x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1))], axis=1)
 
 
 def pane(rect: Floats, y: float, material: Material, variant: NDInts | int = 0) -> Shape:
-    """Panes (N, 4) at a depth, with surface coordinates from the lower left corner of each."""
+    """Rectangles (N, 4) at a depth, each with surface coordinates relative to its lower left corner."""
     depth = np.full(len(rect), y)
     corners = _corners(rect, depth)
     uv = corners[:, :, [0, 2]] - corners[:, :1, [0, 2]]
@@ -65,7 +65,7 @@ def pane(rect: Floats, y: float, material: Material, variant: NDInts | int = 0) 
 def openings(
     cells: Floats, holes: Floats, style: FrontStyle, glass: Material, variant: NDInts, plain: bool = False
 ) -> list[Shape]:
-    """Wall cells (N, 4) with a glazed hole (N, 4) each: wall, reveal, frame, bars and glass.
+    """Wall cells (N, 4), each with a window in a hole (N, 4): wall, reveal, frame, bars and glass.
 
     ``plain`` leaves out frames and bars, for the backs of houses.
     """
@@ -97,7 +97,7 @@ def openings(
 
 
 def trims(holes: Floats, style: FrontStyle, cell_m: float) -> list[Shape]:
-    """Sills below, lintels or surrounds about, and shutters beside windows (N, 4) in cells ``cell_m`` wide."""
+    """Sills, lintels or surrounds, and shutters of windows (N, 4) in cells ``cell_m`` wide."""
     x0, x1, z0, z1 = holes.T
     zero = np.zeros(len(holes))
     low = [np.stack([x0 - 0.08, zero - 0.09, z0 - 0.09], axis=1)]
@@ -119,27 +119,26 @@ def trims(holes: Floats, style: FrontStyle, cell_m: float) -> list[Shape]:
 
 
 def balcony(x0: float, x1: float, z: float) -> Shape:
-    """A slab with a railing of bars before a window from x0 to x1 at floor level z."""
+    """A slab with a railing in front of a window from x0 to x1 at floor level z."""
     left, right, reach = x0 - 0.35, x1 + 0.35, 0.85
     bars = np.linspace(left + 0.03, right - 0.03, max(4, int((right - left) / 0.19)))
     sides = np.linspace(-reach + 0.05, -0.12, 5)
-    post = [(x - 0.012, -reach + 0.02, z, x + 0.012, -reach + 0.045, z + 0.95) for x in bars]
-    post += [
+    posts = [(x - 0.012, -reach + 0.02, z, x + 0.012, -reach + 0.045, z + 0.95) for x in bars]
+    posts += [
         (x - 0.012, y - 0.012, z, x + 0.012, y + 0.012, z + 0.95) for x in (left + 0.03, right - 0.03) for y in sides
     ]
-    rail = [
+    rails = [
         (left, -reach, z + 0.95, right, -reach + 0.06, z + 1.0),
         (left, -reach + 0.06, z + 0.95, left + 0.06, 0.0, z + 1.0),
         (right - 0.06, -reach + 0.06, z + 0.95, right, 0.0, z + 1.0),
     ]
-    bars_box, rails = np.array(post), np.array(rail)
-    rail_box = boxes(rails[:, :3], rails[:, 3:], Material.METAL)
+    rail_box = boxes_of(rails, Material.METAL)
     slab = boxes([left, -reach, z - 0.16], [right, 0.0, z], Material.CONCRETE, without="back")
-    return join([boxes(bars_box[:, :3], bars_box[:, 3:], Material.METAL, without="bottom top"), rail_box, slab])
+    return join([boxes_of(posts, Material.METAL, without="bottom top"), rail_box, slab])
 
 
 def door(cell: Floats, width: float, top: float, style: FrontStyle, variant: int) -> list[Shape]:
-    """A cell (4,) with a door in a deep reveal, a light above it, two panels, a knob and a step."""
+    """A wall cell (4,) with a door in a deep reveal, with transom light, panels, knob and step."""
     middle = (cell[0] + cell[1]) / 2
     hole = np.array([[middle - width / 2, middle + width / 2, 0.05, top]])
     depth = 0.22
@@ -157,14 +156,12 @@ def door(cell: Floats, width: float, top: float, style: FrontStyle, variant: int
             pane(np.array([[x0, x1, leaf_top, z1]]), depth, Material.WINDOW, np.array([variant + 1], np.uint32))
         )
     third = (x1 - x0) / 7
-    panels = np.array(
-        [
-            (a, depth - 0.025, b, a + 2 * third, depth, c)
-            for a in (x0 + third, x1 - 3 * third)
-            for b, c in ((z0 + 0.2, z0 + 0.9), (z0 + 1.05, leaf_top - 0.18))
-        ]
-    )
-    parts.append(boxes(panels[:, :3], panels[:, 3:], Material.DOOR, without="back", variant=variant))
+    panels = [
+        (a, depth - 0.025, b, a + 2 * third, depth, c)
+        for a in (x0 + third, x1 - 3 * third)
+        for b, c in ((z0 + 0.2, z0 + 0.9), (z0 + 1.05, leaf_top - 0.18))
+    ]
+    parts.append(boxes_of(panels, Material.DOOR, without="back", variant=variant))
     parts.append(
         boxes([x1 - 0.12, depth - 0.08, z0 + 1.0], [x1 - 0.07, depth, z0 + 1.05], Material.METAL, without="back")
     )
@@ -174,13 +171,12 @@ def door(cell: Floats, width: float, top: float, style: FrontStyle, variant: int
         (x1, -0.04, 0.0, x1 + 0.14, 0.0, z1 + 0.16),
         (x0, -0.04, z1, x1, 0.0, z1 + 0.16),
     ]
-    frame_box = np.array(frame)
-    parts.append(boxes(frame_box[:, :3], frame_box[:, 3:], style.trim, without="back"))
+    parts.append(boxes_of(frame, style.trim, without="back"))
     return parts
 
 
 def shop(cell: Floats, style: FrontStyle, variant: int, awning: bool, door_right: bool) -> list[Shape]:
-    """A shop front over a cell (4,): big panes on a riser, a door, a sign board, perhaps an awning."""
+    """A shop front in a wall cell (4,): large panes on a riser, a door, a sign, and possibly an awning."""
     x0, x1, _, z1 = cell
     hole = np.array([[x0 + 0.3, x1 - 0.3, 0.05, z1 - 0.95]])
     depth = 0.28
@@ -201,8 +197,8 @@ def shop(cell: Floats, style: FrontStyle, variant: int, awning: bool, door_right
     glass = np.stack([edges[:-1], edges[1:], np.full(panes, riser), np.full(panes, high)], axis=1)
     names = (variant + 17 * np.arange(panes)).astype(np.uint32)
     parts.append(pane(glass, depth, Material.SHOP_WINDOW, names))
-    posts = np.array([(x - 0.04, depth - 0.08, low, x + 0.04, depth, high) for x in (*edges, a + 0.04, b - 0.04)])
-    parts.append(boxes(posts[:, :3], posts[:, 3:], frame, without="back bottom", variant=variant))
+    posts = [(x - 0.04, depth - 0.08, low, x + 0.04, depth, high) for x in (*edges, a + 0.04, b - 0.04)]
+    parts.append(boxes_of(posts, frame, without="back bottom", variant=variant))
     parts.append(pane(np.array([[*entry, low, low + 0.5]]), depth, Material.DOOR, np.array([variant], np.uint32)))
     parts.append(
         pane(np.array([[*entry, low + 0.5, high]]), depth, Material.SHOP_WINDOW, np.array([variant + 5], np.uint32))
@@ -222,7 +218,7 @@ def shop(cell: Floats, style: FrontStyle, variant: int, awning: bool, door_right
 
 
 def _awning(x0: float, x1: float, z: float, variant: int) -> Shape:
-    """A cloth that slopes over the pavement, seen from both sides, with a hanging edge."""
+    """A sloping cloth above the pavement with a hanging edge, visible from both sides."""
     reach, drop = 1.1, 0.55
     cloth = np.array(
         [

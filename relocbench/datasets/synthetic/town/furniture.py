@@ -1,4 +1,4 @@
-"""Street furniture: lamp posts, signs, benches, bins, bollards, a fountain. Each stands at its origin, facing +x."""
+"""Street furniture: lamp posts, signs, benches, bins, bollards, a fountain. Each is at the origin and faces +x."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from functools import cache
 import numpy as np
 
 from relocbench.datasets.synthetic.town.mesh import Material
-from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, join, moved, quads, tube
+from relocbench.datasets.synthetic.town.shapes import Floats, Shape, boxes, boxes_of, join, moved, quads, tube
 
 LAMP_HEAD = np.array([1.25, 0.0, 5.62])
-"""where the light comes from, in the frame of a lamp post"""
+"""position of the light source in the frame of a lamp post"""
 SIGN_KINDS = 4
 _UP = np.array([0.0, 0.0, 1.0])
 
@@ -30,7 +30,7 @@ def _post(height: float) -> Shape:
 
 
 def _plate(outline: Floats, z: float) -> Shape:
-    """A plate (P, 2) of (y, z) before the post: its face towards +x, its back bare metal."""
+    """A plate with an outline (P, 2) of (y, z) in front of the post, its face towards +x, its back bare metal."""
     count = len(outline)
     ring = np.column_stack([np.full(count, 0.045), outline[:, 0], outline[:, 1] + z])
     behind = ring - np.array([0.012, 0, 0])
@@ -46,7 +46,7 @@ def _plate(outline: Floats, z: float) -> Shape:
 
 @cache
 def sign(kind: int) -> Shape:
-    """One of SIGN_KINDS on its post: round, triangular, square or two plates."""
+    """One of SIGN_KINDS traffic signs on its post: round, triangular, square or with two plates."""
     turn = 2 * np.pi * np.arange(24) / 24
     disc = 0.32 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     triangle = np.array([[-0.38, -0.3], [0.38, -0.3], [0.0, 0.36]])
@@ -57,13 +57,12 @@ def sign(kind: int) -> Shape:
 
 @cache
 def bench() -> Shape:
-    """Slats on two cast legs, 1.8 m wide, sat on facing +x."""
+    """A bench of slats on two cast legs, 1.8 m wide, facing +x."""
     seat = [(x, -0.9, 0.43, x + 0.09, 0.9, 0.47) for x in (-0.05, 0.06, 0.17, 0.28)]
     rest = [(-0.14 - 0.03 * k, -0.9, 0.56 + 0.12 * k, -0.10 - 0.03 * k, 0.9, 0.65 + 0.12 * k) for k in range(3)]
     legs = [(x, y - 0.03, 0.0, x + 0.06, y + 0.03, z) for y in (-0.7, 0.7) for x, z in ((-0.12, 0.9), (0.28, 0.43))]
     legs += [(-0.12, y - 0.03, 0.38, 0.34, y + 0.03, 0.43) for y in (-0.7, 0.7)]
-    wood, metal = np.array(seat + rest), np.array(legs)
-    return join([boxes(wood[:, :3], wood[:, 3:], Material.WOOD), boxes(metal[:, :3], metal[:, 3:], Material.METAL)])
+    return join([boxes_of(seat + rest, Material.WOOD), boxes_of(legs, Material.METAL)])
 
 
 @cache
@@ -107,11 +106,11 @@ def fountain() -> Shape:
 
 @cache
 def shelter() -> Shape:
-    """A bus shelter open towards +x: posts, glass back and side, roof and a bench inside."""
-    posts = np.array([(x, y, 0, x + 0.07, y + 0.07, 2.35) for x in (-0.7, 0.55) for y in (-1.8, 1.73)])
+    """A bus shelter, open towards +x: posts, glass back and side, roof, and a bench inside."""
+    posts = [(x, y, 0, x + 0.07, y + 0.07, 2.35) for x in (-0.7, 0.55) for y in (-1.8, 1.73)]
     roof = boxes([-0.85, -1.95, 2.35], [0.85, 1.95, 2.47], Material.METAL)
     glass = boxes([-0.68, -1.73, 0.15], [-0.65, 1.73, 2.25], Material.CAR_GLASS)
     side = boxes([-0.63, 1.75, 0.15], [0.35, 1.78, 2.25], Material.SHOP_SIGN)
     seat = boxes([-0.55, -1.2, 0.45], [-0.2, 1.2, 0.5], Material.WOOD)
     feet = boxes([[-0.42, -1.0, 0], [-0.42, 0.95, 0]], [[-0.34, -0.95, 0.45], [-0.34, 1.0, 0.45]], Material.METAL)
-    return join([boxes(posts[:, :3], posts[:, 3:], Material.METAL), roof, glass, side, seat, feet])
+    return join([boxes_of(posts, Material.METAL), roof, glass, side, seat, feet])

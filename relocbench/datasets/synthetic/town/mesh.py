@@ -1,4 +1,4 @@
-"""Triangles of a district, with what the renderer and the truth must know of each."""
+"""Triangle meshes with the attributes that rendering and ground truth need."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 class Material(IntEnum):
-    """What a triangle is made of; the renderer knows how each looks, dry and wet, under snow and at night."""
+    """Material of a triangle, which determines its appearance in every weather."""
 
     ASPHALT = 0
     COBBLES = 1
@@ -27,7 +27,7 @@ class Material(IntEnum):
     ROOF_TILES = 11
     ROOF_FLAT = 12
     WINDOW = 13
-    """glass in a wall; reflects the sky, some are lit at night"""
+    """glass in a wall, which reflects the sky and may be lit at night"""
     SHOP_WINDOW = 14
     DOOR = 15
     SHOP_SIGN = 16
@@ -41,12 +41,12 @@ class Material(IntEnum):
     RUBBER = 24
     TRAFFIC_SIGN = 25
     LAMP = 26
-    """the shining part of a street lamp or headlight"""
+    """the luminous part of a street lamp or headlight"""
     PLASTIC = 27
 
 
 class Semantic(IntEnum):
-    """Class of an object, as written to semantic masks."""
+    """Class of an object, as stored in semantic masks."""
 
     NONE = 0
     ROAD = 1
@@ -73,17 +73,17 @@ class Mesh:
     triangles: NDArray[np.uint32]
     """(T, 3) rows of :attr:`vertices`, counter-clockwise seen from outside"""
     uv: NDArray[np.float32]
-    """(T, 3, 2) coordinates of the corners on their surface, in metres, so that a texture has one density everywhere"""
+    """(T, 3, 2) surface coordinates of the corners in metres, so that textures have the same density everywhere"""
     material: NDArray[np.uint8]
     """(T,) :class:`Material`"""
     semantic: NDArray[np.uint8]
     """(T,) :class:`Semantic`"""
     instance: NDArray[np.uint32]
-    """(T,) object: one building, one car, one tree; unique in a district, 0 is the ground"""
+    """(T,) number of the object, such as one building, car or tree; unique in a district, 0 is the ground"""
     variant: NDArray[np.uint32]
-    """(T,) seed of the object's own look (colour, pattern)"""
+    """(T,) seed of the object's look (colour, pattern)"""
     rank: NDArray[np.float32]
-    """(T,) in [0, 1]: a leaf is there when the foliage exceeds its rank; 0 for what is always there"""
+    """(T,) in [0, 1]: a leaf is present if the foliage exceeds its rank; 0 for everything else"""
 
     def __post_init__(self) -> None:
         t = len(self.triangles)
@@ -101,7 +101,7 @@ class Mesh:
         return len(self.triangles)
 
     def select(self, keep: NDArray[np.bool_]) -> Mesh:
-        """The triangles (T,) that are marked; all vertices stay."""
+        """The mesh with the marked triangles (T,) only; all vertices remain."""
         return Mesh(
             self.vertices,
             *(
@@ -112,7 +112,7 @@ class Mesh:
 
 
 def merge(meshes: Sequence[Mesh]) -> Mesh:
-    """One mesh of several, in order; instance numbers are kept as they are."""
+    """Concatenate meshes; instance numbers are not changed."""
     offsets = np.cumsum([0, *(len(m.vertices) for m in meshes)])[:-1]
     return Mesh(
         np.concatenate([m.vertices for m in meshes]).astype(np.float32),

@@ -8,6 +8,17 @@ from itertools import pairwise
 
 import numpy as np
 
+from relocbench.datasets.synthetic.town.polylines import (
+    arc_lengths,
+    area,
+    loop_turns,
+    offset_line,
+    offset_loop,
+    points_at,
+    resampled,
+    rounded,
+    turns_of,
+)
 from relocbench.datasets.synthetic.town.shapes import Floats
 from relocbench.errors import ConfigError
 
@@ -16,19 +27,19 @@ LANE_M = 3.2
 PARKING_M = 2.1
 """width of the parking lane of a street side that has one"""
 KERB_RADIUS_M = 5.5
-"""of the corners of blocks at crossings"""
+"""kerb radius of block corners at crossings"""
 _STRAIGHT = np.radians(35)
-"""a smaller turn is a bend of one street, a larger one a corner"""
+"""turns up to this angle are bends of a street, larger ones are corners"""
 _STEP_M = 0.25
 RUN_IN_M = 12.0
-"""of a walk that lie before its path"""
+"""length of a walk before its path begins"""
 
 HalfEdge = tuple[int, int]
 
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A smooth path on the road, sampled evenly."""
+    """A smooth, evenly sampled path on the road."""
 
     points: Floats
     """(P, 2) metres"""
@@ -37,21 +48,21 @@ class Path:
     step: float
     """metres between samples"""
     streets: tuple[tuple[float, float, int], ...]
-    """(from, to, street id) in metres along the path; ends in the middle of crossings"""
+    """(from, to, street id) in metres along the path; sections end in the middle of crossings"""
 
     @property
     def length(self) -> float:
-        """Metres."""
+        """Length in metres."""
         return self.step * (len(self.points) - 1)
 
     def pose(self, s: float, lateral_m: float = 0.0, yaw_rad: float = 0.0) -> Floats:
         """T_world_vehicle (4, 4) at ``s`` metres: x forward, y left, z up, origin on the road.
 
-        The vehicle is ``lateral_m`` left of the path and turned by ``yaw_rad`` to the left. Raises ConfigError where
-        the path has no such place.
+        The vehicle is ``lateral_m`` left of the path and turned by ``yaw_rad`` to the left. Raises ConfigError if ``s``
+        is outside the path.
         """
         if not -1e-6 <= s <= self.length + 1e-6:
-            raise ConfigError(f"the path is {self.length:.1f} m long, there is no place at {s:.1f} m")
+            raise ConfigError(f"the path is {self.length:.1f} m long and has no place at {s:.1f} m")
         at = np.arange(len(self.points)) * self.step
         x, y, heading = (np.interp(s, at, v) for v in (self.points[:, 0], self.points[:, 1], self.heading))
         yaw = heading + yaw_rad
@@ -61,24 +72,24 @@ class Path:
         return pose
 
     def on_street(self, street: int) -> list[tuple[float, float]]:
-        """The stretches (from, to) in metres on which the path follows the street."""
+        """The sections (from, to) in metres on which the path follows a street."""
         return [(start, end) for start, end, name in self.streets if name == street]
 
 
 @dataclass(frozen=True, eq=False)
 class StreetNetwork:
-    """Nodes are crossings and bends; an edge is a straight piece of a street with a lane each way."""
+    """A planar graph of streets. Nodes are crossings and bends; edges are straight pieces with a lane each way."""
 
     nodes: Floats
     """(N, 2) metres"""
     street: dict[HalfEdge, int]
     """street id of each directed edge, the same for both directions"""
     faces: tuple[tuple[int, ...], ...]
-    """blocks as loops of nodes with the block on the left; the last one is what lies outside, run clockwise"""
+    """blocks as loops of nodes with the block on the left; the last one is the outside, in clockwise order"""
     kerb: dict[HalfEdge, float]
     """distance of the kerb on the left of each directed edge from the centre line"""
     zebras: frozenset[HalfEdge]
-    """directed edges that end at a crossing with a zebra before it"""
+    """directed edges with a zebra crossing before their end"""
 
     def neighbours(self, node: int) -> list[int]:
         return sorted(v for u, v in self.street if u == node)
@@ -98,7 +109,7 @@ class StreetNetwork:
         return KERB_RADIUS_M if abs(turn) > _STRAIGHT else 15.0
 
     def nodes_of(self, street: int) -> list[int]:
-        """The nodes of a street from the crossing at one of its ends to that at the other."""
+        """The nodes of a street from the crossing at one end to that at the other."""
         members = [(u, v) for (u, v), name in self.street.items() if name == street and u < v]
         ends = [n for n in {n for e in members for n in e} if self.degree(n) != 2 or sum(n in e for e in members) == 1]
         chain = [min(ends)]
@@ -109,29 +120,30 @@ class StreetNetwork:
         return chain
 
     def centre_line(self, street: int) -> Floats:
-        """(P, 2) from the crossing at one end of a street to that at the other, bends rounded."""
+        """The centre line (P, 2) of a street between the crossings at its ends, with rounded bends."""
         chain = self.nodes_of(street)
         points = self.nodes[chain]
         turns = turns_of(points)
         return rounded(points, [self.bend_radius(n, t) for n, t in zip(chain[1:-1], turns, strict=True)])
 
     def drive(self, length_m: float, seed: int) -> Path:
-        """A path of ``length_m`` in the middle of the right-hand lane, over streets it has driven least first.
+        """A path of ``length_m`` in the middle of the right-hand lane that prefers the streets it has driven least.
 
-        Deterministic in the network and the seed; never turns back. Raises ConfigError unless the length is positive.
+        It is determined by the network and the seed and never turns back. Raises ConfigError unless the length is
+        positive.
         """
         if length_m <= 0:
             raise ConfigError(f"a drive needs a positive length, got {length_m} m")
         return self.path(self.walk(length_m, seed), RUN_IN_M, length_m)
 
     def walk(self, length_m: float, seed: int) -> list[int]:
-        """The nodes that :meth:`drive` passes, and some more at the end; a longer walk begins as a shorter one."""
+        """The nodes that :meth:`drive` passes, and some more at the end; a longer walk extends a shorter one."""
         return self._route(1.25 * length_m + 60.0, np.random.default_rng(seed))
 
     def path(self, chain: Sequence[int], start_m: float, length_m: float) -> Path:
-        """A path of ``length_m`` in the middle of the right-hand lane along neighbouring nodes, from ``start_m`` on.
+        """A path of ``length_m`` in the middle of the right-hand lane along a chain of nodes, from ``start_m`` on.
 
-        Raises ConfigError where the nodes do not reach so far.
+        Raises ConfigError if the nodes do not reach that far.
         """
         nodes = self.nodes[list(chain)]
         lane = offset_line(nodes, [-LANE_M / 2] * (len(chain) - 1))
@@ -141,7 +153,7 @@ class StreetNetwork:
         return Path(points, heading, _STEP_M, self._streets_along(chain, lane, points))
 
     def _route(self, length_m: float, rng: np.random.Generator) -> list[int]:
-        """Nodes of a walk: at every crossing the edge driven least, never back, never a turn sharper than 110 deg."""
+        """Nodes of a walk that takes the least driven edge at every crossing, without turning back or sharp turns."""
         edges = sorted(self.street)
         chain = list(edges[rng.integers(len(edges))])
         driven = dict.fromkeys(edges, 0)
@@ -157,7 +169,7 @@ class StreetNetwork:
         return chain
 
     def _lane_radius(self, node: int, turn: float) -> float:
-        """The radius of the lane's middle: a right turn (negative) runs inside of the centre line."""
+        """The radius of the lane's middle; in a right turn (negative) the lane is inside of the centre line."""
         if self.degree(node) == 2:
             return self.bend_radius(node, turn) + np.sign(turn) * LANE_M / 2
         if abs(turn) < _STRAIGHT:
@@ -167,7 +179,7 @@ class StreetNetwork:
     def _streets_along(
         self, chain: Sequence[int], lane: Floats, points: Floats
     ) -> tuple[tuple[float, float, int], ...]:
-        """The stretch of the path on every street of the walk; a place belongs to the next node of the walk."""
+        """The sections of the path on each street of the walk."""
         last = len(points) - 1
         cuts, start = [0], 0
         for node in lane[1:-1]:
@@ -189,7 +201,7 @@ class StreetNetwork:
 
 
 def _first_minimum(distance: Floats) -> Floats:
-    """The distances up to where they come near zero for the first time; what is later counts as far."""
+    """The distances up to the first approach to zero; later ones are set to infinity."""
     near = np.flatnonzero(distance < 12.0)
     if len(near) == 0:
         return distance
@@ -198,99 +210,23 @@ def _first_minimum(distance: Floats) -> Floats:
     return np.where(np.arange(len(distance)) <= end, distance, np.inf)
 
 
-def turns_of(points: Floats) -> Floats:
-    """Turn (rad, left positive) at each inner point of a polyline (P, 2): (P - 2,)."""
-    step = np.diff(points, axis=0)
-    return np.asarray(
-        np.arctan2(step[:-1, 0] * step[1:, 1] - step[:-1, 1] * step[1:, 0], (step[:-1] * step[1:]).sum(axis=1))
-    )
-
-
-def _offset_corner(before: Floats, corner: Floats, after: Floats, first: float, second: float) -> Floats:
-    """Where the lines before-corner and corner-after, moved left by ``first`` and ``second``, meet."""
-    d = np.stack([corner - before, after - corner])
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    normal = np.stack([-d[:, 1], d[:, 0]], axis=1)
-    if abs(first - second) < 1e-9:
-        return np.asarray(corner + first * (normal[0] + normal[1]) / (1 + normal[0] @ normal[1]))
-    return np.asarray(corner + np.linalg.solve(normal, [first, second]))
-
-
-def offset_line(points: Floats, offsets: Sequence[float]) -> Floats:
-    """An open polyline (P, 2) moved left, each piece by its own offset (P - 1); corners are mitred."""
-    step = np.diff(points, axis=0)
-    normal = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.linalg.norm(step, axis=1, keepdims=True)
-    inner = [
-        _offset_corner(points[i - 1], points[i], points[i + 1], offsets[i - 1], offsets[i])
-        for i in range(1, len(points) - 1)
-    ]
-    return np.array([points[0] + offsets[0] * normal[0], *inner, points[-1] + offsets[-1] * normal[-1]])
-
-
-def offset_loop(points: Floats, offsets: Sequence[float]) -> Floats:
-    """A closed polygon (P, 2) moved left; ``offsets[i]`` is that of the edge from point i to the next."""
-    count = len(points)
-    return np.array(
-        [
-            _offset_corner(points[i - 1], points[i], points[(i + 1) % count], offsets[i - 1], offsets[i])
-            for i in range(count)
-        ]
-    )
-
-
-def arc_at(before: Floats, corner: Floats, after: Floats, radius: float) -> Floats:
-    """Points (K, 2) of the arc that rounds a corner; a radius too large for its sides is made smaller."""
-    turn = float(turns_of(np.stack([before, corner, after]))[0])
-    if abs(turn) < 1e-4:
-        return corner[None]
-    sides = np.linalg.norm(np.stack([corner - before, after - corner]), axis=1)
-    tangent = min(abs(radius * np.tan(turn / 2)), 0.48 * float(sides.min()))
-    radius = tangent / abs(np.tan(turn / 2))
-    forward = (corner - before) / sides[0]
-    start = corner - tangent * forward
-    centre = start + np.sign(turn) * radius * np.array([-forward[1], forward[0]])
-    count = max(3, int(np.ceil(abs(turn) / np.radians(9))) + 1)
-    angle = np.linspace(0, turn, count)
-    spoke = start - centre
-    return np.stack(
-        [
-            centre[0] + np.cos(angle) * spoke[0] - np.sin(angle) * spoke[1],
-            centre[1] + np.sin(angle) * spoke[0] + np.cos(angle) * spoke[1],
-        ],
-        axis=1,
-    )
-
-
-def rounded(points: Floats, radii: Sequence[float]) -> Floats:
-    """An open polyline with its inner corners rounded by the radii (P - 2)."""
-    arcs = [arc_at(points[i - 1], points[i], points[i + 1], radii[i - 1]) for i in range(1, len(points) - 1)]
-    return np.concatenate([points[:1], *arcs, points[-1:]])
-
-
-def resampled(points: Floats, step: float) -> Floats:
-    """Points every ``step`` metres along a polyline (P, 2)."""
-    at = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    s = np.arange(0, at[-1], step)
-    return np.stack([np.interp(s, at, points[:, 0]), np.interp(s, at, points[:, 1])], axis=1)
-
-
 def _smooth(line: Floats, start_m: float, length_m: float) -> tuple[Floats, Floats]:
-    """Samples and headings of a line of arcs, with the curvature made continuous by averaging over 4 m twice."""
+    """Samples and headings of a line of arcs, smoothed by averaging over 4 m twice for a continuous curvature."""
     fine = resampled(line, 0.1)
     kernel = np.convolve(np.full(41, 1 / 41), np.full(41, 1 / 41))
     soft = np.stack([np.convolve(fine[:, k], kernel, mode="valid") for k in range(2)], axis=1)
-    at = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(soft, axis=0), axis=1))])
+    at = arc_lengths(soft)
     if start_m < 0 or at[-1] < start_m + length_m:
-        raise ConfigError(f"the streets reach {at[-1]:.1f} m, a path from {start_m:.1f} m on needs {length_m:.1f} m")
+        raise ConfigError(f"the walk is {at[-1]:.1f} m long, too short for {length_m:.1f} m from {start_m:.1f} m on")
     count = int(np.ceil(length_m / _STEP_M)) + 1
     s = start_m + np.arange(count) * _STEP_M
-    points = np.stack([np.interp(s, at, soft[:, 0]), np.interp(s, at, soft[:, 1])], axis=1)
+    points = points_at(soft, at, s)
     tangent = np.gradient(points, axis=0)
     return points, np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
 
 
 def make_network(rng: np.random.Generator, extent_m: float) -> StreetNetwork:
-    """A network in a square of ``extent_m``, its outer streets about 28 m inside of the edge."""
+    """A random network in a square of ``extent_m``, with its outer streets about 28 m from the edge."""
     for _ in range(200):
         nodes, street = _graph(rng, extent_m)
         faces = _faces(nodes, street)
@@ -302,7 +238,7 @@ def make_network(rng: np.random.Generator, extent_m: float) -> StreetNetwork:
 
 
 def _graph(rng: np.random.Generator, extent_m: float) -> tuple[Floats, dict[HalfEdge, int]]:
-    """A shaken grid without some of its inner streets, and with bends in some of the others."""
+    """A randomly perturbed grid without some of its inner streets and with bends in some of the others."""
     count = max(3, int((extent_m - 56) / 60) + 1)
     spacing = (extent_m - 56) / (count - 1)
     line = (np.arange(count) - (count - 1) / 2) * spacing
@@ -329,7 +265,7 @@ def _graph(rng: np.random.Generator, extent_m: float) -> tuple[Floats, dict[Half
 
 
 def _faces(nodes: Floats, street: dict[HalfEdge, int]) -> tuple[tuple[int, ...], ...]:
-    """Loops with the face on the left: at every node the leftmost way on. The outside (negative area) comes last."""
+    """The faces of the graph as loops with the face on the left; the outside (negative area) is last."""
     around: dict[int, list[int]] = {}
     for u in range(len(nodes)):
         ends = [b for a, b in street if a == u]
@@ -346,33 +282,27 @@ def _faces(nodes: Floats, street: dict[HalfEdge, int]) -> tuple[tuple[int, ...],
             ring = around[edge[1]]
             edge = (edge[1], ring[ring.index(edge[0]) - 1])
         faces.append(tuple(loop))
-    return tuple(sorted(faces, key=lambda f: (_area(nodes[list(f)]) < 0, f)))
-
-
-def _area(polygon: Floats) -> float:
-    x, y = polygon[:, 0], polygon[:, 1]
-    return float(0.5 * (x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
+    return tuple(sorted(faces, key=lambda f: (area(nodes[list(f)]) < 0, f)))
 
 
 def _is_roomy(nodes: Floats, face: tuple[int, ...]) -> bool:
-    """Whether streets, pavements and a row of houses fit: each edge must keep its direction 22 m inside."""
+    """Whether a block has room for pavements and houses: its polygon must keep its shape when shrunk by 22 m."""
     polygon = nodes[list(face)]
     moved = offset_loop(polygon, [22.0] * len(face))
     before, after = (np.roll(p, -1, axis=0) - p for p in (polygon, moved))
-    turn = turns_of(np.concatenate([polygon[-1:], polygon, polygon[:1]]))
+    turn = loop_turns(polygon)
     fits = (before * after).sum(axis=1) > 2.0 * np.linalg.norm(before, axis=1)
     return bool(fits.all() and (np.abs(turn) < np.radians(115)).all() and (np.abs(_not_between(turn)) > 0).all())
 
 
 def _not_between(turn: Floats) -> Floats:
-    """Zero where a turn is neither a bend nor a corner (35 to 50 deg), which neither kind of kerb fits."""
+    """Zero for turns of 35 to 50 deg, for which neither the kerb of a bend nor that of a corner fits, else one."""
     return np.where((np.abs(turn) > _STRAIGHT) & (np.abs(turn) < np.radians(50)), 0.0, 1.0)
 
 
 def frontages(nodes: Floats, face: tuple[int, ...]) -> list[list[HalfEdge]]:
-    """The edges of a face in groups that run on without a corner; one group is one side of a block."""
-    loop = nodes[list(face)]
-    turn = turns_of(np.concatenate([loop[-1:], loop, loop[:1]]))
+    """The edges of a face, grouped into the sides of the block, which are separated by corners."""
+    turn = loop_turns(nodes[list(face)])
     count = len(face)
     corners = [i for i in range(count) if abs(turn[i]) > _STRAIGHT]
     if not corners:
@@ -384,7 +314,7 @@ def frontages(nodes: Floats, face: tuple[int, ...]) -> list[list[HalfEdge]]:
 
 
 def _kerbs(rng: np.random.Generator, nodes: Floats, faces: tuple[tuple[int, ...], ...]) -> dict[HalfEdge, float]:
-    """Two in three sides of blocks have a parking lane."""
+    """Kerb distances of all directed edges; two in three block sides have a parking lane."""
     kerb = {}
     for face in faces:
         for group in frontages(nodes, face):

@@ -1,4 +1,4 @@
-"""What stands on pavements, in gardens, on the square and beyond the last houses."""
+"""Objects on pavements, in gardens, on the square and on the outskirts: plants and street furniture."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 
 from relocbench.datasets.synthetic.town import furniture
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
-from relocbench.datasets.synthetic.town.network import StreetNetwork, offset_loop
+from relocbench.datasets.synthetic.town.network import StreetNetwork
+from relocbench.datasets.synthetic.town.polylines import edge_frame, inside, offset_loop
 from relocbench.datasets.synthetic.town.rows import PERIOD_M, Plot
 from relocbench.datasets.synthetic.town.shapes import Floats, Shape, instances, poses, quads, single
 from relocbench.datasets.synthetic.town.streets import KERB_M, Block
@@ -18,7 +19,7 @@ from relocbench.datasets.synthetic.town.vegetation import TREE_TYPES, hedge_shap
 
 @dataclass(eq=False)
 class Planting:
-    """Collects objects by template, so that each template becomes one mesh of many copies."""
+    """Collects objects by shape, so that each shape becomes one mesh with many copies."""
 
     rng: np.random.Generator
     names: Iterator[int]
@@ -32,7 +33,7 @@ class Planting:
     def add(
         self, shape: Shape, place: Floats, facing: Floats, semantic: Semantic, variant: int | None = None
     ) -> Floats:
-        """An object at (2,) on the pavement, turned to face along a direction (2,); its transform (4, 4)."""
+        """Add an object at (2,) on the pavement that faces a direction (2,); returns its transform (4, 4)."""
         transform = poses(place[0], place[1], KERB_M, np.arctan2(facing[1], facing[0]))[0]
         look = int(self.rng.integers(1, 2**31)) if variant is None else variant
         self.things.setdefault(semantic, []).append((shape, transform, look))
@@ -57,7 +58,7 @@ class Planting:
         self.foliage.append(instances(leaves, transform, name, look, Semantic.HEDGE))
 
     def finish(self) -> tuple[list[Mesh], list[Mesh]]:
-        """Static meshes and foliage of all that was collected."""
+        """The meshes of all collected objects: static ones and foliage."""
         for semantic, entries in self.things.items():
             by_shape: dict[int, list[tuple[Shape, Floats, int]]] = {}
             for entry in entries:
@@ -77,14 +78,11 @@ class Planting:
         return self.static, self.foliage
 
 
-def _stretch(network: StreetNetwork, block: Block, i: int) -> tuple[Floats, Floats, Floats, float, float]:
-    """A block's edge: a point on the kerb line at its start, directions along it and into the block, and where it is
-    clear of crossings (from, to) in metres."""
+def _kerb_section(network: StreetNetwork, block: Block, i: int) -> tuple[Floats, Floats, Floats, float, float]:
+    """The kerb along a block's edge: a point on the kerb line at the edge's start, the directions along it and into the
+    block, and the section (from, to) in metres that is clear of crossings."""
     u, v = block.edge(i)
-    d = network.nodes[v] - network.nodes[u]
-    length = float(np.linalg.norm(d))
-    d = d / length
-    inward = np.array([-d[1], d[0]])
+    d, inward, length = edge_frame(network.nodes[u], network.nodes[v])
     first, last = block.straight(i, network.nodes[u], d)
     start = max(first + 1.5, 13.5 if network.degree(u) > 2 else 0.0)
     end = min(last - 1.5, length - (13.5 if network.degree(v) > 2 else 0.0))
@@ -92,15 +90,15 @@ def _stretch(network: StreetNetwork, block: Block, i: int) -> tuple[Floats, Floa
 
 
 def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase: Floats | None) -> None:
-    """Trees, lamps, signs, benches, bins and bollards along the kerb.
+    """Add trees, lamps, signs, benches, bins and bollards along the kerb.
 
-    On a periodic side there are only lamps, a whole number of periods apart, counted from ``phase`` (2,).
+    A periodic side has only lamps, a whole number of periods apart, starting from ``phase`` (2,).
     """
     rng = planting.rng
     kind_of: dict[int, int] = {}
     for i in range(len(block.face)):
         side = block.sides[i]
-        origin, d, inward, start, end = _stretch(network, block, i)
+        origin, d, inward, start, end = _kerb_section(network, block, i)
         if side.style == "periodic" and phase is not None:
             first = float((phase - origin) @ d) % (4 * PERIOD_M)
             for s in np.arange(first, end, 4 * PERIOD_M):
@@ -114,7 +112,7 @@ def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase
         for s in np.arange(start + 2.0, end - 1.0, gap) if leafy else []:
             place = origin + s * d + 1.05 * inward
             planting.tree(place, kind, float(rng.uniform(0.85, 1.1)))
-            planting.static.append(_pit(place, d))
+            planting.static.append(_tree_pit(place, d))
             taken.append(s)
         for s in np.arange(start + 1.0 + 9.0 * rng.random(), end, 23.0):
             near = [t for t in taken if abs(t - s) < 1.6]
@@ -124,17 +122,17 @@ def line_streets(planting: Planting, network: StreetNetwork, block: Block, phase
         _signs(planting, network, block, i)
 
 
-def _pit(place: Floats, d: Floats) -> Mesh:
-    """Bare soil around a trunk."""
+def _tree_pit(place: Floats, d: Floats) -> Mesh:
+    """A square of bare soil around a trunk."""
     n = np.array([-d[1], d[0]])
     corners = [place + 0.65 * (a * d + b * n) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     return single(quads(np.column_stack([corners, np.full(4, KERB_M + 0.004)]), Material.SOIL), 0, 5, Semantic.TERRAIN)
 
 
 def _scatter(planting: Planting, network: StreetNetwork, block: Block, i: int, taken: list[float]) -> None:
-    """Benches, bins, bollards and now and then a shelter, where nothing else stands."""
+    """Add benches, bins, bollards and a few shelters in free places."""
     rng = planting.rng
-    origin, d, inward, start, end = _stretch(network, block, i)
+    origin, d, inward, start, end = _kerb_section(network, block, i)
     wide = block.sides[i].pavement_m > 2.5
     for s in np.arange(start + 1.0, end - 1.0, 5.5):
         s = s + rng.uniform(-1.5, 1.5)
@@ -162,10 +160,10 @@ def _scatter(planting: Planting, network: StreetNetwork, block: Block, i: int, t
 
 
 def _signs(planting: Planting, network: StreetNetwork, block: Block, i: int) -> None:
-    """One sign before the crossing for traffic on this side, and some elsewhere; faces turned to the traffic."""
+    """Add signs that face the traffic on this side, one before the crossing and some elsewhere."""
     rng = planting.rng
     u, _ = block.edge(i)
-    origin, d, inward, start, end = _stretch(network, block, i)
+    origin, d, inward, start, end = _kerb_section(network, block, i)
     if network.degree(u) > 2 and rng.random() < 0.8:
         planting.add(
             furniture.sign(int(rng.integers(furniture.SIGN_KINDS))),
@@ -181,16 +179,14 @@ def _signs(planting: Planting, network: StreetNetwork, block: Block, i: int) -> 
 
 
 def plant_gardens(planting: Planting, block: Block, plots: list[Plot]) -> None:
-    """Hedges before front gardens with a gap and a path for every door; trees in the yards behind."""
+    """Add hedges in front of gardens, with a gap and a path for every door, and trees in gardens and yards."""
     count = len(block.face)
     for i in range(count):
         side = block.sides[i]
         if side.garden_m < 1.0:
             continue
         a, b = block.pavement[i], block.pavement[(i + 1) % count]
-        length = float(np.linalg.norm(b - a))
-        d = (b - a) / length
-        inward = np.array([-d[1], d[0]])
+        d, inward, length = edge_frame(a, b)
         doors = sorted(float((p.door - a) @ d) for p in plots if p.edge == i)
         ends = [0.4, *(x + o for x in doors for o in (-0.8, 0.8)), length - 0.4]
         height = float(planting.rng.uniform(0.8, 1.5))
@@ -212,7 +208,7 @@ def plant_gardens(planting: Planting, block: Block, plots: list[Plot]) -> None:
 
 
 def _yard_trees(planting: Planting, block: Block) -> None:
-    """A tree to every 250 square metres behind the houses."""
+    """Add a tree per 250 square metres behind the houses."""
     yard = offset_loop(block.building, [13.0] * len(block.building))
     low, high = yard.min(0), yard.max(0)
     for place in planting.rng.uniform(low, high, (max(2, int(np.prod(high - low) / 250)), 2)):
@@ -221,17 +217,8 @@ def _yard_trees(planting: Planting, block: Block) -> None:
             planting.tree(place, kind, scale, coarse=True)
 
 
-def inside(polygon: Floats, point: Floats) -> bool:
-    """Whether a point is in a polygon (P, 2), by the crossings of a ray."""
-    a, b = polygon, np.roll(polygon, -1, axis=0)
-    spans = (a[:, 1] > point[1]) != (b[:, 1] > point[1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x = a[:, 0] + (point[1] - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
-    return bool((spans & (x > point[0])).sum() % 2)
-
-
 def plant_square(planting: Planting, block: Block) -> None:
-    """A fountain in the middle, trees and benches around it, bollards at the edge."""
+    """Add a fountain in the middle of a square, with benches and bollards around it and trees along the edge."""
     rng = planting.rng
     middle = block.pavement.mean(0)
     planting.add(furniture.fountain(), middle, np.array([1.0, 0.0]), Semantic.FURNITURE)
@@ -239,12 +226,10 @@ def plant_square(planting: Planting, block: Block) -> None:
     kind = int(rng.integers(TREE_TYPES))
     for k in range(len(inner)):
         a, b = inner[k], inner[(k + 1) % len(inner)]
-        length = float(np.linalg.norm(b - a))
-        d = (b - a) / length
-        toward = np.array([-d[1], d[0]])
+        d, toward, length = edge_frame(a, b)
         for s in np.arange(2.0, length - 1.0, 7.0):
             planting.tree(a + s * d, kind, float(rng.uniform(0.9, 1.1)))
-            planting.static.append(_pit(a + s * d, d))
+            planting.static.append(_tree_pit(a + s * d, d))
             if rng.random() < 0.6 and s + 3.5 < length:
                 planting.add(furniture.bench(), a + (s + 3.5) * d, toward, Semantic.FURNITURE)
     for angle in np.linspace(0, 2 * np.pi, 9)[:-1]:
@@ -255,7 +240,7 @@ def plant_square(planting: Planting, block: Block) -> None:
 
 
 def plant_outskirts(planting: Planting, block: Block) -> None:
-    """Two loose belts of trees behind the houses outside, which close the view between them."""
+    """Add two loose belts of trees behind the outermost houses, which block the view between them."""
     for distance, gap, scale in ((15.0, 9.0, 1.2), (26.0, 9.0, 1.6)):
         line = offset_loop(block.building, [distance] * len(block.building))
         for k in range(len(line)):

@@ -1,4 +1,4 @@
-"""Houses side by side along the blocks, mitred at corners, and the stretch whose facades repeat."""
+"""Rows of houses along the blocks, mitred at corners, and rows of identical houses with repeating facades."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from relocbench.datasets.synthetic.town.buildings import (
     terrace_for_rows,
 )
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
+from relocbench.datasets.synthetic.town.polylines import edge_frame
 from relocbench.datasets.synthetic.town.shapes import Floats, instances
 from relocbench.datasets.synthetic.town.streets import KERB_M, Block
 
@@ -29,16 +30,16 @@ class PeriodicFront:
     """A row of identical facades."""
 
     start: Floats
-    """(2,) metres, foot of the first facade's left edge, seen from the street"""
+    """(2,) metres, ground point of the first facade's left edge, seen from the street"""
     end: Floats
-    """(2,) that of the last one's right edge"""
+    """(2,) ground point of the last facade's right edge"""
     period_m: float
     houses: int
 
 
 @dataclass(frozen=True, eq=False)
 class Plot:
-    """A house and where it stands."""
+    """A house with its place in a block."""
 
     house: House
     width: float
@@ -52,12 +53,12 @@ class Plot:
 
     @property
     def door(self) -> Floats:
-        """(2,) foot of the door."""
+        """(2,) ground point of the door."""
         return (self.T_world_house @ np.array([door_x(self.house, self.width), 0, 0, 1]))[:2]
 
 
 def plots_of(block: Block, rng: np.random.Generator) -> tuple[list[Plot], list[PeriodicFront]]:
-    """The houses of a block, in order of its edges, and its rows of identical ones."""
+    """The houses of a block, in order of its edges, and its rows of identical houses."""
     if block.kind == "square":
         return [], []
     count = len(block.face)
@@ -93,10 +94,9 @@ class _Row:
         self.block, self.i = block, i
         count = len(block.face)
         start, end = block.building[i], block.building[(i + 1) % count]
-        self.length = float(np.linalg.norm(end - start))
-        d = (end - start) / self.length
+        d, inward, self.length = edge_frame(start, end)
         self.frame = np.eye(4)
-        self.frame[:2, 0], self.frame[:2, 1] = d, (-d[1], d[0])
+        self.frame[:2, 0], self.frame[:2, 1] = d, inward
         self.frame[:3, 3] = *start, KERB_M
         self.plots: list[Plot] = []
         here, there = i, (i + 1) % count
@@ -107,7 +107,7 @@ class _Row:
         self._place_corners(corner_house, here, there)
 
     def _prepare_end(self, end: int, corner: int) -> None:
-        """Mitre where the next row joins on; else keep clear of it."""
+        """Mitre the row where the next one adjoins, or keep a distance from it."""
         turn = float(self.block.turns[corner])
         other = self.block.sides[self.i - 1 if end == 0 else (self.i + 1) % len(self.block.face)].style
         own = self.block.sides[self.i].style
@@ -122,7 +122,7 @@ class _Row:
             self.free[end] += sign * max(0.0, DEPTH_M / float(np.tan(lean)) - 1.5) if lean < np.pi / 2 else 0.0
 
     def _place_corners(self, corner_house: list[House], here: int, there: int) -> None:
-        """One house at each mitred corner, its other half at the end of the next row."""
+        """Place a house at each mitred corner, whose other half is at the end of the adjoining row."""
         wanted = [0.0, 0.0]
         for end, corner in enumerate((here, there)):
             if self.mitre[end] and abs(self.block.turns[corner]) > _CORNER:
@@ -140,7 +140,7 @@ class _Row:
             self.free[1] -= wanted[1]
 
     def _add(self, house: House, x: float, width: float, corner: int = -1) -> None:
-        """A house from x to x + width; it takes the row's mitre where it reaches the row's end."""
+        """Add a house from x to x + width, mitred if it is at an end of the row."""
         frame = self.frame.copy()
         frame[:3, 3] += self.frame[:3, 0] * x
         left = self.mitre[0] if abs(x) < 1e-6 else 0.0
@@ -148,7 +148,7 @@ class _Row:
         self.plots.append(Plot(house, width, left, right, frame, self.i, corner))
 
     def fill(self, rng: np.random.Generator) -> None:
-        """Houses of the side's style at random; a terrace or estate goes on in the same design for a while."""
+        """Fill the row with random houses of the side's style; terraced and modern houses often repeat a design."""
         style = self.block.sides[self.i].style
         x, end = self.free
         closed = _closed(style)
@@ -163,7 +163,7 @@ class _Row:
             x += width
 
     def repeat(self, pattern: House) -> PeriodicFront:
-        """Identical houses in the middle; what remains at the ends is built with narrower ones of another look."""
+        """Fill the row with identical houses, and the remaining gaps at its ends with narrower links."""
         x, end = self.free
         count = int((end - x) // PERIOD_M)
         rest = (end - x - count * PERIOD_M) / 2
@@ -173,18 +173,18 @@ class _Row:
         other = replace(pattern, variant=pattern.variant ^ 0x5555, chimneys=0)
         for side, width in ((x, rest), (end - rest, rest)):
             if width > 0.05:
-                self._add(_blind(other), side, width)
+                self._add(_link(other), side, width)
         origin, d = self.frame[:2, 3], self.frame[:2, 0]
         return PeriodicFront(origin + first * d, origin + (first + count * PERIOD_M) * d, PERIOD_M, count)
 
 
-def _blind(house: House) -> House:
-    """The house for a gap of up to one period: a lower link between neighbours."""
+def _link(house: House) -> House:
+    """A lower link between neighbouring houses, for a gap of up to one period."""
     return replace(house, floors=1, front=replace(house.front, shutters=False, bay_m=4.0, width=0.9))
 
 
 def _divide(length: float, widths: tuple[float, float], rng: np.random.Generator) -> Iterator[float]:
-    """Widths at random that add up to the length."""
+    """Random widths that add up to the length."""
     if length < 4.0:
         return
     drawn: list[float] = []
@@ -194,7 +194,7 @@ def _divide(length: float, widths: tuple[float, float], rng: np.random.Generator
 
 
 def build(plots: list[Plot], names: Iterator[int]) -> list[Mesh]:
-    """The houses; the two halves of a corner house are one object."""
+    """Meshes of the houses; the two halves of a corner house are the same object."""
     corners: dict[int, int] = {}
     meshes = []
     for plot in plots:

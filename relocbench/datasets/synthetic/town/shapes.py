@@ -1,4 +1,4 @@
-"""Shapes in local coordinates: what they are made of, and how a shape becomes many objects of a mesh at once."""
+"""Shapes in local coordinates, made of triangles, quads, boxes and tubes, and their placement as objects of a mesh."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """T triangles over V vertices in metres, counter-clockwise seen from outside; a template or one object."""
+    """T triangles over V vertices in metres, counter-clockwise seen from outside."""
 
     vertices: Floats
     """(V, 3)"""
     triangles: NDArray[np.int64]
     """(T, 3) rows of vertices"""
     uv: Floats
-    """(T, 3, 2) metres on the surface"""
+    """(T, 3, 2) surface coordinates in metres"""
     material: NDArray[np.uint8]
     """(T,)"""
     variant: NDArray[np.uint32]
-    """(T,) combined by XOR with the variant of the object; tells e.g. one window of a house from the next"""
+    """(T,) combined with the object's variant by XOR, so that for example the windows of a house differ"""
     rank: NDArray[np.float32]
     """(T,) as in :class:`Mesh`"""
 
@@ -42,9 +42,9 @@ def cross(a: Floats, b: Floats) -> Floats:
 
 
 def planar_uv(corners: Floats) -> Floats:
-    """Coordinates (T, 3, 2) in metres of triangles (T, 3, 3) in their own planes: u horizontal, v up the slope.
+    """Surface coordinates (T, 3, 2) in metres of triangles (T, 3, 3): u horizontal, v up the slope.
 
-    Triangles of one plane get one coordinate system, so a texture runs on across them.
+    Triangles in the same plane have the same coordinate system, so that a texture continues across them.
     """
     normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
@@ -64,7 +64,7 @@ def triangle_shape(
     variant: ArrayLike = 0,
     rank: ArrayLike = 0.0,
 ) -> Shape:
-    """Triangles with planar coordinates unless ``uv`` is given; material, variant and rank are broadcast to (T,)."""
+    """A shape of triangles, with planar coordinates unless ``uv`` is given; the other attributes broadcast to (T,)."""
     points = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
     rows = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
     count = len(rows)
@@ -85,7 +85,7 @@ def quads(
     variant: ArrayLike = 0,
     rank: ArrayLike = 0.0,
 ) -> Shape:
-    """Quadrilaterals (..., 4, 3), each two triangles; ``uv`` (Q, 4, 2); the rest broadcast to (Q,)."""
+    """A shape of quadrilaterals (..., 4, 3), two triangles each; ``uv`` is (Q, 4, 2), the rest broadcast to (Q,)."""
     corners = np.asarray(points, dtype=np.float64).reshape(-1, 4, 3)
     count = len(corners)
     split = np.array([[0, 1, 2], [0, 2, 3]])
@@ -96,18 +96,13 @@ def quads(
 
 
 def join(shapes: Sequence[Shape]) -> Shape:
-    """One shape of several, in order."""
+    """Concatenate shapes."""
     offsets = np.cumsum([0, *(len(s.vertices) for s in shapes)])[:-1]
     return Shape(
         np.concatenate([s.vertices for s in shapes]),
         np.concatenate([s.triangles + o for s, o in zip(shapes, offsets, strict=True)]),
         *(np.concatenate([getattr(s, name) for s in shapes]) for name in ("uv", "material", "variant", "rank")),
     )
-
-
-def transformed(shape: Shape, transform: Floats) -> Shape:
-    """The shape moved by a rigid (4, 4) transform; its surface coordinates stay."""
-    return replace(shape, vertices=shape.vertices @ transform[:3, :3].T + transform[:3, 3])
 
 
 def moved(shape: Shape, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Shape:
@@ -126,7 +121,7 @@ _BOX_FACES = {
 
 
 def boxes(low: ArrayLike, high: ArrayLike, material: ArrayLike, without: str = "", variant: ArrayLike = 0) -> Shape:
-    """Axis-parallel boxes between corners (N, 3); faces named in ``without`` are left out (front is -y, right +x)."""
+    """Axis-aligned boxes between corners (N, 3), without the faces named in ``without`` (front is -y, right +x)."""
     lower, upper = np.atleast_2d(np.asarray(low, dtype=float)), np.atleast_2d(np.asarray(high, dtype=float))
     faces = np.array([f for name, f in _BOX_FACES.items() if name not in without.split()], dtype=float)
     points = lower[:, None, None] + faces[None] * (upper - lower)[:, None, None]
@@ -134,17 +129,23 @@ def boxes(low: ArrayLike, high: ArrayLike, material: ArrayLike, without: str = "
     return quads(points, spread[0], variant=spread[1])
 
 
-def tube(points: ArrayLike, radii: ArrayLike, sides: int, material: int, cap: bool = True) -> Shape:
-    """A round bar along a polyline (P, 3) with a radius at each point; along z it is a turned body.
+def boxes_of(rows: ArrayLike, material: ArrayLike, without: str = "", variant: ArrayLike = 0) -> Shape:
+    """Like :func:`boxes`, for rows (N, 6) of x0, y0, z0, x1, y1, z1."""
+    corners = np.asarray(rows, dtype=float)
+    return boxes(corners[:, :3], corners[:, 3:], material, without, variant)
 
-    Surface coordinates are the arc length around and along.
+
+def tube(points: ArrayLike, radii: ArrayLike, sides: int, material: int, cap: bool = True) -> Shape:
+    """A tube along a polyline (P, 3) with a radius at each point; along a straight line, a solid of revolution.
+
+    Surface coordinates are the arc lengths around and along it.
     """
     axis = np.asarray(points, dtype=float)
     radius = np.broadcast_to(np.asarray(radii, dtype=float), (len(axis),))
     along = np.gradient(axis, axis=0)
     chord = axis[-1] - axis[0]
     if np.linalg.norm(np.cross(axis - axis[0], chord)) < 1e-9:
-        along[:] = chord  # a turned body may go back and forth along its axis
+        along[:] = chord  # the profile of a solid of revolution may go back and forth along its axis
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     start = np.eye(3)[np.abs(along).max(axis=0).argmin()]
     side = np.cross(along, start)
@@ -169,21 +170,8 @@ def tube(points: ArrayLike, radii: ArrayLike, sides: int, material: int, cap: bo
     return join([wall, triangle_shape(vertices, ends, material)])
 
 
-def prism(outline: ArrayLike, y0: float, y1: float, material: int) -> Shape:
-    """An outline (P, 2) in the x-z plane, counter-clockwise seen from -y, drawn out from y0 to y1 > y0."""
-    polygon = np.asarray(outline, dtype=float)
-    count = len(polygon)
-    near = np.insert(polygon, 1, y0, axis=1)
-    far = np.insert(polygon, 1, y1, axis=1)
-    faces = ear_clip(polygon)
-    after = np.roll(np.arange(count), -1)
-    rim = np.stack([near, far, far[after], near[after]], axis=1)
-    ends = triangle_shape(np.concatenate([near, far]), np.concatenate([faces, faces[:, ::-1] + count]), material)
-    return join([quads(rim, material), ends])
-
-
 def ear_clip(polygon: Floats) -> NDArray[np.int64]:
-    """Triangles (P - 2, 3) of a simple counter-clockwise polygon (P, 2), as rows of it (ear clipping)."""
+    """Triangulation (P - 2, 3) of a simple counter-clockwise polygon (P, 2) by ear clipping, as rows of the polygon."""
     left = list(range(len(polygon)))
     triangles: list[tuple[int, int, int]] = []
     while len(left) > 3:
@@ -196,7 +184,7 @@ def ear_clip(polygon: Floats) -> NDArray[np.int64]:
 
 
 def _ear_score(polygon: Floats, left: list[int], k: int) -> float:
-    """Twice the area over the squared longest side of the ear at ``k``, or -1 where there is none."""
+    """Quality of the ear at ``k``, twice its area over its squared longest side, or -1 if there is no ear."""
     corners = polygon[[left[k - 1], left[k], left[(k + 1) % len(left)]]]
     edges = np.roll(corners, -1, axis=0) - corners
     area = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
@@ -209,7 +197,7 @@ def _ear_score(polygon: Floats, left: list[int], k: int) -> float:
 
 
 def instances(shape: Shape, transforms: Floats, instance: ArrayLike, variant: ArrayLike, semantic: Semantic) -> Mesh:
-    """N copies of a shape under transforms (N, 4, 4), which may scale evenly; ``instance`` and ``variant`` are (N,)."""
+    """N copies of a shape under transforms (N, 4, 4) with uniform scale; ``instance`` and ``variant`` are (N,)."""
     count, faces = len(transforms), len(shape)
     vertices = np.einsum("nij,vj->nvi", transforms[:, :3, :3], shape.vertices) + transforms[:, None, :3, 3]
     rows = shape.triangles[None] + (len(shape.vertices) * np.arange(count))[:, None, None]
@@ -228,12 +216,12 @@ def instances(shape: Shape, transforms: Floats, instance: ArrayLike, variant: Ar
 
 
 def single(shape: Shape, instance: int, variant: int, semantic: Semantic) -> Mesh:
-    """The shape as one object where it stands."""
+    """A mesh of the shape as one object, without a transform."""
     return instances(shape, np.eye(4)[None], np.array([instance]), np.array([variant]), semantic)
 
 
 def poses(x: ArrayLike, y: ArrayLike, z: ArrayLike, yaw: ArrayLike, scale: ArrayLike = 1.0) -> Floats:
-    """Transforms (N, 4, 4): turned by ``yaw`` about z, scaled, and moved to (x, y, z); all broadcast."""
+    """Transforms (N, 4, 4) that scale, turn by ``yaw`` about z and move to (x, y, z); all arguments broadcast."""
     px, py, pz, angle, size = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, float)) for a in (x, y, z, yaw, scale)))
     result = np.zeros((len(px), 4, 4))
     result[:, 0, 0] = result[:, 1, 1] = size * np.cos(angle)

@@ -12,10 +12,16 @@ from relocbench.datasets.synthetic.town.network import (
     PARKING_M,
     HalfEdge,
     StreetNetwork,
-    arc_at,
     frontages,
+)
+from relocbench.datasets.synthetic.town.polylines import (
+    arc_at,
+    arc_lengths,
+    area,
+    edge_frame,
+    loop_turns,
     offset_loop,
-    turns_of,
+    points_at,
 )
 from relocbench.datasets.synthetic.town.shapes import Floats, Shape, ear_clip, join, quads, single, triangle_shape
 
@@ -26,57 +32,57 @@ MARKING_M = 0.004
 HORIZON_M = 3000.0
 _KERB_TOP_M = 0.18
 _CORNER_ROOM_M = 21.0
-"""of a side's length that goes to the crossing and the corner house"""
+"""length of a side that the crossing and the corner house take"""
 
 
 @dataclass(frozen=True)
 class Side:
-    """One side of a block: edges in a row without a corner, built in one style."""
+    """One side of a block: consecutive edges without a corner, built in the same style."""
 
     style: str
     """terrace, town, villa, modern, periodic or square (no houses)"""
     pavement_m: float
     garden_m: float
-    """front gardens between pavement and houses; 0 for none"""
+    """depth of the front gardens between pavement and houses; 0 for none"""
     variant: int
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """What lies between streets. All loops run along the face's nodes with the block on the left."""
+    """The area between streets. All loops follow the face's nodes, with the block on the left."""
 
     face: tuple[int, ...]
     kind: str
     """houses, square or outside"""
     sides: tuple[Side, ...]
-    """(P,) that of the edge from node i to the next"""
+    """(P,) side of the edge from node i to the next"""
     kerb: Floats
     """(P, 2) corners of the kerb line before rounding"""
     kerb_arcs: tuple[Floats, ...]
-    """(K_i, 2) the rounding of each"""
+    """(K_i, 2) arc of each rounded corner"""
     pavement: Floats
-    """(P, 2) where the pavement ends"""
+    """(P, 2) inner edge of the pavement"""
     building: Floats
-    """(P, 2) where the houses begin"""
+    """(P, 2) building line, where the houses begin"""
     turns: Floats
-    """(P,) rad, at each corner; left positive"""
+    """(P,) turn at each corner in radians, left positive"""
 
     def edge(self, i: int) -> HalfEdge:
         return self.face[i], self.face[(i + 1) % len(self.face)]
 
     def straight(self, i: int, origin: Floats, d: Floats) -> tuple[float, float]:
-        """Where along edge ``i`` its kerb is straight, in metres from ``origin`` (2,) in direction ``d`` (2,)."""
+        """Section of edge ``i`` with a straight kerb, in metres from ``origin`` (2,) in direction ``d`` (2,)."""
         before, after = self.kerb_arcs[i], self.kerb_arcs[(i + 1) % len(self.face)]
         return float((before[-1] - origin) @ d), float((after[0] - origin) @ d)
 
 
 def make_block(network: StreetNetwork, face: tuple[int, ...], kind: str, sides: dict[HalfEdge, Side]) -> Block:
-    """The lines of a block from the network's kerbs and its sides' widths."""
+    """Compute the lines of a block from the network's kerbs and its sides' widths."""
     count = len(face)
     edges = [(face[i], face[(i + 1) % count]) for i in range(count)]
     of_edge = tuple(sides[e] for e in edges)
     centre = network.nodes[list(face)]
-    turns = turns_of(np.concatenate([centre[-1:], centre, centre[:1]]))
+    turns = loop_turns(centre)
     kerb_m = [network.kerb[e] for e in edges]
     pavement_m = [k + s.pavement_m for k, s in zip(kerb_m, of_edge, strict=True)]
     building_m = [p + s.garden_m for p, s in zip(pavement_m, of_edge, strict=True)]
@@ -90,7 +96,7 @@ def make_block(network: StreetNetwork, face: tuple[int, ...], kind: str, sides: 
 
 
 def make_blocks(network: StreetNetwork, rng: np.random.Generator, periodic: int) -> tuple[Block, ...]:
-    """All blocks with their styles; both sides of the street ``periodic`` get facades that repeat."""
+    """All blocks with random styles; both sides of the street ``periodic`` get repeating facades."""
     square = _square_face(network, periodic)
     blocks = []
     for k, face in enumerate(network.faces):
@@ -116,18 +122,17 @@ def _draw_style(rng: np.random.Generator) -> str:
 
 
 def _square_face(network: StreetNetwork, periodic: int) -> int:
-    """The smallest block that the periodic street does not touch and that is not the outside."""
+    """The smallest block that is not the outside and does not adjoin the periodic street."""
     sizes = {}
     for k, face in enumerate(network.faces[:-1]):
         edges = zip(face, (*face[1:], face[0]), strict=True)
         if all(network.street[e] != periodic for e in edges):
-            x, y = network.nodes[list(face)].T
-            sizes[k] = abs(float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()))
+            sizes[k] = abs(area(network.nodes[list(face)]))
     return min(sizes, key=lambda k: sizes[k])
 
 
 def periodic_street(network: StreetNetwork) -> int:
-    """The street of one straight piece whose two sides have the most room for houses that are not at corners."""
+    """The straight street whose two sides have the most room for houses between the corners."""
     room: dict[int, float] = {}
     for face in network.faces:
         for group in frontages(network.nodes, face):
@@ -142,7 +147,7 @@ def periodic_street(network: StreetNetwork) -> int:
 
 
 def ground(network: StreetNetwork, blocks: tuple[Block, ...]) -> Mesh:
-    """Everything flat: one road plane under raised islands, the land to the horizon, and the paint on the road."""
+    """All flat surfaces: the road plane, raised pavements and blocks, the land to the horizon, and road markings."""
     paint = join(_markings(network, blocks))
     return merge(
         [
@@ -158,7 +163,7 @@ def ground(network: StreetNetwork, blocks: tuple[Block, ...]) -> Mesh:
 
 
 def _flat(points: Floats, z: float) -> Floats:
-    """(..., 2) to (..., 3)."""
+    """Points (..., 2) at height z: (..., 3)."""
     return np.concatenate([points, np.full((*points.shape[:-1], 1), z)], axis=-1)
 
 
@@ -169,7 +174,7 @@ def _road(network: StreetNetwork) -> Shape:
 
 
 def _pavement(block: Block) -> Shape:
-    """Kerb stones with their upright faces, and the pavement from them to where it ends."""
+    """Kerb stones and the pavement of a block."""
     count = len(block.face)
     outline = np.concatenate(block.kerb_arcs)
     inner = _inset(outline, _KERB_TOP_M)
@@ -198,7 +203,7 @@ def _pavement(block: Block) -> Shape:
 
 
 def _inset(outline: Floats, distance: float) -> Floats:
-    """Each point of a closed, finely rounded outline moved left by the distance along its own normal."""
+    """A closed, finely rounded outline with each point moved left by the distance along its own normal."""
     ahead, behind = np.roll(outline, -1, axis=0) - outline, outline - np.roll(outline, 1, axis=0)
     unit = ahead / np.linalg.norm(ahead, axis=1, keepdims=True) + behind / np.linalg.norm(behind, axis=1, keepdims=True)
     unit /= np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-9)
@@ -206,7 +211,7 @@ def _inset(outline: Floats, distance: float) -> Floats:
 
 
 def _inside(block: Block) -> Shape:
-    """Gardens and yards behind the pavement; outside, the land to the horizon."""
+    """The ground behind the pavement: gardens and yards, or for the outside the land to the horizon."""
     material = Material.COBBLES if block.kind == "square" else Material.GRASS
     points = block.pavement
     if block.kind != "outside":
@@ -218,7 +223,7 @@ def _inside(block: Block) -> Shape:
 
 
 def _strip(points: Floats, forward: Floats, length: float, width: float) -> Floats:
-    """Quads (N, 4, 3) of paint centred on points (N, 2), ``length`` along unit directions (N, 2)."""
+    """Painted rectangles (N, 4, 3) centred on points (N, 2), with ``length`` along unit directions (N, 2)."""
     ahead = forward * (length / 2)
     left = np.stack([-forward[:, 1], forward[:, 0]], axis=1) * (width / 2)
     corners = [points - ahead - left, points + ahead - left, points + ahead + left, points - ahead + left]
@@ -226,14 +231,13 @@ def _strip(points: Floats, forward: Floats, length: float, width: float) -> Floa
 
 
 def _markings(network: StreetNetwork, blocks: tuple[Block, ...]) -> list[Shape]:
-    """Dashed centre lines, stop lines, zebra crossings before some crossings, and the lines of parking bays."""
+    """Dashed centre lines, stop lines, zebra crossings, and the lines of parking bays."""
     paint = []
     for name in sorted(set(network.street.values())):
         line = network.centre_line(name)
-        at = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+        at = arc_lengths(line)
         s = np.arange(16.0, at[-1] - 16.0, 6.0)
-        place = np.stack([np.interp(s, at, line[:, k]) for k in range(2)], axis=1)
-        ahead = np.stack([np.interp(s + 0.5, at, line[:, k]) for k in range(2)], axis=1)
+        place, ahead = points_at(line, at, s), points_at(line, at, s + 0.5)
         forward = (ahead - place) / np.linalg.norm(ahead - place, axis=1, keepdims=True)
         if len(s):
             paint.append(quads(_strip(place, forward, 3.0, 0.12), Material.LANE_MARKING))
@@ -250,7 +254,7 @@ def _markings(network: StreetNetwork, blocks: tuple[Block, ...]) -> list[Shape]:
 
 
 def _approach(network: StreetNetwork, edge: HalfEdge, zebra: bool) -> Shape:
-    """The stop line of the lane that arrives at the crossing ``edge[1]``, before it a zebra over the whole road."""
+    """The stop line of the lane towards the crossing ``edge[1]`` and, with ``zebra``, a zebra across the road."""
     end = network.nodes[edge[1]]
     d = network.nodes[edge[0]] - end
     d /= np.linalg.norm(d)
@@ -267,27 +271,25 @@ def _approach(network: StreetNetwork, edge: HalfEdge, zebra: bool) -> Shape:
 
 
 def _kept_free(network: StreetNetwork, arriving: HalfEdge) -> float:
-    """Metres before the end of an edge where nobody may park: by zebras and at crossings."""
+    """Length without parking at the end of an edge, because of crossings and zebras, in metres."""
     if network.degree(arriving[1]) == 2:
         return 0.0
     return 16.5 if arriving in network.zebras else 12.5
 
 
 def bays_of(network: StreetNetwork, block: Block) -> list[tuple[int, Floats, Floats]]:
-    """Parking bays along a block: (corner index of the edge, centre (2,), driving direction (2,))."""
+    """Parking bays along a block: (index of the edge, centre (2,), driving direction (2,))."""
     found = []
     for i in range(len(block.face)):
         u, v = edge = block.edge(i)
         if network.kerb[edge] < LANE_M + 0.1:
             continue
-        d = network.nodes[v] - network.nodes[u]
-        length = float(np.linalg.norm(d))
-        d = d / length
+        d, inward, length = edge_frame(network.nodes[u], network.nodes[v])
         first, last = block.straight(i, network.nodes[u], d)
         start = max(first + 1.0, _kept_free(network, (v, u)))
         room = min(last - 1.0, length - _kept_free(network, (u, v))) - start
         count = max(0, int(room // 5.8))
-        left = np.array([-d[1], d[0]]) * (LANE_M + PARKING_M / 2)
+        left = inward * (LANE_M + PARKING_M / 2)
         for k in range(count):
             s = start + (room - 5.8 * count) / 2 + 5.8 * (k + 0.5)
             found.append((i, network.nodes[u] + s * d + left, -d))

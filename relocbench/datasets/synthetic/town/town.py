@@ -1,4 +1,4 @@
-"""A district from a seed, and what it looks like in a season with its cars."""
+"""Districts from seeds, and their meshes in a condition: static objects, foliage, and parked and moving cars."""
 
 from __future__ import annotations
 
@@ -31,45 +31,46 @@ _SEEDS_OF_CARS = 2**20
 
 @dataclass(frozen=True, eq=False)
 class Periodic:
-    """The street with repeating facades: places along it that are whole periods apart look alike."""
+    """The street with repeating facades, along which places a whole number of periods apart look alike."""
 
     street: int
-    """id in the network; :meth:`Path.on_street` tells where a drive follows it"""
+    """id in the network; :meth:`Path.on_street` gives the sections where a drive follows it"""
     fronts: tuple[PeriodicFront, ...]
-    """the rows on its two sides"""
+    """the rows of houses on its two sides"""
 
 
 @dataclass(frozen=True, eq=False)
 class District:
-    """A piece of town that no other seed or split shares a street with."""
+    """A piece of town. Districts of different seeds or splits share no street."""
 
     seed: int
     split: str
     static: Mesh
-    """ground, roads, markings, houses, furniture, wood of trees and hedges"""
+    """ground, roads, markings, houses, street furniture, and the wood of trees and hedges"""
     foliage: Mesh
     """leaves with their ranks"""
     bays: Floats
-    """(N, 4, 4) T_world_bay: x the way a parked car faces, z up, origin on the road in the middle of the bay"""
+    """(N, 4, 4) T_world_bay: x along a parked car, z up, origin on the road in the middle of the bay"""
     lamps: Floats
     """(L, 3) positions of lamp heads"""
     network: StreetNetwork
     periodic: Periodic
     first_car: int
-    """the least instance number of a car"""
+    """smallest instance number of a car"""
 
 
 def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> District:
-    """The district of a seed in a split, in a square of ``extent_m``; the same arguments give the same bytes.
+    """Make the district of a seed and split in a square of ``extent_m``; the same arguments give the same bytes.
 
-    Raises ConfigError on an unknown split, a negative seed or an extent below 180 m.
+    Raises:
+        ConfigError: the split is unknown, the seed is negative, or the extent is below 180 m.
     """
     if split not in SPLITS:
         raise ConfigError(f"no split '{split}'; there is {', '.join(SPLITS)}")
     if seed < 0:
-        raise ConfigError(f"the seed of a district is not negative, got {seed}")
+        raise ConfigError(f"the seed of a district must not be negative, got {seed}")
     if not extent_m >= SMALLEST_M:
-        raise ConfigError(f"a district is at least {SMALLEST_M:.0f} m wide, got {extent_m}")
+        raise ConfigError(f"a district must be at least {SMALLEST_M:.0f} m wide, got {extent_m}")
     streams = [np.random.default_rng([seed, SPLITS.index(split), part]) for part in range(4)]
     network = make_network(streams[0], extent_m)
     repeated = periodic_street(network)
@@ -103,7 +104,7 @@ def make_district(seed: int, split: str = "test", extent_m: float = 250.0) -> Di
 
 
 def _bays(network: StreetNetwork, blocks: Sequence[Block]) -> Floats:
-    """(N, 4, 4) of all blocks."""
+    """Poses (N, 4, 4) of the parking bays of all blocks."""
     found = [(p, d) for block in blocks for _, p, d in bays_of(network, block)]
     place = np.array([p for p, _ in found]).reshape(-1, 2)
     direction = np.array([d for _, d in found]).reshape(-1, 2)
@@ -111,11 +112,11 @@ def _bays(network: StreetNetwork, blocks: Sequence[Block]) -> Floats:
 
 
 def compose(district: District, factors: Factors, moving: Sequence[tuple[Floats, int]] = ()) -> Mesh:
-    """The district as it is under the factors: all that is static first, then leaves, parked and moving cars.
+    """The mesh of a district under the factors: static objects first, then leaves, parked and moving cars.
 
-    A leaf is there if its rank is below ``factors.foliage``. ``moving`` is (T_world_car, variant) of each moving car.
-    Instance numbers of parked cars depend on bay and ``parked_seed``, so that another car in the same bay is another
-    object; those of moving cars start at 2**31.
+    Leaves are present if their rank is below ``factors.foliage``. ``moving`` holds (T_world_car, variant) of each
+    moving car. Instance numbers of parked cars depend on the bay and on ``parked_seed``, so that a different car in the
+    same bay is a different object; those of moving cars start at 2**31.
     """
     parts = [district.static]
     shown = district.foliage.rank < factors.foliage
@@ -132,7 +133,7 @@ def compose(district: District, factors: Factors, moving: Sequence[tuple[Floats,
 
 
 def _parked(district: District, factors: Factors) -> Mesh | None:
-    """The first ``parked_share`` of the bays in an order that the parked seed draws, each car a little askew."""
+    """Parked cars in the first ``parked_share`` of the bays in a random order, each slightly askew; None if none."""
     bays = len(district.bays)
     rng = np.random.default_rng([district.seed, SPLITS.index(district.split), 5, factors.parked_seed])
     variant = rng.integers(1, 2**31, bays)

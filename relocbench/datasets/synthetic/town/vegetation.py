@@ -1,4 +1,4 @@
-"""Trees with trunk, branches and single leaves, and hedges."""
+"""Trees with trunk, branches and individual leaves, and hedges."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from relocbench.datasets.synthetic.town.shapes import Floats, Shape, join, quads
 
 @dataclass(frozen=True)
 class _Habit:
-    """How a kind of tree grows, in metres."""
+    """Dimensions of a kind of tree, in metres."""
 
     trunk: float
     """height of the lowest branches"""
@@ -23,7 +23,7 @@ class _Habit:
     branches: int
     leaves: int
     leaf: float
-    """length of a leaf spray"""
+    """length of a spray of leaves"""
 
 
 _HABITS = (
@@ -39,9 +39,9 @@ TREE_TYPES = len(_HABITS)
 
 @cache
 def tree_shapes(kind: int, coarse: bool = False) -> tuple[Shape, Shape]:
-    """Wood and leaves of one of TREE_TYPES; z up, origin where the trunk leaves the ground.
+    """Wood and leaves of one of TREE_TYPES; z up, origin at the base of the trunk.
 
-    The coarse one, for trees that stand far from any street, has fewer but larger leaves and no twigs.
+    The coarse version, for trees far from any street, has fewer but larger leaves and no twigs.
     """
     habit = _HABITS[kind]
     if coarse:
@@ -52,7 +52,7 @@ def tree_shapes(kind: int, coarse: bool = False) -> tuple[Shape, Shape]:
 
 
 def _wood(habit: _Habit, rng: np.random.Generator, coarse: bool) -> tuple[Shape, Floats]:
-    """Trunk, branches and twigs; and the points (P, 3) along the outer ones that carry leaves."""
+    """Trunk, branches and twigs, and the points (P, 3) around which leaves grow."""
     levels = np.linspace(0, habit.height * 0.88, 8)
     sway = np.cumsum(rng.normal(0, 0.07, (8, 2)), axis=0) * np.minimum(levels / habit.trunk, 1)[:, None]
     trunk = np.column_stack([sway - sway[0], levels])
@@ -94,7 +94,7 @@ def _leaves(habit: _Habit, tips: Floats, rng: np.random.Generator) -> Shape:
 
 
 def leaf_quads(centre: Floats, length: float, material: Material, rng: np.random.Generator) -> Shape:
-    """A kite of ``length`` at each centre (N, 3), turned at random, with ranks spread evenly over (0, 1)."""
+    """A kite of ``length`` at each centre (N, 3), with random orientation and ranks spread evenly over (0, 1)."""
     count = len(centre)
     along = rng.normal(0, 1, (count, 3))
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -111,7 +111,7 @@ def leaf_quads(centre: Floats, length: float, material: Material, rng: np.random
 
 
 def hedge_shapes(length: float, height: float, seed: int) -> tuple[Shape, Shape]:
-    """Twigs and leaves of a hedge along +x from the origin, 0.7 m deep about the x axis."""
+    """Wood and leaves of a hedge along +x from the origin, 0.7 m deep around the x axis."""
     rng = np.random.default_rng([104729, seed])
     columns = max(3, int(length / 0.6) + 1)
     x = np.linspace(0, length, columns)

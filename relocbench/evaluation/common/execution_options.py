@@ -1,4 +1,4 @@
-"""Options of every command that asks methods: where it asks them, and what they may take."""
+"""Options shared by all commands that run methods: where they run, and their limits."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ def _size(value: Any) -> Any:
 
 
 class LimitOptions(Strict):
-    """What a method may take; fields are options of the command line and keys of YAML files."""
+    """Limits of a method; fields are options of the command line and keys of YAML files."""
 
     time_limit: float = Field(TIME_LIMIT_S, gt=0, allow_inf_nan=False)
-    """seconds for a pair or an image; ten times as many to construct a method, to prepare it and for a first call"""
+    """seconds for a pair or an image; ten times as many for the constructor, for preparing and for a first call"""
     memory_limit: Annotated[int, BeforeValidator(_size), Field(gt=0)] | None = None
-    """bytes, or a size such as ``4GB``: resident, of a worker process with its children"""
+    """bytes, or a size such as ``4GB``, of resident memory of a worker process with its children"""
 
     @property
     def limits(self) -> Limits:
         return Limits(self.time_limit, self.memory_limit)
 
 
-class AskingOptions(LimitOptions):
-    """And where it is asked."""
+class ExecutionOptions(LimitOptions):
+    """Limits of a method, and where it runs."""
 
     workers: int | None = Field(None, ge=0)
-    """processes; None: one a core; 0: this process, without limits"""
+    """number of processes; None: one for each core; 0: this process, without limits"""
     scheduler: Scheduler | None = None
 
     @property

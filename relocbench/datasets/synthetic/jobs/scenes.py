@@ -1,4 +1,4 @@
-"""What a worker keeps ready to render and to measure: the district, and its scenes in the condition at hand."""
+"""Districts, renderers and scenes that a worker keeps in memory for the next images and pairs."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
-class Place:
-    """What determines a district."""
+class DistrictSpec:
+    """The parameters that determine a district."""
 
     seed: int
     split: str
@@ -32,7 +32,7 @@ class Place:
 
 
 class Latest(Generic[Value]):
-    """Keeps one value: the one before is let go before the next is made, so that memory holds one at a time."""
+    """A cache of one value, which is released before the next is made, so that memory holds only one at a time."""
 
     def __init__(self) -> None:
         self._key: Any = None
@@ -50,22 +50,22 @@ _renderer: Latest[Renderer] = Latest()
 _surroundings: Latest[Surroundings] = Latest()
 
 
-def district(place: Place) -> District:
-    """The district of a place."""
+def district(place: DistrictSpec) -> District:
+    """The district with these parameters."""
     return _district.get(place, lambda: make_district(place.seed, place.split, place.extent_m))
 
 
-def renderer(place: Place, factors: Factors, moving: Sequence[MovingCar] = ()) -> Renderer:
-    """The renderer of a district in a condition, with the cars that move at one moment."""
+def renderer(place: DistrictSpec, factors: Factors, moving: Sequence[MovingCar] = ()) -> Renderer:
+    """The renderer of a district in a condition, with the moving cars of one moment."""
     positions = tuple((T_world_car.tobytes(), variant) for T_world_car, variant in moving)
     return _renderer.get((place, factors, positions), lambda: _make_renderer(place, factors, moving))
 
 
-def _make_renderer(place: Place, factors: Factors, moving: Sequence[MovingCar]) -> Renderer:
+def _make_renderer(place: DistrictSpec, factors: Factors, moving: Sequence[MovingCar]) -> Renderer:
     town = district(place)
 
     def still() -> Renderer:
-        # Surfaces look alike in all traversals: their patterns hang on the district's seed.
+        # The surfaces' patterns depend on the district's seed only, so that they are the same in all traversals.
         return Renderer(compose(town, factors), factors, town.lamps, place.seed)
 
     if not moving:
@@ -75,13 +75,13 @@ def _make_renderer(place: Place, factors: Factors, moving: Sequence[MovingCar]) 
 
 
 @lru_cache(maxsize=2)
-def static_scene(place: Place, factors: Factors) -> LidarScene:
-    """Rays against what stands still in a condition; kept for a reference and a query."""
+def static_scene(place: DistrictSpec, factors: Factors) -> LidarScene:
+    """The scene of all static objects in a condition, for casting rays; those of a reference and a query are kept."""
     return LidarScene(compose(district(place), factors))
 
 
-def moving_scene(place: Place, factors: Factors, moving: Sequence[MovingCar]) -> LidarScene | None:
-    """Rays against the moving cars alone; None where there are none."""
+def moving_scene(place: DistrictSpec, factors: Factors, moving: Sequence[MovingCar]) -> LidarScene | None:
+    """The scene of the moving cars only; None if there are none."""
     if not moving:
         return None
     whole: Mesh = compose(district(place), factors, moving)
@@ -89,12 +89,12 @@ def moving_scene(place: Place, factors: Factors, moving: Sequence[MovingCar]) ->
 
 
 def frame_seed(seed: int, traversal: int, step: int, camera: int) -> int:
-    """The seed of the noise, rain and snow of one image; it depends on nothing that was rendered before."""
+    """Seed of the noise, rain and snow of one image, independent of what was rendered before."""
     return int(np.random.SeedSequence([seed, 7, traversal, step, camera]).generate_state(1)[0])
 
 
 def pixel_rays(camera: Camera, T_world_cam: Array, pixels: Array) -> tuple[Array, Array, Array]:
-    """Origins (N, 3) and unit directions (N, 3) in the world of pixels (N, 2), and metres along each at depth 1 m."""
+    """Rays of pixels (N, 2): origins (N, 3) and unit directions (N, 3) in the world, and lengths (N,) at depth 1 m."""
     rays, _ = camera.unproject(pixels)
     stretch = np.linalg.norm(rays, axis=1)
     directions = rays @ T_world_cam[:3, :3].T / stretch[:, None]
@@ -102,11 +102,11 @@ def pixel_rays(camera: Camera, T_world_cam: Array, pixels: Array) -> tuple[Array
 
 
 def changed_since(
-    place: Place, reference: Factors, frame: Frame, camera: Camera, T_world_cam: Array
+    place: DistrictSpec, reference: Factors, frame: Frame, camera: Camera, T_world_cam: Array
 ) -> NDArray[np.bool_]:
-    """(H, W) where an image shows something else than stands there in the reference condition.
+    """Mask (H, W) of pixels that show another object than the reference condition does.
 
-    Season, parked and moving cars change what stands there; light, wetness and snow do not.
+    Season, parked cars and moving cars change objects; light, wetness and snow do not.
     """
     v, u = np.mgrid[: camera.height, : camera.width]
     origins, directions, stretch = pixel_rays(

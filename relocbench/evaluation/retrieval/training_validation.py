@@ -1,7 +1,7 @@
-"""Trying a retriever in memory on places that were held out: what the training of retrievers is steered by.
+"""Validation of retrievers during training: scoring them in memory on held-out places.
 
-Every view is asked for in every other view. Rankings are those of the descriptors alone, nothing is ranked anew, and
-nothing is written.
+Every view is a query set for every other view. Rankings use descriptors alone, without reranking, and nothing is
+written.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _ALL_ALIKE = 1e-4
 
 
 def hold_out(data: PlaceData, share: float, seed: int) -> tuple[PlaceData, PlaceData]:
-    """Images to learn from and images to validate with; no place is in both.
+    """Split a training set into places to learn from and held-out places to validate on.
 
     Args:
-        data: of a training set.
-        share: of the places that are held out, two at least; places are numbered anew in both.
+        data: the training set.
+        share: of the places that are held out, two at least; places are renumbered on both sides.
         seed: of the choice.
 
     Raises:
@@ -45,14 +45,14 @@ def hold_out(data: PlaceData, share: float, seed: int) -> tuple[PlaceData, Place
     return _of_places(data, np.sort(order[held:])), _of_places(data, np.sort(order[:held]))
 
 
-class PlaceTrial:
-    """Places that retrievers are tried on, the same for each.
+class PlaceValidation:
+    """A fixed choice of held-out places that retrievers are scored on.
 
     Args:
-        data: of places that are not learnt from.
-        views: that the retriever is for; what else there is stays out.
+        data: the held-out places.
+        views: the views that the retriever is for; images of other views are ignored.
         seed: of the choice of images.
-        images_per_place: at most so many of each view are asked for and searched in.
+        images_per_place: the largest number of images of each place and view.
 
     Raises:
         ConfigError: there are no two views to retrieve between.
@@ -72,7 +72,7 @@ class PlaceTrial:
             )
 
     def __len__(self) -> int:
-        """Images that are described at each call."""
+        """The number of images that each call describes."""
         return sum(map(len, self._of_view.values()))
 
     def __call__(self, retriever: Retriever) -> ValidationScores:
@@ -104,7 +104,7 @@ def _complaints(spread: float, described: dict[str, NDArray[np.floating]]) -> li
 
 
 def _variance(rows: NDArray[np.floating]) -> float:
-    """Mean squared distance from the mean descriptor, of those that are finite: 0 all alike, 1 at most at norm 1."""
+    """The mean squared distance of finite descriptors from their mean: 0 if all are alike, at most 1 at norm 1."""
     finite = rows[np.isfinite(rows).all(axis=1)].astype(np.float64)
     return float(np.sum(np.var(finite, axis=0))) if len(finite) else 0.0
 
@@ -113,7 +113,7 @@ def _described(retriever: Retriever, images: Sequence[PlaceImage]) -> NDArray[np
     parts = [
         retriever.describe([replace(each.image) for each in images[start : start + _AT_ONCE]])
         for start in range(0, len(images), _AT_ONCE)
-    ]  # copies: what they hold once they were looked at goes with them
+    ]  # copies, so that the images that they cache are released with them
     return np.concatenate(parts)
 
 
@@ -122,7 +122,7 @@ def _places(images: Sequence[PlaceImage]) -> NDArray[np.int64]:
 
 
 def _thinned(images: Sequence[PlaceImage], count: int, seed: int) -> list[PlaceImage]:
-    """At most ``count`` of each place and view, in the order given."""
+    """At most ``count`` images of each place and view, in the order given."""
     kept: dict[tuple[int, str], int] = {}
     chosen = []
     for number in np.random.default_rng(seed).permutation(len(images)):

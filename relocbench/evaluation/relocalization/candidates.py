@@ -1,4 +1,4 @@
-"""Asking trackers about retrieved keyframes: each (keyframe, query) once, whichever retrievers propose it."""
+"""Running trackers against retrieved keyframes: each (keyframe, query) once, whichever retrievers propose it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from relocbench.progress import Reporter
 
 
 class Candidates(PairSet):
-    """Pairs of a pair set's traversals that a tracker is asked about, without their truth."""
+    """Candidate pairs of a pair set's traversals that a tracker is asked about, without ground truth."""
 
     def __init__(self, of: PairSet, keys: Iterable[PairKey]) -> None:
         super().__init__(of.layout, of.name)
@@ -31,7 +31,7 @@ class Candidates(PairSet):
         return [Pair(*key, None) for key in self._keys]
 
 
-def track(
+def track_candidates(
     dataset: Dataset,
     wanted: Mapping[str, Iterable[PairKey]],
     spec: MethodSpec,
@@ -42,13 +42,13 @@ def track(
     seed: int,
     reporter: Reporter,
 ) -> MethodResults:
-    """Ask a tracker what it has not been asked yet; earlier answers stay.
+    """Ask a tracker about the candidate pairs that it has not answered yet; earlier answers are kept.
 
     Args:
-        wanted: pairs by pair set.
+        wanted: the pairs, by pair set.
 
     Raises:
-        PredictionError: the folder holds answers of the same label made otherwise, or another process is at it.
+        PredictionError: the folder holds answers of this label that were made differently, or is in use.
         DatasetError: an image, depth or description of the dataset is bad.
     """
     folder = results.method(spec.label)
@@ -68,18 +68,18 @@ def track(
     )
 
 
-def tracked(dataset: Dataset, folder: MethodResults, task: str) -> Tracked:
-    """What a tracker answered on a task. Raises PredictionError."""
+def read_tracked(dataset: Dataset, folder: MethodResults, task: str) -> Tracked:
+    """Read a tracker's answers on a task. Raises PredictionError."""
     path = folder.answers(task)
     answers = read_answers(path)
     poses = read_predictions(folder.predictions(task), Candidates(dataset.pair_set(task), answers))
     for key in poses:
         if answers[key].status != "ok":
-            raise PredictionError(f"pair {key[0]} {key[1]} has a pose, but is said to have failed", path)
+            raise PredictionError(f"pair {key[0]} {key[1]} has a pose, but its status is not ok", path)
     return Tracked(answers, poses)
 
 
 def _asked_before(folder: MethodResults, task: str) -> list[PairKey]:
-    """Pairs whose answers are there: of earlier calls, and in the journal of one that was stopped."""
+    """The pairs that have an answer, from earlier calls or in the journal of a run that was stopped."""
     known = list(read_answers(folder.answers(task))) if folder.complete(task) else []
     return [*known, *(entry["key"] for entry in journal_entries(folder.journal(task)))]

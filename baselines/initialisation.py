@@ -1,4 +1,4 @@
-"""First weights of convolutions and their normalisations, from a generator of one's own."""
+"""Initial weights of convolutions and batch normalisations, from a given generator."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from torch.nn.utils import skip_init
 
 
 def convolution(inside: int, outside: int, size: int, *, groups: int = 1, bias: bool = True) -> nn.Conv2d:
-    """A centred convolution whose weights are still to be drawn: no number is taken from torch's global generator."""
+    """A centred convolution with uninitialised weights, so that torch's global generator is not used."""
     kwargs = {"padding": size // 2, "groups": groups, "bias": bias}
     return cast(nn.Conv2d, skip_init(nn.Conv2d, inside, outside, size, **kwargs))
 
 
 def draw_weights(module: nn.Module, generator: torch.Generator, fan: Literal["fan_in", "fan_out"]) -> None:
-    """He et al., 2015, for all convolutions in ``module``; normalisations start as the identity, biases at zero."""
+    """Initialise all convolutions as He et al., 2015, batch normalisations as the identity, and biases as zero."""
     for each in module.modules():
         if isinstance(each, nn.Conv2d):
             nn.init.kaiming_normal_(each.weight, mode=fan, nonlinearity="relu", generator=generator)

@@ -1,4 +1,4 @@
-"""Whatever a retriever returns, checked and copied to plain arrays before anything is made of it."""
+"""Checking what a retriever returns, and copying it to plain arrays before it is used."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _MOST_RERANKED = 1_000_000
 
 
 def fault_of(values: object, count: int, dimensions: int | None = None) -> str | None:
-    """What keeps ``values`` from being descriptors of ``count`` images, or None if nothing does.
+    """The reason why ``values`` are not valid descriptors of ``count`` images, or None if they are.
 
     Args:
-        dimensions: of the descriptors so far.
+        dimensions: length of earlier descriptors, if there are any.
     """
     if not isinstance(values, np.ndarray) or not _is_float(values):
         kind = f"an array of {values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
@@ -36,10 +36,10 @@ def _is_float(values: NDArray[Any]) -> bool:
 def checked_descriptors(
     values: object, broke: str | None, count: int, dimensions: int | None = None
 ) -> tuple[NDArray[np.floating] | None, str | None]:
-    """Whatever ``describe`` returned for ``count`` images as a plain array (N, D); or None and how the method broke."""
+    """What ``describe`` returned for ``count`` images as a plain array (N, D), or None and an error message."""
     if broke is not None:
         return None, broke
-    # Of a subclass of arrays the plain one, which cannot answer otherwise when it is looked at again.
+    # np.asarray turns a subclass of ndarray, which could behave differently at each look, into a plain array.
     plain, broke = guarded(lambda: np.asarray(values) if isinstance(values, np.ndarray) else values)
     if broke is not None:
         return None, f"what describe returned cannot be read: {broke}"
@@ -48,7 +48,7 @@ def checked_descriptors(
 
 
 def rerank_top_of(retriever: object) -> tuple[int, str | None]:
-    """How many of the first a retriever orders anew, 0 for none; and what is wrong with what it says of that."""
+    """The number of candidates that a retriever reranks, 0 for none; and what is wrong with its ``rerank_top``."""
     if guarded(lambda: callable(getattr(retriever, "rerank", None)))[0] is not True:
         return 0, None
     top, broke = guarded(lambda: operator.index(getattr(retriever, "rerank_top", 0)))
@@ -59,7 +59,7 @@ def rerank_top_of(retriever: object) -> tuple[int, str | None]:
 
 
 def checked_scores(values: object, broke: str | None, count: int) -> tuple[NDArray[np.float64] | None, str | None]:
-    """Whatever ``rerank`` returned for ``count`` candidates as (K,) float64; or None and how the method broke."""
+    """What ``rerank`` returned for ``count`` candidates as (K,) float64, or None and an error message."""
     if broke is not None:
         return None, broke
     plain: Any

@@ -1,4 +1,4 @@
-"""What a Dask worker must have in common with this process: versions, one thread, and the folders of the work."""
+"""What a Dask worker must share with this process: versions, a single thread, and the folders of the work."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from relocbench.execution.scheduler import Scheduler
 
 _PACKAGES = ("dask", "distributed", "numpy", "opencv-python-headless")
 _LOOKS = 3
-"""a shared file system may show a new file a moment later"""
+"""tries, since a shared file system may show a new file only a moment later"""
 
 
 @dataclass(frozen=True)
-class Greeting:
-    """What a worker answers."""
+class WorkerReport:
+    """What a worker reports when it joins."""
 
     versions: dict[str, str]
     unseen: list[str]
 
 
-def greet(paths: Sequence[Path]) -> Greeting:
-    """Runs on a worker: what it is made of, and which of the paths it does not see."""
+def report(paths: Sequence[Path]) -> WorkerReport:
+    """Report, from a worker, its versions and those of the paths that it does not see."""
     for look in range(_LOOKS):
         time.sleep(look)
         unseen = [str(path) for path in paths if not path.exists()]
         if not unseen:
             break
-    return Greeting(versions_here(), unseen)
+    return WorkerReport(versions_here(), unseen)
 
 
 def versions_here() -> dict[str, str]:
-    """Versions of what work depends on that is passed between processes."""
+    """The versions of packages that affect what is passed between processes."""
     return {
         "relocbench": version.__version__,
         "python": ".".join(platform.python_version_tuple()[:2]),
@@ -55,15 +55,15 @@ def _version(name: str) -> str:
 
 
 @contextmanager
-def shown(scheduler: Scheduler) -> Iterator[list[Path]]:
-    """The paths that a worker must see; in the folder that is written to, a file that was not there before.
+def shared_paths(scheduler: Scheduler) -> Iterator[list[Path]]:
+    """The paths that a worker must see; for the folder that is written to, a new file in it.
 
-    A folder of the same name on a worker's own disk would else pass for the shared one.
+    Otherwise a folder of the same name on a worker's own disk would pass for the shared one.
     """
     if scheduler.writes is None or not scheduler.writes.is_dir():
         yield list(scheduler.reads)
         return
-    # Named as the part of a file: what a kill leaves behind is cleared away with those.
+    # It is named like an unfinished file, so that it is removed with those if this process is killed.
     token = scheduler.writes / f".cluster.{secrets.token_hex(8)}.part"
     token.touch()
     try:
@@ -72,16 +72,16 @@ def shown(scheduler: Scheduler) -> Iterator[list[Path]]:
         token.unlink(missing_ok=True)
 
 
-def refuse(worker: str, threads: int, greeting: Greeting, scheduler: Scheduler) -> None:
-    """Raises ConfigError where work must not be sent to a worker."""
+def check_worker(worker: str, threads: int, found: WorkerReport, scheduler: Scheduler) -> None:
+    """Raise ConfigError if work must not be sent to a worker."""
     if threads > 1:
-        # Workers keep trackers, and a tracker need not be safe to call from two threads at once.
+        # Workers keep trackers, which need not be safe to call from two threads.
         raise ConfigError(f"workers of {scheduler} run several threads each; start them with --nthreads 1")
-    different = differences(versions_here(), greeting.versions)
+    different = differences(versions_here(), found.versions)
     if different:
         raise ConfigError(f"worker {worker} of {scheduler} runs other versions: {different}")
-    if greeting.unseen:
-        unseen = Path(greeting.unseen[0])
+    if found.unseen:
+        unseen = Path(found.unseen[0])
         folder = unseen.parent if unseen.name.startswith(".cluster.") else unseen
         raise ConfigError(
             f"not seen by worker {worker}; all workers must see the folders of dataset and results under the same path",
@@ -90,5 +90,5 @@ def refuse(worker: str, threads: int, greeting: Greeting, scheduler: Scheduler) 
 
 
 def differences(here: dict[str, str], there: dict[str, str]) -> str:
-    """In words; empty where all that both know is the same."""
+    """Describe where versions differ; empty where all packages that both sides know are the same."""
     return ", ".join(f"{k} {there[k]} there, {v} here" for k, v in here.items() if k in there and there[k] != v)

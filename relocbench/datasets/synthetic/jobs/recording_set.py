@@ -1,7 +1,7 @@
-"""Field recordings: drives through one district after another, in the layout of a real data set.
+"""Simulated recordings of several drives in the layout of a real data set.
 
-A drive for each split, condition, route and traversal. ``OUT/recording.yaml`` says what was asked for,
-``OUT/drives.csv``, written last, which drive is which. No importer needs either.
+There is one drive per split, condition, route and traversal. ``OUT/recording.yaml`` holds the configuration, and
+``OUT/drives.csv``, which is written last, describes each drive. Importers need neither.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from relocbench.datasets.synthetic.drives.routes import RouteName, route
 from relocbench.datasets.synthetic.jobs.recording import DriveOptions, prepare
 from relocbench.datasets.synthetic.jobs.recording_jobs import DriveJob, carry_out
 from relocbench.datasets.synthetic.jobs.recording_work import town_compose, town_renderer
-from relocbench.datasets.synthetic.layouts.recorded import Layout, Trajectory
+from relocbench.datasets.synthetic.layouts.recorded import Layout, TrueTrajectory
 from relocbench.datasets.synthetic.town.network import Path as Route
 from relocbench.datasets.synthetic.town.town import District, make_district
 from relocbench.errors import DatasetError
@@ -33,7 +33,7 @@ _DRIVES = "drives.csv"
 
 
 @dataclass(frozen=True, eq=False)
-class FieldDrive:
+class PlannedDrive:
     """One drive, before it is recorded."""
 
     split: str
@@ -41,7 +41,7 @@ class FieldDrive:
     route: RouteName
     traversal: int
     number: int
-    """among all drives of the folder"""
+    """number among all drives of the folder"""
     district: District
     path: Route
 
@@ -56,13 +56,13 @@ def plan_drives(
     seed: int,
     extent_m: float,
     reporter: Reporter,
-) -> list[FieldDrive]:
-    """The drives by split, condition, route and their own number.
+) -> list[PlannedDrive]:
+    """Plan the drives, ordered by split, condition, route and traversal.
 
     Raises:
         ConfigError: a district has no such route of this length.
     """
-    drives: list[FieldDrive] = []
+    drives: list[PlannedDrive] = []
     with reporter.stage("laying out districts", len(splits)) as advance:
         for split in splits:
             town = make_district(seed, split, extent_m)
@@ -70,13 +70,13 @@ def plan_drives(
             for condition in conditions:
                 for name, path in paths.items():
                     for k in range(traversals):
-                        drives.append(FieldDrive(split, condition, name, k, len(drives), town, path))
+                        drives.append(PlannedDrive(split, condition, name, k, len(drives), town, path))
             advance(1)
     return drives
 
 
 def record_all(
-    drives: Sequence[FieldDrive],
+    drives: Sequence[PlannedDrive],
     conditions: Mapping[str, NamedCondition],
     options: DriveOptions,
     out: Path,
@@ -84,17 +84,17 @@ def record_all(
     reporter: Reporter,
     run: Run,
 ) -> RecordingFolder:
-    """Record drives into a folder. Run again, it does only what is missing.
+    """Record drives into a folder. A repeated call does only what is missing.
 
     Args:
-        options: of every drive but for its number.
-        configuration: all that determines the bytes, as plain values.
+        options: options of all drives; each gets its own ``number``.
+        configuration: everything that determines the bytes, as plain values.
 
     Raises:
-        ConfigError: options that no drive can be recorded with; nothing is written.
-        DatasetError: the folder holds something else, or another process is at it.
+        ConfigError: the options are invalid; nothing is written.
+        DatasetError: the folder holds something else, or another process is writing to it.
     """
-    options.target(out)  # complains before anything is written
+    options.target(out)  # validates the options before anything is written
     with alone_writing_to(out, DatasetError):
         check_folder(out, configuration)
         write_text(out / _CONFIGURATION, _text(configuration))
@@ -124,8 +124,8 @@ def record_all(
     return RecordingFolder(out, options.layout, rows)
 
 
-def driven_m(trajectory: Trajectory, layout: Layout) -> float:
-    """Metres between a drive's first and last image or scan."""
+def driven_m(trajectory: TrueTrajectory, layout: Layout) -> float:
+    """Metres driven between a drive's first and last image or scan."""
     times = np.concatenate(list(layout.times.values()))
     during = (trajectory.times_ns >= times.min()) & (trajectory.times_ns <= times.max())
     steps = np.diff(trajectory.T_world_rig[during, :3, 3], axis=0)
@@ -133,7 +133,7 @@ def driven_m(trajectory: Trajectory, layout: Layout) -> float:
 
 
 def check_folder(out: Path, configuration: Mapping[str, Any]) -> None:
-    """Raises DatasetError where the folder holds something else than this recording."""
+    """Raise DatasetError if the folder holds something other than this recording."""
     mark = out / _CONFIGURATION
     if out.exists() and not out.is_dir():
         raise DatasetError("is a file; expected a folder to record to", out)
@@ -141,7 +141,7 @@ def check_folder(out: Path, configuration: Mapping[str, Any]) -> None:
         return
     if not mark.exists():
         raise DatasetError("holds something else; --out must be new, empty, or an unfinished recording", out)
-    before, _ = load_yaml_values(mark, "what a recording was asked for", DatasetError)
+    before, _ = load_yaml_values(mark, "the configuration of a recording", DatasetError)
     wanted = parse_yaml(_text(configuration))
     if before != wanted:
         changed = sorted(str(k) for k in before.keys() | wanted.keys() if before.get(k) != wanted.get(k))

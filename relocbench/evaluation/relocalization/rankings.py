@@ -1,4 +1,4 @@
-"""Which keyframes a tracker is asked against: those that a retriever ranks first, or that the truth does."""
+"""The rankings that chains start from: those of retrievers, and the oracle's."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from relocbench.evaluation.common.results import PREDICTIONS
 from relocbench.evaluation.relocalization.chain import Retrieved
 from relocbench.evaluation.relocalization.records import ORACLE
 from relocbench.evaluation.relocalization.truth import MapTruth
 from relocbench.evaluation.retrieval.answers import read_answers, read_lists
 from relocbench.evaluation.retrieval.evaluate import KEEP
-from relocbench.evaluation.retrieval.external import PREDICTIONS, take_lists
+from relocbench.evaluation.retrieval.external import import_rankings
 from relocbench.evaluation.retrieval.opening import OpenedSet
 from relocbench.evaluation.retrieval.records import RetrievalRun, RetrieverResults, SetResults, write_set_record
 from relocbench.evaluation.retrieval.run import run_retriever
@@ -24,24 +25,24 @@ from relocbench.progress import Reporter
 from relocbench.retrieval import RetrievalTask
 
 
-class Ranked(Protocol):
-    """Rankings of all tasks by one retriever."""
+class RankingSource(Protocol):
+    """The rankings of all tasks by one retriever."""
 
     @property
     def label(self) -> str: ...
 
     @property
     def run(self) -> RetrievalRun | None:
-        """How they were made; None for the oracle."""
+        """How the rankings were made; None for the oracle."""
         ...
 
     def of(self, task: RetrievalTask, truth: MapTruth, top: int) -> list[Retrieved]:
-        """The first of each query, in the queries' order."""
+        """The first ``top`` keyframes of each query, in the order of the queries."""
         ...
 
 
 class Oracle:
-    """The keyframes nearest to the true pose."""
+    """Rankings of the keyframes by the true poses: within the pairs' reach first, nearest first."""
 
     label = ORACLE
     run = None
@@ -51,8 +52,8 @@ class Oracle:
 
 
 @dataclass(frozen=True)
-class Kept:
-    """Rankings in a results folder."""
+class StoredRankings:
+    """Rankings read from a results folder."""
 
     folder: RetrieverResults
 
@@ -76,7 +77,7 @@ class Kept:
         return out
 
 
-def retrieve(
+def run_retrievers(
     asked: OpenedSet,
     retrievers: Sequence[MethodSpec | str],
     results: SetResults,
@@ -85,25 +86,25 @@ def retrieve(
     run: Run,
     seed: int,
     reporter: Reporter,
-) -> list[Ranked]:
-    """Ask retrievers as ``relocbench evaluate-retrieval --positives pairs`` does, if they have not answered yet.
+) -> list[RankingSource]:
+    """Run retrievers as ``relocbench evaluate-retrieval --positives pairs`` does, unless they have answered.
 
-    Their results are the same files, scored as they are there.
+    The results are the same files, with the same scores.
 
     Args:
-        retrievers: a string is ``oracle``, or ``LABEL=predictions:PATH`` with lists made elsewhere.
+        retrievers: a string is ``oracle``, or ``LABEL=predictions:PATH`` for rankings made elsewhere.
 
     Raises:
-        RelocbenchError: a retriever that cannot be made or asked, a bad list, answers made otherwise.
+        RelocbenchError: a retriever that cannot be made or run, a bad list, or answers that were made differently.
     """
-    out: list[Ranked] = []
+    out: list[RankingSource] = []
     for retriever in retrievers:
         if retriever == ORACLE:
             out.append(Oracle())
             continue
         if isinstance(retriever, str):
             path = Path(retriever.partition("=")[2].removeprefix(PREDICTIONS))
-            folder = take_lists(asked, asked.chosen, path, label_of(retriever), results)
+            folder = import_rankings(asked, asked.chosen, path, label_of(retriever), results)
         else:
             folder = run_retriever(
                 asked,
@@ -118,10 +119,10 @@ def retrieve(
             )
         write_set_record(results, asked, asked.chosen)
         score_retriever(results.record, folder)
-        out.append(Kept(folder))
+        out.append(StoredRankings(folder))
     return out
 
 
 def label_of(retriever: MethodSpec | str) -> str:
-    """As results are kept under."""
+    """The label that a retriever's results are kept under."""
     return retriever.partition("=")[0] if isinstance(retriever, str) else retriever.label

@@ -1,6 +1,6 @@
-"""Trying a tracker object in memory on a fixed choice of a split's pairs: what training is steered by.
+"""Validation of trackers during training: scoring them in memory on a fixed choice of a split's pairs.
 
-A pair is asked and scored as ``relocbench evaluate`` does it; nothing is written.
+A pair is answered and scored as in ``relocbench evaluate``, but nothing is written.
 """
 
 from __future__ import annotations
@@ -19,35 +19,36 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.learning.training_pairs import VALIDATION_SPLIT
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.answers import CheckedAnswer, ask, broken
-from relocbench.evaluation.common.guard import guarded, neighbours_of, offers
+from relocbench.evaluation.common.answers import CheckedAnswer, ask, error_answer
+from relocbench.evaluation.common.guard import neighbours_of
+from relocbench.evaluation.common.worker import prepare
 from relocbench.metrics import PoseErrors, pose_errors, summarize
 from relocbench.progress import Reporter
-from relocbench.tracking import SupportsPrepare, Tracker
+from relocbench.tracking import Tracker
 from relocbench.training import ValidationScores
 
 METRICS = ("t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)")
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
+class _ValidationPair:
     dataset: Dataset
     pair_set: PairSet
     pair: Pair
     conditions: str
 
 
-class Trial:
-    """Pairs of the validation splits of some datasets, the same for every tracker that is tried.
+class TrackerValidation:
+    """A fixed choice of pairs from the validation splits of some datasets, on which trackers are scored.
 
     Args:
-        datasets: folders; those without the split are passed over.
-        pairs: at most so many, evenly over all combinations of reference and query condition.
+        datasets: folders; datasets without a validation split are ignored.
+        pairs: the largest number of pairs, spread evenly over all combinations of reference and query condition.
         seed: of the choice.
-        reporter: a bar for each trial.
+        reporter: shows progress.
 
     Raises:
-        ConfigError: no dataset has the split, or it has no pair with ground truth.
+        ConfigError: no dataset has the split, or the splits have no pair with ground truth.
         DatasetError: a bad dataset.
     """
 
@@ -71,7 +72,7 @@ class Trial:
         return len(self._asked)
 
     def __call__(self, tracker: Tracker) -> ValidationScores:
-        """Track every pair and score the answers. A tracker's own exception is a failure of its pair, and told."""
+        """Track every pair and score the answers; an exception of the tracker's costs its pair and is reported."""
         conditions, answers, truth = [], [], []
         messages: dict[str, None] = {}
         with self._reporter.stage("validation", len(self._asked)) as advance:
@@ -95,36 +96,32 @@ class Trial:
         )
 
 
-def _track(tracker: Tracker, asked: Sequence[_Asked]) -> list[CheckedAnswer]:
-    """Answers to the pairs of one keyframe."""
+def _track(tracker: Tracker, asked: Sequence[_ValidationPair]) -> list[CheckedAnswer]:
+    """The answers to the pairs of one keyframe."""
     first = asked[0]
     neighbours, broke = neighbours_of(tracker)
     if broke is not None:
-        return [broken(broke)] * len(asked)
-    keyframe: Any = first.dataset.reference(first.pair_set, first.pair, neighbours)
-    if offers(tracker, SupportsPrepare):
-        preparing: Any = tracker
-        view = keyframe
-        keyframe, broke = guarded(lambda: preparing.prepare(view))
-        if broke is not None:
-            return [broken(broke)] * len(asked)
+        return [error_answer(broke)] * len(asked)
+    keyframe, broke = prepare(tracker, first.dataset.reference(first.pair_set, first.pair, neighbours))
+    if broke is not None:
+        return [error_answer(broke)] * len(asked)
     return [ask(tracker, keyframe, [each.dataset.query(each.pair_set, each.pair)])[0][0] for each in asked]
 
 
-def _pairs_of(dataset: Dataset) -> list[_Asked]:
+def _pairs_of(dataset: Dataset) -> list[_ValidationPair]:
     out = []
     for pair_set in dataset.pair_sets(VALIDATION_SPLIT):
         ref, query = (dataset.traversal(name).condition for name in (pair_set.reference, pair_set.query))
         known = (pair for pair in pair_set.pairs if pair.T_query_ref is not None)
-        out += [_Asked(dataset, pair_set, pair, f"{ref} -> {query}") for pair in known]
+        out += [_ValidationPair(dataset, pair_set, pair, f"{ref} -> {query}") for pair in known]
     return out
 
 
-def _evenly(asked: Sequence[_Asked], count: int, seed: int) -> list[_Asked]:
-    """Up to ``count``, each combination of conditions giving one before any gives its second; by keyframe."""
+def _evenly(asked: Sequence[_ValidationPair], count: int, seed: int) -> list[_ValidationPair]:
+    """Choose up to ``count`` pairs, one from each combination of conditions in turn, and sort them by keyframe."""
     rng = np.random.default_rng(seed)
     turn: dict[str, int] = {}
-    ranked: list[tuple[int, int, _Asked]] = []
+    ranked: list[tuple[int, int, _ValidationPair]] = []
     for number in rng.permutation(len(asked)):
         at = turn[asked[number].conditions] = turn.get(asked[number].conditions, 0) + 1
         ranked.append((at, len(ranked), asked[number]))
@@ -132,7 +129,7 @@ def _evenly(asked: Sequence[_Asked], count: int, seed: int) -> list[_Asked]:
     return sorted((each for _, _, each in ranked[:count]), key=lambda a: (*_keyframe(a), a.pair_set.name, a.pair.key))
 
 
-def _keyframe(asked: _Asked) -> tuple[str, str, str, int]:
+def _keyframe(asked: _ValidationPair) -> tuple[str, str, str, int]:
     return str(asked.dataset.root), asked.pair_set.reference, asked.pair_set.camera, asked.pair.ref_timestamp_ns
 
 

@@ -1,4 +1,4 @@
-"""Nodes of two drives numbered through, and the odometry edges along each."""
+"""The nodes of two drives in one numbering, and the odometry edges along each drive."""
 
 from __future__ import annotations
 
@@ -17,56 +17,54 @@ Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
-class Drives:
-    """N nodes: the R of the reference first, then those of the query."""
+class BothDrives:
+    """N nodes: the R nodes of the reference first, then those of the query."""
 
     reference_count: int
     T_odom_node: Array
-    """(N, 4, 4) each in its own drive's odometry"""
+    """(N, 4, 4) pose of each node, in its own drive's odometry"""
     travelled_m: Array
-    """(N,) along its own drive"""
-    stretch: Indices
-    """(N,) piece of odometry without a gap, numbered through"""
+    """(N,) arc length of each node along its own drive, metres"""
+    segment: Indices
+    """(N,) number of the segment of odometry that each node lies in; no number is used by both drives"""
 
     @classmethod
-    def of(cls, reference: Nodes, query: Nodes) -> Drives:
-        stretches = [
-            np.zeros(len(n), dtype=np.int64) if n.stretch is None else n.stretch.astype(np.int64)
-            for n in (reference, query)
-        ]
-        after = int(stretches[0].max(initial=-1)) + 1
+    def of(cls, reference: Nodes, query: Nodes) -> BothDrives:
+        """Number the nodes of a reference and a query drive."""
+        segments = [nodes.segments().astype(np.int64) for nodes in (reference, query)]
+        after = int(segments[0].max(initial=-1)) + 1
         return cls(
             len(reference),
             np.concatenate([reference.T_odom_node, query.T_odom_node]),
             np.concatenate([reference.travelled_m, query.travelled_m]),
-            np.concatenate([stretches[0], stretches[1] + after]),
+            np.concatenate([segments[0], segments[1] + after]),
         )
 
     def __len__(self) -> int:
         return len(self.T_odom_node)
 
     def odometry(self, noise: OdometryNoise) -> Edges:
-        """Edges from each node to the next, none across the gaps."""
+        """Edges from each node to the next in its segment."""
         first = np.arange(len(self) - 1)
-        first = first[(self.stretch[1:] == self.stretch[:-1]) & (first + 1 != self.reference_count)]
+        first = first[(self.segment[1:] == self.segment[:-1]) & (first + 1 != self.reference_count)]
         kind = np.where(first < self.reference_count, Kind.REFERENCE_ODOMETRY, Kind.QUERY_ODOMETRY)
         T = invert(self.T_odom_node[first]) @ self.T_odom_node[first + 1]
-        return Edges(first, first + 1, T, noise.information(self.way(first, first + 1)), kind.astype(np.int64))
+        return Edges(first, first + 1, T, noise.information(self.arc_length(first, first + 1)), kind.astype(np.int64))
 
-    def way(self, first: Indices, second: Indices) -> Array:
-        """Metres driven between nodes of one drive."""
+    def arc_length(self, first: Indices, second: Indices) -> Array:
+        """Metres driven between pairs of nodes of the same drive."""
         return np.abs(self.travelled_m[second] - self.travelled_m[first])
 
-    def way_to(self, nodes: Indices) -> Array:
-        """(N, 2) metres along its own stretch from each node back to the last, and on to the next, of some nodes.
+    def arc_length_to(self, nodes: Indices) -> Array:
+        """(N, 2) arc length from each node back to the last, and on to the next, of the given nodes in its segment.
 
-        A node among them is 0 away both ways; ``inf`` where there is none.
+        Both are 0 for the given nodes themselves, and ``inf`` where there is none.
         """
         out = np.full((len(self), 2), np.inf)
         chosen = np.zeros(len(self), dtype=bool)
         chosen[nodes] = True
-        for piece in np.unique(self.stretch).tolist():
-            members = np.flatnonzero(self.stretch == piece)
+        for piece in np.unique(self.segment).tolist():
+            members = np.flatnonzero(self.segment == piece)
             at = self.travelled_m[members]
             stops = at[chosen[members]]
             if not len(stops):

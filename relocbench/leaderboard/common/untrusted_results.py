@@ -1,27 +1,29 @@
-"""What a results folder may come from a stranger with, and what is refused before anything of it is read.
+"""Checks of a results folder that may come from a stranger, made before anything in it is read.
 
 Everything that a leaderboard reads must lie in the folder: a link that leads out of it would publish other files of
-the reader's. What is neither a file nor a folder, as a pipe, would be waited for without end.
+the reader's. Anything but files and folders is refused, since reading a pipe, for instance, would never end.
 """
 
 from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from relocbench.errors import PredictionError
 
 _LONGEST_NAME = 200
-"""bytes; file names of most systems hold 255, and pictures are named after a dataset and a pair set"""
+"""in bytes; file names of most systems hold 255, and pictures are named after a dataset and a pair set"""
 
 
 def check_folder(results: Path) -> None:
-    """Look at every entry below a results folder; the folder itself may be a link.
+    """Check every entry below a results folder; the folder itself may be a link.
 
     Raises:
-        PredictionError: a link leads out of the folder or in a circle, or an entry is neither a file nor a folder.
+        PredictionError: a link leads out of the folder, nowhere or to a folder that holds it, or an entry is neither a
+            file nor a folder.
     """
     root = Path(os.path.realpath(results))
     for path, mode in _entries(root):
@@ -40,8 +42,22 @@ def check_folder(results: Path) -> None:
             raise PredictionError("is neither a file nor a folder; expected results of `relocbench evaluate`", path)
 
 
+def check_same_queries(tables: Iterable[tuple[str, str, Sequence[Any], Path]], what: str) -> None:
+    """Raise PredictionError unless all methods answered the same queries of a task.
+
+    Args:
+        tables: task, label of the method, what it answered, and the path of its table.
+        what: a description of what it answered, for the message.
+    """
+    first: dict[str, tuple[str, Sequence[Any]]] = {}
+    for task, label, answered, path in tables:
+        other, expected = first.setdefault(task, (label, answered))
+        if answered != expected:
+            raise PredictionError(f"holds other {what} than the table of '{other}'", path)
+
+
 def check_file_names(names: Iterable[str], what: str, path: Path) -> None:
-    """Names out of a record that become parts of file names. Raises PredictionError naming the record."""
+    """Check names from a record that become parts of file names. Raises PredictionError with the record's path."""
     for name in names:
         plain = name.isprintable() and not name.startswith(".") and "/" not in name and "\\" not in name
         if not name or not plain or len(name.encode(errors="replace")) > _LONGEST_NAME:
@@ -54,7 +70,7 @@ def check_file_names(names: Iterable[str], what: str, path: Path) -> None:
 
 
 def _entries(folder: Path) -> Iterator[tuple[Path, int]]:
-    """Every entry below a folder with its mode, links not followed."""
+    """Yield every entry below a folder with its mode; links are not followed."""
     folders = [folder]
     while folders:
         try:

@@ -1,4 +1,4 @@
-"""Where a training starts: drawn weights, a backbone's file, or another training's network."""
+"""The weights that a training starts from: random ones, a backbone's file, or another training's network."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import torch
-
 from baselines.lpn.backbone_weights import load_backbone
 from baselines.lpn.network import Branch, LpnNetwork, copy_weights
 from baselines.lpn.stages import Stage
 from baselines.lpn.training.options import TrainOptions
 from baselines.lpn.weights import are_weights, load_weights
+from baselines.training.random_streams import generator
 from relocbench.errors import MethodError
 
 _TORCHVISION = {
@@ -21,7 +19,7 @@ _TORCHVISION = {
     "0676ba61": "resnet50 IMAGENET1K_V1",
     "11ad3fa6": "resnet50 IMAGENET1K_V2",
 }
-"""first digits of the SHA-256 of torchvision's published files, which stand in their names"""
+"""by the first digits of the SHA-256 of torchvision's published files, which are part of the files' names"""
 
 
 @dataclass(frozen=True)
@@ -29,13 +27,13 @@ class Start:
     """The files that a training starts from."""
 
     told: str
-    """in words, for people"""
+    """where the backbone's weights came from, in words"""
     digests: dict[str, str]
-    """SHA-256 by option: another file makes another training"""
+    """SHA-256 of each file by the option that names it; other files make another training"""
 
 
 def start_of(options: TrainOptions) -> Start:
-    """What a training with these options starts from.
+    """The files that a training with these options starts from.
 
     Raises:
         MethodError: a file is missing.
@@ -52,13 +50,18 @@ def start_of(options: TrainOptions) -> Start:
     return Start(told, digests)
 
 
-def first_network(options: TrainOptions, stage: Stage, classes: int) -> LpnNetwork:
-    """The network that the first stage trains.
+def initial_network(options: TrainOptions, stage: Stage, number: int, classes: int) -> LpnNetwork:
+    """The network of the first stage with the weights that the training starts from.
+
+    Args:
+        options: of the training.
+        stage: the first one, and ``number`` its index.
+        classes: the number of places.
 
     Raises:
-        MethodError: a file is not what it should be, or of another network.
+        MethodError: a file is damaged, or of another network.
     """
-    network = fresh_network(options, stage, 0, classes)
+    network = random_network(options, stage, number, classes)
     if options.start:
         path = Path(options.start)
         source, _ = load_weights(path)
@@ -75,19 +78,9 @@ def first_network(options: TrainOptions, stage: Stage, classes: int) -> LpnNetwo
     return network
 
 
-def fresh_network(options: TrainOptions, stage: Stage, number: int, classes: int) -> LpnNetwork:
-    """The network of a stage with drawn weights."""
+def random_network(options: TrainOptions, stage: Stage, number: int, classes: int) -> LpnNetwork:
+    """The network of a stage with random weights; arguments as of :func:`initial_network`."""
     return LpnNetwork(classes, options.system.network_in(stage), generator(options.seed, number))
-
-
-def generator(seed: int, *of: int) -> torch.Generator:
-    """A stream of random numbers of its own, on the CPU."""
-    return torch.Generator().manual_seed(number_of(seed, *of))
-
-
-def number_of(seed: int, *of: int) -> int:
-    """A seed of its own."""
-    return int(np.random.SeedSequence([seed, *of]).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
 def _told(path: Path, digest: str) -> str:

@@ -1,8 +1,8 @@
-"""Exact correspondences: the same surface point in two images, found and checked by casting rays.
+"""Exact correspondences by ray casting.
 
 Stored depth is rounded to 1/256 m, which moves a near point by up to a tenth of a pixel in the query. Here nothing is
 rounded: the depth of a reference pixel is that of its ray, and a point is visible if the ray from the query's centre
-to it ends at it.
+towards it ends at it.
 """
 
 from __future__ import annotations
@@ -17,63 +17,63 @@ from relocbench.datasets.pairs.correspondences import PairCorrespondences, sprea
 from relocbench.datasets.pairs.visibility import CHECKS, warp
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
-from relocbench.datasets.synthetic.jobs import stage
-from relocbench.datasets.synthetic.jobs.stage import Place
+from relocbench.datasets.synthetic.jobs import scenes
+from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.geometry import Camera, apply
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _FARTHEST_M = 65535 / DEPTH_SCALE
-"""what stored depth can hold"""
+"""greatest depth that can be stored"""
 _SAMPLES = 8192
-"""pixels that are looked at for a pair's overlap: it is then right to 0.006 (one sigma)"""
+"""pixels that are sampled for a pair's overlap, which is then accurate to 0.006 (one sigma)"""
 _ROUNDINGS = 4
-"""of the district's coordinates in single precision, in which rays are cast: a ray ends at a point that is off the
-surface by no more (at most 2.3 were seen)"""
+"""tolerance perpendicular to the surface, in units of single-precision rounding of the district's coordinates, since
+rays are cast in single precision (at most 2.3 were observed)"""
 _TOLERANCE_M = 0.002
 _RELATIVE_TOLERANCE = 5e-4
-"""and off along the ray by no more, however flat it meets the surface"""
+"""tolerance along the ray, for rays that meet the surface at a grazing angle"""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
     """One camera at one moment of one traversal."""
 
-    place: Place
+    place: DistrictSpec
     factors: Factors
     camera: Camera
     T_world_cam: Array
     moving: tuple[MovingCar, ...] = ()
 
     def cast(self, origins: Array, directions: Array) -> tuple[Array, Mask]:
-        """Metres along unit rays (N, 3) to the first surface, inf where there is none, and whether that moves."""
-        distance = np.asarray(stage.static_scene(self.place, self.factors).cast(origins, directions)[0], np.float64)
-        cars = stage.moving_scene(self.place, self.factors, self.moving)
+        """Distances (N,) along unit rays (N, 3) to the first surface, inf if none, and whether it moves (N,)."""
+        distance = np.asarray(scenes.static_scene(self.place, self.factors).cast(origins, directions)[0], np.float64)
+        cars = scenes.moving_scene(self.place, self.factors, self.moving)
         if cars is None:
             return distance, np.zeros(len(distance), dtype=bool)
         to_car = np.asarray(cars.cast(origins, directions)[0], np.float64)
         return np.minimum(distance, to_car), to_car < distance
 
     def depth(self, pixels: Array) -> tuple[Array, Mask]:
-        """Depth along z (N,) of pixels (N, 2), inf where there is none, and whether a moving car is seen there."""
-        origins, directions, stretch = stage.pixel_rays(self.camera, self.T_world_cam, pixels)
+        """Depth along z (N,) of pixels (N, 2), inf if there is none, and whether they show a moving car (N,)."""
+        origins, directions, stretch = scenes.pixel_rays(self.camera, self.T_world_cam, pixels)
         distance, moves = self.cast(origins, directions)
         return distance / stretch, moves
 
     def sees(self, points: Array) -> Mask:
-        """Whether nothing lies before points (N, 3) of the world, and a surface lies at them."""
+        """Whether each world point (N, 3) lies on a surface and nothing is in front of it."""
         offset = points - self.T_world_cam[:3, 3]
         far = np.linalg.norm(offset, axis=1)
         directions = offset / far[:, None]
         origins = np.broadcast_to(self.T_world_cam[:3, 3], offset.shape).copy()
-        hits = stage.static_scene(self.place, self.factors).hits(origins, directions)
+        hits = scenes.static_scene(self.place, self.factors).hits(origins, directions)
         met = np.isfinite(hits.range)
         slant = np.abs(np.sum(hits.normal * directions, axis=1))
         off = np.abs(np.where(met, hits.range, 0.0) - far)
         across = _ROUNDINGS * float(np.spacing(np.float32(self.place.extent_m)))
         seen = met & (off * slant <= across) & (off <= _TOLERANCE_M + _RELATIVE_TOLERANCE * far)
-        cars = stage.moving_scene(self.place, self.factors, self.moving)
+        cars = scenes.moving_scene(self.place, self.factors, self.moving)
         if cars is not None:
             seen &= hits.range <= cars.cast(origins, directions)[0]
         return np.asarray(seen)
@@ -84,7 +84,7 @@ def exact_correspondences(
 ) -> PairCorrespondences:
     """Up to ``count`` correspondences of a pair, spread over the reference image, and the pair's overlap.
 
-    They are drawn among the pixels whose point stands still and falls on the query's image, seen there or hidden.
+    They are sampled from the pixels whose point is static and projects into the query's image, visible or hidden.
     """
     camera = reference.camera
     size = camera.width * camera.height

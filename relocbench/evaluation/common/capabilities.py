@@ -1,0 +1,60 @@
+"""The optional capabilities of a method, and whether it can be constructed, tested in a worker and within limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from relocbench.evaluation.common.guard import guarded
+from relocbench.evaluation.common.worker import CONSTRUCTOR
+from relocbench.execution import MANY_TIMES, Loss, Run, run_limited, step
+from relocbench.methods import SUBPROCESS, MethodSpec, method_class
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """The optional questions that a tracker can answer."""
+
+    match: bool = False
+    """where single pixels of the reference are in the query"""
+    prior: bool = False
+    """the pose of a query, started from a prior"""
+    fault: str = ""
+    """why nothing is known: constructing the tracker exceeded a limit or ended its process"""
+
+
+def capabilities_of(spec: MethodSpec, run: Run) -> Capabilities:
+    """The capabilities of a method. Those of a class are read from it; a factory has to be called for them.
+
+    Raises:
+        MethodError: no such method, or its constructor raised.
+    """
+    if spec.target.startswith(SUBPROCESS):
+        return Capabilities()
+    target = method_class(spec.target)
+    return _capabilities_of_object(target) if isinstance(target, type) else _made(spec, run)
+
+
+def construction_fault(spec: MethodSpec, run: Run) -> str:
+    """Why a method cannot be constructed within limits; empty if it can. Raises MethodError where that raises."""
+    return "" if spec.target.startswith(SUBPROCESS) else _made(spec, run).fault
+
+
+def _made(spec: MethodSpec, run: Run) -> Capabilities:
+    here = Run(min(run.workers, 1), limits=run.limits)
+    found = run_limited(_make, [spec], here, on_loss=_lost)
+    return next(capabilities for _, capabilities in found)
+
+
+def _make(spec: MethodSpec) -> Capabilities:
+    with step(CONSTRUCTOR, times=MANY_TIMES):
+        return _capabilities_of_object(spec.create())
+
+
+def _capabilities_of_object(target: object) -> Capabilities:
+    match = guarded(lambda: callable(getattr(target, "match", None)))[0] is True
+    return Capabilities(match, guarded(lambda: bool(getattr(target, "uses_prior", False)))[0] is True)
+
+
+def _lost(spec: MethodSpec, loss: Loss) -> Capabilities:
+    died = "the worker process died " if loss.kind == "death" else ""
+    return Capabilities(fault=f"{CONSTRUCTOR}: {died}{f'({loss.words})' if died else loss.words}")

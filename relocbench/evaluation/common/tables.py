@@ -1,0 +1,109 @@
+"""The tables of a results folder: written whole, and read row by row with typed fields, or in chunks of rows."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from relocbench.datasets.core.pairfile import PairKey
+from relocbench.errors import PredictionError
+from relocbench.files import atomic_write, parse_count, parse_floats, parse_timestamp, read_table
+
+STATUSES = ("ok", "failed", "error")
+"""the method answered; it reported a failure; it raised, crashed or broke the contract"""
+KEY_COLUMNS = ("ref_timestamp_ns", "query_timestamp_ns")
+CHUNK_ROWS = 8192
+"""rows that are converted at a time: their text takes some 10 MB, however long the table is"""
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """A row whose fields are read by name and type; each method raises PredictionError if the field is not valid."""
+
+    path: Path
+    line: int
+    """1-based line number on which the row begins"""
+    fields: Mapping[str, str]
+
+    def __getitem__(self, name: str) -> str:
+        return self.fields[name]
+
+    def fault(self, message: str) -> PredictionError:
+        """The error for a fault of this row."""
+        return PredictionError(message, self.path, self.line)
+
+    def timestamp(self, name: str) -> int:
+        """An integer timestamp in nanoseconds."""
+        return parse_timestamp(self[name], self.path, self.line, PredictionError)
+
+    def key(self) -> PairKey:
+        """The reference and query timestamp of a pair."""
+        ref, query = map(self.timestamp, KEY_COLUMNS)
+        return ref, query
+
+    def count(self, name: str) -> int:
+        """A whole number that is not negative."""
+        return parse_count(self[name], name, self.path, self.line, PredictionError)
+
+    def number(self, name: str) -> float:
+        """A finite number."""
+        return parse_floats([self[name]], self.path, self.line, name, PredictionError)[0]
+
+    def number_or_none(self, name: str) -> float | None:
+        """A finite number, or None for a blank field."""
+        return self.number(name) if self[name] else None
+
+    def error(self, name: str) -> float:
+        """An error: a number of at least 0, or ``inf``."""
+        value = math.inf if self[name] == "inf" else self.number(name)
+        if value < 0:
+            raise self.fault(f"{name} is {self[name]}, expected an error of at least 0, or inf")
+        return value
+
+    def status(self) -> str:
+        """One of :data:`STATUSES`."""
+        if self["status"] not in STATUSES:
+            raise self.fault(f"status is '{self['status'][:60]}', expected {', '.join(STATUSES)}")
+        return self["status"]
+
+
+def read_rows(path: Path, columns: Sequence[str]) -> Iterator[TableRow]:
+    """Yield the rows of a table.
+
+    Raises:
+        PredictionError: with file and line: a wrong header, a row of another length, a field that cannot be read.
+    """
+    for line, row in read_table(path, columns, error=PredictionError):
+        yield TableRow(path, line, dict(zip(columns, row, strict=True)))
+
+
+def read_chunks(path: Path, columns: Sequence[str]) -> Iterator[tuple[list[int], list[list[str]]]]:
+    """Yield the rows of a long table in chunks: the line numbers that rows begin on, and their fields.
+
+    Raises:
+        PredictionError: as :func:`read_rows`.
+    """
+    rows = read_table(path, columns, error=PredictionError)
+    while chunk := list(islice(rows, CHUNK_ROWS)):
+        yield [number for number, _ in chunk], [row for _, row in chunk]
+
+
+def write_rows(path: Path, rows: Iterable[Iterable[Any]]) -> None:
+    """Write a CSV table, whose header is the first of ``rows``, whole or not at all."""
+    with atomic_write(path) as stream:
+        csv.writer(stream, lineterminator="\n").writerows(rows)
+
+
+def float_text(value: float | None) -> str:
+    """A float with all its digits; blank for None."""
+    return "" if value is None else repr(float(value))
+
+
+def seconds_text(value: float | None) -> str:
+    """Seconds rounded to microseconds; blank for None."""
+    return "" if value is None else repr(round(float(value), 6))

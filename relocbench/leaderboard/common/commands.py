@@ -1,0 +1,39 @@
+"""The commands on a page that run its methods again and make the page again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from relocbench.evaluation.common.results import PREDICTIONS, RunRecord
+from relocbench.leaderboard.common.text import escaped, fenced, json_text
+
+RESUMES = "A run that was stopped goes on with the same command."
+
+
+def method_words(run: RunRecord) -> list[str]:
+    """The options of ``relocbench evaluate`` for a method as it was run, or for the predictions that were imported."""
+    if run.target.startswith(PREDICTIONS):
+        return ["--method", run.method, "--predictions", run.target.removeprefix(PREDICTIONS)]
+    words = ["--method", labelled_target(run.method, run)]
+    words += [word for setting in settings_of(run.method, run) for word in ("--set", setting)]
+    return [*words, "--seed", str(run.seed)] if run.seed else words
+
+
+def labelled_target(label: str, run: RunRecord) -> str:
+    """``LABEL=TARGET``, or the target alone if it is the label."""
+    return label if run.target == label else f"{label}={run.target}"
+
+
+def settings_of(label: str, run: RunRecord) -> list[str]:
+    """The parameters of a method as ``LABEL.key=value``, without a seed that is the run's own."""
+    return [
+        f"{label}.{key}={value if isinstance(value, str) else json_text(value, ascii_only=True)}"
+        for key, value in run.parameters.items()
+        if key != "seed" or value != run.seed
+    ]
+
+
+def again_section(intro: str, commands: Sequence[tuple[str, Sequence[str]]], page: str) -> list[str]:
+    """The section with the commands of each set, by its title, and the command of the page."""
+    sets = [f"{escaped(title)}:\n\n{fenced(lines)}" for title, lines in commands]
+    return ["## Again", intro, *sets, "This page:\n\n" + fenced([page])]
