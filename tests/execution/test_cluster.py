@@ -253,7 +253,7 @@ def test_a_cluster_with_tls_takes_who_holds_a_certificate_and_no_other(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--scheduler-tls-ca", "ca.pem"], "--scheduler-tls-ca means nothing without --scheduler"),
+        (["--scheduler-tls-ca", "ca.pem"], "--scheduler-tls-ca is only for --scheduler"),
         (["--scheduler", "tcp://127.0.0.1:9", "--scheduler-tls-ca", "ca.pem"], "certificates are for a tls:// address"),
         (["--scheduler", "tls://127.0.0.1:9"], "tls://127.0.0.1:9 needs --scheduler-tls-ca"),
         (

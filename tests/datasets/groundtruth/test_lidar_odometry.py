@@ -254,10 +254,10 @@ def test_a_generic_scan_that_is_cut_off_is_named(tmp_path: Path, suffix: str) ->
     ("change", "message"),
     [
         ({"time": "when"}, "has no when"),
-        ({"columns": ["x", "y", "z"]}, "has 4 columns, lidar.yaml names 3"),
+        ({"columns": ["x", "y", "z"]}, "has 4 columns, but lidar.yaml names 3"),
         ({"patern": "spinning"}, "unknown key 'lidars.top.patern'"),
         ({"columns": ["x", "y"]}, "columns must contain x, y and z"),
-        ({"pattern": "push-broom"}, "no spinning lidar"),
+        ({"pattern": "push-broom"}, "nor a spinning lidar in lidar.yaml"),
     ],
 )
 def test_mistakes_in_lidar_yaml_are_named(tmp_path: Path, change: dict[str, Any], message: str) -> None:

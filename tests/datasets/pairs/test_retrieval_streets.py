@@ -128,7 +128,7 @@ def test_drives_in_different_worlds_are_refused_by_radius_alone(tmp_path: Path) 
 
 def test_options_that_contradict_each_other_are_refused(dataset: Dataset, tmp_path: Path) -> None:
     for options, words in (
-        (SetOptions(positives="pairs", radius_m=3.0), "--radius has no meaning"),
+        (SetOptions(positives="pairs", radius_m=3.0), "--radius does not apply"),
         (SetOptions(positives="pairs", heading_deg=3.0), "--heading applies to --positives radius only"),
         (SetOptions(by_condition=True), "--by-condition"),
         (SetOptions(split="absent"), "no split 'absent'"),
