@@ -42,7 +42,9 @@ def test_the_image_and_the_set_up_need_the_same_libraries_and_the_same_installer
     image, setup = (ROOT / "Dockerfile").read_text(), (ROOT / "tools" / "setup.sh").read_text()
     installed = re.search(r"--no-install-recommends ([^\\\n]+)", image)
     assert installed is not None
-    assert set(installed[1].split()) == set(re.findall(r"lib[\w.+-]*\.so\.\d+:([\w.-]+)", setup))
+    libraries = set(re.findall(r"lib[\w.+-]*\.so\.\d+:([\w.-]+)", setup))
+    assert set(installed[1].split()) == libraries
+    assert libraries <= set((ROOT / ".github" / "workflows" / "ci.yml").read_text().split())
     uv = re.search(r"uv_version=(\S+)", setup)
     assert uv is not None
     assert f"uv=={uv[1]}" in image
