@@ -171,7 +171,8 @@ def _whitening(scale: Array, by_depth: Array) -> Array:
     direction = j / np.where(length > 0, length, 1.0)[:, None]
     across, along = 1.0 / scale, 1.0 / np.hypot(scale, length)
     outer = direction[:, :, None] * direction[:, None, :]
-    return across[:, None, None] * np.eye(2) + (along - across)[:, None, None] * outer
+    out: Array = across[:, None, None] * np.eye(2) + (along - across)[:, None, None] * outer
+    return out
 
 
 def _normal_equations(error: Array, whitening: Array, jacobian: Array) -> tuple[Array, Array, float]:

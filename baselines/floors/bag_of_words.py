@@ -91,7 +91,8 @@ class OrbBagOfWords:
             raise MethodError("orb-bow has no vocabulary yet: call fit() before describe()")
         rows = np.stack([self._counts(image) for image in images]) * self._idf
         norms = np.linalg.norm(rows, axis=1, keepdims=True)
-        return np.divide(rows, norms, out=np.full_like(rows, np.nan), where=norms > 0)
+        out: NDArray[np.floating] = np.divide(rows, norms, out=np.full_like(rows, np.nan), where=norms > 0)
+        return out
 
     def _counts(self, image: ImageView) -> NDArray[np.float64]:
         """The share (K,) of an image's features that each word has; zeros if it has no features."""

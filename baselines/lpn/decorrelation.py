@@ -73,4 +73,5 @@ def decorrelation_loss(a: Tensor, b: Tensor, options: DecorrelationOptions) -> T
     on = (missing ** (2.0 + options.on_power)).sum() / 2.0**options.on_power
     outside = ~torch.eye(len(c), dtype=torch.bool, device=c.device)
     off = (c[outside].abs() ** (2.0 + options.off_power)).sum()
-    return options.scale * (on + options.off_weight * off)
+    out: Tensor = options.scale * (on + options.off_weight * off)
+    return out

@@ -28,13 +28,15 @@ def with_mirror_image(embed: Callable[[Tensor], Tensor], images: Tensor) -> Tens
 def descriptors(embeddings: Tensor) -> Tensor:
     """The descriptors (..., P * D), part after part, of embeddings (..., P, D); a part that is zero stays zero."""
     parts = embeddings.shape[-2]
-    return (unit_parts(embeddings) / parts**0.5).flatten(-2)
+    out: Tensor = (unit_parts(embeddings) / parts**0.5).flatten(-2)
+    return out
 
 
 def unit_parts(embeddings: Tensor) -> Tensor:
     """Each part of embeddings (..., P, D) divided by its norm; a part that is zero stays zero."""
     norms = torch.linalg.vector_norm(embeddings, dim=-1, keepdim=True)
-    return embeddings / norms.clamp(min=torch.finfo(embeddings.dtype).tiny)
+    out: Tensor = embeddings / norms.clamp(min=torch.finfo(embeddings.dtype).tiny)
+    return out
 
 
 def parts_of(descriptor: Tensor, parts: int) -> Tensor:
@@ -46,4 +48,5 @@ def parts_of(descriptor: Tensor, parts: int) -> Tensor:
     size = descriptor.shape[-1]
     if parts < 1 or size % parts:
         raise ValueError(f"a descriptor of {size} numbers does not consist of {parts} parts")
-    return descriptor.unflatten(-1, (parts, size // parts)) * parts**0.5
+    out: Tensor = descriptor.unflatten(-1, (parts, size // parts)) * parts**0.5
+    return out

@@ -233,7 +233,8 @@ class _Dispatch(Generic[Unit, Result]):
             while not (await asyncio.wait([fetching], timeout=_POLL_S))[0]:
                 if any(future.status not in ("finished", "cancelled") for future in futures):
                     raise TimeoutError("a result is lost")
-            return await fetching
+            out: list[Result] = await fetching
+            return out
         finally:
             fetching.cancel()
 

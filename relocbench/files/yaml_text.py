@@ -244,7 +244,8 @@ class _Document:
             raise YamlFault("a key is a list or a mapping, expected a word", _line(event))
         if key in found:
             raise YamlFault(f"the key {quoted(key)} occurs again", _line(event))
-        return key
+        scalar: Scalar = key
+        return scalar
 
 
 def _line(event: Any) -> int:

@@ -76,7 +76,8 @@ def rotation_angle(rotation: ArrayLike) -> Array:
     Computed as ``2 atan2(|v|, |w|)`` of the unit quaternion; ``arccos`` of the trace would lose half of the digits.
     """
     q = quaternion_from_rotation(rotation)
-    return 2.0 * np.arctan2(np.linalg.norm(q[..., :3], axis=-1), np.abs(q[..., 3]))
+    out: Array = 2.0 * np.arctan2(np.linalg.norm(q[..., :3], axis=-1), np.abs(q[..., 3]))
+    return out
 
 
 def quaternion_from_rotation(rotation: ArrayLike) -> Array:
@@ -101,7 +102,8 @@ def quaternion_from_rotation(rotation: ArrayLike) -> Array:
     best = np.argmax(np.stack([m00, m11, m22, trace], axis=-1), axis=-1)
     q = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(q[..., 3:] < 0, -q, q)
+    out: Array = np.where(q[..., 3:] < 0, -q, q)
+    return out
 
 
 def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
@@ -109,7 +111,8 @@ def rotation_from_quaternion(quaternion: ArrayLike) -> Array:
     q = np.asarray(quaternion, dtype=np.float64)
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w = hat(q[..., :3])
-    return np.eye(3) + 2.0 * (q[..., 3, None, None] * w + w @ w)
+    out: Array = np.eye(3) + 2.0 * (q[..., 3, None, None] * w + w @ w)
+    return out
 
 
 def make_transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
@@ -271,4 +274,5 @@ def project_to_rotation(matrix: ArrayLike) -> Array:
     u, _, vt = np.linalg.svd(np.asarray(matrix, dtype=np.float64))
     d = np.ones((*u.shape[:-2], 3))
     d[..., 2] = np.sign(np.linalg.det(u @ vt))
-    return (u * d[..., None, :]) @ vt
+    out: Array = (u * d[..., None, :]) @ vt
+    return out

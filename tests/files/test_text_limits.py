@@ -43,9 +43,9 @@ from relocbench.files import (
     read_table,
     read_text,
     seconds_to_ns,
-    text,
     whole_number,
 )
+from relocbench.files.plain import MAX_BYTES
 from relocbench.metrics.retrieval.plausibility import check_single_positive_tables
 from relocbench.progress import Silent
 
@@ -142,7 +142,7 @@ def test_lines_of_text_tables_are_those_that_an_editor_counts(tmp_path: Path) ->
 def test_a_text_over_the_limit_is_not_read_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with (tmp_path / "big").open("wb") as stream:
         stream.truncate(2**20 + 1)
-    assert text.MAX_BYTES == 512 * 2**20
+    assert MAX_BYTES == 512 * 2**20
     with pytest.raises(RelocbenchError, match="holds 1048577 bytes; of poses at most 1048576 are read"):
         read_text(tmp_path / "big", "poses", most_bytes=2**20)
 

@@ -18,7 +18,7 @@ from relocbench.evaluation.common.error_table import ErrorTable, PairErrors, rea
 from relocbench.files import load_yaml, write_text
 from relocbench.leaderboard import load_results, make_board, write_leaderboard
 from relocbench.leaderboard.tracking import tables as tables_module
-from relocbench.metrics import rank_descriptors, relevance_from_labels
+from relocbench.metrics import bootstrap_interval, rank_descriptors, relevance_from_labels
 from relocbench.metrics.statistics import significance
 
 
@@ -47,7 +47,7 @@ def test_each_record_of_a_results_folder_is_parsed_once(tmp_path: Path, monkeypa
 def test_tables_are_computed_as_often_as_there_are_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def calls(sets: int) -> int:
         drawn = 0
-        real = tables_module.bootstrap_interval
+        real = bootstrap_interval
 
         def counted(*arguments: Any, **options: Any) -> Any:
             nonlocal drawn

@@ -117,7 +117,8 @@ def test_every_pose_has_evos_absolute_error(
 
 def motions(poses: Array, pairs: Array) -> Array:
     """``T_from_to`` of each pair of indices: the later camera's pose in the frame of the earlier."""
-    return invert(poses[pairs[:, 0]]) @ poses[pairs[:, 1]]
+    out: Array = invert(poses[pairs[:, 0]]) @ poses[pairs[:, 1]]
+    return out
 
 
 @pytest.mark.parametrize("sequence", [fr1_xyz, kitti])

@@ -442,7 +442,8 @@ def test_a_heading_limit_is_taken_around_the_circle_and_the_limit_is_within() ->
             gallery_heading_rad=headings,
             heading_limit_deg=limit,
         )
-        return relevance.of(0).tolist()
+        out: list[int] = relevance.of(0).tolist()
+        return out
 
     assert near(0, 40) == [0, 1, 3, 4, 5, 6]
     assert near(360, 40) == near(0, 40)

@@ -36,7 +36,8 @@ def features(points: Array, level: int, channels: int = 8) -> NDArray[np.float32
     directions *= (2 * np.pi / lengths / np.linalg.norm(directions, axis=-1))[..., None]
     argument = points @ directions.reshape(-1, 3).T + rng.uniform(0, 2 * np.pi, channels * WAVES)
     waves = np.sin(argument).reshape(*points.shape[:-1], channels, WAVES)
-    return (waves.sum(axis=-1) / np.sqrt(WAVES)).astype(np.float32)
+    out: NDArray[np.float32] = (waves.sum(axis=-1) / np.sqrt(WAVES)).astype(np.float32)
+    return out
 
 
 def feature_maps(T_cam_world: Array, channels: int = 8, levels: int = LEVELS) -> list[NDArray[np.float32]]:

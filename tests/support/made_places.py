@@ -33,7 +33,8 @@ def picture(place: int, view: str, number: int, side: int = 64) -> NDArray[np.ui
     image = cv2.resize(coarse, (side, side), interpolation=cv2.INTER_CUBIC)
     image = np.rot90(image, number % 4) if view == "drone" else image
     noise = np.random.default_rng([place, len(view), number]).normal(0, 4, image.shape)
-    return np.clip(image * (1.0 if view == "drone" else 0.9) + noise, 0, 255).astype(np.uint8)
+    out: NDArray[np.uint8] = np.clip(image * (1.0 if view == "drone" else 0.9) + noise, 0, 255).astype(np.uint8)
+    return out
 
 
 def made_places(places: int = 4, drones: int = 3, views: tuple[str, ...] = ("drone", "satellite")) -> PlaceData:

@@ -127,7 +127,8 @@ def bilinear(level_map: NDArray[np.floating], px: Array, py: Array) -> Array:
     ax, ay = (px - ix)[:, None], (py - iy)[:, None]
     top = (1 - ax) * level_map[iy, ix] + ax * level_map[iy, ix + 1]
     bottom = (1 - ax) * level_map[iy + 1, ix] + ax * level_map[iy + 1, ix + 1]
-    return (1 - ay) * top + ay * bottom
+    out: Array = (1 - ay) * top + ay * bottom
+    return out
 
 
 def align(

@@ -83,7 +83,8 @@ class Whitened(Thumbnail):
 
     def describe(self, images: Sequence[ImageView]) -> Descriptors:
         assert self.mean is not None
-        return super().describe(images) - self.mean
+        out: Descriptors = super().describe(images) - self.mean
+        return out
 
 
 class OfItsProcess(Whitened):

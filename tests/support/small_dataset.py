@@ -234,4 +234,5 @@ def _texture(seed: int, size: int = 256) -> NDArray[np.float32]:
         smooth = cv2.GaussianBlur(noise, (0, 0), sigma)[size : 2 * size, size : 2 * size]
         total += weight * smooth / smooth.std()
     total = np.clip(total / (2.2 * total.std()), -1, 1)
-    return (127.5 + 107.5 * total).astype(np.float32)
+    out: NDArray[np.float32] = (127.5 + 107.5 * total).astype(np.float32)
+    return out

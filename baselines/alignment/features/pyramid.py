@@ -33,7 +33,7 @@ class FeatureLevel:
     @property
     def channels(self) -> int:
         """D, the number of channels."""
-        return self.map.shape[2]
+        return int(self.map.shape[2])
 
 
 @dataclass(frozen=True, eq=False)

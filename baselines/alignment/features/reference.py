@@ -61,7 +61,7 @@ class FeaturePoints:
         )
 
     def __len__(self) -> int:
-        return self.points.shape[1]
+        return int(self.points.shape[1])
 
     @cached_property
     def spread(self) -> float:

@@ -33,7 +33,7 @@ class LevelPoints:
     """(N, 2) the pixels, on this level"""
 
     def __len__(self) -> int:
-        return self.points.shape[1]
+        return int(self.points.shape[1])
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,7 @@ class Level:
     @property
     def channels(self) -> int:
         """D, the number of channels."""
-        return self.map.shape[2] // 3
+        return int(self.map.shape[2] // 3)
 
 
 def level_camera(camera: Camera, level: int) -> Camera:

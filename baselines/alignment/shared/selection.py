@@ -99,7 +99,8 @@ def block_thresholds(magnitude: FloatMap) -> FloatMap:
             medians[i, j] = min(np.floor(np.median(block)), LARGEST_BIN)
     raised = np.pad(medians + THRESHOLD_OVER_MEDIAN, 1, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(raised, (3, 3))
-    return np.nanmean(windows, axis=(2, 3)).astype(np.float32)
+    out: FloatMap = np.nanmean(windows, axis=(2, 3)).astype(np.float32)
+    return out
 
 
 def _gradient(level: Level) -> FloatMap:

@@ -66,11 +66,13 @@ def positive_terms(f_a: Tensor, f_b: Tensor, form: Form = "distance", margin: fl
     squared = ((f_a - f_b) ** 2).sum(-1)
     if form == "squared" or margin == 0.0:
         return (squared - margin).clamp(min=0)
-    return (torch.linalg.vector_norm(f_a - f_b, dim=-1) - margin).clamp(min=0) ** 2
+    out: Tensor = (torch.linalg.vector_norm(f_a - f_b, dim=-1) - margin).clamp(min=0) ** 2
+    return out
 
 
 def negative_terms(f_a: Tensor, f_b: Tensor, form: Form = "distance", margin: float = 1.0) -> Tensor:
     """The cost (...) of features (..., D) of different points: max(0, M - d)^2 or max(0, M - d^2)."""
     if form == "squared":
         return (margin - ((f_a - f_b) ** 2).sum(-1)).clamp(min=0)
-    return (margin - torch.linalg.vector_norm(f_a - f_b, dim=-1)).clamp(min=0) ** 2
+    out: Tensor = (margin - torch.linalg.vector_norm(f_a - f_b, dim=-1)).clamp(min=0) ** 2
+    return out

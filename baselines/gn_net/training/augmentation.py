@@ -35,7 +35,8 @@ def augment(image: Values, options: AugmentationOptions, rng: np.random.Generato
     x = np.clip(x, 0, 1) ** np.exp(_spread(rng, options.gamma))
     mean = x.mean(dtype=np.float64).astype(np.float32)
     x = (x - mean) * np.exp(_spread(rng, options.contrast)) + mean + _spread(rng, options.offset)
-    return np.clip(x, 0, 1).astype(np.float32, copy=False)
+    out: Values = np.clip(x, 0, 1).astype(np.float32, copy=False)
+    return out
 
 
 def _spread(rng: np.random.Generator, strength: float, count: int = 1) -> Values:

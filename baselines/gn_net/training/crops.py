@@ -92,7 +92,8 @@ def _inside(corner: NDArray[np.floating], image: Image, side: int) -> NDArray[np
     """The corner (u, v) moved so that the square lies in the image, or at the corner of an image that is smaller."""
     height, width = image.shape[:2]
     last = np.maximum([width - side, height - side], 0)
-    return np.clip(corner, 0, last).astype(np.int64)
+    out: NDArray[np.int64] = np.clip(corner, 0, last).astype(np.int64)
+    return out
 
 
 def _within(u: NDArray[np.floating], side: int) -> NDArray[np.bool_]:

@@ -45,11 +45,13 @@ class Traversal:
 
     def camera(self, camera: str) -> Camera:
         """Model, intrinsics and size of a camera."""
-        return self._entry(camera).camera
+        out: Camera = self._entry(camera).camera
+        return out
 
     def T_rig_cam(self, camera: str) -> Array:
         """Pose of a camera in the rig's frame, (4, 4)."""
-        return self._entry(camera).T_rig_cam.matrix
+        out: Array = self._entry(camera).T_rig_cam.matrix
+        return out
 
     def timestamps(self, camera: str) -> list[int]:
         """Sorted times of the camera's images, nanoseconds."""

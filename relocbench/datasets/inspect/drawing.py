@@ -86,7 +86,8 @@ def match_brightness(warped: Image, query: Image, known: NDArray[np.bool_]) -> I
         return warped
     a, b = warped[known].astype(np.float64), query[known].astype(np.float64)
     gain = b.std() / a.std() if a.std() > 0 else 1.0
-    return np.clip((warped - a.mean()) * gain + b.mean(), 0, 255).astype(np.uint8)
+    out: Image = np.clip((warped - a.mean()) * gain + b.mean(), 0, 255).astype(np.uint8)
+    return out
 
 
 def compose(panels: list[tuple[str, Image]], captions: list[tuple[str, Colour]]) -> Image:

@@ -38,13 +38,14 @@ class Trajectory:
     def covers(self, times_ns: Times) -> NDArray[np.bool_]:
         """Whether the trajectory has a pose at each time (M,): within the drive and not in a gap."""
         right = np.clip(np.searchsorted(self.times_ns, times_ns, side="left"), 1, max(len(self.times_ns) - 1, 1))
-        inside = (times_ns >= self.times_ns[0]) & (times_ns <= self.times_ns[-1])
+        inside: NDArray[np.bool_] = (times_ns >= self.times_ns[0]) & (times_ns <= self.times_ns[-1])
         if len(self.times_ns) == 1:
             return inside
         gap = self.times_ns[right] - self.times_ns[right - 1]
         on_pose = (times_ns == self.times_ns[right]) | (times_ns == self.times_ns[right - 1])
         measured = (gap <= self.max_gap_ns) & ~np.isin(right, self.breaks)
-        return inside & (on_pose | measured)
+        out: NDArray[np.bool_] = inside & (on_pose | measured)
+        return out
 
     def pieces(self, times_ns: Times) -> Times:
         """Number (M,) of the piece of the drive that each time belongs to; a gap or a break begins a new piece.

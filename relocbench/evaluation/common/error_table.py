@@ -125,7 +125,8 @@ class ErrorTable(Sequence[PairErrors]):
 
     def column(self, name: str) -> Array:
         """(N,) a column of numbers by name, NaN where a row has none."""
-        return self.numbers[ERROR_COLUMNS.index(name) - 4]
+        out: Array = self.numbers[ERROR_COLUMNS.index(name) - 4]
+        return out
 
     def with_status(self, status: str) -> int:
         """The number of rows with that status."""

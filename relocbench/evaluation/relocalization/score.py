@@ -51,7 +51,8 @@ def per_query(answers: Sequence[ChainAnswer], metric: str) -> Array:
         shares[metric] = np.array([a.hit_rank is not None and a.hit_rank <= count for a in answers])
     if metric not in shares:
         raise ConfigError(f"chains have no metric '{metric}'; expected one of {', '.join((*POSE_METRICS, *shares))}")
-    return shares[metric].astype(np.float64)
+    out: Array = shares[metric].astype(np.float64)
+    return out
 
 
 def summary(place: str, answers: Sequence[ChainAnswer], top: int, seed: int = 0) -> Values:

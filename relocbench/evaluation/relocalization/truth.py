@@ -81,7 +81,8 @@ class MapTruth:
         metres, degrees = distance_and_angle(T_query_ref)
         known = np.flatnonzero(np.isfinite(metres))
         far = ~inside(metres[known], degrees[known], self.reach)
-        return known[np.lexsort((metres[known], far))][:count].tolist()
+        out: list[int] = known[np.lexsort((metres[known], far))][:count].tolist()
+        return out
 
     @cached_property
     def spread(self) -> Array:

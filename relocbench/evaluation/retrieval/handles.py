@@ -161,7 +161,8 @@ class WorkerRetriever:
 
     def _send(self, request: _Request) -> CallResult | Loss | None:
         done = run_limited(_serve, [request], self._run, on_loss=lambda request, loss: loss)
-        return next(told for _, told in done)
+        out: CallResult | Loss | None = next(told for _, told in done)
+        return out
 
 
 def retriever_handle(spec: MethodSpec, run: Run) -> RetrieverHandle:

@@ -242,7 +242,8 @@ def _smooth(values: NDArray[np.float64]) -> NDArray[np.uint8]:
             level = np.apply_along_axis(np.convolve, axis, level, kernel, mode="same")
         total += (level - level.mean()) / level.std()
     scaled = (total - total.min()) / (total.max() - total.min())
-    return np.rint(scaled * 255).astype(np.uint8)
+    out: NDArray[np.uint8] = np.rint(scaled * 255).astype(np.uint8)
+    return out
 
 
 def _from_dataset(path: Path) -> list[_Question]:

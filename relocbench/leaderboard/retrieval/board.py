@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -159,10 +159,11 @@ def mean_tables(tasks: Mapping[str, TaskRecord]) -> dict[str, tuple[str, ...]]:
     """
     whole = [name for name in tasks if not _is_part(name, tasks)]
     out = {"mean over all tasks": tuple(whole)}
-    for kind, key, names in (
+    tables: tuple[tuple[str, Callable[[TaskRecord], str], list[str]], ...] = (
         ("direction", lambda r: r.direction, whole),
         ("conditions", lambda r: r.conditions, list(tasks)),
-    ):
+    )
+    for kind, key, names in tables:
         groups: dict[str, list[str]] = {}
         for name in names:
             groups.setdefault(key(tasks[name]), []).append(name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from relocbench.evaluation.tracking.score import ALL
+from relocbench.evaluation.common.matching_table import ALL
 from relocbench.leaderboard.tracking.load import DatasetEntry, Method
 from relocbench.metrics import METRICS, Difference, Interval, Metric, Spread
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError
 from relocbench.evaluation.common.error_table import ErrorTable
+from relocbench.evaluation.common.matching_table import ALL
 from relocbench.evaluation.common.tables import STATUSES
-from relocbench.evaluation.tracking.score import ALL
 from relocbench.leaderboard.tracking.load import DatasetEntry, Method
 from relocbench.leaderboard.tracking.model import INTERVALS, TOTAL, Board, DatasetBoard, Row, SeedRow, Table
 from relocbench.metrics import (

@@ -44,7 +44,8 @@ def answered_pairs(T_pred: ArrayLike, answered: ArrayLike | None = None) -> NDAr
     said = np.asarray(answered, dtype=bool)
     if said.shape != (len(poses),):
         raise ValueError(f"answered must be ({len(poses)},), got {said.shape}")
-    return finite & said
+    out: NDArray[np.bool_] = finite & said
+    return out
 
 
 def infinite_where_failed(error: ArrayLike, answered: ArrayLike) -> Array:

@@ -177,7 +177,8 @@ def _on_grid(rows: NDArray[Any], scale: float | Array) -> Array:
 def _scales(norms: Array) -> Array:
     """Powers of two (n,) that scale finite norms into (2/3 2^26, 4/3 2^26]; norm 1 is far from either end."""
     exponents = _BITS - np.frexp(0.75 * norms)[1]
-    return np.ldexp(1.0, np.clip(exponents, -_LARGEST_EXPONENT, _LARGEST_EXPONENT))
+    out: Array = np.ldexp(1.0, np.clip(exponents, -_LARGEST_EXPONENT, _LARGEST_EXPONENT))
+    return out
 
 
 def _norms(rows: NDArray[Any]) -> Array:

@@ -90,7 +90,8 @@ class RetrievalScores:
         """
         k = recall_depth(metric)
         if k is not None:
-            return ((self.first != NEVER) & (self.first < k)).astype(np.float64)
+            out: Array = ((self.first != NEVER) & (self.first < k)).astype(np.float64)
+            return out
         match metric:
             case "R@top1%":
                 return (self.first <= self.top1_index).astype(np.float64)

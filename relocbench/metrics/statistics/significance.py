@@ -196,7 +196,7 @@ def common_block_length(values: ArrayLike) -> int:
     v = np.asarray(values, dtype=np.float64)
     series = [*v, *(v[1:] - v[0])]
     wanted = max(automatic_block_length(x) for x in series)
-    return max(1, min(wanted, v.shape[1] // MIN_BLOCKS))
+    return int(max(1, min(wanted, v.shape[1] // MIN_BLOCKS)))
 
 
 def _bootstrap_means(
@@ -212,7 +212,8 @@ def _bootstrap_means(
     if blocks < MIN_BLOCKS:
         return None
     sets = zip(pair_sets, lengths, strict=True)
-    return np.mean([_resampled_means(v, min(b, v.shape[1]), rng, resamples) for v, b in sets], axis=0)
+    out: Array | None = np.mean([_resampled_means(v, min(b, v.shape[1]), rng, resamples) for v, b in sets], axis=0)
+    return out
 
 
 def _resampled_means(values: Array, block_length: int, rng: np.random.Generator, resamples: int) -> Array:
@@ -236,13 +237,15 @@ def _resampled_means(values: Array, block_length: int, rng: np.random.Generator,
             total[k, span] = of_method.take(starts[:, :whole]).sum(axis=-1)
             if ends is not None:
                 total[k, span] += ends[k].take(starts[:, whole])
-    return total / n
+    out: Array = total / n
+    return out
 
 
 def _circular_window_sums(values: Array, length: int) -> Array:
     """The sum of the ``length`` values from each start on, around the circle. (methods, N) -> (methods, N)."""
     closed = np.concatenate([values, values[:, : length - 1]], axis=1)
-    return np.lib.stride_tricks.sliding_window_view(closed, length, axis=1).sum(axis=-1)
+    out: Array = np.lib.stride_tricks.sliding_window_view(closed, length, axis=1).sum(axis=-1)
+    return out
 
 
 def _percentile_interval(means: Array, level: float) -> Interval:

@@ -73,7 +73,8 @@ def test_hessian_is_the_product_of_finite_difference_jacobians() -> None:
         moved = geometry.apply(geometry.se3_exp(step[:6]) @ T, np.array([[0.1, -0.2, 1.0]]) / 0.4)
         pixel = CAMERA.project(moved)[0][0]
         value = plain.bilinear(level_map, pixel[:1], pixel[1:])[0, :1]
-        return value - (np.exp(step[6]) * values[0] + step[7])
+        out: Array = value - (np.exp(step[6]) * values[0] + step[7])
+        return out
 
     J = np.stack([(residual(h) - residual(-h)) / 2e-6 for h in 1e-6 * np.eye(8)], axis=-1)
     _, valid, _, H, g = run(level_map, point, values, T, huber=1e9, cutoff=1e9)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from alignment_scene import CAMERA, render, to_image
@@ -18,7 +20,7 @@ def keyframe_points(*rows: tuple[float, float, float, float]) -> KeyframePoints:
     return KeyframePoints(values[:, :2], values[:, 2], values[:, 3])
 
 
-def textured(height: int = 300, width: int = 400) -> list:
+def textured(height: int = 300, width: int = 400) -> list[Any]:
     noise = np.random.default_rng(1).integers(0, 256, (height, width)).astype(np.uint8)
     return image_pyramid(noise, Camera("pinhole", width, height, 300, 300, width / 2, height / 2))
 

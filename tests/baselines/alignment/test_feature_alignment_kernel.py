@@ -10,7 +10,7 @@ import plain_feature_alignment as plain
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numba.core.runtime import rtsys
+from numba.core.runtime import rtsys  # type: ignore[attr-defined]
 from numpy.typing import NDArray
 from plain_alignment import bilinear
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from made_pairs import TINY, MadePairs
+from numpy.typing import NDArray
 
 from baselines.gn_net.training.augmentation import augment
 from baselines.gn_net.training.batches import Batch, Batches
@@ -88,7 +89,11 @@ def test_scaling_keeps_pixels_on_what_they_show(factor: float) -> None:
     low = np.floor(moved).astype(int)
     a, b = (moved - low).T[..., None]
     values = image[..., :2] / 2.0
-    at = lambda du, dv: values[low[:, 1] + dv, low[:, 0] + du]  # noqa: E731
+
+    def at(du: int, dv: int) -> NDArray[np.float64]:
+        shown: NDArray[np.float64] = values[low[:, 1] + dv, low[:, 0] + du]
+        return shown
+
     shown = (1 - b) * ((1 - a) * at(0, 0) + a * at(1, 0)) + b * ((1 - a) * at(0, 1) + a * at(1, 1))
     assert np.abs(shown - u).max() < 0.4  # stored values are whole numbers, of half a pixel each
     assert np.abs((shown - u).mean(0)).max() < 0.1

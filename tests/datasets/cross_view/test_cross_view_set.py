@@ -230,7 +230,8 @@ def test_real_satellites_find_their_drones_by_colour_far_above_chance(sample: Cr
     def histogram(view: object) -> np.ndarray:
         lab = cv2.cvtColor(view.image, cv2.COLOR_RGB2LAB)  # type: ignore[attr-defined]
         counts = cv2.calcHist([lab], [0, 1, 2], None, [8, 16, 16], [0, 256] * 3).ravel()
-        return np.sqrt(counts / counts.sum())
+        out: np.ndarray = np.sqrt(counts / counts.sum())
+        return out
 
     query, gallery = (np.stack([histogram(v) for v in views]) for views in (task.queries, task.gallery))
     first = score_retrieval(rank_descriptors(query, gallery, task.relevance)).first

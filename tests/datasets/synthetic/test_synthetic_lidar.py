@@ -35,7 +35,8 @@ ROOM = box(LOW.tolist(), HIGH.tolist(), Material.PLASTER, 7)
 
 
 def unit(vectors: Array) -> Array:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    out: Array = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return out
 
 
 def random_rays(count: int, seed: int = 0) -> tuple[Array, Array]:
@@ -47,7 +48,8 @@ def way_out(origins: Array, directions: Array) -> Array:
     """Distance to the walls of the room, from inside: the nearest of the three planes that the ray runs towards."""
     with np.errstate(divide="ignore"):
         ahead = np.where(directions > 0, HIGH, LOW)
-        return np.min((ahead - origins) / directions, axis=1)
+        out: Array = np.min((ahead - origins) / directions, axis=1)
+        return out
 
 
 class Driving:
@@ -119,7 +121,8 @@ def test_a_spinning_lidar_of_too_many_or_too_few_rings_is_refused() -> None:
 
 
 def distance_to_room(points: Array) -> Array:
-    return np.min(np.abs(np.stack([points - LOW, points - HIGH])), axis=(0, 2))
+    out: Array = np.min(np.abs(np.stack([points - LOW, points - HIGH])), axis=(0, 2))
+    return out
 
 
 @pytest.mark.parametrize(("lidar", "times_worse"), [(push_broom(), 1.5), (spinning(32, 1000), 5.0)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import TypedDict
+from typing import Any, TypedDict
 
 import numpy as np
 import pytest
@@ -55,7 +55,7 @@ def quad(corner: Array, a: Array, b: Array, material: Material, semantic: Semant
     uv = np.array([[0, 0], [along, 0], [along, up], [0, up]], dtype=np.float32)
     triangles = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
 
-    def full(value: int, kind: type) -> NDArray:
+    def full(value: int, kind: type) -> NDArray[Any]:
         return np.full(2, value, dtype=kind)
 
     return Mesh(
@@ -114,7 +114,8 @@ def shot(T_world_cam: Array | None = None, seed: int = 1, camera: Camera = CAMER
 
 
 def grey(frame: Frame) -> Array:
-    return frame.rgb.astype(float).mean(axis=2)
+    out: Array = frame.rgb.astype(float).mean(axis=2)
+    return out
 
 
 def by_hand(mesh: Mesh, camera: Camera, T_world_cam: Array) -> tuple[Array, NDArray[np.int64]]:

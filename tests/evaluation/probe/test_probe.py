@@ -24,8 +24,9 @@ from relocbench.datasets.pairs.correspondences import Correspondences
 from relocbench.evaluation.probe import ProbeOptions, probe_methods
 from relocbench.evaluation.probe.feature_maps import places_of, principal_components
 from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, OFFSETS_PX, with_structure
-from relocbench.evaluation.probe.poses import CONVERGED, OFFSETS, What, draw_priors, probe_poses
+from relocbench.evaluation.probe.poses import CONVERGED, OFFSETS, draw_priors, probe_poses
 from relocbench.evaluation.probe.table import ACROSS as ACROSS_CONDITIONS
+from relocbench.evaluation.probe.tally import What
 from relocbench.geometry import make_transform, se3_exp, so3_exp
 from relocbench.metrics import pose_errors
 from relocbench.progress import Silent

@@ -14,7 +14,7 @@ from small_dataset import ACROSS, CAMERA, make_small_dataset
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.common.error_table import read_errors
-from relocbench.evaluation.relocalization.answers import ChainAnswer, read_chain, write_chain
+from relocbench.evaluation.relocalization.answers import OUTCOMES, ChainAnswer, read_chain, write_chain
 from relocbench.evaluation.relocalization.chain import most_confident
 from relocbench.evaluation.relocalization.evaluate import (
     RelocalizationOptions,
@@ -22,7 +22,7 @@ from relocbench.evaluation.relocalization.evaluate import (
     evaluate_chains,
 )
 from relocbench.evaluation.relocalization.records import ChainResults
-from relocbench.evaluation.relocalization.score import OUTCOMES, per_query
+from relocbench.evaluation.relocalization.score import per_query
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.progress import Silent
 

@@ -36,7 +36,8 @@ class ArcLength:
         if not len(self.times_ns):
             return np.zeros(len(times_ns))
         origin = self.times_ns[0]
-        return np.interp((times_ns - origin) / 1e9, (self.times_ns - origin) / 1e9, self.travelled_m)
+        out: Array = np.interp((times_ns - origin) / 1e9, (self.times_ns - origin) / 1e9, self.travelled_m)
+        return out
 
 
 def make_nodes(recording: FieldRecording, block_m: float = 2.0) -> Nodes:

@@ -189,7 +189,8 @@ def _without_specks(kept: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
         return kept
     _, labels, stats, _ = cv2.connectedComponentsWithStats(kept.astype(np.uint8), connectivity=4)
     large = stats[:, cv2.CC_STAT_AREA] >= least
-    return kept & large[labels]
+    out: NDArray[np.bool_] = kept & large[labels]
+    return out
 
 
 def fit_sigma(images: Iterable[DepthImage], bin_m: float = 1.0) -> tuple[float, float, float]:

@@ -124,7 +124,8 @@ def _tangents(normals: Floats) -> Floats:
     upright = size < 0.3
     level[upright] = np.stack([normals[:, 2], np.zeros(len(normals)), -normals[:, 0]], axis=1)[upright]
     size = np.maximum(np.linalg.norm(level, axis=1), 1e-6)
-    return (level / size[:, None]).astype(np.float32)
+    out: Floats = (level / size[:, None]).astype(np.float32)
+    return out
 
 
 def _stars(distance: Floats, far: Floats, plane: NDArray[np.bool_], options: SurfelOptions) -> tuple[Floats, Floats]:

@@ -93,7 +93,8 @@ class LocalMap:
 def _thinned(points: Array, voxel_m: float = _VOXEL_M) -> Array:
     """The first point in each voxel, of the points (N, 3) near the lidar."""
     near = points[np.sum(points**2, axis=1) < _FARTHEST_M**2]
-    return near[first_in_voxels(near, voxel_m)]
+    out: Array = near[first_in_voxels(near, voxel_m)]
+    return out
 
 
 def plane_normals(points: Array, around: Array) -> tuple[Array, NDArray[np.bool_]]:

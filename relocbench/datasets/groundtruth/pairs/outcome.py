@@ -174,7 +174,8 @@ class Outcomes:
     def _way_to_contradiction(self) -> Array:
         """(N,) arc length from each node to the nearest odometry edge that registrations contradict, metres."""
         bad = [node for edge in self.solution.contradicted_odometry() for node in edge]
-        return self.solution.drives.arc_length_to(np.array(bad, dtype=np.int64)).min(axis=1)
+        out: Array = self.solution.drives.arc_length_to(np.array(bad, dtype=np.int64)).min(axis=1)
+        return out
 
     def of(self, ref_ns: int, query_ns: int, T_rig_refcam: Array, T_rig_querycam: Array) -> PairOutcome:
         """The outcome of a pair of a query and its nearest keyframe.

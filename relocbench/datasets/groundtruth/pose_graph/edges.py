@@ -65,7 +65,8 @@ class Edges:
     def chi2(self, T_world_node: Array) -> Array:
         """(E,) squared Mahalanobis norms of the residuals, given node poses (N, 4, 4)."""
         r = self.residuals(T_world_node)
-        return np.einsum("ei,eij,ej->e", r, self.information, r)
+        out: Array = np.einsum("ei,eij,ej->e", r, self.information, r)
+        return out
 
 
 def components(count: int, first: Indices, second: Indices) -> Indices:

@@ -40,14 +40,16 @@ class OutlierTest:
     @property
     def chi2(self) -> Array:
         """(E,) test statistic with ``freedom`` degrees of freedom"""
-        return np.where(self.checked, self.squares / np.maximum(self.redundancy_numbers, _LEAST_CHECKED), 0.0).sum(
-            axis=1
-        )
+        out: Array = np.where(
+            self.checked, self.squares / np.maximum(self.redundancy_numbers, _LEAST_CHECKED), 0.0
+        ).sum(axis=1)
+        return out
 
     @property
     def redundancy(self) -> Array:
         """(E,) total redundancy in [0, 6]: how much of the edge is known from the others"""
-        return np.clip(self.redundancy_numbers, 0.0, 1.0).sum(axis=1)
+        out: Array = np.clip(self.redundancy_numbers, 0.0, 1.0).sum(axis=1)
+        return out
 
     @property
     def p_value(self) -> Array:

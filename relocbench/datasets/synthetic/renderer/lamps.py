@@ -131,4 +131,5 @@ def headlight_irradiance(beam: Beam, x: float, y: float, z: float, nx: float, ny
     below = (rise - _CUT_OFF) / _FOREGROUND
     lobe = _ABOVE + (1 - _ABOVE) * (1 - smoothstep(rise, _CUT_OFF - 0.005, _CUT_OFF + 0.005)) / (1 + below * below)
     lobe *= np.exp(-((side / (ahead * distance * _SPREAD)) ** 2))
-    return _BEAM_POWER * max(facing, 0.0) * lobe / (square + 0.5)
+    out: float = _BEAM_POWER * max(facing, 0.0) * lobe / (square + 0.5)
+    return out

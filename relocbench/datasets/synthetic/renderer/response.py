@@ -32,7 +32,8 @@ def exposure_gain(image: Floats, factors: Factors) -> float:
         luminance = image[::2, ::2] @ _LUMA
         gain = _KEY / float(np.exp(np.log(luminance + 1e-4).mean(dtype=np.float64)))
         gain = min(max(gain, _LEAST_GAIN), _MOST_GAIN)
-    return gain * 2.0**factors.exposure_ev
+    out: float = gain * 2.0**factors.exposure_ev
+    return out
 
 
 def apply_response(image: Floats, factors: Factors, rng: np.random.Generator) -> NDArray[np.uint8]:
@@ -56,7 +57,8 @@ def tone_curve(gamma: float) -> Floats:
     """Grey levels of light, sqrt-spaced from 0 to :data:`_WHITE`, by Narkowicz's filmic curve (2015) and the gamma."""
     x = np.linspace(0, 1, _TABLE) ** 2 * _WHITE
     level = x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14)
-    return (255 * (level / level[-1]) ** (1 / gamma)).astype(np.float32)
+    out: Floats = (255 * (level / level[-1]) ** (1 / gamma)).astype(np.float32)
+    return out
 
 
 def _noise(factors: Factors) -> tuple[float, float]:

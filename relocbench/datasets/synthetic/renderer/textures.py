@@ -65,7 +65,8 @@ def _enlarge(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
     shape = [1, 1]
     shape[axis] = SIZE
     t = t.reshape(shape)
-    return values.take(i % n, axis) * (1 - t) + values.take((i + 1) % n, axis) * t
+    out: NDArray[np.float64] = values.take(i % n, axis) * (1 - t) + values.take((i + 1) % n, axis) * t
+    return out
 
 
 def _bricks(

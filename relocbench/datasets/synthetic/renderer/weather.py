@@ -29,7 +29,8 @@ _DROP_SHARE = 0.06
 
 def falling_extinction(rain_mm_h: float, snow_mm_h: float) -> float:
     """Extinction of light by rain and snow, 1/m (Atlas 1953 for rain; that of snow is about ten times as large)."""
-    return 2.0e-4 * rain_mm_h**0.63 + 2.5e-3 * snow_mm_h**0.8
+    out: float = 2.0e-4 * rain_mm_h**0.63 + 2.5e-3 * snow_mm_h**0.8
+    return out
 
 
 def _in_view(rng: np.random.Generator, per_m3: float, focal: tuple[float, float], size: tuple[int, int]) -> Floats:

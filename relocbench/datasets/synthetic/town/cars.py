@@ -86,7 +86,8 @@ def _columns(car: _Type) -> Floats:
     arch = np.cos(np.linspace(0, np.pi, 9)) * (car.wheel + 0.07)
     marks = [[x for x, _ in car.profile], *(a + arch for a in car.axles), np.ravel(car.glass), np.ravel(car.screens)]
     places = np.unique(np.round(np.concatenate([np.asarray(m, float) for m in marks]), 3))
-    return places[np.concatenate([[True], np.diff(places) > 0.015])]
+    out: Floats = places[np.concatenate([[True], np.diff(places) > 0.015])]
+    return out
 
 
 def _skin(car: _Type) -> Shape:

@@ -105,7 +105,8 @@ class StreetNetwork:
         """Radius (m) of the kerb at corner ``i`` of a face; concentric with the centre line in a bend."""
         node = face[i]
         if self.degree(node) == 2:
-            return self.bend_radius(node, turn) - np.sign(turn) * self.kerb[(face[i - 1], node)]
+            out: float = self.bend_radius(node, turn) - np.sign(turn) * self.kerb[(face[i - 1], node)]
+            return out
         return KERB_RADIUS_M if abs(turn) > _STRAIGHT else 15.0
 
     def nodes_of(self, street: int) -> list[int]:
@@ -171,7 +172,8 @@ class StreetNetwork:
     def _lane_radius(self, node: int, turn: float) -> float:
         """The radius of the lane's middle; in a right turn (negative) the lane is inside of the centre line."""
         if self.degree(node) == 2:
-            return self.bend_radius(node, turn) + np.sign(turn) * LANE_M / 2
+            out: float = self.bend_radius(node, turn) + np.sign(turn) * LANE_M / 2
+            return out
         if abs(turn) < _STRAIGHT:
             return 40.0
         return KERB_RADIUS_M + LANE_M / 2 if turn < 0 else 9.0

@@ -34,7 +34,7 @@ class Planting:
         self, shape: Shape, place: Floats, facing: Floats, semantic: Semantic, variant: int | None = None
     ) -> Floats:
         """Add an object at (2,) on the pavement that faces a direction (2,); returns its transform (4, 4)."""
-        transform = poses(place[0], place[1], KERB_M, np.arctan2(facing[1], facing[0]))[0]
+        transform: Floats = poses(place[0], place[1], KERB_M, np.arctan2(facing[1], facing[0]))[0]
         look = int(self.rng.integers(1, 2**31)) if variant is None else variant
         self.things.setdefault(semantic, []).append((shape, transform, look))
         return transform

@@ -54,7 +54,8 @@ class Plot:
     @property
     def door(self) -> Floats:
         """(2,) ground point of the door."""
-        return (self.T_world_house @ np.array([door_x(self.house, self.width), 0, 0, 1]))[:2]
+        out: Floats = (self.T_world_house @ np.array([door_x(self.house, self.width), 0, 0, 1]))[:2]
+        return out
 
 
 def plots_of(block: Block, rng: np.random.Generator) -> tuple[list[Plot], list[PeriodicFront]]:
