@@ -1,4 +1,4 @@
-# relocbench with all its packages, for the CPU; --build-arg TORCH_BACKEND=auto (or cu128, ...) for a GPU.
+# relocbench with all its packages, for the CPU; --build-arg TORCH_BACKEND=cu128 and `docker run --gpus all` for a GPU.
 #
 #     docker build -t relocbench .
 #     docker run --rm -v "$PWD:/work" relocbench demo --out demo

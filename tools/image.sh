@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Build the image of Dockerfile and run the demo in it. Without a Docker daemon its steps are taken here instead: the
+# Build the image of Dockerfile and run the demo in it. Without a Docker daemon its steps are taken here instead (TORCH_BACKEND=cpu as in the image, else with CUDA): the
 # packages go into an environment of its own outside of the repository, from the built wheel, and the demo runs there.
 # Prints what was done, seconds and size. Exits with 1 if a step or the demo fails.
 set -euo pipefail
@@ -15,6 +15,7 @@ if docker info >/dev/null 2>&1; then
 else
   echo "no Docker daemon: the steps of Dockerfile in an environment of its own"
   uv="$root/${VENV:-.venv}/bin/uv"
+  [ -z "${TORCH_BACKEND:-}" ] || export UV_TORCH_BACKEND="$TORCH_BACKEND"
   missing=()
   for package in $(grep -oE 'no-install-recommends [^\\]*' Dockerfile | cut -d' ' -f2-); do
     dpkg -s "$package" >/dev/null 2>&1 || missing+=("$package")

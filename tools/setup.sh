@@ -12,9 +12,9 @@ fail() {
   exit 1
 }
 
-command -v "$python" >/dev/null || fail "no '$python'; relocbench needs Python >= 3.11 (set PYTHON=/path/to/python)"
-"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
-  fail "'$python' is $("$python" -V 2>&1); relocbench needs Python >= 3.11 (set PYTHON=/path/to/python)"
+command -v "$python" >/dev/null || fail "no '$python'; relocbench needs Python 3.11 to 3.13 (set PYTHON=/path/to/python)"
+"$python" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' ||
+  fail "'$python' is $("$python" -V 2>&1); relocbench needs Python 3.11 to 3.13 (set PYTHON=/path/to/python)"
 
 # What Open3D's library is linked against, and the Debian packages that have it.
 missing=()

@@ -62,8 +62,7 @@ def total_loss(
 
     Raises:
         ValueError: there is no view, the labels are of other views, the partition loss has no masks, or the
-            decorrelation
-            no pairs.
+            decorrelation gets no pairs.
     """
     options = options or LossOptions()
     if not outputs or outputs.keys() != labels.keys():

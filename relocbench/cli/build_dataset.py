@@ -1,4 +1,4 @@
-"""``relocbench build-dataset KIND SOURCE... --out DIR``: one sub-command a kind, made from the importer's options."""
+"""``relocbench build-dataset KIND [SOURCE...] --out DIR``: one sub-command a kind, made from the importer's options."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class _Kinds(TyperGroup):
 build_dataset = typer.Typer(
     cls=_Kinds,
     no_args_is_help=True,
-    help="Make a dataset from recordings: relocbench build-dataset KIND SOURCE... --out DIR",
+    help="Make a dataset from recordings: relocbench build-dataset KIND [SOURCE...] --out DIR",
     rich_markup_mode="markdown",
 )
 
@@ -106,8 +106,11 @@ def _common(kind: str) -> dict[str, Any]:
     sources = Annotated[list[Path], typer.Argument(help="Recordings; the first is the reference.", show_default=False)]
     common: dict[str, Any] = {} if kind in _NO_SOURCE else {"sources": sources}
     return common | {
-        "out": Annotated[Path, typer.Option("--out", "-o", help="Folder to write the dataset to.")],
-        "config": Annotated[Path | None, typer.Option(help="YAML file with any of these options (pair_step: [1, 2]).")],
+        "out": Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write the dataset to.")],
+        "config": Annotated[
+            Path | None,
+            typer.Option(metavar="FILE", help="YAML file that sets any of these options (pair_step: [1, 2])."),
+        ],
         "workers": Workers,
         "scheduler": Scheduler,
         "scheduler_tls_ca": SchedulerTlsCa,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from relocbench.cli.options import Json, Settings
+from relocbench.cli.options import Json
 
 if TYPE_CHECKING:
     from relocbench.evaluation.tracking.check import Finding
@@ -16,8 +16,13 @@ if TYPE_CHECKING:
 
 
 def check_method(
-    method: Annotated[str, typer.Argument(help="As for evaluate --method.")],
-    settings: Settings = [],  # noqa: B006
+    method: Annotated[
+        str, typer.Argument(metavar="METHOD", help="A method as --method of the evaluate commands takes it.")
+    ],
+    settings: Annotated[
+        list[str],
+        typer.Option("--set", metavar="KEY=VALUE", help="Parameter of the method. Repeat for several."),
+    ] = [],  # noqa: B006
     dataset: Annotated[
         Path | None,
         typer.Option("--dataset", "-d", help="Try it on pairs or images of this dataset too [default: made-up views]."),

@@ -44,12 +44,17 @@ def evaluate_relocalization(
         float | None,
         typer.Option(
             metavar="METRES",
-            help="Its radius [default: the largest distance of the pairs].",
+            help="Largest distance of a keyframe in the basin [default: that of the pairs; none beside --heading].",
             rich_help_panel=_BASIN,
         ),
     ] = None,
     heading: Annotated[
-        float | None, typer.Option(metavar="DEGREES", help="Its largest rotation.", rich_help_panel=_BASIN)
+        float | None,
+        typer.Option(
+            metavar="DEGREES",
+            help="Largest rotation of a keyframe in the basin [default: that of the pairs; none beside --radius].",
+            rich_help_panel=_BASIN,
+        ),
     ] = None,
     probe: Annotated[
         Path | None,

@@ -23,7 +23,7 @@ def evaluate_retrieval(
             "--dataset",
             "-d",
             metavar="FOLDER",
-            help="The dataset, or places by several views in University-1652's layout.",
+            help="The dataset, or places by several views in University-1652's layout; required, here or in --config.",
         ),
     ] = None,
     methods: Annotated[

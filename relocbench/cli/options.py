@@ -77,7 +77,10 @@ SchedulerTlsKey = Annotated[
     ),
 ]
 DatasetPath = Annotated[Path, typer.Option("--dataset", "-d", metavar="FOLDER", help="The dataset.")]
-Dataset = Annotated[Path | None, typer.Option("--dataset", "-d", metavar="FOLDER", help="The dataset.")]
+Dataset = Annotated[
+    Path | None,
+    typer.Option("--dataset", "-d", metavar="FOLDER", help="The dataset; required, here or in --config."),
+]
 Results = Annotated[
     Path | None, typer.Option("--out", "-o", metavar="FOLDER", help="Where results are kept [default: results].")
 ]

@@ -71,7 +71,7 @@ def first_fault(bad: ValidationError) -> tuple[str, tuple[str | int, ...]]:
     elif first["type"] == "missing":
         message = f"key '{key}' is missing"
     else:
-        told = cut(printable(str(first["msg"])), 2 * MOST_QUOTED)
+        told = cut(printable(str(first["msg"]).removeprefix("Value error, ")), 2 * MOST_QUOTED)
         message = f"key '{key}': {told}, got {_shown(first.get('input'))}" if key else told
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     return message + more, location

@@ -140,7 +140,7 @@ def test_a_fault_in_a_list_is_named_with_its_line(street: Path, tmp_path: Path, 
         (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "--matching"], "--matching; it is an option of relocbench evaluate"),
         (
             ["-d", "{v}", "-m", f"{HERE}:Thumbnail", "-j", "2"],
-            "--workers must be 0 for retrievers",
+            "--workers can only be 0",
         ),
         (["-d", "{v}", "-m", f"{HERE}:Thumbnail", "--keep", "0"], "--keep: "),
         (["-d", "{v}", "--predictions", "{v}/absent"], "absent: no such file or folder"),

@@ -295,7 +295,7 @@ def folders_with(record: str, results: Path) -> list[Path]:
 def all_results(results: Path) -> list[DatasetResults]:
     """Every dataset's folder below a results folder. Raises PredictionError where there is none."""
     if not results.is_dir():
-        raise PredictionError("no such folder; expected results of `relocbench evaluate`", results)
+        raise PredictionError("no such folder; expected results of the evaluate commands", results)
     found = list(map(DatasetResults, folders_with("dataset.yaml", results)))
     if not found:
         raise PredictionError("holds no results (expected DATASET@FINGERPRINT folders)", results)

@@ -58,7 +58,7 @@ class RetrievalOptions(LimitOptions):
     @model_validator(mode="after")
     def _one_process(self) -> Self:
         if self.workers:
-            raise ValueError("--workers must be 0 for retrievers, which run in one process")
+            raise ValueError("--workers can only be 0, this process: a retriever runs in one worker process")
         return self
 
     @model_validator(mode="after")

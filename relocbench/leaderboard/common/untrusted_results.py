@@ -39,7 +39,7 @@ def check_folder(results: Path) -> None:
             if stat.S_ISDIR(mode) and path.is_relative_to(target):
                 raise PredictionError("is a link to a folder that holds it; expected a file or folder", path)
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-            raise PredictionError("is neither a file nor a folder; expected results of `relocbench evaluate`", path)
+            raise PredictionError("is neither a file nor a folder; expected results of the evaluate commands", path)
 
 
 def check_same_queries(tables: Iterable[tuple[str, str, Sequence[Any], Path]], what: str) -> None:

@@ -210,7 +210,9 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
     tasks = {name: record.tasks[name] for name in names}
     methods, path_of = _methods_of(copies, tasks)
     if not methods:
-        raise PredictionError("holds no retriever's answers; expected results of `relocbench evaluate`", copies[0].root)
+        raise PredictionError(
+            "holds no retriever's answers; expected results of `relocbench evaluate-retrieval`", copies[0].root
+        )
     tables_of_tasks = (
         (task, m.label, [(a.query, a.positives, a.group) for a in answers], path_of[m.label].answers(task))
         for m in methods

@@ -230,7 +230,7 @@ def test_an_image_depends_on_nothing_that_was_rendered_before(made: CrossViewSet
     ("options", "words"),
     [
         (("--conditions", "Hail"), "no condition 'Hail'"),
-        (("--conditions", "Sunny,Rain,Rain"), "--conditions: Value error, conditions are the satellite's, then"),
+        (("--conditions", "Sunny,Rain,Rain"), "--conditions: conditions are the satellite's, then"),
         (("--split", "train", "--distractors", "3"), "--distractors applies to the test split"),
         (("--places", "6000"), "a split has at most 5000"),
         (("--size", "8"), "--size: Input should be greater than or equal to 32"),

@@ -44,7 +44,7 @@ class FieldOptions(ImportOptions):
     @model_validator(mode="after")
     def _only_nearest(self) -> FieldOptions:
         if self.pair_rule == "step":
-            raise ValueError("pair_rule: drives of different days are paired by the nearest keyframe, not by steps")
+            raise ValueError("--pair-rule step: drives of different days are paired by the nearest keyframe")
         return self
 
     @property
