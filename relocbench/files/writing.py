@@ -42,10 +42,11 @@ def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
             os.fsync(stream.fileno())
             part.replace(path)
     except OSError as bad:
+        if bad.errno == errno.ENOENT and bad.filename == str(part) and bad.filename2 is None:
+            # The folder is there and the file cannot be opened: a file system of the kernel's own.
+            raise PermissionError(errno.EACCES, "no file can be created here", str(path)) from None
         if bad.filename in (None, str(part)):  # a full disk does not say which file did not fit
             bad.filename = str(path)
-        if bad.errno == errno.ENOENT and path.parent.is_dir():  # a file system of the kernel's own
-            raise PermissionError(errno.EACCES, "no file can be created here", str(path)) from None
         raise
     finally:
         part.unlink(missing_ok=True)

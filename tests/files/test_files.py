@@ -67,6 +67,20 @@ def test_a_full_disk_leaves_no_part_behind(tmp_path: Path, monkeypatch: pytest.M
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_missing_file_of_the_writing_code_keeps_its_own_name(tmp_path: Path) -> None:
+    missing = tmp_path / "absent"
+    with pytest.raises(FileNotFoundError) as told, atomic_write(tmp_path / "out.txt"):
+        missing.read_text()
+    assert told.value.filename == str(missing)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_in_the_files_place_is_named(tmp_path: Path) -> None:
+    with pytest.raises(IsADirectoryError) as told, atomic_write(tmp_path):
+        pass
+    assert told.value.filename == str(tmp_path)
+
+
 def test_parts_of_killed_writers_are_removed_and_only_they(tmp_path: Path) -> None:
     keep = tmp_path / "a" / "image.png"
     write_bytes(keep, b"1")
