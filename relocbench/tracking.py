@@ -48,7 +48,8 @@ class KeyframePoints:
 class Neighbour:
     """Another frame of the reference's own traversal, with its pose relative to the reference by the map."""
 
-    timestamp_ns: int
+    seconds_from_ref: float
+    """time from the reference to this frame, negative before it"""
     image: NDArray[np.uint8]
     """(H, W) grey or (H, W, 3) RGB"""
     camera: Camera
@@ -61,8 +62,9 @@ class Reference:
     """A keyframe of the map: image, camera, and depth where it is known."""
 
     key: str
-    """identifies the keyframe within the dataset"""
-    timestamp_ns: int
+    """identifies the keyframe; a tracker that is evaluated sees a digest of image and camera"""
+    timestamp_ns: int | None
+    """when the image was taken; None for a tracker that does not declare ``uses_times``"""
     image: NDArray[np.uint8]
     """(H, W) grey or (H, W, 3) RGB"""
     camera: Camera
@@ -112,7 +114,9 @@ class Query:
     """An image to be relocalized."""
 
     key: str
-    timestamp_ns: int
+    """identifies the image; a tracker that is evaluated sees a digest of image and camera"""
+    timestamp_ns: int | None
+    """when the image was taken; None for a tracker that does not declare ``uses_times``"""
     image: NDArray[np.uint8]
     """(H, W) grey or (H, W, 3) RGB"""
     camera: Camera
@@ -155,6 +159,10 @@ class Tracker(Protocol):
     :class:`Reference` itself otherwise. ``prior`` is a (4, 4) initial guess of ``T_query_ref``, or None; a tracker
     that uses it declares so by a class attribute ``uses_prior = True``. A tracker that wants frames around the
     keyframe declares their number on each side by ``neighbours = N``.
+
+    Times say where along a drive an image was taken, so that a tracker sees none, and pairs are asked in random order.
+    A tracker of sequences declares ``uses_times = True``: it gets the times of keyframes and queries, is asked about
+    the pairs in their order in time, and is not ranked with the others.
     """
 
     def track(self, reference: Any, query: Query, prior: Array | None = None) -> TrackResult: ...

@@ -18,7 +18,8 @@ def methods(
     Example: relocbench methods dso
     """
     from relocbench.cli.console import print_json, print_table
-    from relocbench.methods import KINDS, installed_methods, kind_of, parameters_of
+    from relocbench.evaluation.tracking.clock import CLOCK
+    from relocbench.methods import KINDS, TRACKERS, installed_methods, kind_of, parameters_of
 
     if name is None:
         found = {kind: installed_methods(kind) for kind in KINDS}
@@ -26,6 +27,7 @@ def methods(
             print_json({kind.task: {n: p.value for n, p in points.items()} for kind, points in found.items()})
         else:
             rows = [[n, kind.task, p.value, _package(p)] for kind, points in found.items() for n, p in points.items()]
+            rows.append([CLOCK, TRACKERS.task, "a floor: what times alone tell, without an image", "relocbench"])
             print_table("", ["method", "task", "class", "package"], rows)
         return
     kind = kind_of(name)

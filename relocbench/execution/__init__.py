@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Self, TypeVar
 
 from relocbench.errors import ConfigError
+from relocbench.execution.calling import pin_threads
 from relocbench.execution.cluster import run_on_cluster
+from relocbench.execution.descendants import end_descendants
 from relocbench.execution.limits import (
     MANY_TIMES,
     TIME_LIMIT_S,
@@ -39,10 +41,12 @@ __all__ = [
     "Step",
     "chunks",
     "default_workers",
+    "end_descendants",
     "end_workers",
     "kept_workers",
     "messages_to_stderr",
     "parse_size",
+    "pin_threads",
     "run_limited",
     "run_units",
     "step",
@@ -62,6 +66,11 @@ class Run:
     """a Dask scheduler, whose workers replace local ones"""
     limits: Limits = field(default_factory=Limits)
     """limits of each call of third-party code (:func:`run_limited`); a scheduler's workers have limits of their own"""
+
+    @property
+    def apart(self) -> bool:
+        """Whether the work runs in other processes than this one."""
+        return self.scheduler is not None or self.workers > 0
 
     def alone(self) -> Self:
         """The same without worker processes, for work that is shorter than their start."""

@@ -6,32 +6,17 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Protocol
+
+from relocbench.execution.descendants import PROC, descendants
 
 INTERVAL_S = 0.05
 """between two measurements; memory that is taken and returned in between is not noticed"""
-_PROC = Path("/proc")
 
 
 def can_watch() -> bool:
     """Whether this system reports the memory of processes; macOS does not."""
-    return (_PROC / "self" / "statm").exists()
-
-
-def descendants(pid: int) -> list[int]:
-    """The children of a process, their children, and so on, without those that have ended."""
-    found: list[int] = []
-    left = [pid]
-    while left:
-        for path in _PROC.glob(f"{left.pop()}/task/*/children"):
-            try:
-                children = [int(word) for word in path.read_text().split()]
-            except OSError:
-                continue
-            found += children
-            left += children
-    return found
+    return (PROC / "self" / "statm").exists()
 
 
 def resident_bytes(pid: int) -> int:
@@ -48,14 +33,14 @@ def resident_bytes(pid: int) -> int:
 
 def _resident(pid: int) -> int:
     try:
-        return int((_PROC / str(pid) / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        return int((PROC / str(pid) / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, IndexError):
         return 0
 
 
 def _proportional(pid: int) -> int:
     try:
-        lines = (_PROC / str(pid) / "smaps_rollup").read_text().splitlines()
+        lines = (PROC / str(pid) / "smaps_rollup").read_text().splitlines()
         return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("Pss:"))
     except (OSError, StopIteration):
         return _resident(pid)

@@ -19,6 +19,7 @@ from typing import Any
 
 from relocbench.errors import RelocbenchError
 from relocbench.execution.calling import call, pin_threads
+from relocbench.execution.descendants import end_descendants
 from relocbench.execution.limits import tell_steps_to
 
 _PR_SET_CHILD_SUBREAPER = 36
@@ -67,6 +68,7 @@ def serve(connection: Connection) -> None:
         try:
             function, unit = connection.recv()
         except (EOFError, ConnectionResetError):
+            end_descendants()
             return
         except Exception as bad:  # noqa: BLE001  a unit that cannot be unpickled here
             speaker.send(_raised(bad))

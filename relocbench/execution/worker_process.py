@@ -17,8 +17,9 @@ from multiprocessing import get_context, resource_tracker
 from typing import Any
 
 from relocbench.execution.calling import single_threaded_children
+from relocbench.execution.descendants import descendants
 from relocbench.execution.limits import Limits, Loss, Step, size_text
-from relocbench.execution.memory import descendants, resident_bytes
+from relocbench.execution.memory import resident_bytes
 from relocbench.execution.serving import Done, Raised, Ready, serve
 
 _EXIT_GRACE_S = 1.0

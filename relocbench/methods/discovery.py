@@ -73,6 +73,16 @@ class MethodSpec:
         factory = method_class(self.target, self.kind)
         return call_third_party(f"{self.kind.noun} '{self.label}' cannot be made", lambda: factory(**self.parameters))
 
+    def uses_times(self) -> bool:
+        """Whether the method asks for the times of images: by the attribute ``uses_times`` of its class or factory.
+
+        A program asks by the parameter of that name. Raises MethodError.
+        """
+        if self.target.startswith(SUBPROCESS):
+            return bool(self.parameters.get("uses_times", False))
+        factory = method_class(self.target, self.kind)
+        return bool(call_third_party(f"'{self.label}' cannot be read", lambda: getattr(factory, "uses_times", False)))
+
     def files(self) -> dict[str, str]:
         """The SHA-256 of each file that affects the answers, by name: a file may change while its path does not.
 

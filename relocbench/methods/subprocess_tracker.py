@@ -55,17 +55,21 @@ class SubprocessTracker:
         command: the program and its arguments.
         time_limit_s: time for one answer, after which the program is killed and the pair has failed.
         start_limit_s: time for the program to become ready.
+        uses_times: whether the program is told the times of images; it is then not ranked with the others.
 
     Raises:
         MethodError: the program does not exist.
     """
 
-    def __init__(self, command: str, time_limit_s: float = 60.0, start_limit_s: float = 120.0) -> None:
+    def __init__(
+        self, command: str, time_limit_s: float = 60.0, start_limit_s: float = 120.0, uses_times: bool = False
+    ) -> None:
         self.words = shlex.split(command)
         if not self.words or shutil.which(self.words[0]) is None:
             raise MethodError(f"no program '{self.words[0] if self.words else ''}' to run as subprocess:{command}")
         self.time_limit_s = time_limit_s
         self.start_limit_s = start_limit_s
+        self.uses_times = uses_times
         self._program: Program | None = None
         self._sent: _Sent | None = None
 
@@ -77,6 +81,7 @@ class SubprocessTracker:
         message: dict[str, Any] = {
             "type": "reference",
             "key": reference.key,
+            **_time(reference.timestamp_ns),
             "image": str(folder / "reference.png"),
             "camera": reference.camera.to_dict(),
             "depth": None,
@@ -98,6 +103,7 @@ class SubprocessTracker:
         message = {
             "type": "query",
             "key": query.key,
+            **_time(query.timestamp_ns),
             "image": str(image),
             "camera": query.camera.to_dict(),
             "prior": None if prior is None else np.concatenate(transform_to_tq(prior)).tolist(),
@@ -137,11 +143,18 @@ def subprocess_tracker(command: str) -> Callable[..., SubprocessTracker]:
     """A factory of trackers that run a command line; its keyword arguments are the method's parameters."""
 
     def create(
-        time_limit_s: Annotated[float, Field(gt=0)] = 60.0, start_limit_s: Annotated[float, Field(gt=0)] = 120.0
+        time_limit_s: Annotated[float, Field(gt=0)] = 60.0,
+        start_limit_s: Annotated[float, Field(gt=0)] = 120.0,
+        uses_times: bool = False,
     ) -> SubprocessTracker:
-        return SubprocessTracker(command, time_limit_s, start_limit_s)
+        return SubprocessTracker(command, time_limit_s, start_limit_s, uses_times)
 
     return create
+
+
+def _time(timestamp_ns: int | None) -> dict[str, int]:
+    """The field of a time, which a message has only where the program is told times."""
+    return {} if timestamp_ns is None else {"timestamp_ns": timestamp_ns}
 
 
 def _result(answer: dict[str, Any]) -> TrackResult:

@@ -122,6 +122,8 @@ def test_a_dataset_with_a_validation_split_alone_serves_for_validation(tmp_path:
 class Truth:
     """Answers what it was told, pair by pair."""
 
+    uses_times = True  # it knows the pairs by them
+
     def __init__(self, dataset: Dataset, broken: str = "") -> None:
         self._poses = {p.key: p.T_query_ref for name in (ACROSS, WITHIN) for p in dataset.pair_set(name).pairs}
         self._broken = broken

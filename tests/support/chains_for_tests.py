@@ -36,6 +36,8 @@ class Knows:
         log: gets a line for each question.
     """
 
+    uses_times = True  # it knows the pairs by them
+
     def __init__(
         self,
         reach: int = 1,

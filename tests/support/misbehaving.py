@@ -102,6 +102,8 @@ class Misbehaves:
         mark: a file that says that the deed has begun.
     """
 
+    uses_times = True  # it knows the pairs by them
+
     def __init__(self, deed: str = "", at: str = "", mark: str = "") -> None:
         self.deed, self.at, self.mark = deed, at, mark
 
@@ -143,6 +145,8 @@ class InPrepare(Misbehaves):
 
 class Writes:
     """Writes into one of the arrays that it is given, on the pair ``at``."""
+
+    uses_times = True  # it knows the pairs by them
 
     def __init__(self, what: str = "query", at: str = "") -> None:
         self.what, self.at = what, at

@@ -200,12 +200,16 @@ def case_of(reference_ns: int, query_ns: int) -> Case:
 class Misbehaving:
     """Does at each pair what :data:`CASES` says."""
 
+    uses_times = True  # it knows the pairs by them
+
     def track(self, reference: Reference, query: Query, prior: Any = None) -> Any:
         return case_of(reference.timestamp_ns, query.timestamp_ns).answer()
 
 
 class Batching:
     """Breaks batches as ``answer`` chooses: ``breaks`` raises at every tenth query, from the fourth on."""
+
+    uses_times = True  # it knows the pairs by them
 
     def __init__(self, answer: str = "good") -> None:
         self.answer = answer

@@ -18,6 +18,8 @@ from relocbench.tracking import Query, Reference, TrackResult
 class Basin:
     """Stays where it is put within a range of the prior's translation, or breaks as told; logs each question."""
 
+    uses_times = True  # it knows the pairs by them
+
     log: str = ""
     raises_at: int = -1
     dies_at: int = -1

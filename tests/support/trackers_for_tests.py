@@ -19,6 +19,8 @@ from relocbench.tracking import Query, Reference, TrackResult
 class Shift:
     """Answers a fixed shift; takes parameters of several kinds."""
 
+    uses_times = True  # it knows the pairs by them
+
     metres: Annotated[float, Field(ge=0)] = 0.1
     steps: int = 3
     loud: bool = False
@@ -74,6 +76,8 @@ class NotATracker:
 class WrongAnswers:
     """Breaks the contract in a way that the query's time chooses."""
 
+    uses_times = True  # it knows the pairs by them
+
     ANSWERS = (
         np.eye(4),
         None,
@@ -107,6 +111,8 @@ class Forgetful:
 
 class Batched:
     """Prepares, and answers several queries together."""
+
+    uses_times = True  # it knows the pairs by them
 
     def prepare(self, reference: Reference) -> str:
         return reference.key

@@ -96,7 +96,7 @@ class Traversal:
         return images.read_points(path) if path.exists() else None
 
     def reference(self, camera: str, timestamp_ns: int, neighbours: int = 0) -> Reference:
-        """A keyframe as a tracker gets it, with up to ``neighbours`` posed frames on each side."""
+        """A keyframe, with up to ``neighbours`` posed frames on each side."""
         return Reference(
             key=f"{self.name}/{camera}/{timestamp_ns}",
             timestamp_ns=timestamp_ns,
@@ -109,7 +109,7 @@ class Traversal:
         )
 
     def query(self, camera: str, timestamp_ns: int) -> Query:
-        """A query as a tracker gets it."""
+        """A query."""
         return Query(
             key=f"{self.name}/{camera}/{timestamp_ns}",
             timestamp_ns=timestamp_ns,
@@ -132,7 +132,8 @@ class Traversal:
         T_world_ref = self.T_world_cam(camera, timestamp_ns)
         for t in times[max(0, at - count) : at] + times[at + 1 : at + 1 + count]:
             T_neighbour_ref = invert(self.T_world_cam(camera, t)) @ T_world_ref
-            yield Neighbour(t, self.image(camera, t), self.camera(camera), T_neighbour_ref)
+            seconds = (t - timestamp_ns) / 1e9
+            yield Neighbour(seconds, self.image(camera, t), self.camera(camera), T_neighbour_ref)
 
     def _expected_size(self, camera: str) -> images.ExpectedSize:
         return images.ExpectedSize(self.camera(camera).size, f"camera '{camera}'")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from relocbench.errors import one_line
 from relocbench.evaluation.common.guard import guarded, implements
 from relocbench.evaluation.common.info_text import info_text
-from relocbench.evaluation.common.worker import read_only
+from relocbench.evaluation.common.views import read_only
 from relocbench.geometry import transform_to_tq
 from relocbench.tracking import ContractFault, Query, SupportsBatch, plain_pixels, plain_result
 

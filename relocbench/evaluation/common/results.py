@@ -111,6 +111,10 @@ class RunRecord(Strict):
     versions: dict[str, str] = Field(default_factory=dict)
     machine: dict[str, Any] = Field(default_factory=dict)
     workers: int | None = None
+    isolated: bool | None = None
+    """whether the method ran in a process without dataset and truth; None where that is not known"""
+    uses_times: bool = False
+    """whether the method was shown the times of images, as it declared to need"""
     start: str = ""
     end: str = ""
 

@@ -1,7 +1,8 @@
-"""What workers of all evaluations share: units of work, cached trackers, views of images, and journals."""
+"""What workers of all evaluations share: units of work, trackers that are kept, and journals."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import secrets
@@ -9,31 +10,40 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from itertools import groupby
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.core.traversal import Traversal
-from relocbench.evaluation.common.guard import guarded, implements, neighbours_of
-from relocbench.execution import MANY_TIMES, chunks, step
+from relocbench.evaluation.common.handles import LocalTracker, TrackerHandle
+from relocbench.evaluation.common.isolation import IsolatedTracker
+from relocbench.evaluation.common.views import shown_query, shown_reference
+from relocbench.execution import MANY_TIMES, Run, chunks, step
 from relocbench.files import read_journal
-from relocbench.methods import MethodSpec
-from relocbench.tracking import KeyframePoints, Query, Reference, SupportsPrepare
+from relocbench.methods import SUBPROCESS, MethodSpec
+from relocbench.tracking import Query
 
 CONSTRUCTOR = "constructor"
 PREPARE = "prepare"
 _PAIRS_A_UNIT = 16
 
-Scalar = TypeVar("Scalar", bound=np.generic)
+
+@dataclass(frozen=True)
+class Shown:
+    """What a method sees of the evaluation besides images, cameras and depth."""
+
+    isolated: bool = True
+    """it runs in a process that holds no dataset"""
+    times: bool = False
+    """it declares that it uses the times of images"""
 
 
 @dataclass(frozen=True)
@@ -47,70 +57,62 @@ class Unit:
     camera: str
     keys: tuple[PairKey, ...]
     journal: Path
+    shown: Shown
 
     def __str__(self) -> str:
         return f"{self.spec.label} on {self.reference}__{self.query}__{self.camera}, pair {self.keys[0]}"
 
 
+def shown_to(spec: MethodSpec, run: Run) -> Shown:
+    """What a method sees in a run. Raises MethodError."""
+    return Shown(isolated=run.apart, times=spec.uses_times())
+
+
 def units_of(
-    dataset: Dataset, pair_set: PairSet, spec: MethodSpec, journal: Path, keys: Sequence[PairKey]
+    dataset: Dataset,
+    pair_set: PairSet,
+    spec: MethodSpec,
+    journal: Path,
+    keys: Sequence[PairKey],
+    shown: Shown,
+    seed: int = 0,
 ) -> list[Unit]:
-    """Units of work for the pairs of ``keys``, each with pairs of a single reference."""
-    ordered = sorted(keys)
+    """Units of work for the pairs of ``keys``, each with pairs of a single reference.
+
+    Their order is drawn from ``seed`` and the dataset's fingerprint, which no method is told: it says nothing about
+    the drive. A method that uses times gets the pairs in the order of their times.
+    """
+    by_keyframe = [list(group) for _, group in groupby(sorted(keys), key=lambda key: key[0])]
+    if not shown.times:
+        rng = _rng(f"{seed} {dataset.fingerprint} {pair_set.name}")
+        by_keyframe = [[group[i] for i in rng.permutation(len(group))] for group in by_keyframe]
+        by_keyframe = [by_keyframe[i] for i in rng.permutation(len(by_keyframe))]
     common = (spec, dataset.root.resolve(), pair_set.reference, pair_set.query, pair_set.camera)
     return [
-        Unit(*common, tuple(chunk), journal.resolve())
-        for _, group in groupby(ordered, key=lambda key: key[0])
+        Unit(*common, tuple(chunk), journal.resolve(), shown)
+        for group in by_keyframe
         for chunk in chunks(group, _PAIRS_A_UNIT)
     ]
 
 
-def prepared(unit: Unit, tracker: Any) -> tuple[Any, str | None]:
-    """The unit's keyframe as the tracker's ``prepare`` returns it, or None and how the tracker broke on it."""
-    neighbours, broke = neighbours_of(tracker)
-    if broke is not None:
-        return None, broke
+def _rng(text: str) -> np.random.Generator:
+    return np.random.default_rng(list(hashlib.sha256(text.encode()).digest()))
+
+
+def show_keyframe(unit: Unit, tracker: TrackerHandle) -> str | None:
+    """Show the tracker the unit's keyframe; returns how it broke on it, if it did. Raises DatasetError."""
+    if tracker.declared.neighbours_fault:
+        return tracker.declared.neighbours_fault
     traversal = traversal_of(unit.dataset, unit.reference)
-    keyframe = shown_reference(traversal.reference(unit.camera, unit.keys[0][0], neighbours))
-    if not implements(tracker, SupportsPrepare):
-        return keyframe, None
+    keyframe = traversal.reference(unit.camera, unit.keys[0][0], tracker.declared.neighbours)
     with step(PREPARE, unit.keys, MANY_TIMES):
-        return prepare(tracker, keyframe)
-
-
-def prepare(tracker: Any, keyframe: Reference) -> tuple[Any, str | None]:
-    """What a tracker's ``prepare`` returns, or the keyframe itself where it has none; or None and how it broke."""
-    return guarded(lambda: tracker.prepare(keyframe)) if implements(tracker, SupportsPrepare) else (keyframe, None)
+        return tracker.prepare(shown_reference(keyframe, unit.shown.times))
 
 
 def query_of(unit: Unit, key: PairKey) -> Query:
-    """The query of a pair, read-only. Raises DatasetError."""
+    """The query of a pair as the tracker sees it. Raises DatasetError."""
     query = traversal_of(unit.dataset, unit.query).query(unit.camera, key[1])
-    return replace(query, image=read_only(query.image))
-
-
-def shown_reference(reference: Reference) -> Reference:
-    """A keyframe whose arrays are read-only."""
-    points, depth = reference.sparse_points, reference.depth
-    return replace(
-        reference,
-        image=read_only(reference.image),
-        depth=None if depth is None else read_only(depth),
-        sparse_points=None
-        if points is None
-        else KeyframePoints(read_only(points.uv), read_only(points.inverse_depth), read_only(points.sigma)),
-        neighbours=tuple(
-            replace(each, image=read_only(each.image), T_neighbour_ref=read_only(each.T_neighbour_ref))
-            for each in reference.neighbours
-        ),
-    )
-
-
-def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
-    """A read-only view: a method that writes to it gets a ValueError instead of changing the next method's input."""
-    shown = array.view()
-    shown.flags.writeable = False
-    return shown
+    return shown_query(query, unit.shown.times)
 
 
 def journal_entries(journal: Path) -> Iterator[dict[str, Any]]:
@@ -183,12 +185,17 @@ def time_factor(function: str, spec: MethodSpec, pairs: int = 1) -> float:
     return MANY_TIMES if is_first_call(function, spec) else min(float(pairs), MANY_TIMES)
 
 
-_trackers: dict[str, Any] = {}
+_trackers: dict[tuple[str, bool], TrackerHandle] = {}
 
 
-def tracker_of(spec: MethodSpec) -> Any:
-    """The tracker of a specification, constructed once for each process; constructing it may load weights."""
-    if repr(spec) not in _trackers:
+def tracker_of(unit: Unit) -> TrackerHandle:
+    """The tracker of a unit, made once for each process; making it may load weights.
+
+    A method that is a program is isolated by being one.
+    """
+    apart = unit.shown.isolated and not unit.spec.target.startswith(SUBPROCESS)
+    known = repr(unit.spec), apart
+    if known not in _trackers:
         with step(CONSTRUCTOR, times=MANY_TIMES):
-            _trackers[repr(spec)] = spec.create()
-    return _trackers[repr(spec)]
+            _trackers[known] = IsolatedTracker(unit.spec) if apart else LocalTracker(unit.spec.create())
+    return _trackers[known]

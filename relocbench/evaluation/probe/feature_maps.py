@@ -20,7 +20,8 @@ from relocbench.datasets.core.images import as_rgb, write_image
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.errors import MethodError
-from relocbench.evaluation.common.worker import read_only, tracker_of
+from relocbench.evaluation.common.views import read_only
+from relocbench.evaluation.common.worker import CONSTRUCTOR
 from relocbench.execution import MANY_TIMES, Loss, step
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
@@ -145,11 +146,22 @@ class Picture:
 def draw(picture: Picture) -> tuple[Path | None, str]:
     """Draw a picture in a worker; returns the file, or None and the reason. Raises MethodError."""
     label = picture.spec.label
-    tracker = tracker_of(picture.spec)
+    tracker = _tracker_of(picture.spec)
     if not has_features(tracker):
         return None, f"{label} offers no feature maps (it has no features())"
     with step("", times=MANY_TIMES):
         return write_feature_maps(picture.place, tracker, label, picture.folder), ""
+
+
+_made: dict[str, Any] = {}
+
+
+def _tracker_of(spec: MethodSpec) -> Any:
+    """The tracker of a picture, made once for each process. Nothing is scored here, so that it need not be isolated."""
+    if repr(spec) not in _made:
+        with step(CONSTRUCTOR, times=MANY_TIMES):
+            _made[repr(spec)] = spec.create()
+    return _made[repr(spec)]
 
 
 def lost_picture(picture: Picture, loss: Loss) -> tuple[Path | None, str]:

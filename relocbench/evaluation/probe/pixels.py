@@ -10,9 +10,7 @@ those alone: they depend on the keyframe's image, so that they are the same for 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from itertools import islice
 from typing import Any
 
 import cv2
@@ -21,9 +19,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.pairs.correspondences import Correspondences
-from relocbench.evaluation.common.answers import checked_pixels
-from relocbench.evaluation.common.guard import guarded
-from relocbench.evaluation.common.worker import read_only
+from relocbench.evaluation.common.handles import TrackerHandle
 from relocbench.evaluation.probe.tally import Tally
 from relocbench.evaluation.tracking.matching import Starts, draw_starts
 from relocbench.tracking import Query
@@ -34,18 +30,17 @@ OFFSETS_PX = (0, 1, 2, 4, 8, 16)
 NEAR = "match@1px"
 NEAR_ON_LEVEL = "match@1levelpx"
 _WITHIN_PX = {NEAR: 1.0, "match@3px": 3.0}
-_MOST_LEVELS = 32
 _DIGITS = 6
 """Distances are rounded to 1e-6 px, so that a start drawn 1 px from the truth counts as within 1 px."""
 
 
 def probe_pixels(
-    tracker: Any, reference: Any, query: Query, known: Correspondences, key: PairKey, per_pair: int, seed: int
+    tracker: TrackerHandle | None, query: Query, known: Correspondences, key: PairKey, per_pair: int, seed: int
 ) -> tuple[list[Tally], str]:
     """Probe the pixels of one pair.
 
     Args:
-        reference: what the tracker's ``prepare`` returned; None if that broke, in which case nothing is asked.
+        tracker: prepared for the keyframe; None if it broke on it, in which case nothing is asked.
 
     Returns:
         the tallies, none without visible correspondences; and how the method broke, empty if it did not. A method that
@@ -54,11 +49,13 @@ def probe_pixels(
     starts = draw_starts(known, query.camera, key, per_pair, OFFSETS_PX, seed)
     if not len(starts):
         return [], ""
-    ends, broke = (None, None) if reference is None else _asked(tracker.match, reference, query, starts)
+    if tracker is None:
+        return [_tally(None, starts, None)], ""
+    ends, broke = tracker.match(query, starts.uv_ref, starts.uv_start)
     tallies = [_tally(None, starts, ends)]
-    if reference is None or not callable(getattr(tracker, "match_levels", None)):
+    if not tracker.declared.levels:
         return tallies, broke or ""
-    levels, broke_too = _asked_by_level(tracker.match_levels, reference, query, starts)
+    levels, broke_too = tracker.match_levels(query, starts.uv_ref, starts.uv_start)
     tallies += [_tally(level, starts, e) for level, e in enumerate(levels)]
     return tallies, broke or broke_too or ""
 
@@ -84,28 +81,6 @@ def with_structure(known: Correspondences, image: NDArray[np.uint8], share: floa
 def level_names() -> tuple[str, ...]:
     """The criteria that are counted on a single level."""
     return (*_WITHIN_PX, NEAR_ON_LEVEL)
-
-
-def _asked(match: Callable[..., Any], reference: Any, query: Query, starts: Starts) -> tuple[Array | None, str | None]:
-    ends, broke = guarded(lambda: match(reference, query, read_only(starts.uv_ref), read_only(starts.uv_start)))
-    return checked_pixels(ends, broke, len(starts))
-
-
-def _asked_by_level(
-    match_levels: Callable[..., Any], reference: Any, query: Query, starts: Starts
-) -> tuple[list[Array], str | None]:
-    """The ends on each level, or none if one level's answer is invalid; the levels may come from a generator."""
-    uv_ref, uv_start = read_only(starts.uv_ref), read_only(starts.uv_start)
-    given, broke = guarded(lambda: list(islice(match_levels(reference, query, uv_ref, uv_start), _MOST_LEVELS + 1)))
-    if broke is None and len(given) > _MOST_LEVELS:
-        broke = f"match_levels returned more than {_MOST_LEVELS} levels"
-    found: list[Array] = []
-    for ends in given or ():
-        pixels, broke = checked_pixels(ends, broke, len(starts))
-        if pixels is None:
-            return [], broke
-        found.append(pixels)
-    return found, broke
 
 
 def _tally(level: int | None, starts: Starts, ends: Array | None) -> Tally:

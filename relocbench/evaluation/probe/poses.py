@@ -7,13 +7,13 @@ camera turned about its centre by a number of degrees about a random axis.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.evaluation.common.answers import ask, error_answer
+from relocbench.evaluation.common.answers import error_answer
+from relocbench.evaluation.common.handles import TrackerHandle
 from relocbench.evaluation.probe.tally import Tally, What
 from relocbench.geometry import make_transform, so3_exp
 from relocbench.metrics import PoseErrors, pose_errors, within
@@ -54,12 +54,12 @@ def draw_priors(T_query_ref: Array, what: What, key: PairKey, directions: int, s
 
 
 def probe_poses(
-    tracker: Any, reference: Any, query: Query, T_query_ref: Array, key: PairKey, directions: int, seed: int
+    tracker: TrackerHandle | None, query: Query, T_query_ref: Array, key: PairKey, directions: int, seed: int
 ) -> tuple[list[Tally], str]:
     """Probe the whole pose of one pair.
 
     Args:
-        reference: what the tracker's ``prepare`` returned; None if that broke, in which case nothing is asked.
+        tracker: prepared for the keyframe; None if it broke on it, in which case nothing is asked.
 
     Returns:
         the tallies of translation and rotation; and how the method broke, empty if it did not.
@@ -69,7 +69,7 @@ def probe_poses(
         priors = draw_priors(T_query_ref, what, key, directions, seed)
         flat = priors.reshape(-1, 4, 4)
         nothing = [error_answer("")] * len(flat)
-        results = nothing if reference is None else ask(tracker, reference, [query] * len(flat), list(flat))[0]
+        results = nothing if tracker is None else tracker.ask([query] * len(flat), list(flat))[0]
         broke = broke or next((r.message for r in results if r.status == "error"), "")
         answers = [np.full((4, 4), np.nan) if r.T_query_ref is None else r.T_query_ref for r in results]
         truth = np.repeat(T_query_ref[None], len(flat), axis=0)

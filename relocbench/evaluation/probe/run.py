@@ -15,6 +15,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError
+from relocbench.evaluation.common.blindness import blind_methods
 from relocbench.evaluation.common.capabilities import capabilities_of
 from relocbench.evaluation.common.execution_options import ExecutionOptions
 from relocbench.evaluation.common.opening import open_for_evaluation
@@ -23,9 +24,9 @@ from relocbench.evaluation.probe.feature_maps import Picture, draw, lost_picture
 from relocbench.evaluation.probe.table import Line, result_lines
 from relocbench.evaluation.probe.work import PairResult, Task, ask_pairs, task_for
 from relocbench.evaluation.probe.write import write_probe
-from relocbench.evaluation.tracking.run import new_record
+from relocbench.evaluation.tracking.run import made_by
 from relocbench.execution import kept_workers, run_limited
-from relocbench.methods import MethodSpec, parse_methods
+from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 
 
@@ -105,7 +106,7 @@ def probe_methods(options: ProbeOptions, reporter: Reporter) -> ProbeReport:
         RelocbenchError: a bad dataset, method or option, or nothing that can be probed.
     """
     dataset = open_for_evaluation(options.dataset, options.out)
-    specs = parse_methods(options.methods, options.set, options.seed)
+    specs = blind_methods(dataset, options.methods, options.set, options.seed)
     asked = chosen_pairs(dataset, options)
     with kept_workers():
         return _probe(dataset, specs, asked, options, reporter)
@@ -227,15 +228,16 @@ def _draw(
 
 
 def _about(dataset: Dataset, options: ProbeOptions, tasks: Sequence[tuple[MethodSpec, Task]]) -> dict[str, Any]:
-    workers = options.run.workers
     return {
         "dataset": dataset.name,
         "fingerprint": dataset.fingerprint,
         "options": json.loads(options.model_dump_json(exclude={"dataset", "out", *ExecutionOptions.model_fields})),
         "methods": [
-            new_record(dataset, spec, workers, options.seed).model_dump(
-                include={"method", "target", "parameters", "versions"}
-            )
+            {
+                key: value
+                for key, value in made_by(spec, options.run.workers, options.seed).items()
+                if key in ("method", "target", "parameters", "versions")
+            }
             for spec, _ in tasks
         ],
     }

@@ -18,14 +18,16 @@ from relocbench.datasets.core.writer import versions
 from relocbench.datasets.pairs.correspondences import read_correspondences
 from relocbench.errors import PredictionError, one_line
 from relocbench.evaluation.common.capabilities import Capabilities
+from relocbench.evaluation.common.handles import TrackerHandle
 from relocbench.evaluation.common.worker import (
     Unit,
     answered_keys,
     append_entry,
     journal_entries,
     open_journal,
-    prepared,
     query_of,
+    show_keyframe,
+    shown_to,
     tracker_of,
     traversal_of,
     units_of,
@@ -92,6 +94,7 @@ def ask_pairs(
         PredictionError: another process is writing to the folder.
         DatasetError: an image or a correspondence file is bad.
     """
+    shown = shown_to(spec, run)
     root = folder / f"{spec.label}-{_digest(dataset, spec, task)}"
     journals = {pair_set.name: root / pair_set.name for pair_set, _ in asked}
     for journal in journals.values():
@@ -101,7 +104,9 @@ def ask_pairs(
         return [
             ProbeUnit(**vars(unit), task=task)
             for pair_set, keys in asked
-            for unit in units_of(dataset, pair_set, spec, journals[pair_set.name], _open(keys, journals[pair_set.name]))
+            for unit in units_of(
+                dataset, pair_set, spec, journals[pair_set.name], _open(keys, journals[pair_set.name]), shown
+            )
         ]
 
     with (
@@ -144,16 +149,16 @@ def _left(asked: ChosenPairs, journals: dict[str, Path]) -> int:
 
 def _probe_unit(unit: ProbeUnit) -> int:
     """Probe the pairs of a unit in a worker; returns their number."""
-    tracker = tracker_of(unit.spec)
-    reference, broke = prepared(unit, tracker)
+    tracker = tracker_of(unit)
+    broke = show_keyframe(unit, tracker)
     with open_journal(unit.journal) as stream:
         for key in unit.keys:
-            answered = _ask(unit, key, tracker, None if broke else reference)
+            answered = _ask(unit, key, None if broke else tracker)
             write_entry(stream, _entry(key, answered[0], broke or answered[1]))
     return len(unit.keys)
 
 
-def _ask(unit: ProbeUnit, key: PairKey, tracker: Any, reference: Any) -> tuple[list[Tally], str]:
+def _ask(unit: ProbeUnit, key: PairKey, tracker: TrackerHandle | None) -> tuple[list[Tally], str]:
     task = unit.task
     query = query_of(unit, key)
     name = pair_set_name(unit.reference, unit.query, unit.camera)
@@ -164,13 +169,13 @@ def _ask(unit: ProbeUnit, key: PairKey, tracker: Any, reference: Any) -> tuple[l
         image = traversal_of(unit.dataset, unit.reference).image(unit.camera, key[0])
         known = with_structure(read_correspondences(correspondences, key), image, task.structured)
         with step("", (key,), MANY_TIMES):  # one call for the pixels of all offsets, and one for each level
-            found, message = probe_pixels(tracker, reference, query, known, key, task.per_pair, task.seed)
+            found, message = probe_pixels(tracker, query, known, key, task.per_pair, task.seed)
         tallies, messages = tallies + found, [*messages, message]
     if task.poses:
         truth = _pair_set(unit.dataset, name).by_key[key].T_query_ref
         assert truth is not None
         with step("", (key,), task.directions * sum(map(len, OFFSETS.values()))):
-            found, message = probe_poses(tracker, reference, query, truth, key, task.directions, task.seed)
+            found, message = probe_poses(tracker, query, truth, key, task.directions, task.seed)
         tallies, messages = tallies + found, [*messages, message]
     return tallies, next(filter(None, messages), "")
 
@@ -186,4 +191,4 @@ def _entry(key: PairKey, tallies: list[Tally], message: str) -> dict[str, Any]:
 
 def _write_broken(unit: ProbeUnit, key: PairKey, message: str) -> None:
     """Write the entry of a lost pair."""
-    append_entry(unit.journal, _entry(key, _ask(unit, key, None, None)[0], message))
+    append_entry(unit.journal, _entry(key, _ask(unit, key, None)[0], message))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import one_line
-from relocbench.evaluation.common.worker import read_only
+from relocbench.evaluation.common.views import read_only
 from relocbench.evaluation.retrieval.handles import LocalRetriever, RetrieverHandle, WorkerRetriever
 from relocbench.evaluation.retrieval.output_checks import fault_of
 from relocbench.execution import chunks

@@ -16,6 +16,7 @@ from relocbench.errors import DatasetError
 from relocbench.evaluation.common.answers import CheckedAnswer, ask, checked_answer, checked_pixels, error_answer
 from relocbench.evaluation.common.guard import guarded, implements, neighbours_of
 from relocbench.evaluation.common.info_text import INFO_CHARACTERS
+from relocbench.evaluation.common.views import shown_query, shown_reference
 from relocbench.execution import messages_to_stderr
 from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
@@ -46,6 +47,10 @@ class _Question:
     reference: Reference
     query: Query
 
+    def shown(self, times: bool) -> _Question:
+        """The question as an evaluation puts it."""
+        return _Question(self.name, shown_reference(self.reference, times), shown_query(self.query, times))
+
 
 def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
     """Try a tracker on synthetic views of a textured wall and, with a dataset, on its first pairs.
@@ -60,7 +65,8 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
         return findings
     if guarded(lambda: callable(getattr(tracker, "track", None)))[0] is not True:
         return [*findings, Finding("has track()", False, f"{type(tracker).__name__} has none")]
-    questions = _made_up() + (_from_dataset(dataset) if dataset else [])
+    times = guarded(lambda: bool(getattr(tracker, "uses_times", False)))[0] is True
+    questions = [each.shown(times) for each in _made_up() + (_from_dataset(dataset) if dataset else [])]
     _, fault = neighbours_of(tracker)
     if fault is not None:
         findings.append(Finding("says how many neighbours it wants", False, fault))

@@ -12,6 +12,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError
+from relocbench.evaluation.common.blindness import blind_methods
 from relocbench.evaluation.common.capabilities import capabilities_of
 from relocbench.evaluation.common.execution_options import ExecutionOptions
 from relocbench.evaluation.common.matching_table import read_matching
@@ -24,12 +25,13 @@ from relocbench.evaluation.common.results import (
     read_answers,
     write_dataset_record,
 )
+from relocbench.evaluation.tracking.clock import CLOCK, run_clock
 from relocbench.evaluation.tracking.external import import_predictions
 from relocbench.evaluation.tracking.matching import match_method
 from relocbench.evaluation.tracking.run import Overwrite, run_method
 from relocbench.evaluation.tracking.score import score_method
 from relocbench.execution import kept_workers
-from relocbench.methods import MethodSpec, parse_methods
+from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 
 
@@ -94,7 +96,8 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     dataset = open_for_evaluation(options.dataset, options.out)
     pair_sets = _chosen(dataset, options)
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
-    specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed)
+    named = [name for name in options.methods if name != CLOCK]
+    specs = [] if options.predictions else blind_methods(dataset, named, options.set, options.seed)
     results = dataset_results(options.out, dataset)
     if options.predictions is not None:
         label = options.methods[0] if options.methods else options.predictions.resolve().name
@@ -106,6 +109,8 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
             folders = [_run(dataset, pair_sets, spec, results, options, reporter) for spec in specs]
             if options.matching:
                 _match(dataset, pair_sets, specs, folders, options, reporter)
+        if CLOCK in options.methods:
+            folders.append(run_clock(dataset, pair_sets, results))
     for folder in folders:
         score_method(dataset, pair_sets, folder)
     return Report(dataset, pair_sets, folders, results.root, [b for f in folders for b in _broken(f, pair_sets)])

@@ -21,8 +21,7 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.pairs.correspondences import Correspondences, read_correspondences
 from relocbench.errors import PredictionError, one_line
-from relocbench.evaluation.common.answers import checked_pixels
-from relocbench.evaluation.common.guard import guarded
+from relocbench.evaluation.common.handles import TrackerHandle
 from relocbench.evaluation.common.matching_table import (
     OFFSETS_PX,
     Found,
@@ -38,10 +37,10 @@ from relocbench.evaluation.common.worker import (
     append_entry,
     journal_entries,
     open_journal,
-    prepared,
     query_of,
-    read_only,
     remove_journal,
+    show_keyframe,
+    shown_to,
     time_factor,
     tracker_of,
     traversal_of,
@@ -134,14 +133,17 @@ def match_method(
     left = [s for s in with_truth if not folder.matching(s.name).exists()]
     if not left:
         return
-    refuse_mixture(folder, new_record(dataset, spec, run.workers, seed), work_left=True)
+    shown = shown_to(spec, run)
+    refuse_mixture(folder, new_record(dataset, spec, run, shown, seed), work_left=True)
 
     def open_units() -> list[Unit]:
         # Units of all pair sets together: starting worker processes for each set would take longer than the work.
         return [
             unit
             for pair_set in left
-            for unit in units_of(dataset, pair_set, spec, _journal(folder, pair_set), _open_pairs(folder, pair_set))
+            for unit in units_of(
+                dataset, pair_set, spec, _journal(folder, pair_set), _open_pairs(folder, pair_set), shown, seed
+            )
         ]
 
     with ExitStack() as alone:
@@ -184,12 +186,12 @@ def _open_pairs(folder: MethodResults, pair_set: PairSet) -> list[PairKey]:
 
 def _match_unit(unit: Unit) -> int:
     """Measure the pairs of a unit in a worker; returns their number."""
-    tracker = tracker_of(unit.spec)
-    reference, broke = prepared(unit, tracker)
+    tracker = tracker_of(unit)
+    broke = show_keyframe(unit, tracker)
     with open_journal(unit.journal) as stream:
         for key in unit.keys:
             starts = _starts(unit, key)
-            ends, message = (None, broke) if broke else _ask(tracker, reference, unit, key, starts)
+            ends, message = (None, broke) if broke else _ask(tracker, unit, key, starts)
             write_entry(stream, _entry(key, starts, ends, message))
     return len(unit.keys)
 
@@ -204,15 +206,13 @@ def _correspondence_file(dataset: Path, pair_set: str) -> Path:
     return DatasetLayout(dataset).correspondence_file(pair_set)
 
 
-def _ask(tracker: Any, reference: Any, unit: Unit, key: PairKey, starts: Starts) -> tuple[Array | None, str | None]:
+def _ask(tracker: TrackerHandle, unit: Unit, key: PairKey, starts: Starts) -> tuple[Array | None, str | None]:
     """Return where the method's matches end (N, 2), or None and how it broke."""
     if not len(starts):
         return None, None
     query = query_of(unit, key)
-    uv_ref, uv_start = read_only(starts.uv_ref), read_only(starts.uv_start)
     with step("", (key,), time_factor("match", unit.spec)):
-        ends, broke = guarded(lambda: tracker.match(reference, query, uv_ref, uv_start))
-        return checked_pixels(ends, broke, len(starts))
+        return tracker.match(query, starts.uv_ref, starts.uv_start)
 
 
 def _entry(key: PairKey, starts: Starts, ends: Array | None, message: str | None) -> dict[str, Any]:

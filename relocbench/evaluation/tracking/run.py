@@ -19,9 +19,9 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, number_fields, parse_pose_numbers
 from relocbench.datasets.core.writer import versions
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.answers import CheckedAnswer, ask, error_answer
+from relocbench.evaluation.common.answers import CheckedAnswer, error_answer
 from relocbench.evaluation.common.capabilities import construction_fault
-from relocbench.evaluation.common.guard import implements
+from relocbench.evaluation.common.handles import TrackerHandle
 from relocbench.evaluation.common.results import (
     Answer,
     DatasetResults,
@@ -32,15 +32,17 @@ from relocbench.evaluation.common.results import (
     write_record,
 )
 from relocbench.evaluation.common.worker import (
+    Shown,
     Unit,
     answered_keys,
     append_entry,
     is_first_call,
     journal_entries,
     open_journal,
-    prepared,
     query_of,
     remove_journal,
+    show_keyframe,
+    shown_to,
     time_factor,
     tracker_of,
     units_of,
@@ -51,7 +53,7 @@ from relocbench.execution import MANY_TIMES, Run, chunks, default_workers, kept_
 from relocbench.files import alone_in, read_rows, remove_parts, write_text
 from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
 from relocbench.progress import Reporter
-from relocbench.tracking import Query, SupportsBatch
+from relocbench.tracking import Query
 
 Overwrite = Literal["never", "failed", "always"]
 _BATCH = 8
@@ -85,7 +87,8 @@ def run_method(
         DatasetError: an image, depth or description of the dataset is bad.
     """
     folder = results.method(spec.label)
-    record = new_record(dataset, spec, run.workers, seed)
+    shown = shown_to(spec, run)
+    record = new_record(dataset, spec, run, shown, seed)
     if overwrite == "always":
         # A method that cannot be made, say because of a mistyped path of weights, must not cost earlier answers.
         if _has_answers(folder) and (fault := construction_fault(spec, run)):
@@ -103,7 +106,7 @@ def run_method(
     lost = LossHandler(_write_broken)
     with stage as advance, kept_workers():
         for pair_set in pair_sets:
-            _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, run, advance)
+            _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, run, shown, seed, advance)
     started = folder.run_record().start
     write_record(folder.run_yaml, record.model_copy(update={"start": started, "end": now()}))
     return folder
@@ -117,6 +120,8 @@ def _run_pair_set(
     todo: list[PairKey],
     lost: LossHandler[Unit],
     run: Run,
+    shown: Shown,
+    seed: int,
     advance: Callable[[int], None],
 ) -> None:
     if not todo and folder.complete(pair_set.name):
@@ -126,7 +131,7 @@ def _run_pair_set(
 
     def open_units() -> list[Unit]:
         answered = answered_keys(journal)
-        return units_of(dataset, pair_set, spec, journal, [key for key in todo if key not in answered])
+        return units_of(dataset, pair_set, spec, journal, [key for key in todo if key not in answered], shown, seed)
 
     with alone_in(journal, PredictionError):
         run_until_answered(_run_unit, open_units, lost, run, advance)
@@ -135,30 +140,30 @@ def _run_pair_set(
 
 def _run_unit(unit: Unit) -> int:
     """Answer the pairs of a unit in a worker; returns their number."""
-    tracker = tracker_of(unit.spec)
-    reference, broke = prepared(unit, tracker)
+    tracker = tracker_of(unit)
+    broke = show_keyframe(unit, tracker)
     with open_journal(unit.journal) as stream:
-        for batch in chunks(unit.keys, _BATCH if implements(tracker, SupportsBatch) else 1):
+        for batch in chunks(unit.keys, _BATCH if tracker.declared.batches else 1):
             views = [query_of(unit, key) for key in batch]
             seconds: float | None
             if broke is not None:
                 answered, seconds = [error_answer(broke)] * len(batch), None
             else:
-                _warm_up(tracker, reference, views[0], unit.spec, batch)
+                _warm_up(tracker, views[0], unit.spec, batch)
                 with step("", tuple(batch), time_factor(_TRACK, unit.spec, len(batch))):
-                    answered, seconds = ask(tracker, reference, views)
+                    answered, seconds = tracker.ask(views)
             each = None if seconds is None else seconds / len(batch)
             for key, answer in zip(batch, answered, strict=True):
                 write_entry(stream, _entry(key, answer, each))
     return len(unit.keys)
 
 
-def _warm_up(tracker: Any, reference: Any, view: Query, spec: MethodSpec, keys: Sequence[PairKey]) -> None:
+def _warm_up(tracker: TrackerHandle, view: Query, spec: MethodSpec, keys: Sequence[PairKey]) -> None:
     """Make one untimed call in each process: compilation and first allocations are not the method's speed."""
     if spec.target.startswith(SUBPROCESS) or not is_first_call(_TRACK, spec):
         return
     with step("", tuple(keys), MANY_TIMES):
-        ask(tracker, reference, [view])
+        tracker.ask([view])
 
 
 def _entry(key: PairKey, answer: CheckedAnswer, seconds: float | None) -> dict[str, Any]:
@@ -232,10 +237,15 @@ def _kept_entries(folder: MethodResults, pair_set: PairSet) -> Iterator[dict[str
         }
 
 
-def new_record(dataset: Dataset, spec: MethodSpec, workers: int, seed: int) -> RunRecord:
+def new_record(dataset: Dataset, spec: MethodSpec, run: Run, shown: Shown, seed: int) -> RunRecord:
     """The record of a run that begins now."""
     return RunRecord(
-        dataset=dataset.name, fingerprint=dataset.fingerprint, question=dataset.question, **made_by(spec, workers, seed)
+        dataset=dataset.name,
+        fingerprint=dataset.fingerprint,
+        question=dataset.question,
+        isolated=shown.isolated,
+        uses_times=shown.times,
+        **made_by(spec, run.workers, seed),
     )
 
 

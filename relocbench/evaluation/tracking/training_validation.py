@@ -19,9 +19,9 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.learning.training_pairs import VALIDATION_SPLIT
 from relocbench.errors import ConfigError
-from relocbench.evaluation.common.answers import CheckedAnswer, ask, error_answer
-from relocbench.evaluation.common.guard import neighbours_of
-from relocbench.evaluation.common.worker import prepare
+from relocbench.evaluation.common.answers import CheckedAnswer, error_answer
+from relocbench.evaluation.common.handles import LocalTracker
+from relocbench.evaluation.common.views import shown_query, shown_reference
 from relocbench.metrics import PoseErrors, pose_errors, summarize
 from relocbench.progress import Reporter
 from relocbench.tracking import Tracker
@@ -99,13 +99,14 @@ class TrackerValidation:
 def _track(tracker: Tracker, asked: Sequence[_ValidationPair]) -> list[CheckedAnswer]:
     """The answers to the pairs of one keyframe."""
     first = asked[0]
-    neighbours, broke = neighbours_of(tracker)
-    if broke is not None:
+    times = bool(getattr(tracker, "uses_times", False))
+    handle = LocalTracker(tracker)
+    keyframe = first.dataset.reference(first.pair_set, first.pair, handle.declared.neighbours)
+    broke = handle.declared.neighbours_fault or handle.prepare(shown_reference(keyframe, times))
+    if broke:
         return [error_answer(broke)] * len(asked)
-    keyframe, broke = prepare(tracker, first.dataset.reference(first.pair_set, first.pair, neighbours))
-    if broke is not None:
-        return [error_answer(broke)] * len(asked)
-    return [ask(tracker, keyframe, [each.dataset.query(each.pair_set, each.pair)])[0][0] for each in asked]
+    queries = (shown_query(each.dataset.query(each.pair_set, each.pair), times) for each in asked)
+    return [handle.ask([query])[0][0] for query in queries]
 
 
 def _pairs_of(dataset: Dataset) -> list[_ValidationPair]:

@@ -272,7 +272,7 @@ def test_limits_that_cannot_be_kept_are_refused(dataset: Dataset, tmp_path: Path
 def test_a_memory_limit_without_proc_is_one_clear_line(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("relocbench.execution.memory._PROC", tmp_path / "nowhere")
+    monkeypatch.setattr("relocbench.execution.memory.PROC", tmp_path / "nowhere")
     with pytest.raises(ConfigError, match="--memory-limit needs /proc"):
         evaluate(dataset, tmp_path, "identity", memory_limit="1GB")
 
@@ -300,7 +300,7 @@ def wait_until(true: object, process: subprocess.Popen[str] | None = None) -> No
 
 def group_of(pid: int) -> list[int]:
     """A process, its descendants, and what these have started in sessions of their own."""
-    from relocbench.execution.memory import descendants
+    from relocbench.execution.descendants import descendants
 
     return [pid, *descendants(pid)]
 

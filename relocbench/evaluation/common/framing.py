@@ -1,0 +1,121 @@
+"""Messages between an evaluator and the process of a tracker, over a pair of connected sockets.
+
+Questions are pickled, with their arrays beside the pickle so that they are copied once. Answers come from a process
+that runs anybody's code: they are JSON and arrays of floats, and nothing in them is executed.
+"""
+
+from __future__ import annotations
+
+import json
+import pickle
+import socket
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_COUNT = struct.Struct("<Q")
+_LOOK_S = 0.25
+_MOST_TEXT = 2**26
+_MOST_ARRAYS = 4096
+_MOST_BYTES = 2**31
+
+
+class FramingFault(Exception):
+    """An answer that is not what the protocol says."""
+
+
+def send_question(connection: socket.socket, question: Any) -> None:
+    """Send any object that can be pickled. Raises OSError if the other side is gone."""
+    buffers: list[pickle.PickleBuffer] = []
+    text = pickle.dumps(question, protocol=5, buffer_callback=buffers.append)
+    parts = [buffer.raw() for buffer in buffers]
+    sizes = [len(text), *(part.nbytes for part in parts)]
+    connection.sendall(b"".join(map(_COUNT.pack, [len(sizes), *sizes])) + text)
+    for part in parts:
+        connection.sendall(part)
+
+
+def receive_question(connection: socket.socket) -> Any:
+    """The object that the evaluator sent; its arrays are read-only. Raises EOFError if the evaluator is gone."""
+    count = _number(connection)
+    sizes = [_number(connection) for _ in range(count)]
+    text, *parts = [_bytes(connection, size) for size in sizes]
+    return pickle.loads(text, buffers=[memoryview(part).toreadonly() for part in parts])
+
+
+def send_answer(connection: socket.socket, words: Any, arrays: Sequence[Array] = ()) -> None:
+    """Send plain values and arrays of floats."""
+    text = json.dumps({"words": words, "shapes": [list(array.shape) for array in arrays]}).encode()
+    connection.sendall(_COUNT.pack(len(text)) + text)
+    for array in arrays:
+        connection.sendall(np.ascontiguousarray(array, dtype="<f8").tobytes())
+
+
+def receive_answer(connection: socket.socket, alive: Callable[[], bool]) -> tuple[Any, list[Array]]:
+    """Plain values and arrays of floats.
+
+    Args:
+        alive: whether the other side still runs. The end of the connection is not enough to tell: processes that the
+            other side has started may hold it open.
+
+    Raises:
+        EOFError: the other side is gone.
+        FramingFault: what came is no answer.
+    """
+    length = _number(connection, alive)
+    if length > _MOST_TEXT:
+        raise FramingFault(f"an answer of {length} bytes, at most {_MOST_TEXT} are read")
+    text = _bytes(connection, length, alive)
+    try:
+        answer = json.loads(bytes(text).decode())
+        words, shapes = answer["words"], [tuple(map(_size, shape)) for shape in answer["shapes"]]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise FramingFault("something that is no JSON object of words and shapes") from None
+    sizes = [8 * int(np.prod(shape, dtype=object)) for shape in shapes]
+    if len(shapes) > _MOST_ARRAYS or sum(sizes) > _MOST_BYTES:
+        raise FramingFault(f"{len(shapes)} arrays of {sum(sizes)} bytes together")
+    arrays = [
+        np.frombuffer(_bytes(connection, size, alive), dtype="<f8").reshape(shape)
+        for size, shape in zip(sizes, shapes, strict=True)
+    ]
+    return words, arrays
+
+
+def _size(value: Any) -> int:
+    if type(value) is not int or value < 0:
+        raise ValueError("a size that is no number of things")
+    return value
+
+
+def _always() -> bool:
+    return True
+
+
+def _number(connection: socket.socket, alive: Callable[[], bool] = _always) -> int:
+    return int(_COUNT.unpack(_bytes(connection, _COUNT.size, alive))[0])
+
+
+def _bytes(connection: socket.socket, size: int, alive: Callable[[], bool] = _always) -> bytearray:
+    data = bytearray(size)
+    view = memoryview(data)
+    connection.settimeout(None if alive is _always else _LOOK_S)
+    try:
+        while view:
+            was_alive = alive()
+            try:
+                got = connection.recv_into(view)
+            except TimeoutError:
+                if was_alive:
+                    continue
+                raise EOFError from None
+            if not got:
+                raise EOFError
+            view = view[got:]
+    finally:
+        connection.settimeout(None)
+    return data

@@ -1,0 +1,110 @@
+"""Calling a tracker in this process: one keyframe after another, each with its queries, and only checked answers.
+
+:class:`TrackerHandle` is what evaluations call. :class:`LocalTracker` calls a tracker in this process;
+:class:`~relocbench.evaluation.common.isolation.IsolatedTracker` asks a process that holds nothing but the tracker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.evaluation.common.answers import CheckedAnswer, ask, checked_pixels
+from relocbench.evaluation.common.guard import guarded, implements, neighbours_of
+from relocbench.evaluation.common.views import read_only
+from relocbench.tracking import Query, Reference, SupportsBatch, SupportsLevelMatching, SupportsPrepare
+
+Array = NDArray[np.float64]
+
+_MOST_LEVELS = 32
+
+
+@dataclass(frozen=True)
+class Declared:
+    """What a tracker object declares of itself."""
+
+    batches: bool = False
+    """it answers several queries in one call"""
+    levels: bool = False
+    """it finds pixels on each level of its pyramid"""
+    neighbours: int = 0
+    """frames that it requests on each side of a keyframe"""
+    neighbours_fault: str = ""
+    """what is wrong with that request; empty if nothing is"""
+
+
+class TrackerHandle(Protocol):
+    """A tracker that can be called. The queries of all calls belong to the keyframe that was prepared last."""
+
+    @property
+    def declared(self) -> Declared: ...
+
+    def prepare(self, keyframe: Reference) -> str | None:
+        """Show the tracker a keyframe; returns how it broke on it, if it did."""
+        ...
+
+    def ask(
+        self, views: Sequence[Query], priors: Sequence[Array | None] | None = None
+    ) -> tuple[list[CheckedAnswer], float]:
+        """The answers to queries, and the seconds that the tracker took for them together."""
+        ...
+
+    def match(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Array | None, str | None]:
+        """Where pixels of the keyframe are in the query (N, 2); or None, and how the tracker broke."""
+        ...
+
+    def match_levels(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[list[Array], str | None]:
+        """The same on each level of the tracker's pyramid, finest first; none if one level's answer is invalid."""
+        ...
+
+
+class LocalTracker:
+    """A tracker in this process."""
+
+    def __init__(self, tracker: Any) -> None:
+        self._tracker = tracker
+        self._reference: Any = None
+        neighbours, fault = neighbours_of(tracker)
+        self.declared = Declared(
+            batches=implements(tracker, SupportsBatch),
+            levels=implements(tracker, SupportsLevelMatching),
+            neighbours=neighbours,
+            neighbours_fault=fault or "",
+        )
+
+    def prepare(self, keyframe: Reference) -> str | None:
+        self._reference = keyframe
+        if not implements(self._tracker, SupportsPrepare):
+            return None
+        self._reference, broke = guarded(lambda: self._tracker.prepare(keyframe))
+        return broke
+
+    def ask(
+        self, views: Sequence[Query], priors: Sequence[Array | None] | None = None
+    ) -> tuple[list[CheckedAnswer], float]:
+        return ask(self._tracker, self._reference, views, priors)
+
+    def match(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Array | None, str | None]:
+        given = read_only(uv_ref), read_only(uv_start)
+        ends, broke = guarded(lambda: self._tracker.match(self._reference, query, *given))
+        return checked_pixels(ends, broke, len(uv_ref))
+
+    def match_levels(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[list[Array], str | None]:
+        given = read_only(uv_ref), read_only(uv_start)
+        levels, broke = guarded(  # the levels may come from a generator
+            lambda: list(islice(self._tracker.match_levels(self._reference, query, *given), _MOST_LEVELS + 1))
+        )
+        if broke is None and len(levels) > _MOST_LEVELS:
+            broke = f"match_levels returned more than {_MOST_LEVELS} levels"
+        found: list[Array] = []
+        for ends in levels or ():
+            pixels, broke = checked_pixels(ends, broke, len(uv_ref))
+            if pixels is None:
+                return [], broke
+            found.append(pixels)
+        return found, broke

@@ -1,0 +1,122 @@
+"""The process of a tracker: it is shown keyframes and queries, and answers; it holds no dataset and no truth.
+
+Its only connection is a socket to the evaluator, over which it gets the method's specification, then images, cameras
+and depth. It ends when the evaluator does.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import socket
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import RelocbenchError, raised
+from relocbench.evaluation.common.answers import CheckedAnswer
+from relocbench.evaluation.common.framing import receive_question, send_answer
+from relocbench.evaluation.common.handles import LocalTracker
+from relocbench.execution import pin_threads
+from relocbench.methods import MethodSpec
+from relocbench.tracking import Query, Reference
+
+Array = NDArray[np.float64]
+
+_SET_PDEATHSIG = 1
+
+
+def main(descriptor: int, parent: int) -> None:
+    """Answer questions from a socket until its other end is closed.
+
+    Args:
+        descriptor: file descriptor of the socket.
+        parent: process id of the evaluator.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _end_with(parent)
+    pin_threads()
+    connection = _Connection(socket.socket(fileno=descriptor))
+    try:
+        spec: MethodSpec = connection.question()
+        try:
+            tracker = LocalTracker(spec.create())
+        except BaseException as bad:  # noqa: BLE001  the boundary to code that is not ours
+            connection.answer({"fault": str(bad) if isinstance(bad, RelocbenchError) else raised(bad)})
+            return
+        pin_threads()
+        connection.answer({"declared": vars(tracker.declared)})
+        asked = _Asked(tracker)
+        while True:
+            what, given = connection.question()
+            answer: Callable[..., tuple[Any, list[Array]]] = getattr(asked, what)
+            connection.answer(*answer(*given))
+    except (EOFError, OSError):
+        os._exit(0)  # at once: libraries that a method has loaded may take seconds to tidy up
+
+
+class _Connection:
+    """Questions and answers of this process alone: a child that a method forked and that returns here ends."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection, self._pid = connection, os.getpid()
+
+    def question(self) -> Any:
+        if os.getpid() != self._pid:
+            os._exit(1)
+        return receive_question(self._connection)
+
+    def answer(self, words: Any, arrays: list[Array] | tuple[()] = ()) -> None:
+        if os.getpid() != self._pid:
+            os._exit(1)
+        send_answer(self._connection, words, arrays)
+
+
+class _Asked:
+    """The questions of the protocol, by name."""
+
+    def __init__(self, tracker: LocalTracker) -> None:
+        self._tracker = tracker
+        self._shown: list[Query] = []
+
+    def prepare(self, keyframe: Reference) -> tuple[Any, list[Array]]:
+        return {"broke": self._tracker.prepare(keyframe)}, []
+
+    def show(self, views: list[Query]) -> tuple[Any, list[Array]]:
+        """Receive the queries that the next question is about, so that its time does not contain their transfer."""
+        self._shown = views
+        return {}, []
+
+    def ask(self, order: list[int], priors: list[Array | None] | None) -> tuple[Any, list[Array]]:
+        answers, _ = self._tracker.ask([self._shown[index] for index in order], priors)
+        poses = [answer.T_query_ref for answer in answers if answer.T_query_ref is not None]
+        return [_words(answer) for answer in answers], poses
+
+    def match(self, uv_ref: Array, uv_start: Array) -> tuple[Any, list[Array]]:
+        ends, broke = self._tracker.match(self._shown[0], uv_ref, uv_start)
+        return {"broke": broke}, [] if ends is None else [ends]
+
+    def match_levels(self, uv_ref: Array, uv_start: Array) -> tuple[Any, list[Array]]:
+        levels, broke = self._tracker.match_levels(self._shown[0], uv_ref, uv_start)
+        return {"broke": broke}, levels
+
+
+def _words(answer: CheckedAnswer) -> dict[str, Any]:
+    return {
+        "posed": answer.T_query_ref is not None,
+        "confidence": answer.confidence,
+        "message": answer.message,
+        "info": answer.info,
+    }
+
+
+def _end_with(parent: int) -> None:
+    """Have the kernel end this process with the evaluator (Linux); the socket's end tells it elsewhere."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)

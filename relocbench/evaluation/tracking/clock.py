@@ -1,0 +1,122 @@
+"""The floor of times: poses from the times of keyframe and query alone, without a look at any image.
+
+Drives along one road keep a similar pace, so that times tell much of a pose. Trackers see no times; what times would
+have told them is shown beside their scores. The floor is fitted to other pairs of the same set, which no method is
+given: it is at least what a method could learn of times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
+from relocbench.datasets.core.writer import versions
+from relocbench.errors import PredictionError
+from relocbench.evaluation.common.results import (
+    Answer,
+    DatasetResults,
+    MethodResults,
+    RunRecord,
+    write_answers,
+    write_record,
+)
+from relocbench.geometry import se3_exp, se3_log
+
+Array = NDArray[np.float64]
+
+CLOCK = "clock"
+TARGET = "floor:clock"
+FOLDS = 5
+_RIDGE = 1e-3
+_WITHHELD = "the truth is withheld, to which the floor is fitted"
+
+
+def clock_poses(ref_ns: Sequence[int], query_ns: Sequence[int], T_query_ref: Array) -> Array:
+    """Poses from times alone, by cross-validation: each pair is predicted from the pairs of other parts of the drive.
+
+    The six coordinates of ``log T_query_ref`` are regressed (ridge regression) on the time since the start of each
+    drive, its square, and the product of both times. The pairs are divided into five consecutive parts of the query's
+    drive; each part is predicted by a fit to the other four.
+
+    Args:
+        ref_ns: (N,) times of the keyframes.
+        query_ns: (N,) times of the queries.
+        T_query_ref: (N, 4, 4) the truth.
+
+    Returns:
+        (N, 4, 4); the identity where there are too few pairs to fit.
+    """
+    count = len(T_query_ref)
+    out = np.tile(np.eye(4), (count, 1, 1))
+    features = _features(np.asarray(ref_ns, dtype=np.int64), np.asarray(query_ns, dtype=np.int64))
+    if count <= 2 * features.shape[1]:
+        return out
+    logs = np.array([se3_log(T) for T in T_query_ref])
+    order = np.lexsort((np.asarray(ref_ns), np.asarray(query_ns)))
+    for part in np.array_split(order, FOLDS):
+        rest = np.setdiff1d(order, part)
+        mean, weights = _ridge(features[rest], logs[rest])
+        out[part] = [se3_exp(log) for log in mean + features[part] @ weights]
+    return out
+
+
+def _features(ref_ns: NDArray[np.int64], query_ns: NDArray[np.int64]) -> Array:
+    """(N, 5) functions of the times, each time from 0 to 1 over the pairs."""
+    r, q = (_share(times) for times in (ref_ns, query_ns))
+    return np.stack([r, q, r * r, q * q, r * q], axis=1)
+
+
+def _share(times_ns: NDArray[np.int64]) -> Array:
+    since = (times_ns - times_ns.min()).astype(np.float64) if len(times_ns) else np.zeros(0)
+    longest = float(since.max(initial=0.0))
+    return since / longest if longest else since
+
+
+def _ridge(x: Array, y: Array) -> tuple[Array, Array]:
+    """The offset (6,) and weights (K, 6) of a ridge regression; offsets are not shrunk."""
+    x_mean, y_mean = x.mean(axis=0), y.mean(axis=0)
+    centred = x - x_mean
+    spread = float(np.var(x, axis=0).mean()) or 1.0
+    gram = centred.T @ centred / len(x) + _RIDGE * spread * np.eye(x.shape[1])
+    weights = np.linalg.solve(gram, centred.T @ (y - y_mean) / len(x))
+    return y_mean - x_mean @ weights, weights
+
+
+def run_clock(dataset: Dataset, pair_sets: Sequence[PairSet], results: DatasetResults) -> MethodResults:
+    """Write the floor's predictions as those of a method called ``clock``; they are computed anew each time.
+
+    Raises:
+        PredictionError: the folder holds predictions of a method.
+    """
+    folder = results.method(CLOCK)
+    if folder.run_yaml.exists() and (target := folder.run_record().target) != TARGET:
+        raise PredictionError(f"holds predictions of '{target}'; the label '{CLOCK}' is the floor's", folder.run_yaml)
+    for pair_set in pair_sets:
+        pairs = pair_set.pairs
+        truth = [pair.T_query_ref for pair in pairs if pair.T_query_ref is not None]
+        lines: list[PoseLine] = []
+        answers = [Answer(pair.key, "failed", message=_WITHHELD) for pair in pairs]
+        if pairs and len(truth) == len(pairs):
+            ref, query = zip(*(pair.key for pair in pairs), strict=True)
+            poses = clock_poses(ref, query, np.array(truth))
+            lines = [PoseLine(*pair.key, pose) for pair, pose in zip(pairs, poses, strict=True)]
+            answers = [Answer(pair.key, "ok") for pair in pairs]
+        folder.root.mkdir(parents=True, exist_ok=True)
+        write_pose_lines(folder.predictions(pair_set.name), lines)
+        write_answers(folder.answers(pair_set.name), answers)
+    record = RunRecord(
+        method=CLOCK,
+        target=TARGET,
+        dataset=dataset.name,
+        fingerprint=dataset.fingerprint,
+        question=dataset.question,
+        versions=versions(),
+        uses_times=True,
+    )
+    write_record(folder.run_yaml, record)
+    return folder

@@ -1,0 +1,113 @@
+"""Methods that try to learn the pose from somewhere else than the images gain nothing over the identity."""
+
+from __future__ import annotations
+
+import json
+from contextvars import Context
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cheating_trackers import FRAMES
+from small_dataset import ACROSS, make_small_dataset
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.errors import MethodError, RelocbenchError
+from relocbench.evaluation.common.error_table import read_errors
+from relocbench.evaluation.common.results import Answer, MethodResults, read_answers
+from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
+from relocbench.progress import Silent
+
+pytestmark = pytest.mark.usefixtures("workers_kept")
+HERE = "cheating_trackers"
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return make_small_dataset(tmp_path_factory.mktemp("data") / "small", frames=8)
+
+
+def evaluate(dataset: Dataset, out: Path, *methods: str, **options: object) -> list[MethodResults]:
+    chosen = {"workers": 1, "pair_sets": (ACROSS,), **options}
+    return evaluate_methods(EvaluateOptions(dataset=dataset.root, methods=methods, out=out, **chosen), Silent()).folders
+
+
+def errors(folder: MethodResults) -> list[float]:
+    return [row.translation_error_m for row in read_errors(folder.errors(ACROSS))]
+
+
+def answers(folder: MethodResults) -> list[Answer]:
+    return list(read_answers(folder.answers(ACROSS)).values())
+
+
+@pytest.mark.parametrize("name", ["Clock", "KeyReader", "StackWalker"])
+def test_who_looks_elsewhere_finds_nothing(dataset: Dataset, tmp_path: Path, name: str) -> None:
+    cheat, floor = evaluate(dataset, tmp_path, f"cheat={HERE}:{name}", "identity")
+    assert [json.loads(answer.info)["found"] for answer in answers(cheat)] == [[]] * len(answers(cheat))
+    assert errors(cheat) == errors(floor)
+    assert cheat.run_record().isolated is True
+
+
+@pytest.mark.parametrize("name", ["StackWalker"])
+def test_a_run_in_the_evaluators_process_says_so(dataset: Dataset, tmp_path: Path, name: str) -> None:
+    (cheat,) = evaluate(dataset, tmp_path, f"cheat={HERE}:{name}", workers=0)
+    assert any(json.loads(answer.info)["found"] for answer in answers(cheat)), "the walker finds what there is"
+    assert cheat.run_record().isolated is False
+
+
+def test_who_declares_that_it_uses_times_gets_them_and_is_marked(dataset: Dataset, tmp_path: Path) -> None:
+    clock, floor = evaluate(dataset, tmp_path, f"clock={HERE}:DeclaredClock", "identity")
+    assert max(errors(clock)) < 0.13 < max(errors(floor))
+    assert clock.run_record().uses_times
+    assert not floor.run_record().uses_times
+
+
+def test_pairs_are_asked_in_an_order_that_says_nothing(dataset: Dataset, tmp_path: Path) -> None:
+    def asked(out: str, seed: int) -> list[tuple[int, int, int]]:
+        # With a process of its own, which has not been asked before.
+        (cheat,) = Context().run(evaluate, dataset, tmp_path / out, f"cheat={HERE}:Order", seed=seed)
+        told = [(answer.key, json.loads(answer.info)) for answer in answers(cheat)]
+        return [(key[0], info["keyframe"], info["query"]) for key, info in told]
+
+    first, again, other = asked("a", 0), asked("b", 0), asked("c", 1)
+    assert first == again, "the order is drawn from the seed"
+    assert first != other
+    keyframes = sorted({time for time, _, _ in first})
+    places = {time: place for time, place, _ in first}
+    assert [places[time] for time in keyframes] != sorted(places.values()), "keyframes are not asked in time order"
+
+
+def test_who_writes_to_its_input_spoils_nothing_for_the_next(dataset: Dataset, tmp_path: Path) -> None:
+    evaluate(dataset, tmp_path / "both", f"cheat={HERE}:Mutator", "orb-pnp")
+    evaluate(dataset, tmp_path / "alone", "orb-pnp")
+    both, alone = (next((tmp_path / out).glob("*@*/orb-pnp")) / f"{ACROSS}.txt" for out in ("both", "alone"))
+    assert both.read_bytes() == alone.read_bytes()
+
+
+def test_answers_are_checked_where_the_method_cannot_reach(dataset: Dataset, tmp_path: Path) -> None:
+    (cheat,) = evaluate(dataset, tmp_path, f"cheat={HERE}:Forger", set=("how=patch",))
+    forged = [answer for answer in answers(cheat) if answer.status == "error"]
+    assert len(forged) >= len(answers(cheat)) - 1, "the first answer was given before the patch"
+    assert "not a rigid transform" in forged[0].message
+    assert not any("\n" in answer.message for answer in answers(cheat))
+
+
+def test_seconds_are_measured_where_the_method_cannot_reach(dataset: Dataset, tmp_path: Path) -> None:
+    (cheat,) = evaluate(dataset, tmp_path, f"cheat={HERE}:Forger", set=("how=clock",))
+    assert min(answer.seconds or 0 for answer in answers(cheat)) >= 0.05
+
+
+@pytest.mark.parametrize("how", FRAMES)
+def test_a_process_that_speaks_out_of_turn_gains_nothing(dataset: Dataset, tmp_path: Path, how: str) -> None:
+    try:
+        (cheat,) = evaluate(dataset, tmp_path, f"cheat={HERE}:Forger", set=(f"how={how}",))
+    except RelocbenchError:
+        return  # the run is refused
+    (floor,) = evaluate(dataset, tmp_path, "identity")
+    assert all(mine >= floors or np.isinf(mine) for mine, floors in zip(errors(cheat), errors(floor), strict=True))
+
+
+def test_a_method_is_not_given_the_path_of_the_dataset(dataset: Dataset, tmp_path: Path) -> None:
+    for path in (dataset.root, dataset.root / "pairs", dataset.root.parent / "." / dataset.root.name):
+        with pytest.raises(MethodError, match="names a file or folder of the dataset"):
+            evaluate(dataset, tmp_path, "cheat=trackers_for_tests:Required", set=(f"weights={path}",))

@@ -1,0 +1,193 @@
+"""Trackers that do not track: each tries to learn the pose from somewhere else than the images.
+
+Each answers the identity where it learns nothing, so that it must not be better than that floor, and says in
+``info["found"]`` what it has found.
+"""
+
+from __future__ import annotations
+
+import gc
+import inspect
+import json
+import os
+import socket
+import struct
+import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.pair_set import PairSet
+from relocbench.tracking import Query, Reference, TrackResult
+
+SPACING_M = 0.15
+"""between frames of the drives in the tests' dataset, which a cheat may know from training"""
+STEP_NS = 100_000_000
+
+
+def forward(metres: float) -> np.ndarray[Any, Any]:
+    """``T_query_ref`` of a query that is so far ahead."""
+    pose = np.eye(4)
+    pose[2, 3] = -metres
+    return pose
+
+
+class Clock:
+    """Knows how fast the drives go, and takes the pose from the times of the images."""
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        times = reference.timestamp_ns, query.timestamp_ns
+        if times[0] is None or times[1] is None:
+            return TrackResult(np.eye(4), info={"found": []})
+        return TrackResult(forward(_since(times[1], times[0]) * SPACING_M), info={"found": ["times"]})
+
+
+class DeclaredClock(Clock):
+    """The same, which says that it uses times."""
+
+    uses_times = True
+
+
+class KeyReader:
+    """Reads frame numbers from the keys of images."""
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        times = [int(part) for key in (reference.key, query.key) for part in key.split("/") if part.isdigit()]
+        if len(times) != 2 or max(times) < 10**17:
+            return TrackResult(np.eye(4), info={"found": []})
+        return TrackResult(forward(_since(times[1], times[0]) * SPACING_M), info={"found": ["keys"]})
+
+
+class Order:
+    """Believes that it is asked about the drive from its start to its end, keyframe by keyframe."""
+
+    def __init__(self) -> None:
+        self._keyframes: list[str] = []
+        self._asked = 0
+
+    def prepare(self, reference: Reference) -> Reference:
+        if reference.key not in self._keyframes:
+            self._keyframes.append(reference.key)
+            self._asked = 0
+        return reference
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        at, self._asked = self._asked, self._asked + 1
+        return TrackResult(np.eye(4), info={"keyframe": len(self._keyframes) - 1, "query": at, "key": query.key})
+
+
+class StackWalker:
+    """Looks for a dataset, its truth or its path in frames, in all objects, and in what the system tells of itself."""
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        found = sorted({*_in_frames(), *_in_objects(), *_in_process()})
+        return TrackResult(np.eye(4), info={"found": found})
+
+
+def _in_frames() -> list[str]:
+    names = {type(value).__name__ for frame in inspect.stack() for value in frame.frame.f_locals.values()}
+    return [f"a {name} on the stack" for name in names & {"Dataset", "PairSet", "Unit", "Traversal", "MapTruth"}]
+
+
+def _in_objects() -> list[str]:
+    found = []
+    for one in gc.get_objects():
+        with suppress(Exception):
+            if isinstance(one, Dataset | PairSet):
+                found.append(f"a {type(one).__name__} in memory")
+            if isinstance(one, Path) and _is_dataset(one):
+                found.append("the path of a dataset in memory")
+            if isinstance(one, dict):
+                found += ["the path of a dataset in memory" for each in one.values() if _names_dataset(each)]
+    return found
+
+
+def _in_process() -> list[str]:
+    found = ["the path of a dataset in the arguments" for word in sys.argv if _names_dataset(word)]
+    found += ["the path of a dataset in the environment" for word in os.environ.values() if _names_dataset(word)]
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):
+            if _names_dataset(descriptor.readlink()):
+                found.append("an open file of a dataset")
+    return found
+
+
+def _names_dataset(value: Any) -> bool:
+    return isinstance(value, str | Path) and len(str(value)) < 4096 and "/" in str(value) and _is_dataset(Path(value))
+
+
+def _is_dataset(path: Path) -> bool:
+    return any((above / "dataset.yaml").is_file() for above in (path, *path.parents))
+
+
+class Mutator:
+    """Writes to everything that it is shown, to spoil it for whoever is asked next."""
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        found = []
+        for name, array in (("image", reference.image), ("depth", reference.depth), ("query", query.image)):
+            if array is None:
+                continue
+            for target in (array, array.base):
+                with suppress(Exception):
+                    target.setflags(write=True)  # type: ignore[union-attr]
+                with suppress(Exception):
+                    target[...] = 0  # type: ignore[index]
+                    found.append(name)
+        return TrackResult(np.eye(4), info={"found": found})
+
+
+@dataclass
+class Forger:
+    """Answers in the protocol's stead, and undoes the checks of its own process."""
+
+    how: str = "patch"
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        if self.how == "patch":
+            import relocbench.evaluation.common.answers as answers
+            import relocbench.evaluation.common.isolated_process as process
+
+            huge = answers.CheckedAnswer("ok", np.full((4, 4), 1e300), 2.0, "forged\nline", "[]")
+            process.LocalTracker.ask = lambda *_, **__: ([huge], 0.0)  # type: ignore[method-assign,assignment]
+        elif self.how == "clock":
+            time.perf_counter = lambda: 0.0
+            time.sleep(0.05)
+        else:
+            for connection in _sockets():
+                connection.sendall(_FRAMES[self.how])
+        return TrackResult(np.eye(4))
+
+
+def _frame(text: bytes) -> bytes:
+    return struct.pack("<Q", len(text)) + text
+
+
+_FRAMES = {
+    "pickle": _frame(b"cos\nsystem\n(S'false'\ntR."),
+    "text": _frame(b"not json"),
+    "huge": struct.pack("<Q", 2**60),
+    "arrays": _frame(json.dumps({"words": [], "shapes": [[2**40, 2**40]]}).encode()),
+    "many": _frame(json.dumps({"words": [{"posed": True}] * 3, "shapes": []}).encode()),
+    "fields": _frame(json.dumps({"words": [{"posed": True, "confidence": "x"}], "shapes": []}).encode()),
+    "nothing": _frame(json.dumps({"words": None, "shapes": []}).encode()),
+}
+FRAMES = tuple(_FRAMES)
+
+
+def _sockets() -> list[socket.socket]:
+    found = []
+    for descriptor in range(3, 64):
+        with suppress(OSError):
+            found.append(socket.socket(fileno=os.dup(descriptor)))
+    return found
+
+
+def _since(later_ns: int, earlier_ns: int) -> float:
+    """Frames between two times; the drives of the tests' dataset start at whole multiples of 1e15 ns."""
+    return ((later_ns % 10**15) - (earlier_ns % 10**15)) / STEP_NS
