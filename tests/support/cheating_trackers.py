@@ -151,10 +151,10 @@ class Forger:
     def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
         if self.how == "patch":
             import relocbench.evaluation.common.answers as answers
-            import relocbench.evaluation.common.isolated_process as process
+            import relocbench.evaluation.common.handles as handles
 
             huge = answers.CheckedAnswer("ok", np.full((4, 4), 1e300), 2.0, "forged\nline", "[]")
-            process.LocalTracker.ask = lambda *_, **__: ([huge], 0.0)  # type: ignore[method-assign,assignment]
+            handles.LocalTracker.ask = lambda *_, **__: ([huge], 0.0)  # type: ignore[method-assign]
         elif self.how == "clock":
             time.perf_counter = lambda: 0.0
             time.sleep(0.05)
