@@ -28,6 +28,8 @@ from relocbench.methods.lookup import call_third_party, entry_points_of, hint, l
 
 ENTRY_POINT_GROUP = "relocbench.methods"
 SUBPROCESS = "subprocess:"
+START = "start"
+"""the setting that names the tracker whose pose another one starts from"""
 
 
 @dataclass(frozen=True)
@@ -65,13 +67,32 @@ class MethodSpec:
     target: str
     """entry point, dotted path or ``subprocess:COMMAND``"""
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """all parameters, with defaults filled in, as plain values"""
+    """all parameters, with defaults filled in, as plain values; ``start`` and ``start.KEY`` are of :attr:`start`"""
     kind: MethodKind = TRACKERS
+
+    @property
+    def start(self) -> MethodSpec | None:
+        """The tracker whose pose this one starts from, if the user named one."""
+        target = self.parameters.get(START)
+        if target is None or START in _names(self.target, self.kind):
+            return None
+        prefix = f"{START}."
+        own = {name.removeprefix(prefix): value for name, value in self.parameters.items() if name.startswith(prefix)}
+        return MethodSpec(f"{self.label}.{START}", target, own, self.kind)
 
     def create(self) -> Any:
         """Construct the tracker or retriever. Raises MethodError."""
         factory = method_class(self.target, self.kind)
-        return call_third_party(f"{self.kind.noun} '{self.label}' cannot be made", lambda: factory(**self.parameters))
+        start = self.start
+        own = self.parameters
+        if start is not None:
+            own = {name: value for name, value in own.items() if name.partition(".")[0] != START}
+        made = call_third_party(f"{self.kind.noun} '{self.label}' cannot be made", lambda: factory(**own))
+        if start is None:
+            return made
+        from relocbench.methods.started import StartedTracker
+
+        return StartedTracker(made, start.create())
 
     def uses_times(self) -> bool:
         """Whether the method asks for the times of images: by the attribute ``uses_times`` of its class or factory.
@@ -80,8 +101,9 @@ class MethodSpec:
         """
         if self.target.startswith(SUBPROCESS):
             return bool(self.parameters.get("uses_times", False))
-        factory = method_class(self.target, self.kind)
-        return bool(call_third_party(f"'{self.label}' cannot be read", lambda: getattr(factory, "uses_times", False)))
+        if self.start is not None and self.start.uses_times():
+            return True
+        return _declares(self.target, self.kind, "uses_times")
 
     def files(self) -> dict[str, str]:
         """The SHA-256 of each file that affects the answers, by name: a file may change while its path does not.
@@ -92,8 +114,11 @@ class MethodSpec:
         named = {name: value for name, value in self.parameters.items() if isinstance(value, Path)}
         tell = getattr(method_class(self.target, self.kind), "files", None)
         if callable(tell):
-            named |= call_third_party(f"the files of '{self.label}' cannot be listed", lambda: tell(**self.parameters))
-        return {name: sha256_file(path) for name, path in sorted(named.items()) if path.is_file()}
+            known = _names(self.target, self.kind)
+            own = {name: value for name, value in self.parameters.items() if name in known}
+            named |= call_third_party(f"the files of '{self.label}' cannot be listed", lambda: tell(**own))
+        own = {name: sha256_file(path) for name, path in sorted(named.items()) if path.is_file()}
+        return own | ({f"{START}.{name}": digest for name, digest in self.start.files().items()} if self.start else {})
 
 
 @dataclass(frozen=True)
@@ -122,7 +147,9 @@ def installed_methods(kind: MethodKind = TRACKERS) -> dict[str, metadata.EntryPo
 def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0, kind: MethodKind = TRACKERS) -> MethodSpec:
     """Parse a method from ``[LABEL=]TARGET`` and settings ``key=value`` or ``LABEL.key=value``.
 
-    Settings for other labels are ignored. A parameter called ``seed`` gets ``seed`` unless it is set.
+    Settings for other labels are ignored. A parameter called ``seed`` gets ``seed`` unless it is set. The setting
+    ``start=METHOD`` of a tracker that uses a prior, and has no parameter of that name, names the tracker whose pose it
+    starts from, and ``LABEL.start.key=value`` sets the parameters of that one.
 
     Raises:
         MethodError: an unknown method, one of another kind, an unknown parameter, a value of the wrong type, or a
@@ -132,14 +159,21 @@ def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0, kind: M
     known = {p.name: p for p in parameters_of(target, kind)}
     noun = kind.noun
     chosen: dict[str, Any] = {}
+    of_start: list[str] = []
     for setting in settings:
         key, separator, value = setting.partition("=")
         if not separator:
             raise MethodError(f"--set {cut(setting)}: expected key=value or LABEL.key=value")
         prefix, dot, rest = key.rpartition(".")
+        if prefix == f"{label}.{START}":
+            of_start.append(f"{rest}={value}")
+            continue
         if dot and prefix != label:
             continue
         name = rest if dot else key
+        if name == START and START not in known and (_declares(target, kind, "uses_prior") or _is_program(target)):
+            chosen[START] = value
+            continue
         if name not in known:
             have = ", ".join(known) or "none"
             raise MethodError(f"{noun} '{label}' has no parameter '{name}'{hint(name, known)}; it has: {have}")
@@ -154,7 +188,35 @@ def parse_method(text: str, settings: Sequence[str] = (), seed: int = 0, kind: M
         if name not in chosen and parameter.required:
             raise MethodError(f"{noun} '{label}' needs its parameter '{name}': --set {label}.{name}=VALUE")
         chosen.setdefault(name, parameter.default)
-    return MethodSpec(label, target, {name: chosen[name] for name in known}, kind)
+    own = {name: chosen[name] for name in known}
+    if START not in known:
+        own |= _start_parameters(label, chosen.get(START), of_start, seed)
+    return MethodSpec(label, target, own, kind)
+
+
+def _start_parameters(label: str, target: str | None, settings: Sequence[str], seed: int) -> dict[str, Any]:
+    """``start`` and ``start.KEY`` of a method that starts from another one; nothing where it does not."""
+    if target is None:
+        if settings:
+            given = f"{label}.{START}.{cut(settings[0])}"
+            raise MethodError(f"--set {given}: no --set {label}.{START}=METHOD names a start")
+        return {}
+    start = parse_method(f"{START}={target}", settings, seed)
+    return {START: target, **{f"{START}.{name}": value for name, value in start.parameters.items()}}
+
+
+def _is_program(target: str) -> bool:
+    return target.startswith(SUBPROCESS)
+
+
+def _names(target: str, kind: MethodKind) -> set[str]:
+    return {parameter.name for parameter in parameters_of(target, kind)}
+
+
+def _declares(target: str, kind: MethodKind, name: str) -> bool:
+    """Whether the class or factory of a method has a true attribute."""
+    factory = method_class(target, kind)
+    return bool(call_third_party(f"'{target}' cannot be read", lambda: getattr(factory, name, False)))
 
 
 def parse_methods(
@@ -177,7 +239,7 @@ def parse_methods(
         raise MethodError(str(bad)) from None
     for setting in settings:
         wanted = setting_label(setting)
-        if wanted is not None and wanted not in labels:
+        if wanted is not None and wanted.removesuffix(f".{START}") not in labels:
             raise MethodError(
                 f"--set {cut(setting)}: no {kind.noun} '{wanted}' in this run; there is {', '.join(labels)}"
             )

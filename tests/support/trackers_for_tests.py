@@ -29,7 +29,7 @@ class Shift:
     def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
         pose = np.eye(4)
         pose[0, 3] = self.metres
-        return TrackResult(pose, confidence=float(query.timestamp_ns % 7), info={"steps": np.int64(self.steps)})
+        return TrackResult(pose, confidence=float((query.timestamp_ns or 0) % 7), info={"steps": np.int64(self.steps)})
 
 
 @dataclass
@@ -57,6 +57,19 @@ class Logging(Shift):
         if query.timestamp_ns == self.raises_at:
             raise ZeroDivisionError("on purpose")
         return super().track(reference, query, prior)
+
+
+class FromPrior:
+    """Answers the prior, so that it shows where it started."""
+
+    uses_prior = True
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        return TrackResult.failure("no prior") if prior is None else TrackResult(prior, info={"own": 1})
+
+    def match(self, reference: Reference, query: Query, uv_ref: Any, uv_start: Any) -> Any:
+        assert isinstance(reference, str)
+        return uv_start
 
 
 class Required:

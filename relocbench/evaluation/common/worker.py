@@ -191,9 +191,10 @@ _trackers: dict[tuple[str, bool], TrackerHandle] = {}
 def tracker_of(unit: Unit) -> TrackerHandle:
     """The tracker of a unit, made once for each process; making it may load weights.
 
-    A method that is a program is isolated by being one.
+    A method that is a program, and nothing else, is isolated by being one.
     """
-    apart = unit.shown.isolated and not unit.spec.target.startswith(SUBPROCESS)
+    program = unit.spec.target.startswith(SUBPROCESS) and unit.spec.start is None
+    apart = unit.shown.isolated and not program
     known = repr(unit.spec), apart
     if known not in _trackers:
         with step(CONSTRUCTOR, times=MANY_TIMES):
