@@ -61,21 +61,23 @@ def test_a_method_no_better_than_the_floor_is_named(one_set: MadeResults, tmp_pa
     assert found.above_floor.significant
 
 
-@pytest.mark.parametrize(("sigma", "grey"), [(0.04, False), (0.06, True), (None, False)])
-def test_thresholds_finer_than_two_sigma_are_grey(tmp_path: Path, sigma: float | None, grey: bool) -> None:
+@pytest.mark.parametrize(("sigma", "marked"), [(0.04, False), (0.06, True), (None, False)])
+def test_thresholds_finer_than_two_sigma_have_a_dagger(tmp_path: Path, sigma: float | None, marked: bool) -> None:
     results = MadeResults(tmp_path / "results", {WINTER: 50}, sigma_m=sigma)
     results.write_dataset()
     results.add("mine", {WINTER: made(1, 50, 0.1)})
     page = page_of(results, tmp_path / "out")
-    assert ("| recall@(0.1m,1deg), % † |" in page) == grey
-    assert ("<sub>" in page.split("## town")[1]) == grey
-    assert ("`recall@(0.1m,1deg)`." in page) == grey
+    assert ("| recall@(0.1m,1deg), % † |" in page) == marked
+    assert ("<sub>" in page.split("## town")[1]) == marked
+    assert ("`recall@(0.1m,1deg)`." in page) == marked
     finer = read_csv(tmp_path / "out" / "leaderboard.csv")[0]["finer_than_truth"]
-    assert ("recall@(0.1m,1deg)" in finer.split()) == grey
+    assert ("recall@(0.1m,1deg)" in finer.split()) == marked
     assert "recall@(0.5m,5deg)" not in finer.split()
+    assert "<sub>Small</sub> numbers with a dagger (†)" in page
+    assert ("</sub>† |" in page) == marked
 
 
-def test_ranks_by_a_grey_metric_come_with_a_warning(tmp_path: Path) -> None:
+def test_ranks_by_a_metric_with_a_dagger_come_with_a_warning(tmp_path: Path) -> None:
     results = MadeResults(tmp_path / "results", {WINTER: 50}, sigma_m=0.3)
     results.write_dataset()
     results.add("mine", {WINTER: made(1, 50, 0.1)})

@@ -35,7 +35,7 @@ _HEADINGS = {
     "median_rotation_error_deg": "median, °",
     "coverage": "coverage, %",
 }
-GREY = "†"
+DAGGER = "†"
 
 
 def markdown(board: Board, *, plots: bool) -> str:
@@ -46,7 +46,7 @@ def markdown(board: Board, *, plots: bool) -> str:
         "page.md.j2",
         metric=board.metric,
         level=f"{LEVEL:.0%}",
-        mark=GREY,
+        dagger=DAGGER,
         number=number,
         plots=plots,
         datasets=[_dataset(board, dataset, plots) for dataset in board.datasets],
@@ -130,8 +130,8 @@ def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, obj
         "numbers": _method_table(board, table),
         "without_intervals": any(row.rank is not None for row in table.rows)
         and all(not row.intervals.get(board.metric.name) for row in table.rows if not row.missing),
-        "finer": [m.name for m in shown_metrics(board) if m.name in table.grey],
-        "ranked_by_finer": board.metric.name in table.grey,
+        "finer": [m.name for m in shown_metrics(board) if m.name in table.finer],
+        "ranked_by_finer": board.metric.name in table.finer,
         "sigmas": [
             f"{number(table.medians[name], unit)} {words}"
             for name, unit, words in (("sigma_translation_m", "m", "m"), ("sigma_rotation_deg", "deg", "°"))
@@ -192,7 +192,7 @@ def _method_table(board: Board, table: Table, *, ranks: bool = True) -> str:
 
 def _heading(metric: Metric, table: Table) -> str:
     text = _HEADINGS.get(metric.name, f"{metric.name}, {'%' if metric.unit == 'share' else metric.unit}")
-    return f"{text} {GREY}" if metric.name in table.grey else text
+    return f"{text} {DAGGER}" if metric.name in table.finer else text
 
 
 def _name(row: Row) -> str:
@@ -205,7 +205,7 @@ def _cell(metric: Metric, row: Row, table: Table) -> str:
     value = row.values[metric.name]
     if value is None:
         return ""
-    return _greyed(with_bounds(value, row.intervals.get(metric.name), metric.unit), metric, table)
+    return _marked(with_bounds(value, row.intervals.get(metric.name), metric.unit), metric, table)
 
 
 def _spread_cell(metric: Metric, row: SeedRow, table: Table) -> str:
@@ -215,11 +215,11 @@ def _spread_cell(metric: Metric, row: SeedRow, table: Table) -> str:
     text = number(spread.mean, metric.unit)
     if spread.standard_deviation is not None:
         text += f" ± {number(spread.standard_deviation, metric.unit)}"
-    return _greyed(text, metric, table)
+    return _marked(text, metric, table)
 
 
-def _greyed(text: str, metric: Metric, table: Table) -> str:
-    return f"<sub>{text}</sub>{GREY}" if metric.name in table.grey else text
+def _marked(text: str, metric: Metric, table: Table) -> str:
+    return f"<sub>{text}</sub>{DAGGER}" if metric.name in table.finer else text
 
 
 def _seconds(row: Row) -> str:
