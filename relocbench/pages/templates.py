@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from functools import cache
 from html import escape
 from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from relocbench.pages.markdown import code, escaped, fenced, table_text
@@ -22,12 +24,12 @@ def render(module: str, template: str, /, **values: object) -> str:
     folders are included as ``PACKAGE/FILE``, for example ``relocbench.leaderboard.common/commands.md.j2``.
 
     Args:
-        module: ``__name__`` of the module.
+        module: ``__name__`` of the module, which may be a script.
         template: name of the file, whose end says what it is: ``.md.j2`` or ``.html.j2``.
         values: what the template names.
     """
-    package = module.rpartition(".")[0]
-    return _environment().get_template(f"{package}/{template}").render(values)
+    folder = module.rpartition(".")[0] or module
+    return _environment().get_template(f"{folder}/{template}").render(values)
 
 
 @cache
@@ -56,6 +58,10 @@ def _environment() -> Environment:
 
 def _source(name: str) -> tuple[str, str, None]:
     """The text of a template and its path, for tracebacks; packages are read wherever they are installed."""
-    package, _, file = name.partition("/")
-    path = files(package) / file
-    return path.read_text(encoding="utf-8"), str(path), None
+    folder, _, file = name.partition("/")
+    known = sys.modules.get(folder)
+    if known is None or hasattr(known, "__path__"):
+        path = files(folder) / file
+        return path.read_text(encoding="utf-8"), str(path), None
+    beside = Path(str(known.__file__)).with_name(file)  # of a script
+    return beside.read_text(encoding="utf-8"), str(beside), None

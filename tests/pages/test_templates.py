@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -69,6 +70,23 @@ def test_a_template_includes_those_of_another_folder(beside: Path) -> None:
     text = "{% include 'relocbench.leaderboard.common/commands.md.j2' %}"
     page = rendered(beside, "page.md.j2", text, commands=[("a_b", ["run a"])], page_command="run b")
     assert page == "a\\_b:\n\n```sh\nrun a\n```\n\nThis page:\n\n```sh\nrun b\n```\n"
+
+
+def test_a_script_has_templates_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "table.md.j2").write_text("{{ words }}\n", encoding="utf-8")
+    (tmp_path / "table.py").write_text(
+        "from relocbench.pages import render\nprint(end=render(__name__, 'table.md.j2', words='found'))\n"
+    )
+    for command in (["table.py"], ["-c", "import table"]):
+        done = subprocess.run(
+            [sys.executable, *command],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert done.stdout == "found\n"
 
 
 def test_templates_are_loaded_where_a_page_is_written() -> None:
