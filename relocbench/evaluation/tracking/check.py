@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +48,14 @@ class _Question:
     query: Query
 
     def shown(self, times: bool) -> _Question:
-        """The question as an evaluation puts it."""
-        return _Question(self.name, shown_reference(self.reference, times), shown_query(self.query, times))
+        """The question as an evaluation puts it, but with images that can be written to: a method that does is told."""
+        reference, query = shown_reference(self.reference, times), shown_query(self.query, times)
+        writable = self.reference
+        return _Question(
+            self.name,
+            replace(reference, image=writable.image, depth=writable.depth),
+            replace(query, image=self.query.image),
+        )
 
 
 def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:

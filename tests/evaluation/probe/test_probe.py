@@ -21,6 +21,7 @@ from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.weights import save_weights
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.pairs.correspondences import Correspondences
+from relocbench.evaluation.common.handles import LocalTracker
 from relocbench.evaluation.probe import ProbeOptions, probe_methods
 from relocbench.evaluation.probe.feature_maps import places_of, principal_components
 from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, OFFSETS_PX, with_structure
@@ -90,7 +91,7 @@ def test_a_tracker_with_a_known_basin_is_counted_right() -> None:
             return TrackResult(off @ TRUTH)
 
     query = Query("q", 2, np.zeros((4, 4), np.uint8), None)  # type: ignore[arg-type]
-    (moved, turned), message = probe_poses(UpToOneMetre(), object(), query, TRUTH, (1, 2), 4, 0)
+    (moved, turned), message = probe_poses(LocalTracker(UpToOneMetre()), query, TRUTH, (1, 2), 4, 0)
     assert message == ""
     assert moved.offsets == (0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
     assert moved.hits["recall@(0.25m,1deg)"] == (4, 4, 4, 4, 4, 0, 0, 0)
