@@ -30,6 +30,14 @@ def probe(
         bool | None,
         typer.Option("--poses/--no-poses", help="Whether poses start 0 to 8 m and 0 to 16 degrees off [default: yes]."),
     ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="offsets|identity",
+            help="Where whole poses start: at known offsets from the truth, or at the keyframe's pose (identity), "
+            "beside mirrored and random starts as far away [default: offsets].",
+        ),
+    ] = None,
     pairs: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Largest number of pairs of a pair set [default: 50].")
     ] = None,
@@ -86,6 +94,7 @@ def probe(
         pair_sets=pair_sets,
         pixels=pixels,
         poses=poses,
+        start=start,
         pairs=pairs,
         per_pair=per_pair,
         structured=structured,
@@ -104,9 +113,20 @@ def probe(
         print_json(report.to_dict())
     elif not quiet:
         _print_radii(report)
+        _print_starts(report)
         for label, message in report.broken:
             typer.echo(f"{label}: {message}", err=True)
         typer.echo(f"the whole of it: {', '.join(map(str, report.files))}", err=True)
+
+
+def _print_starts(report: ProbeReport) -> None:
+    from relocbench.cli.console import print_table
+    from relocbench.evaluation.probe.starts import KINDS
+
+    if report.starts:
+        rows = [[s.conditions, s.method, *(f"{100 * s.shares[kind]:.1f}" for kind in KINDS)] for s in report.starts]
+        title = f"share that converges from each start, %, by {report.starts[0].criterion}"
+        print_table(title, ["conditions", "method", *KINDS], rows)
 
 
 def _print_radii(report: ProbeReport) -> None:

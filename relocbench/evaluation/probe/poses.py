@@ -27,7 +27,7 @@ OFFSETS: dict[What, tuple[float, ...]] = {
 }
 """metres; degrees"""
 CONVERGED = "recall@(0.25m,2deg)"
-_WITHIN = {CONVERGED: (0.25, 2.0), "recall@(0.25m,1deg)": (0.25, 1.0), "recall@(0.1m,0.5deg)": (0.1, 0.5)}
+WITHIN = {CONVERGED: (0.25, 2.0), "recall@(0.25m,1deg)": (0.25, 1.0), "recall@(0.1m,0.5deg)": (0.1, 0.5)}
 _SEED = 2
 
 
@@ -81,20 +81,20 @@ def probe_poses(
                 offsets,
                 (directions,) * len(offsets),
                 _by_offset(ends.answered, offsets),
-                {name: _by_offset(_near(ends, name), offsets) for name in _WITHIN},
-                {name: _starts_near(what, offsets, name, directions) for name in _WITHIN},
+                {name: _by_offset(_near(ends, name), offsets) for name in WITHIN},
+                {name: _starts_near(what, offsets, name, directions) for name in WITHIN},
             )
         )
     return tallies, broke
 
 
 def _near(errors: PoseErrors, name: str) -> NDArray[np.bool_]:
-    return within(errors, *_WITHIN[name])
+    return within(errors, *WITHIN[name])
 
 
 def _starts_near(what: What, offsets: Sequence[float], name: str, directions: int) -> tuple[int, ...]:
     """Judge starts by their nominal offsets: the rounding of a prior 0.25 m off must not decide."""
-    limit = _WITHIN[name][0 if what == "translation" else 1]
+    limit = WITHIN[name][0 if what == "translation" else 1]
     return tuple(directions if offset <= limit else 0 for offset in offsets)
 
 

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -21,7 +21,8 @@ from relocbench.evaluation.common.execution_options import ExecutionOptions
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.results import first_breakage
 from relocbench.evaluation.probe.feature_maps import Picture, draw, lost_picture, places_of
-from relocbench.evaluation.probe.table import Line, result_lines
+from relocbench.evaluation.probe.starts import StartLine
+from relocbench.evaluation.probe.table import Line, result_lines, start_lines
 from relocbench.evaluation.probe.work import PairResult, Task, ask_pairs, task_for
 from relocbench.evaluation.probe.write import write_probe
 from relocbench.evaluation.tracking.run import made_by
@@ -44,6 +45,8 @@ class ProbeOptions(ExecutionOptions):
     """whether single pixels are probed"""
     poses: bool = True
     """whether whole poses are probed, from priors off the truth"""
+    start: Literal["offsets", "identity"] = "offsets"
+    """``identity``: whole poses start at the keyframe's pose, and beside it equally far off in other directions"""
     pairs: int = Field(50, ge=1)
     """the largest number of pairs of each pair set, spread along the drive"""
     per_pair: int = Field(100, ge=1)
@@ -73,6 +76,8 @@ class ProbeReport:
     files: list[Path]
     broken: list[tuple[str, str]]
     """label and message of each method that broke on pairs"""
+    starts: Sequence[StartLine] = ()
+    """convergence from the keyframe's pose, where that was probed"""
 
     def to_dict(self) -> dict[str, Any]:
         """The radii, files and broken methods as plain values for scripts."""
@@ -93,6 +98,18 @@ class ProbeReport:
                 }
                 for line in self.lines
                 if line.radius is not None
+            ],
+            "starts": [
+                {
+                    "method": line.method,
+                    "conditions": line.conditions,
+                    "criterion": line.criterion,
+                    "pairs": line.pairs,
+                    **line.shares,
+                    "keyframe_less_random": line.ahead.mean,
+                    "interval": _bounds(line.ahead.interval),
+                }
+                for line in self.starts
             ],
             "files": [str(path) for path in self.files],
             "broken": [{"method": label, "message": message} for label, message in self.broken],
@@ -138,12 +155,12 @@ def _probe(
         s.name: (str(dataset.traversal(s.reference).condition), str(dataset.traversal(s.query).condition))
         for s, _ in asked
     }
-    lines = result_lines(answers, conditions)
-    if not lines:
+    lines, starts = result_lines(answers, conditions), start_lines(answers, conditions)
+    if not lines and not starts:
         raise ConfigError("no pair has a visible correspondence: there is no pixel to probe", dataset.root)
-    files = write_probe(options.out, dataset, lines, _about(dataset, options, tasks))
+    files = write_probe(options.out, dataset, lines, starts, _about(dataset, options, tasks))
     broken = [b for label, found in answers.items() for b in _broken(label, found)]
-    return ProbeReport(lines, [*files, *pictures], broken)
+    return ProbeReport(lines, [*files, *pictures], broken, starts)
 
 
 def chosen_pairs(dataset: Dataset, options: ProbeOptions) -> list[tuple[PairSet, list[PairKey]]]:
@@ -180,7 +197,9 @@ def _tasks(
         for name in without:
             reporter.note(f"{name} has no correspondences: no single pixels (build-dataset --correspondences N)")
     pixels = options.pixels and len(without) < len(pair_sets)
-    wanted = Task(pixels, options.poses, options.per_pair, options.structured, options.directions, options.seed)
+    keyframe = options.poses and options.start == "identity"
+    poses = options.poses and not keyframe
+    wanted = Task(pixels, poses, options.per_pair, options.structured, options.directions, options.seed, keyframe)
     out = []
     for spec in specs:
         capabilities = capabilities_of(spec, options.run)
@@ -190,9 +209,9 @@ def _tasks(
         task = task_for(capabilities, wanted)
         if pixels and not task.pixels:
             reporter.note(f"{spec.label} does not match single pixels (it has no match())")
-        if options.poses and not task.poses:
+        if options.poses and not (task.poses or task.keyframe):
             reporter.note(f"{spec.label} does not start from a prior (no uses_prior), so it has no basin of poses")
-        if task.pixels or task.poses:
+        if task.pixels or task.poses or task.keyframe:
             out.append((spec, task))
     if not out and not options.feature_maps:
         raise ConfigError("no method can be probed: one needs match() and correspondences, or a prior to start from")

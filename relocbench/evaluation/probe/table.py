@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, level_names
 from relocbench.evaluation.probe.poses import CONVERGED
-from relocbench.evaluation.probe.tally import Tally, What
+from relocbench.evaluation.probe.starts import StartLine, start_line
+from relocbench.evaluation.probe.tally import UNITS, Tally, What
 from relocbench.evaluation.probe.work import PairResult
 from relocbench.metrics import Radius, Ratio, radius_of, radius_ratio
 
@@ -65,13 +66,30 @@ def result_lines(answers: Mapping[str, Answers], conditions: Mapping[str, tuple[
     """
     out: list[Line] = []
     first = next(iter(answers))
-    whole = {method: _completed(found) for method, found in answers.items()}
+    whole = _whole(answers)
     for what, level in _kinds(whole):
         for group, names in _groups(conditions):
             base = _values(whole[first], names, what, level, main_criterion(what, level))
             for method in answers:
                 out += _lines(method, whole[method], names, what, level, group, base if method != first else None)
     return out
+
+
+def start_lines(answers: Mapping[str, Answers], conditions: Mapping[str, tuple[str, str]]) -> list[StartLine]:
+    """The lines of the start from the keyframe's pose, in the same groups; none where it was not probed."""
+    out = []
+    for group, names in _groups(conditions):
+        for method, found in _whole(answers).items():
+            tallies = [
+                [pair["start", None] for pair in found.get(name, ()) if ("start", None) in pair] for name in names
+            ]
+            if any(tallies):
+                out.append(start_line(method, group, [some for some in tallies if some]))
+    return out
+
+
+def _whole(answers: Mapping[str, Answers]) -> dict[str, dict[str, list[dict[tuple[What, int | None], Tally]]]]:
+    return {method: _completed(found) for method, found in answers.items()}
 
 
 def _lines(
@@ -138,9 +156,8 @@ def _kinds(
     whole: Mapping[str, Mapping[str, list[dict[tuple[What, int | None], Tally]]]],
 ) -> list[tuple[What, int | None]]:
     found = {kind for sets in whole.values() for pairs in sets.values() for pair in pairs for kind in pair}
-    return sorted(
-        found, key=lambda k: (("pixels", "translation", "rotation").index(k[0]), -1 if k[1] is None else k[1])
-    )
+    found = {kind for kind in found if kind[0] in UNITS}
+    return sorted(found, key=lambda k: (list(UNITS).index(k[0]), -1 if k[1] is None else k[1]))
 
 
 def _groups(conditions: Mapping[str, tuple[str, str]]) -> Iterator[tuple[str, list[str]]]:

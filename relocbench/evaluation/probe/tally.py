@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-What = Literal["pixels", "translation", "rotation"]
+What = Literal["pixels", "translation", "rotation", "start"]
 UNITS: dict[What, str] = {"pixels": "px", "translation": "m", "rotation": "deg"}
+"""of the offsets of starts that lie at known distances; ``start`` has kinds of starts in place of distances"""
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,7 @@ class Tally:
     level: int | None
     """pyramid level that was used alone, for single pixels; None where the method worked as usual"""
     offsets: tuple[float, ...]
-    """distances of the starts from the truth: pixels, metres or degrees"""
+    """distances of the starts from the truth: pixels, metres or degrees; or the kinds of starts by number"""
     count: tuple[int, ...]
     """number of starts"""
     answered: tuple[int, ...]

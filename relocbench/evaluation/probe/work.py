@@ -36,6 +36,7 @@ from relocbench.evaluation.common.worker import (
 from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
 from relocbench.evaluation.probe.pixels import probe_pixels, with_structure
 from relocbench.evaluation.probe.poses import OFFSETS, probe_poses
+from relocbench.evaluation.probe.starts import probe_starts
 from relocbench.evaluation.probe.tally import Tally
 from relocbench.execution import MANY_TIMES, Run, step
 from relocbench.files import alone_in, sha256_file
@@ -55,6 +56,8 @@ class Task:
     structured: float
     directions: int
     seed: int
+    keyframe: bool = False
+    """whether the start is the keyframe's pose, beside others as far away"""
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,12 @@ class PairResult:
 
 def task_for(capabilities: Capabilities, wanted: Task) -> Task:
     """The wanted questions that a method can answer: pixels if it has ``match``, poses if it uses priors."""
-    return replace(wanted, pixels=wanted.pixels and capabilities.match, poses=wanted.poses and capabilities.prior)
+    return replace(
+        wanted,
+        pixels=wanted.pixels and capabilities.match,
+        poses=wanted.poses and capabilities.prior,
+        keyframe=wanted.keyframe and capabilities.prior,
+    )
 
 
 def ask_pairs(
@@ -171,8 +179,13 @@ def _ask(unit: ProbeUnit, key: PairKey, tracker: TrackerHandle | None) -> tuple[
         with step("", (key,), MANY_TIMES):  # one call for the pixels of all offsets, and one for each level
             found, message = probe_pixels(tracker, query, known, key, task.per_pair, task.seed)
         tallies, messages = tallies + found, [*messages, message]
+    truth = _pair_set(unit.dataset, name).by_key[key].T_query_ref
+    if task.keyframe:
+        assert truth is not None
+        with step("", (key,), task.directions + 2):
+            tally, message = probe_starts(tracker, query, truth, key, task.directions, task.seed)
+        tallies, messages = [*tallies, tally], [*messages, message]
     if task.poses:
-        truth = _pair_set(unit.dataset, name).by_key[key].T_query_ref
         assert truth is not None
         with step("", (key,), task.directions * sum(map(len, OFFSETS.values()))):
             found, message = probe_poses(tracker, query, truth, key, task.directions, task.seed)

@@ -9,6 +9,7 @@ from typing import Any
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.evaluation.common.tables import write_rows
+from relocbench.evaluation.probe.starts import KINDS, StartLine
 from relocbench.evaluation.probe.table import ACROSS, SAME, Line
 from relocbench.evaluation.probe.tally import UNITS, What
 from relocbench.files import dump_yaml, write_bytes, write_text
@@ -25,13 +26,19 @@ RADIUS_COLUMNS = (
     *("from_truth", "half_left", "half_left_beyond", "half_left_low", "half_left_high"),
     *("half_ratio", "half_ratio_low", "half_ratio_high"),
 )
+START_COLUMNS = (
+    *("method", "conditions", "criterion", "pairs", "keyframe", "mirrored", "random"),
+    *("keyframe_less_random", "low", "high"),
+)
 Numbers = tuple[list[str], list[list[str]]]
 """the header and the rows of a table"""
 _TOO_LOW = 0.1
 """share found from the truth below which the width of a basin is not informative"""
 
 
-def write_probe(out: Path, dataset: Dataset, lines: Sequence[Line], about: dict[str, Any]) -> list[Path]:
+def write_probe(
+    out: Path, dataset: Dataset, lines: Sequence[Line], starts: Sequence[StartLine], about: dict[str, Any]
+) -> list[Path]:
     """Write all files of a probe, each whole or not at all; returns their paths."""
     from relocbench.evaluation.probe.plot import curves_picture, levels_picture  # matplotlib: not for every worker
 
@@ -39,17 +46,26 @@ def write_probe(out: Path, dataset: Dataset, lines: Sequence[Line], about: dict[
     files = {"probe.csv": _shares, "radii.csv": _radii}
     for name, rows in files.items():
         write_rows(out / name, rows(lines))
-    pictures = {"curves.png": curves_picture(lines, dataset.name)}
+    if starts:
+        write_rows(out / "starts.csv", _starts(starts))
+    pictures = {"curves.png": curves_picture(lines, dataset.name)} if lines else {}
     if any(line.level is not None for line in lines):
         pictures["levels.png"] = levels_picture(lines, dataset.name)
     for name, data in pictures.items():
         write_bytes(out / name, data)
     write_text(out / "probe.yaml", dump_yaml(about))
-    write_text(out / "probe.md", probe_page(dataset, lines, list(pictures), about))
-    return [out / name for name in ("probe.md", *files, *pictures, "probe.yaml")]
+    write_text(out / "probe.md", probe_page(dataset, lines, starts, list(pictures), about))
+    tables = [*files, *(["starts.csv"] if starts else [])]
+    return [out / name for name in ("probe.md", *tables, *pictures, "probe.yaml")]
 
 
-def probe_page(dataset: Dataset, lines: Sequence[Line], pictures: Sequence[str], about: dict[str, Any]) -> str:
+def probe_page(
+    dataset: Dataset,
+    lines: Sequence[Line],
+    starts: Sequence[StartLine],
+    pictures: Sequence[str],
+    about: dict[str, Any],
+) -> str:
     """The Markdown page of a probe."""
     by_what = ((what, [line for line in lines if line.what == what]) for what in UNITS)
     return render(
@@ -59,6 +75,7 @@ def probe_page(dataset: Dataset, lines: Sequence[Line], pictures: Sequence[str],
         options=about["options"],
         too_low=f"{100 * _TOO_LOW:g}",
         sections=[_section(what, some) for what, some in by_what if any(line.level is None for line in some)],
+        starts=_start_table(starts) if starts else None,
         pictures=pictures,
     )
 
@@ -76,6 +93,21 @@ def _section(what: What, lines: Sequence[Line]) -> dict[str, object]:
         "shares": [(title, *_share_table(what, chosen)) for title, chosen in by_conditions if chosen],
         "levels": _level_table(alone) if alone else None,
     }
+
+
+def _start_table(starts: Sequence[StartLine]) -> Numbers:
+    header = ["conditions", "method", "pairs", "keyframe's pose", "mirrored", "random", "keyframe's pose less random"]
+    rows = [
+        [s.conditions, s.method, str(s.pairs), *(f"{100 * s.shares[kind]:.1f}" for kind in KINDS), _ahead_text(s)]
+        for s in starts
+    ]
+    return header, rows
+
+
+def _ahead_text(start: StartLine) -> str:
+    text = f"{100 * start.ahead.mean:+.1f}"
+    interval = start.ahead.interval
+    return text if interval is None else f"{text} [{100 * interval.low:+.1f}, {100 * interval.high:+.1f}]"
 
 
 def _radius_table(what: What, lines: Sequence[Line], methods: Sequence[str]) -> Numbers:
@@ -145,6 +177,16 @@ def _ratio_text(ratio: Ratio | None) -> str:
 
 def _brackets(interval: Interval) -> str:
     return f"[{interval.low:.2f}, {interval.high:.2f}]"
+
+
+def _starts(starts: Sequence[StartLine]) -> list[Sequence[Any]]:
+    rows: list[Sequence[Any]] = [START_COLUMNS]
+    for s in starts:
+        interval = s.ahead.interval
+        bounds = ("", "") if interval is None else (f"{interval.low:.6f}", f"{interval.high:.6f}")
+        shares = (f"{s.shares[kind]:.6f}" for kind in KINDS)
+        rows.append([s.method, s.conditions, s.criterion, s.pairs, *shares, f"{s.ahead.mean:.6f}", *bounds])
+    return rows
 
 
 def _shares(lines: Sequence[Line]) -> list[Sequence[Any]]:

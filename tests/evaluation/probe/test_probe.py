@@ -26,6 +26,7 @@ from relocbench.evaluation.probe import ProbeOptions, probe_methods
 from relocbench.evaluation.probe.feature_maps import places_of, principal_components
 from relocbench.evaluation.probe.pixels import NEAR, NEAR_ON_LEVEL, OFFSETS_PX, with_structure
 from relocbench.evaluation.probe.poses import CONVERGED, OFFSETS, draw_priors, probe_poses
+from relocbench.evaluation.probe.starts import draw_starts, probe_starts, start_line
 from relocbench.evaluation.probe.table import ACROSS as ACROSS_CONDITIONS
 from relocbench.evaluation.probe.tally import What
 from relocbench.geometry import make_transform, se3_exp, so3_exp
@@ -373,3 +374,43 @@ def test_a_parameter_called_features_is_not_taken_for_features(dataset: Dataset,
     assert outcome.status == 0, outcome.err
     assert "b offers no feature maps" in outcome.err
     assert [path.name[:11] for path in tmp_path.glob("*.png")] == ["features_s_"]
+
+
+def test_starts_beside_the_keyframes_pose_are_as_far_from_the_truth() -> None:
+    starts = draw_starts(TRUTH, (1, 2), 5, seed=0)
+    np.testing.assert_allclose(starts[0], np.eye(4), atol=1e-12)
+    errors = pose_errors(starts, np.repeat(TRUTH[None], len(starts), axis=0))
+    offsets = np.linalg.norm([(s @ np.linalg.inv(TRUTH))[:3, 3] for s in starts[2:]], axis=1)
+    np.testing.assert_allclose(offsets, np.linalg.norm(np.linalg.inv(TRUTH)[:3, 3]), rtol=1e-12)
+    np.testing.assert_allclose(errors.rotation_error_deg, errors.rotation_error_deg[0], rtol=1e-9)
+    there, back = starts[0] @ np.linalg.inv(TRUTH), starts[1] @ np.linalg.inv(TRUTH)
+    np.testing.assert_allclose(there @ back, np.eye(4), atol=1e-12)
+    assert not np.array_equal(starts, draw_starts(TRUTH, (1, 2), 5, seed=1))
+
+
+def test_a_method_that_knows_where_queries_lie_is_found_out() -> None:
+    class Habit:
+        def track(self, reference: object, query: object, prior: NDArray[np.float64]) -> TrackResult:
+            return TrackResult(TRUTH @ prior)  # right from the keyframe's pose alone
+
+    query = Query("q", 2, np.zeros((4, 4), np.uint8), None)  # type: ignore[arg-type]
+    tally, message = probe_starts(LocalTracker(Habit()), query, TRUTH, (1, 2), 4, 0)
+    assert message == ""
+    assert tally.count == (1, 1, 4)
+    assert tally.hits[CONVERGED] == (1, 0, 0)
+    line = start_line("habit", "all", [[tally] * 3, [tally]])
+    assert (line.pairs, line.shares, line.ahead.mean) == (4, {"keyframe": 1.0, "mirrored": 0.0, "random": 0.0}, 1.0)
+    nothing, message = probe_starts(None, query, TRUTH, (1, 2), 4, 0)
+    assert nothing.hits[CONVERGED] == nothing.answered == (0, 0, 0)
+
+
+def test_the_start_from_the_keyframe_is_a_table_of_its_own(dataset: Dataset, tmp_path: Path) -> None:
+    given = options(dataset, tmp_path, "dso", BASIN, pixels=False, start="identity", pairs=2)
+    report = probe_methods(given, Silent())
+    assert not report.lines
+    assert {line.method for line in report.starts} == {"dso", "b"}
+    found = rows(tmp_path / "starts.csv")
+    here = next(row for row in found if row["method"] == "dso" and row["conditions"] == "same condition")
+    assert float(here["keyframe"]) == 1.0
+    assert "| across conditions | dso | 2 |" in (tmp_path / "probe.md").read_text()
+    assert not (tmp_path / "curves.png").exists()
