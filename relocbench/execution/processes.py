@@ -120,7 +120,11 @@ class Pool:
                     if not worker.ready:
                         failed_starts += 1
                         if failed_starts >= _TRIES:
-                            raise RelocbenchError(f"worker processes end while they start ({told.words})")
+                            raise RelocbenchError(
+                                f"{failed_starts} worker processes ended while they started ({told.words}), most often for "
+                                "want of memory: close other programs or use fewer workers (--workers 1); what they "
+                                "printed is on standard error, above this line"
+                            )
                         again.append((index, unit))
                         continue
                     results = list(on_loss(index, unit, told))

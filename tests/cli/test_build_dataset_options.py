@@ -47,7 +47,9 @@ def test_an_option_of_other_kinds_is_refused_with_their_names(
     config.write_text(f"depth: lidar\n{option[2:].replace('-', '_')}: {value}\n")
     done = relocbench("build-dataset", kind, "a", "b", "--config", config, "--out", tmp_path / "o")
     assert done.status == 2
-    assert done.complaint.endswith(f"c.yaml:2: unknown key '{option[2:].replace('-', '_')}'; it is an option of {those}")
+    assert done.complaint.endswith(
+        f"c.yaml:2: unknown key '{option[2:].replace('-', '_')}'; it is an option of {those}"
+    )
     assert not (tmp_path / "o").exists()
 
 

@@ -70,7 +70,7 @@ def test_every_kind_of_dataset_explains_its_options(kind: str) -> None:
         (["evaluate", "-d", "{d}", "-m", "identity", "--pair-set", "a"], "no pair set 'a'"),
         (["evaluate", "-d", "{d}", "--predictions", "{d}/absent"], "absent: no such folder"),
         (["evaluate", "-d", "{d}", "-m", "identity", "--out", "{d}/pairs"], "--out lies inside the dataset"),
-        (["methods", "absent"], "no method 'absent'"),
+        (["methods", "absent"], "no method 'absent'; installed trackers: "),
         (["leaderboard", "{d}/absent", "--out", "{d}/board"], "absent: no such folder"),
         (["inspect", "{d}/absent"], "absent: no such folder"),
         (["build-dataset", "kitti", "{d}/absent", "--sequence", "06", "--out", "{t}/o"], "absent"),

@@ -206,7 +206,15 @@ def test_both_kinds_of_methods_are_listed_and_told_apart() -> None:
     shown = relocbench("methods", f"{HERE}:Thumbnail", "--json")
     assert json.loads(shown.out)["side"] == {"type": "int", "default": 8}
     assert (kind_of(f"{HERE}:Thumbnail"), kind_of(TRACKER)) == (RETRIEVERS, TRACKERS)
-    assert (kind_of("identity"), kind_of("absent"), kind_of("subprocess:true")) == (TRACKERS,) * 3
+    assert (kind_of("identity"), kind_of("subprocess:true")) == (TRACKERS, TRACKERS)
+
+
+@pytest.mark.parametrize("command", ["methods", "check-method"])
+def test_a_name_that_nothing_has_is_refused_with_trackers_retrievers_and_trainers(command: str) -> None:
+    told = relocbench(command, "orb-bo").complaint
+    assert "no method 'orb-bo' (did you mean 'orb-bow'?); installed trackers: dso, " in told
+    assert "; retrievers: colour-histogram, " in told
+    assert "; trainers: gn-net, " in told
 
 
 def test_retrievers_are_configured_as_trackers_are() -> None:

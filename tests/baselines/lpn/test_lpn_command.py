@@ -98,7 +98,7 @@ def test_mistakes_are_one_line_each(university: Path, tmp_path: Path) -> None:
         (("--config", "lpn-rp"), "did you mean 'lpn-rpp'"),
         (("--set", "sizes=3"), "unknown option 'sizes' (did you mean 'size'?)"),
         (("--set", "views=[drone,street]"), "no held-out image of view 'street' (there are drone, satellite)"),
-        (("--set", "views=[drone,street]", "--no-validation"), "views has street, network.street is none"),
+        (("--set", "views=[drone,street]", "--no-validation"), "network.street is 'none', expected separate or shared"),
         (("--split", "test"), "a retriever learns from the folder train/ alone"),
         (("--backbone-weights", tmp_path / "none.pth"), "none.pth: no such file of weights"),
     ):
