@@ -102,8 +102,12 @@ def _print_pictures(pictures: list[Picture], folder: Path) -> None:
     from relocbench.cli.console import print_table
 
     rows = [
-        [p.file, f"{p.difference:.1f}", f"{p.difference_turned:.1f}", "yes" if p.truth_is_best else "NO"]
+        [p.file, f"{p.difference:.1f}", f"{p.difference_turned:.1f}", "yes" if p.truth_is_best else "no"]
         for p in pictures
     ]
-    columns = ["picture", "grey levels differ by", "turned a little", "lowest at the truth"]
+    columns = ["picture", "grey levels differ by", "turned a little", "least at the true pose"]
     print_table(f"Pictures in {folder}", columns, rows)
+    if not all(p.truth_is_best for p in pictures):
+        from relocbench.datasets.inspect.overlay import WHY_TURNED_BETTER
+
+        typer.echo(f"note: not least at the true pose: {WHY_TURNED_BETTER}", err=True)

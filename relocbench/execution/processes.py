@@ -121,8 +121,8 @@ class Pool:
                         failed_starts += 1
                         if failed_starts >= _TRIES:
                             raise RelocbenchError(
-                                f"{failed_starts} worker processes ended while they started ({told.words}), most often for "
-                                "want of memory: close other programs or use fewer workers (--workers 1); what they "
+                                f"{failed_starts} worker processes ended while they started ({told.words}), most "
+                                "often for want of memory: close other programs or use fewer workers (--workers 1); what they "
                                 "printed is on standard error, above this line"
                             )
                         again.append((index, unit))
