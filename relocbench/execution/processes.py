@@ -120,11 +120,7 @@ class Pool:
                     if not worker.ready:
                         failed_starts += 1
                         if failed_starts >= _TRIES:
-                            raise RelocbenchError(
-                                f"{failed_starts} worker processes ended while they started ({told.words}), most "
-                                "often for want of memory: close other programs or use fewer workers (--workers 1); what they "
-                                "printed is on standard error, above this line"
-                            )
+                            raise _none_starts(told)
                         again.append((index, unit))
                         continue
                     results = list(on_loss(index, unit, told))
@@ -180,6 +176,13 @@ class Pool:
                     worker.end()
                     self.workers.remove(worker)
                     break
+
+
+def _none_starts(loss: Loss) -> RelocbenchError:
+    return RelocbenchError(
+        f"{_TRIES} worker processes ended while they started ({loss.words}), most often for want of memory: close "
+        "other programs or use fewer workers (--workers 1); what they printed is on standard error, above this line"
+    )
 
 
 @contextmanager

@@ -90,3 +90,15 @@ def test_the_key_that_a_help_shows_is_one_of_the_kind(kind: str) -> None:
     found = re.search(r"sets any of these options \((\w+): ", help_of(kind))
     assert found
     assert found[1] in options_of(kind).model_fields
+
+
+def test_a_kind_that_converts_every_image_does_not_copy() -> None:
+    for kind in ("generic-lidar", "kitti-lidar", "generic"):
+        assert options_of(kind).model_validate({"copy_images": True}).copies_images  # type: ignore[attr-defined]
+    assert not options_of("robotcar")().copies_images  # type: ignore[attr-defined]
+
+
+def test_the_old_option_for_the_task_is_answered_with_the_commands_of_the_tasks() -> None:
+    told = relocbench("evaluate", "--task", "retrieval").complaint
+    assert "No such option: --task" in told
+    assert "relocbench evaluate-retrieval and relocbench evaluate-relocalization" in told

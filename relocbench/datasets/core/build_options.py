@@ -25,11 +25,20 @@ class ImportOptions(Strict):
     )
     seed: int = Field(0, ge=0, description="seed of every random choice")
 
+    @property
+    def copies_images(self) -> bool:
+        """Whether images that could be linked are copied; kinds that convert every image have no option for it."""
+        return False
+
 
 class LinkingOptions(ImportOptions):
     """Options of imports that can link to images of a recording."""
 
     copy_images: bool = Field(False, description="copy images of the recording instead of linking to them")
+
+    @property
+    def copies_images(self) -> bool:
+        return self.copy_images
 
 
 class RuleOptions(ImportOptions):

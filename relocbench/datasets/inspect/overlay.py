@@ -270,8 +270,8 @@ def _captions(pair: Pair, agreement: ImageAgreement, title: str) -> list[tuple[s
     if not np.isfinite(agreement.difference):
         return [(title, WHITE), (", ".join(facts), WHITE), (agreement.verdict, RED)]
     measured = (
-        f"grey levels differ by {agreement.difference:.1f} at the true pose, and by {agreement.difference_turned:.1f} or "
-        "more when turned left, right, up or down by 0.4 % of the width"
+        f"grey levels differ by {agreement.difference:.1f} at the true pose, and by "
+        f"{agreement.difference_turned:.1f} or more when turned left, right, up or down by 0.4 % of the width"
     )
     lines = [title, ", ".join(facts), measured]
     return [*((line, WHITE) for line in lines), (agreement.verdict, YELLOW)]

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core import images
-from relocbench.datasets.core.build_options import LinkingOptions
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
@@ -138,7 +137,6 @@ def _write_images(
     writer: DatasetWriter, traversal: str, chosen: Frames, options: FieldOptions, reporter: Reporter, run: Run
 ) -> None:
     stream, developed = chosen.stream, []
-    copy = isinstance(options, LinkingOptions) and options.copy_images  # other kinds convert every image
     with reporter.stage(f"images of {traversal}", len(chosen.indices)) as advance:
         for index, time in zip(chosen.indices, chosen.times, strict=True):
             source = stream.file(index)
@@ -146,7 +144,7 @@ def _write_images(
                 developed.append(index)
                 continue
             if source is not None:
-                writer.link_image(traversal, stream.name, time, source, copy=copy)
+                writer.link_image(traversal, stream.name, time, source, copy=options.copies_images)
             advance(1)
         units = [
             _ImageUnit(stream, writer.layout, traversal, tuple(part)) for part in chunks(developed, _IMAGES_A_UNIT)

@@ -126,7 +126,11 @@ def _pair_set(one: DrawnSet) -> str:
         caption = f"<b>{drawn.number}</b> {escape(drawn.spot.why)}: {state}"
         parts.append(_figure(drawn.overlay, caption))
         if drawn.keyframe is not None:
-            where = "at the ground truth" if drawn.agrees else "at a slightly different rotation, which is usual across light and season: look closely"
+            where = (
+                "at the ground truth"
+                if drawn.agrees
+                else "at a slightly different rotation, which is usual across light and season: look closely"
+            )
             caption = f"<b>{drawn.number}</b> in the images; grey levels agree best {where}"
             parts.append(_figure(drawn.keyframe, caption))
     return "\n".join(part for part in parts if part)
