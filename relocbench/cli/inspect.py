@@ -50,12 +50,16 @@ def inspect(
     from relocbench.datasets.core.dataset import Dataset
     from relocbench.datasets.cross_view import is_cross_view
     from relocbench.datasets.inspect.summary import take_inventory
+    from relocbench.evaluation.common.opening import check_outside
     from relocbench.files import alone_writing_to
 
     if is_cross_view(dataset):
         _inspect_places(dataset, [pictures, ground_truth, *pair_set], json)
         return
     opened = Dataset(dataset)
+    for option, folder in (("--pictures", pictures), ("--ground-truth", ground_truth)):
+        if folder is not None:
+            check_outside(folder, dataset, option)
     chosen = [opened.pair_set(name) for name in pair_set] or opened.pair_sets()
     drawn: list[Picture] = []
     if not json:

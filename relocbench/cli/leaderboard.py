@@ -61,7 +61,7 @@ def leaderboard(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Compare methods: CSV, Markdown and cumulative error curves; retrievers and chains have pages of their own.
+    """Compare methods: CSV, Markdown and error curves; retrievers, and retrievers with trackers, have their own pages.
 
     Needs the results folder alone, not the dataset. The same results give the same bytes.
 

@@ -33,12 +33,14 @@ def train(
             "-d",
             metavar="FOLDER",
             help="Dataset with a split 'train', 'validation' or both; for a retriever, places by several views with a "
-            "folder train/. Repeat for several.",
+            "folder train/. Required; repeat for several.",
         ),
     ] = [],  # noqa: B006  typer copies it
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FOLDER", help="Folder for weights, checkpoint, log and model card."),
+        typer.Option(
+            "--out", "-o", metavar="FOLDER", help="Folder for weights, checkpoint, log and model card; required."
+        ),
     ] = None,
     config: Annotated[
         str | None,

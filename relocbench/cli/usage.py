@@ -10,7 +10,7 @@ from typer.exceptions import TyperException
 
 def usage_fault(bad: TyperException) -> str:
     """What is wrong, which other commands have an unknown option, and where the usage is explained."""
-    message = " ".join(bad.format_message().split()).rstrip(".")
+    message = " ".join(bad.format_message().split()).rstrip(".").replace(": Value error, ", ": ")
     context = getattr(bad, "ctx", None)
     if context is None:
         return message

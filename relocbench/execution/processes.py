@@ -180,8 +180,9 @@ class Pool:
 
 def _none_starts(loss: Loss) -> RelocbenchError:
     return RelocbenchError(
-        f"{_TRIES} worker processes ended while they started ({loss.words}), most often for want of memory: close "
-        "other programs or use fewer workers (--workers 1); what they printed is on standard error, above this line"
+        f"{_TRIES} worker processes ended while they started ({loss.words}); what they printed is on standard error, "
+        "above this line. Killed ones mean too little memory: close other programs or use fewer workers (--workers 1). "
+        'A script that calls relocbench must do so below `if __name__ == "__main__":`'
     )
 
 

@@ -285,6 +285,8 @@ def _split_label(text: str, kind: MethodKind) -> tuple[str, str]:
         command = text.removeprefix(SUBPROCESS)
         if text.startswith(SUBPROCESS):
             words = command.split()
+            if not words:
+                raise MethodError(f"{quoted(text)} names no program; expected subprocess:COMMAND")
             label = Path(words[0]).stem if words else ""
         else:
             label = text.rpartition(":")[2] if ":" in text else text

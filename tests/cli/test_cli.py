@@ -70,6 +70,18 @@ def test_every_kind_of_dataset_explains_its_options(kind: str) -> None:
         (["evaluate", "-d", "{d}", "-m", "identity", "--pair-set", "a"], "no pair set 'a'"),
         (["evaluate", "-d", "{d}", "--predictions", "{d}/absent"], "absent: no such folder"),
         (["evaluate", "-d", "{d}", "-m", "identity", "--out", "{d}/pairs"], "--out lies inside the dataset"),
+        (["evaluate", "-d", "{d}", "-m", "subprocess:"], "'subprocess:' names no program; expected subprocess:COMMAND"),
+        (
+            ["evaluate", "-d", "{d}", "-m", "identity", "--memory-limit", "4Q"],
+            "--memory-limit: expected a size such as 4GB or 512MiB, got '4Q'",
+        ),
+        (
+            ["evaluate", "-d", "{d}", "-m", "identity", "--overwrite", "now"],
+            "Invalid value for '--overwrite': 'now' is not one of",
+        ),
+        (["leaderboard", "{d}", "--out", "{t}/board"], "is a dataset; expected a results folder"),
+        (["inspect", "{d}", "--pictures", "{d}/traversals/p"], "--pictures lies inside the dataset"),
+        (["build-dataset", "generic", "{d}", "{d}", "--out", "{t}/o"], "is given twice"),
         (["methods", "absent"], "no method 'absent'; installed trackers: "),
         (["leaderboard", "{d}/absent", "--out", "{d}/board"], "absent: no such folder"),
         (["inspect", "{d}/absent"], "absent: no such folder"),

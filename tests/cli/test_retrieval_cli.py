@@ -209,6 +209,15 @@ def test_both_kinds_of_methods_are_listed_and_told_apart() -> None:
     assert (kind_of("identity"), kind_of("subprocess:true")) == (TRACKERS, TRACKERS)
 
 
+@pytest.mark.parametrize("command", ["evaluate", "evaluate-relocalization", "probe"])
+def test_places_given_to_a_command_for_pairs_are_named_as_such(tmp_path: Path, command: str) -> None:
+    make_small_views(tmp_path / "v", places=4)
+    oracle = ("-r", "oracle") if command == "evaluate-relocalization" else ()
+    told = relocbench(command, "-d", tmp_path / "v", *oracle, "-m", "identity", "--out", tmp_path / "out")
+    assert "holds places by several views and no pairs: retrievers are evaluated on it, by `relocbench eva" in told.err
+    assert told.status == 2
+
+
 @pytest.mark.parametrize("command", ["methods", "check-method"])
 def test_a_name_that_nothing_has_is_refused_with_trackers_retrievers_and_trainers(command: str) -> None:
     told = relocbench(command, "orb-bo").complaint

@@ -41,7 +41,7 @@ def test_workers_that_end_while_they_start_are_reported_with_a_remedy(monkeypatc
     with pytest.raises(RelocbenchError) as told:
         list(run_units(square, [1, 2, 3], Run(2)))
     assert "2 worker processes ended while they started (exit status 3)" in str(told.value)
-    for remedy in ("memory", "--workers 1", "standard error"):
+    for remedy in ("memory", "--workers 1", "standard error", "__main__"):
         assert remedy in str(told.value)
 
 
