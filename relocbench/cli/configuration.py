@@ -46,7 +46,7 @@ def merged(
     values: dict[str, Any] = {}
     node = None
     if config is not None:
-        values, node = load_yaml_values(config, "options with their values", ConfigError)
+        values, node = load_yaml_values(config, "a file of options", ConfigError)
         passed_over = set() if beside is None else beside.model_fields.keys() - model.model_fields.keys()
         values = {name: value for name, value in values.items() if name not in passed_over}
     chosen = {**values, **{name: _parts(model, name, value) for name, value in given.items()}}
@@ -56,7 +56,7 @@ def merged(
         message, location = first_fault(bad)
         key = str(location[0]) if location else ""
         if config is not None and key in values and key not in given:
-            if bad.errors()[0]["type"] == "extra_forbidden":
+            if bad.errors()[0]["type"] == "extra_forbidden" and len(location) == 1:
                 message = f"unknown key {quoted(key)}{_where_else(key, model, elsewhere)}"
             raise ConfigError(message, config, yaml_line(node, location)) from None
         if not key:
