@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import ImportOptions, RuleOptions
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
@@ -57,7 +57,7 @@ def write_pairs(
     reference: str,
     query: str,
     camera: str,
-    options: ImportOptions,
+    options: RuleOptions,
     *,
     source: str,
     where: Path,
@@ -105,7 +105,7 @@ def write_pairs(
 
 
 def _note_unpaired(
-    query: Traversal, camera: str, paired: set[int], options: ImportOptions, same_traversal: bool, reporter: Reporter
+    query: Traversal, camera: str, paired: set[int], options: RuleOptions, same_traversal: bool, reporter: Reporter
 ) -> None:
     """Report query frames without a pair. Under the nearest rule, each should have a keyframe."""
     if options.pair_rule == "step" or (same_traversal and options.pair_rule is None):

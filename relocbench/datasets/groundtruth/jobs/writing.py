@@ -144,7 +144,7 @@ def _write_images(
                 developed.append(index)
                 continue
             if source is not None:
-                writer.link_image(traversal, stream.name, time, source, copy=options.copy_images)
+                writer.link_image(traversal, stream.name, time, source, copy=options.copies_images)
             advance(1)
         units = [
             _ImageUnit(stream, writer.layout, traversal, tuple(part)) for part in chunks(developed, _IMAGES_A_UNIT)

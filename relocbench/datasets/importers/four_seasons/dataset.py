@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from relocbench.datasets.core import images
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
@@ -54,7 +54,7 @@ _INTRINSICS_TOLERANCE_PX = 0.05
 _CAM0, _CAM1 = CAMERAS
 
 
-class Options(ImportOptions):
+class Options(PosedRecordingOptions):
     """Options of the four-seasons importer."""
 
     calibration: Path | None = Field(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from relocbench.datasets.core import images
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 CameraName = Literal["image_0", "image_1", "image_2", "image_3"]
 
 
-class Options(ImportOptions):
+class Options(PosedRecordingOptions):
     """Options of ``relocbench build-dataset kitti``."""
 
     sequence: tuple[str, ...] = Field(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from relocbench.datasets.core import images
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
@@ -54,7 +54,7 @@ INTRINSICS: dict[Preset, Camera] = {
 """the calibrations that the benchmark publishes for its cameras"""
 
 
-class Options(ImportOptions):
+class Options(PosedRecordingOptions):
     """Options of ``relocbench build-dataset tum-rgbd``."""
 
     # A hand-held camera turns more than a car does.

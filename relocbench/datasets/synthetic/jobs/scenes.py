@@ -96,9 +96,9 @@ def frame_seed(seed: int, traversal: int, step: int, camera: int) -> int:
 def pixel_rays(camera: Camera, T_world_cam: Array, pixels: Array) -> tuple[Array, Array, Array]:
     """Rays of pixels (N, 2): origins (N, 3) and unit directions (N, 3) in the world, and lengths (N,) at depth 1 m."""
     rays, _ = camera.unproject(pixels)
-    stretch = np.linalg.norm(rays, axis=1)
-    directions = rays @ T_world_cam[:3, :3].T / stretch[:, None]
-    return np.broadcast_to(T_world_cam[:3, 3], directions.shape).copy(), directions, stretch
+    lengths = np.linalg.norm(rays, axis=1)
+    directions = rays @ T_world_cam[:3, :3].T / lengths[:, None]
+    return np.broadcast_to(T_world_cam[:3, 3], directions.shape).copy(), directions, lengths
 
 
 def changed_since(
@@ -109,12 +109,12 @@ def changed_since(
     Season, parked cars and moving cars change objects; light, wetness and snow do not.
     """
     v, u = np.mgrid[: camera.height, : camera.width]
-    origins, directions, stretch = pixel_rays(
+    origins, directions, lengths = pixel_rays(
         camera, T_world_cam, np.column_stack([u.ravel(), v.ravel()]).astype(float)
     )
     distance, _, instance = static_scene(place, reference).cast(origins, directions)
     hit = np.isfinite(distance)
-    before = np.where(hit, distance / stretch, 0.0).reshape(frame.depth.shape)
+    before = np.where(hit, distance / lengths, 0.0).reshape(frame.depth.shape)
     objects = np.where(hit, instance, 0).reshape(frame.depth.shape)
     moved = np.abs(before - frame.depth) > 0.01 + 1e-3 * before
     return np.asarray(moved | ((objects != frame.instance) & (before > 0)))
