@@ -10,7 +10,7 @@ import pytest
 from command_line import relocbench
 from killing import Fault, run_until_killed
 from made_pairs import SETTINGS
-from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset
+from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset, time_of
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.learning.training_pairs import DatasetPairs, without_only_validation
@@ -131,7 +131,7 @@ class Truth:
     def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
         if self._broken:
             raise ValueError(self._broken)
-        return TrackResult(self._poses[reference.timestamp_ns, query.timestamp_ns])
+        return TrackResult(self._poses[time_of(reference), time_of(query)])
 
 
 def test_a_trial_asks_evenly_and_scores_as_evaluate_does(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from small_dataset import ACROSS, CAMERA, START_NS, STEP_NS, small_pose
+from small_dataset import ACROSS, CAMERA, START_NS, STEP_NS, small_pose, time_of
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.geometry import invert
@@ -50,8 +50,8 @@ class Knows:
     def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
         if self.log:
             with Path(self.log).open("a") as stream:
-                stream.write(f"{reference.timestamp_ns} {query.timestamp_ns}\n")
-        ref, asked = frame_of(reference.timestamp_ns), frame_of(query.timestamp_ns)
+                stream.write(f"{time_of(reference)} {time_of(query)}\n")
+        ref, asked = frame_of(time_of(reference)), frame_of(time_of(query))
         gap = abs(ref - asked)
         T_query_ref = truth(ref, asked)
         if gap > self.reach:

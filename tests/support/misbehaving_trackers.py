@@ -12,7 +12,7 @@ from decimal import Decimal
 from typing import Any
 
 import numpy as np
-from small_dataset import START_NS, STEP_NS
+from small_dataset import START_NS, STEP_NS, time_of
 
 from relocbench.tracking import Query, Reference, TrackResult
 
@@ -203,7 +203,7 @@ class Misbehaving:
     uses_times = True  # it knows the pairs by them
 
     def track(self, reference: Reference, query: Query, prior: Any = None) -> Any:
-        return case_of(reference.timestamp_ns, query.timestamp_ns).answer()
+        return case_of(time_of(reference), time_of(query)).answer()
 
 
 class Batching:
@@ -229,7 +229,7 @@ class Batching:
 
     def _breaking(self, queries: list[Query]) -> Iterator[TrackResult]:
         for query in queries:
-            if query.timestamp_ns // STEP_NS % 10 == 3:
+            if time_of(query) // STEP_NS % 10 == 3:
                 raise GeneratorExit("in the middle")
             yield TrackResult(np.eye(4))
 

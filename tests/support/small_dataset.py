@@ -23,7 +23,7 @@ from relocbench.datasets.pairs.correspondences import write_pair_set
 from relocbench.execution import Run
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
 from relocbench.progress import Silent
-from relocbench.tracking import KeyframePoints
+from relocbench.tracking import KeyframePoints, Query, Reference
 
 Array = NDArray[np.float64]
 
@@ -40,6 +40,12 @@ _PLANES = (
 )
 """normal n and offset d of n x = d, and the world axes along the plane"""
 _TEXELS_PER_METRE = 24.0
+
+
+def time_of(view: Reference | Query) -> int:
+    """The time of a view, for trackers of tests, which use it to know the pairs apart."""
+    assert view.timestamp_ns is not None, "a tracker that declares uses_times"
+    return view.timestamp_ns
 
 
 def small_camera(width: int = 96, height: int = 72) -> Camera:
