@@ -172,10 +172,11 @@ _FRAMES = {
     "pickle": _frame(b"cos\nsystem\n(S'false'\ntR."),
     "text": _frame(b"not json"),
     "huge": struct.pack("<Q", 2**60),
-    "arrays": _frame(json.dumps({"words": [], "shapes": [[2**40, 2**40]]}).encode()),
-    "many": _frame(json.dumps({"words": [{"posed": True}] * 3, "shapes": []}).encode()),
-    "fields": _frame(json.dumps({"words": [{"posed": True, "confidence": "x"}], "shapes": []}).encode()),
-    "nothing": _frame(json.dumps({"words": None, "shapes": []}).encode()),
+    "arrays": _frame(json.dumps({"words": [], "arrays": [[8, 2**40, 2**40]]}).encode()),
+    "many": _frame(json.dumps({"words": [{"posed": True}] * 3, "arrays": []}).encode()),
+    "fields": _frame(json.dumps({"words": [{"posed": True, "confidence": "x"}], "arrays": []}).encode()),
+    "objects": _frame(json.dumps({"words": [], "arrays": [[3, 5]]}).encode()),
+    "nothing": _frame(json.dumps({"words": None, "arrays": []}).encode()),
 }
 FRAMES = tuple(_FRAMES)
 

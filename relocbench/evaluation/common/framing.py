@@ -1,4 +1,4 @@
-"""Messages between an evaluator and the process of a tracker, over a pair of connected sockets.
+"""Messages between an evaluator and the process of a method, over a pair of connected sockets.
 
 Questions are pickled, with their arrays beside the pickle so that they are copied once. Answers come from a process
 that runs anybody's code: they are JSON and arrays of floats, and nothing in them is executed.
@@ -7,6 +7,7 @@ that runs anybody's code: they are JSON and arrays of floats, and nothing in the
 from __future__ import annotations
 
 import json
+import math
 import pickle
 import socket
 import struct
@@ -16,12 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Floats = NDArray[np.floating]
 
 _COUNT = struct.Struct("<Q")
 _LOOK_S = 0.25
 _MOST_TEXT = 2**26
 _MOST_ARRAYS = 4096
+_ITEM_BYTES = (2, 4, 8)
 _MOST_BYTES = 2**31
 
 
@@ -48,15 +50,16 @@ def receive_question(connection: socket.socket) -> Any:
     return pickle.loads(text, buffers=[memoryview(part).toreadonly() for part in parts])
 
 
-def send_answer(connection: socket.socket, words: Any, arrays: Sequence[Array] = ()) -> None:
-    """Send plain values and arrays of floats."""
-    text = json.dumps({"words": words, "shapes": [list(array.shape) for array in arrays]}).encode()
+def send_answer(connection: socket.socket, words: Any, arrays: Sequence[Floats] = ()) -> None:
+    """Send plain values and arrays of float16, float32 or float64."""
+    about = [[array.dtype.itemsize, *array.shape] for array in arrays]
+    text = json.dumps({"words": words, "arrays": about}).encode()
     connection.sendall(_COUNT.pack(len(text)) + text)
     for array in arrays:
-        connection.sendall(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        connection.sendall(np.ascontiguousarray(array, dtype=f"<f{array.dtype.itemsize}").tobytes())
 
 
-def receive_answer(connection: socket.socket, alive: Callable[[], bool]) -> tuple[Any, list[Array]]:
+def receive_answer(connection: socket.socket, alive: Callable[[], bool]) -> tuple[Any, list[Floats]]:
     """Plain values and arrays of floats.
 
     Args:
@@ -73,15 +76,17 @@ def receive_answer(connection: socket.socket, alive: Callable[[], bool]) -> tupl
     text = _bytes(connection, length, alive)
     try:
         answer = json.loads(bytes(text).decode())
-        words, shapes = answer["words"], [tuple(map(_size, shape)) for shape in answer["shapes"]]
+        words, about = answer["words"], [tuple(map(_size, numbers)) for numbers in answer["arrays"]]
     except (ValueError, KeyError, TypeError, RecursionError):
-        raise FramingFault("something that is no JSON object of words and shapes") from None
-    sizes = [8 * int(np.prod(shape, dtype=object)) for shape in shapes]
-    if len(shapes) > _MOST_ARRAYS or sum(sizes) > _MOST_BYTES:
-        raise FramingFault(f"{len(shapes)} arrays of {sum(sizes)} bytes together")
-    arrays = [
-        np.frombuffer(_bytes(connection, size, alive), dtype="<f8").reshape(shape)
-        for size, shape in zip(sizes, shapes, strict=True)
+        raise FramingFault("something that is no JSON object of words and arrays") from None
+    sizes = [math.prod(numbers) for numbers in about]
+    if len(about) > _MOST_ARRAYS or sum(sizes) > _MOST_BYTES:
+        raise FramingFault(f"{len(about)} arrays of {sum(sizes)} bytes together")
+    if any(not numbers or numbers[0] not in _ITEM_BYTES for numbers in about):
+        raise FramingFault("arrays of something else than floats")
+    arrays: list[Floats] = [
+        np.frombuffer(_bytes(connection, size, alive), dtype=f"<f{numbers[0]}").reshape(numbers[1:])
+        for size, numbers in zip(sizes, about, strict=True)
     ]
     return words, arrays
 

@@ -11,7 +11,7 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,40 +26,51 @@ from relocbench.methods import MethodSpec
 from relocbench.tracking import Query, Reference
 
 Array = NDArray[np.float64]
+Arrays = Sequence[NDArray[np.floating]]
 
 _SET_PDEATHSIG = 1
 
 
 def main(descriptor: int, parent: int) -> None:
-    """Answer questions from a socket until its other end is closed.
+    """Answer questions about a tracker from a socket until its other end is closed.
 
     Args:
         descriptor: file descriptor of the socket.
         parent: process id of the evaluator.
     """
+    serve(descriptor, parent, _made)
+
+
+def serve(
+    descriptor: int, parent: int, make: Callable[[MethodSpec, Connection], tuple[object, dict[str, Any]]]
+) -> None:
+    """Make a method and answer questions about it until the socket's other end is closed.
+
+    Args:
+        make: returns an object whose methods are named as the questions, and what the method declares of itself.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with(parent)
     pin_threads()
-    connection = _Connection(socket.socket(fileno=descriptor))
+    connection = Connection(socket.socket(fileno=descriptor))
     try:
         spec: MethodSpec = connection.question()
         try:
-            tracker = LocalTracker(spec.create())
+            asked, declared = make(spec, connection)
         except BaseException as bad:  # noqa: BLE001  the boundary to code that is not ours
             connection.answer({"fault": str(bad) if isinstance(bad, RelocbenchError) else raised(bad)})
             return
         pin_threads()
-        connection.answer({"declared": vars(tracker.declared)})
-        asked = _Asked(tracker)
+        connection.answer({"declared": declared})
         while True:
             what, given = connection.question()
-            answer: Callable[..., tuple[Any, list[Array]]] = getattr(asked, what)
+            answer: Callable[..., tuple[Any, Arrays]] = getattr(asked, what)
             connection.answer(*answer(*given))
     except (EOFError, OSError):
         os._exit(0)  # at once: libraries that a method has loaded may take seconds to tidy up
 
 
-class _Connection:
+class Connection:
     """Questions and answers of this process alone: a child that a method forked and that returns here ends."""
 
     def __init__(self, connection: socket.socket) -> None:
@@ -70,10 +81,15 @@ class _Connection:
             os._exit(1)
         return receive_question(self._connection)
 
-    def answer(self, words: Any, arrays: list[Array] | tuple[()] = ()) -> None:
+    def answer(self, words: Any, arrays: Arrays = ()) -> None:
         if os.getpid() != self._pid:
             os._exit(1)
         send_answer(self._connection, words, arrays)
+
+
+def _made(spec: MethodSpec, connection: Connection) -> tuple[object, dict[str, Any]]:
+    tracker = LocalTracker(spec.create())
+    return _Asked(tracker), vars(tracker.declared)
 
 
 class _Asked:
@@ -83,24 +99,24 @@ class _Asked:
         self._tracker = tracker
         self._shown: list[Query] = []
 
-    def prepare(self, keyframe: Reference) -> tuple[Any, list[Array]]:
+    def prepare(self, keyframe: Reference) -> tuple[Any, Arrays]:
         return {"broke": self._tracker.prepare(keyframe)}, []
 
-    def show(self, views: list[Query]) -> tuple[Any, list[Array]]:
+    def show(self, views: list[Query]) -> tuple[Any, Arrays]:
         """Receive the queries that the next question is about, so that its time does not contain their transfer."""
         self._shown = views
         return {}, []
 
-    def ask(self, order: list[int], priors: list[Array | None] | None) -> tuple[Any, list[Array]]:
+    def ask(self, order: list[int], priors: list[Array | None] | None) -> tuple[Any, Arrays]:
         answers, _ = self._tracker.ask([self._shown[index] for index in order], priors)
         poses = [answer.T_query_ref for answer in answers if answer.T_query_ref is not None]
         return [_words(answer) for answer in answers], poses
 
-    def match(self, uv_ref: Array, uv_start: Array) -> tuple[Any, list[Array]]:
+    def match(self, uv_ref: Array, uv_start: Array) -> tuple[Any, Arrays]:
         ends, broke = self._tracker.match(self._shown[0], uv_ref, uv_start)
         return {"broke": broke}, [] if ends is None else [ends]
 
-    def match_levels(self, uv_ref: Array, uv_start: Array) -> tuple[Any, list[Array]]:
+    def match_levels(self, uv_ref: Array, uv_start: Array) -> tuple[Any, Arrays]:
         levels, broke = self._tracker.match_levels(self._shown[0], uv_ref, uv_start)
         return {"broke": broke}, levels
 

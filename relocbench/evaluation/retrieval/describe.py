@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from relocbench.errors import one_line
 from relocbench.evaluation.common.views import read_only
-from relocbench.evaluation.retrieval.handles import LocalRetriever, RetrieverHandle, WorkerRetriever
+from relocbench.evaluation.retrieval.handles import RetrieverHandle, WorkerRetriever
+from relocbench.evaluation.retrieval.local import LocalRetriever
 from relocbench.evaluation.retrieval.output_checks import fault_of
 from relocbench.execution import chunks
 from relocbench.retrieval import Descriptors, Image, ImageView, RetrievalTask, Retriever
@@ -57,13 +58,17 @@ class Describer:
     Args:
         retriever: constructed, and fitted if it can be; or a handle that calls one in another process.
         shared: identities of the images whose descriptors are cached.
+        salt: of the digests that the retriever sees in place of keys.
     """
 
-    def __init__(self, retriever: Retriever | RetrieverHandle, shared: frozenset[str] = frozenset()) -> None:
+    def __init__(
+        self, retriever: Retriever | RetrieverHandle, shared: frozenset[str] = frozenset(), salt: str = ""
+    ) -> None:
         self.handle: RetrieverHandle = (
             retriever if isinstance(retriever, LocalRetriever | WorkerRetriever) else _local_handle(retriever)
         )
         self._shared = shared
+        self._salt = salt
         self._known: dict[str, _One] = {}
         self._dimensions: int | None = None
         self._broken = 0
@@ -91,7 +96,7 @@ class Describer:
     def _batch(self, images: Sequence[ImageView]) -> list[_One]:
         if not images:
             return []
-        views = list(anonymous(images))
+        views = list(anonymous(images, self._salt))
         values, seconds, broke = self._ask(views)
         if broke and len(views) > 1 and (self._broken < _HOPELESS or self._dimensions is not None):
             return [one for view in views for one in self._single(view)]
@@ -117,13 +122,14 @@ def _local_handle(retriever: Any) -> RetrieverHandle:
     return LocalRetriever(retriever)
 
 
-def anonymous(images: Iterable[ImageView]) -> Iterator[ImageView]:
+def anonymous(images: Iterable[ImageView], salt: str = "") -> Iterator[ImageView]:
     """Yield the views that a method gets, whose keys are digests: a path may name the place, a digest does not.
 
+    The digest depends on ``salt``, since that of a path that can be guessed would give the path away.
     The views are new, so that an image is released together with its view.
     """
     for image in images:
-        name = hashlib.blake2s(image.key.encode(), digest_size=8).hexdigest()
+        name = hashlib.blake2s(image.key.encode(), digest_size=8, key=salt.encode()[:32]).hexdigest()
         yield ImageView(name, image.view, partial(_read_only, image.read))
 
 
@@ -134,8 +140,8 @@ def _read_only(read: Callable[[], Image]) -> Image:
 class AnonymousViews(Sequence[ImageView]):
     """A gallery for ``fit`` that can be indexed in any order; it keeps no image in memory."""
 
-    def __init__(self, images: Sequence[ImageView]) -> None:
-        self._images = images
+    def __init__(self, images: Sequence[ImageView], salt: str = "") -> None:
+        self._images, self._salt = images, salt
 
     def __len__(self) -> int:
         return len(self._images)
@@ -146,8 +152,8 @@ class AnonymousViews(Sequence[ImageView]):
     def __getitem__(self, index: slice) -> Sequence[ImageView]: ...
     def __getitem__(self, index: int | slice) -> ImageView | Sequence[ImageView]:
         if isinstance(index, slice):
-            return AnonymousViews(self._images[index])
-        return next(anonymous([self._images[index]]))
+            return AnonymousViews(self._images[index], self._salt)
+        return next(anonymous([self._images[index]], self._salt))
 
 
 def identity(image: ImageView) -> str:

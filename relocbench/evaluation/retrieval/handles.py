@@ -2,30 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from relocbench.errors import MethodError, RelocbenchError
-from relocbench.evaluation.common.guard import guarded, implements
-from relocbench.evaluation.common.info_text import info_text
 from relocbench.evaluation.common.worker import CONSTRUCTOR
 from relocbench.evaluation.common.worker_losses import HOPELESS, TRIES, given_up_message, is_final, loss_message
-from relocbench.evaluation.retrieval.output_checks import checked_descriptors, checked_scores, rerank_top_of
-from relocbench.execution import MANY_TIMES, Limits, Loss, Run, messages_to_stderr, run_limited, step
+from relocbench.evaluation.retrieval.isolation import IsolatedRetriever
+from relocbench.evaluation.retrieval.local import CallResult, LocalRetriever, create_retriever
+from relocbench.execution import MANY_TIMES, Limits, Loss, Run, run_limited, step
 from relocbench.methods import MethodSpec
-from relocbench.retrieval import (
-    Descriptors,
-    FittingRetriever,
-    ImageView,
-    Retriever,
-)
-
-CallResult = tuple[Any, float, str]
-"""what a call returned, its seconds, and how it broke (empty if it did not)"""
+from relocbench.retrieval import Descriptors, ImageView
 
 
 class RetrieverHandle(Protocol):
@@ -45,40 +33,6 @@ class RetrieverHandle(Protocol):
     def fit(self, gallery: Sequence[ImageView], seed: int) -> CallResult: ...
     def describe(self, images: Sequence[ImageView]) -> CallResult: ...
     def rerank(self, query: Descriptors, candidates: Descriptors) -> CallResult: ...
-
-
-class LocalRetriever:
-    """A retriever in this process. A bad image, or a MethodError that the method raises, ends the run."""
-
-    def __init__(self, retriever: Retriever) -> None:
-        self._retriever: Any = retriever
-        self._warm = False
-        self.fits = implements(retriever, FittingRetriever)
-        self.rerank_top, fault = rerank_top_of(retriever)
-        self.rerank_fault = fault or ""
-
-    @property
-    def info(self) -> dict[str, Any]:
-        told, _ = guarded(lambda: getattr(self._retriever, "info", None))
-        return dict(json.loads(info_text(told))) if guarded(lambda: isinstance(told, Mapping))[0] is True else {}
-
-    def fit(self, gallery: Sequence[ImageView], seed: int) -> CallResult:
-        return _timed(lambda: self._retriever.fit(gallery, seed), MANY_TIMES)
-
-    def describe(self, images: Sequence[ImageView]) -> CallResult:
-        for view in images:
-            view.image  # noqa: B018  read it before the clock starts
-        if not self._warm:  # compilation and first allocations should not count as the method's speed
-            self._warm = True
-            _timed(lambda: self._retriever.describe(images[:1]), MANY_TIMES)
-        values, seconds, broke = _timed(lambda: self._retriever.describe(images), min(float(len(images)), MANY_TIMES))
-        values, fault = checked_descriptors(values, broke or None, len(images))
-        return values, seconds, fault or ""
-
-    def rerank(self, query: Descriptors, candidates: Descriptors) -> CallResult:
-        values, seconds, broke = _timed(lambda: self._retriever.rerank(query, candidates), 1.0)
-        scores, fault = checked_scores(values, broke or None, len(candidates))
-        return scores, seconds, fault or ""
 
 
 @dataclass(frozen=True)
@@ -170,16 +124,7 @@ def retriever_handle(spec: MethodSpec, run: Run) -> RetrieverHandle:
     return LocalRetriever(create_retriever(spec)) if run.workers == 0 else WorkerRetriever(spec, run.limits)
 
 
-def create_retriever(spec: MethodSpec) -> Retriever:
-    """Construct the retriever. Raises MethodError."""
-    made: Retriever = spec.create()
-    if not implements(made, Retriever):
-        made_of = f"made a thing of type {type(made).__name__}"
-        raise MethodError(f"retriever '{spec.label}': {spec.target} {made_of}, which has no describe()")
-    return made
-
-
-_retrievers: dict[str, LocalRetriever] = {}
+_retrievers: dict[str, IsolatedRetriever] = {}
 """in a worker process: the retriever that was called last"""
 
 
@@ -188,9 +133,11 @@ def _serve(request: _Request) -> Any:
     if request.token not in _retrievers:
         if request.fitted:
             return None
+        for other in _retrievers.values():
+            other.close()
         _retrievers.clear()
         with step(CONSTRUCTOR, times=MANY_TIMES):
-            _retrievers[request.token] = LocalRetriever(create_retriever(request.spec))
+            _retrievers[request.token] = IsolatedRetriever(request.spec)
     asked = _retrievers[request.token]
     if request.what == "about":
         return _About(asked.fits, asked.rerank_top, asked.rerank_fault), 0.0, ""
@@ -198,23 +145,3 @@ def _serve(request: _Request) -> Any:
         with step(""):
             return asked.info, 0.0, ""
     return getattr(asked, request.what)(*request.given)
-
-
-def _timed(call: Callable[[], Any], times: float) -> CallResult:
-    """Call as :func:`~relocbench.evaluation.common.guard.guarded` does, but let any RelocbenchError through."""
-    raised: list[RelocbenchError] = []
-
-    def kept() -> Any:
-        try:
-            return call()
-        except RelocbenchError as bad:
-            raised.append(bad)
-            raise
-
-    start = time.perf_counter()
-    with messages_to_stderr(), step("", times=times):
-        value, broke = guarded(kept)
-    seconds = time.perf_counter() - start
-    if raised:
-        raise raised[0]
-    return value, seconds, broke or ""

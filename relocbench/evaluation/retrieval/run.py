@@ -79,15 +79,15 @@ def run_retriever(
     todo = [task for task in tasks if overwrite == "always" or _open(folder, task, overwrite)]
     asking = None
     if overwrite == "always":
-        asking = RetrieverSession(
-            lambda: retriever_handle(spec, run), todo, seed
-        )  # a method that cannot be made must not cost answers
+        # A method that cannot be made must not cost answers.
+        asking = RetrieverSession(lambda: retriever_handle(spec, run), todo, seed, asked.fingerprint)
         _clear(folder, tasks)
     refuse_mixture(folder, record, work_left=bool(todo))
     _refuse_other_lists(folder, record)
     if not todo:
         return folder
-    asking = asking or RetrieverSession(lambda: retriever_handle(spec, run), todo, seed)  # nor leave an empty folder
+    if asking is None:  # before a folder is made, which a method that cannot be made would leave empty
+        asking = RetrieverSession(lambda: retriever_handle(spec, run), todo, seed, asked.fingerprint)
     folder.root.mkdir(parents=True, exist_ok=True)
     write_set_record(results, asked, tasks)
     with alone_in(folder.root, PredictionError):
@@ -114,13 +114,15 @@ class RetrieverSession:
         make: returns the retriever, constructed; called again for each gallery that it is fitted to.
         tasks: all tasks that it will run on.
         seed: for ``fit``.
+        salt: of the digests that the retriever sees in place of keys; no method is told it.
     """
 
     def __init__(
-        self, make: Callable[[], Retriever | RetrieverHandle], tasks: Sequence[RetrievalTask], seed: int
+        self, make: Callable[[], Retriever | RetrieverHandle], tasks: Sequence[RetrievalTask], seed: int, salt: str = ""
     ) -> None:
         self._make = make
         self._seed = seed
+        self._salt = salt
         self._shared = shared_images(tasks)
         self._describer = self._new()
         self._fitted_on: list[str] | None = None
@@ -132,7 +134,7 @@ class RetrieverSession:
         return self._describer.handle.info
 
     def _new(self) -> Describer:
-        return Describer(self._make(), self._shared)
+        return Describer(self._make(), self._shared, self._salt)
 
     def ask(
         self, task: RetrievalTask, keep: int | None, advance: Callable[[int], None] = lambda count: None
@@ -143,7 +145,7 @@ class RetrieverSession:
         if self._describer.handle.fits and self._fitted_on != keys:
             if self._fitted_on is not None:
                 self._describer = self._new()
-            _, seconds, broke = self._describer.handle.fit(AnonymousViews(task.gallery), self._seed)
+            _, seconds, broke = self._describer.handle.fit(AnonymousViews(task.gallery, self._salt), self._seed)
             fit_seconds, broke = round(seconds, 3), f"fit: {broke}" if broke else ""
             self._fitted_on = keys
         describer = self._describer

@@ -8,13 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cheating_retrievers import KeyGuesser
 from cheating_trackers import FRAMES
 from small_dataset import ACROSS, make_small_dataset
+from small_views import make_small_views
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import MethodError, RelocbenchError
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.results import Answer, MethodResults, read_answers
+from relocbench.evaluation.retrieval.describe import anonymous
+from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.progress import Silent
 
@@ -111,3 +116,27 @@ def test_a_method_is_not_given_the_path_of_the_dataset(dataset: Dataset, tmp_pat
     for path in (dataset.root, dataset.root / "pairs", dataset.root.parent / "." / dataset.root.name):
         with pytest.raises(MethodError, match="names a file or folder of the dataset"):
             evaluate(dataset, tmp_path, "cheat=trackers_for_tests:Required", set=(f"weights={path}",))
+
+
+@pytest.mark.parametrize("name", ["PathReader", "KeyGuesser"])
+def test_retrievers_find_neither_files_nor_names(tmp_path: Path, name: str) -> None:
+    views = make_small_views(tmp_path / "views")
+    options = RetrievalOptions(dataset=views, out=tmp_path / "out", methods=(f"cheat=cheating_retrievers:{name}",))
+    (folder,) = evaluate_retrievers(options, Silent()).folders
+    assert folder.run_record().info == {"found": []}
+
+
+def test_a_retriever_in_the_evaluators_process_would_find_files(tmp_path: Path) -> None:
+    views = make_small_views(tmp_path / "views")
+    options = RetrievalOptions(
+        dataset=views, out=tmp_path / "out", methods=("cheat=cheating_retrievers:PathReader",), workers=0
+    )
+    (folder,) = evaluate_retrievers(options, Silent()).folders
+    assert folder.run_record().info["found"], "the reader finds what there is"
+
+
+def test_keys_without_a_salt_would_be_guessed(tmp_path: Path) -> None:
+    queries = open_cross_view(make_small_views(tmp_path / "views")).tasks()[0].queries
+    guesser = KeyGuesser()
+    guesser.describe(list(anonymous(queries)))
+    assert guesser.info["found"] == sorted(view.key for view in queries)

@@ -1,0 +1,137 @@
+"""The process of a method as the evaluator sees it: started, asked one question at a time, and ended.
+
+A method that looks around in its process (the stack, the garbage collector, open files, arguments) finds what its
+contract shows it, and no dataset, no truth and no folder of results. ``docs/blind-protocol.md`` says what this does
+not prevent.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import time
+import weakref
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import MethodError, RelocbenchError, one_line
+from relocbench.evaluation.common.framing import FramingFault, receive_answer, send_question
+from relocbench.execution import end_descendants
+from relocbench.methods import MethodSpec
+
+Arrays = list[NDArray[np.floating]]
+
+FORGED = "the method's process sent something else than answers"
+NEEDS = "needs"
+"""key of an answer by which the method's process asks for something before it can answer"""
+_ENDING_S = 1.0
+_START = (
+    "import importlib, json, sys; sys.path[:] = json.loads(sys.argv[4]); "
+    "importlib.import_module(sys.argv[1]).main(int(sys.argv[2]), int(sys.argv[3]))"
+)
+
+
+class MethodProcess:
+    """A child process that holds one method and answers only to this object.
+
+    If the child dies, this process ends in the same way: whoever watches over it then learns how the method ended.
+
+    Args:
+        spec: the method, which the child makes.
+        module: the module whose ``main`` the child runs.
+
+    Raises:
+        MethodError: the method cannot be made.
+    """
+
+    def __init__(self, spec: MethodSpec, module: str) -> None:
+        self._connection, theirs = socket.socketpair()
+        words = [sys.executable, "-c", _START, module, str(theirs.fileno()), str(os.getpid()), json.dumps(sys.path)]
+        with theirs:
+            self._process = subprocess.Popen(
+                words, stdin=subprocess.DEVNULL, stdout=sys.__stderr__, pass_fds=(theirs.fileno(),)
+            )
+        self._finalizer = weakref.finalize(self, _end, self._process, self._connection)
+        told, _ = self.ask(spec)
+        if not isinstance(told, dict) or not isinstance(told.get("declared"), dict):
+            self.close()
+            fault = told.get("fault", FORGED) if isinstance(told, dict) else FORGED
+            raise MethodError(one_line(fault, 2000))
+        self.declared: dict[str, Any] = told["declared"]
+        """what the method declares of itself, as plain values that are not checked"""
+
+    def ask(self, question: Any, needed: Callable[[Any], Any] | None = None) -> tuple[Any, Arrays]:
+        """Ask a question and wait for the answer.
+
+        Args:
+            question: any object that can be pickled.
+            needed: returns what the child needs meanwhile, by what it names.
+
+        Raises:
+            RelocbenchError: the child does not keep to the protocol.
+            Exception: whatever ``needed`` raises; the child is then ended.
+        """
+        try:
+            self._send(question)
+            while True:
+                told, arrays = receive_answer(self._connection, lambda: self._process.poll() is None)
+                if needed is None or not isinstance(told, dict) or NEEDS not in told:
+                    return told, arrays
+                self._send(self._needed(needed, told[NEEDS]))
+        except (EOFError, OSError):
+            self._die_like_the_method()
+        except FramingFault as bad:
+            self.close()
+            raise RelocbenchError(f"the process of the method sent no answer of relocbench's: {bad}") from None
+
+    def close(self) -> None:
+        """End the process."""
+        self._finalizer()
+
+    def _send(self, question: Any) -> None:
+        with suppress(BrokenPipeError, ConnectionResetError):  # what it has answered before is still to be read
+            send_question(self._connection, question)
+
+    def _needed(self, needed: Callable[[Any], Any], named: Any) -> Any:
+        try:
+            return needed(named)
+        except BaseException:
+            self.close()
+            raise
+
+    def _die_like_the_method(self) -> NoReturn:
+        """End this process as the method has ended its own: by the same signal, or with the same status."""
+        try:
+            code = self._process.wait(_ENDING_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            code = self._process.wait()
+        end_descendants()
+        if code < 0:
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            if -code != signal.SIGKILL:
+                signal.signal(-code, signal.SIG_DFL)
+            os.kill(os.getpid(), -code)
+            time.sleep(_ENDING_S)  # a signal may be delivered a moment later
+        os._exit(max(code, 0))
+
+
+def broke_of(told: Any) -> str | None:
+    """How the method broke, of an answer that says so under ``broke``."""
+    broke = told.get("broke") if isinstance(told, dict) else FORGED
+    return None if broke is None else one_line(broke)
+
+
+def _end(process: subprocess.Popen[bytes], connection: socket.socket) -> None:
+    connection.close()
+    process.kill()
+    process.wait()

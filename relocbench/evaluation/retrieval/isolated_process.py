@@ -1,0 +1,110 @@
+"""The process of a retriever: it is shown images under digests for keys, and holds no dataset and no labels."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.errors import RelocbenchError
+from relocbench.evaluation.common.isolated_process import Arrays, Connection, serve
+from relocbench.evaluation.common.method_process import NEEDS
+from relocbench.evaluation.common.views import read_only
+from relocbench.evaluation.retrieval.local import CallResult, LocalRetriever, create_retriever
+from relocbench.methods import MethodSpec
+from relocbench.retrieval import Descriptors, Image, ImageView
+
+Named = tuple[str, str]
+"""key and view of an image"""
+
+
+def main(descriptor: int, parent: int) -> None:
+    """Answer questions about a retriever from a socket until its other end is closed.
+
+    Args:
+        descriptor: file descriptor of the socket.
+        parent: process id of the evaluator.
+    """
+    serve(descriptor, parent, _made)
+
+
+def _made(spec: MethodSpec, connection: Connection) -> tuple[object, dict[str, Any]]:
+    retriever = LocalRetriever(create_retriever(spec))
+    declared = {
+        "fits": retriever.fits,
+        "rerank_top": retriever.rerank_top,
+        "rerank_fault": retriever.rerank_fault,
+    }
+    return _Asked(retriever, connection), declared
+
+
+class _Asked:
+    """The questions of the protocol, by name."""
+
+    def __init__(self, retriever: LocalRetriever, connection: Connection) -> None:
+        self._retriever = retriever
+        self._connection = connection
+        self._shown: list[ImageView] = []
+
+    def info(self) -> tuple[Any, Arrays]:
+        return {"info": self._retriever.info}, []
+
+    def fit(self, gallery: list[Named], seed: int) -> tuple[Any, Arrays]:
+        return _answer(lambda: (None, *self._retriever.fit(_Gallery(gallery, self._connection), seed)[1:]))
+
+    def show(self, images: list[tuple[str, str, Image]]) -> tuple[Any, Arrays]:
+        """Receive the images that the next question is about, so that its time does not contain their transfer."""
+        self._shown = [ImageView(key, view, partial(read_only, image)) for key, view, image in images]
+        for each in self._shown:
+            each.image  # noqa: B018  kept in the view
+        return {}, []
+
+    def warm_up(self) -> tuple[Any, Arrays]:
+        return _answer(lambda: self._retriever.warm_up(self._shown))
+
+    def describe(self) -> tuple[Any, Arrays]:
+        return _answer(lambda: self._retriever.describe(self._shown))
+
+    def rerank(self, query: Descriptors, candidates: Descriptors) -> tuple[Any, Arrays]:
+        return _answer(lambda: self._retriever.rerank(query, candidates))
+
+
+class _Gallery(Sequence[ImageView]):
+    """A gallery whose images are fetched from the evaluator when they are looked at; none is kept."""
+
+    def __init__(self, named: Sequence[Named], connection: Connection, indices: Sequence[int] | None = None) -> None:
+        self._named, self._connection = named, connection
+        self._indices = range(len(named)) if indices is None else indices
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._indices)
+
+    @overload
+    def __getitem__(self, index: int) -> ImageView: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[ImageView]: ...
+    def __getitem__(self, index: int | slice) -> ImageView | Sequence[ImageView]:
+        if isinstance(index, slice):
+            return _Gallery(self._named, self._connection, self._indices[index])
+        at = self._indices[index]
+        key, view = self._named[at]
+        return ImageView(key, view, partial(self._fetch, at))
+
+    def _fetch(self, index: int) -> Image:
+        with self._lock:
+            self._connection.answer({NEEDS: index})
+            image: NDArray[np.uint8] = self._connection.question()
+        return read_only(image)
+
+
+def _answer(call: Callable[[], CallResult]) -> tuple[Any, Arrays]:
+    try:
+        values, _, broke = call()
+    except RelocbenchError as bad:
+        return {"raised": str(bad)}, []
+    return {"broke": broke}, [] if values is None else [values]
