@@ -1,13 +1,14 @@
-"""Compare GN-Net across weathers with direct alignment on intensities and with ORB, on datasets rendered from seeds.
+"""Compare trackers across weathers, on districts that follow from a phrase and were asked nothing before.
 
-In each of three districts that no training saw (test split, ``--seeds``) two datasets are rendered: the three weathers
-of the CARLA part of the GN-Net benchmark in all nine combinations, and six more conditions of queries against a
-``WetNoon`` map. They have six cameras of 512x512 pixels, and pairs about 1.6 m apart. ``relocbench evaluate`` runs
-every method. The differences to each other method with their 95 % intervals are printed and written to ``--out``:
-across conditions, for each combination, and within a condition.
+Each of the twelve districts of ``docs/test-districts.md`` has 200 m of road and three conditions, each of which is the
+map for queries of all three: six changes and three pair sets within a condition. Images have 512x512 pixels; queries
+are about 1.6 m from their keyframe. ``relocbench evaluate`` runs every method, which is asked once (see
+``leaderboard/LEDGER.md``). ``--split validation`` renders districts of other seeds, to try the whole line out.
 
-The intervals are those of a paired bootstrap over blocks of neighbouring steps of the drives. The pairs of a step, from
-its six cameras and all combinations of the group, are at one place and resampled together, as one observation.
+The page has the scores of every method across conditions, within a condition, and of all changes with a condition at
+one end; and the differences of one method to every other with their 95 % intervals. A district counts as one series,
+ordered by time; districts count alike, and intervals are at least as wide as their spread demands
+(``docs/statistics.md``).
 
 Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made.
 
@@ -30,6 +31,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from districts import COUNT, PHRASE, District, districts
 from numpy.typing import NDArray
 
 from relocbench.evaluation.common.error_table import read_errors
@@ -38,17 +40,34 @@ from relocbench.metrics import Difference, PoseErrors, metric_named, paired_diff
 
 Array = NDArray[np.float64]
 
-CARLA = ("WetNoon", "SoftRainNoon", "WetCloudySunset")
-OTHERS = ("Sunny", "Overcast", "Rain", "Snow", "Night", "Fog")
-METRICS = ("t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)")
-METHODS = ("identity", "dso", "orb-pnp", "gn-net-contrastive", "lm-net", "gn-net")
+METRICS = ("recall@(0.25m,2deg)", "t_auc@0.5m", "r_auc@0.5deg")
+METHODS = (
+    "identity",
+    "clock",
+    "sift-pnp",
+    "orb-pnp",
+    "dso",
+    "dso-multistart",
+    "dso-from-orb-pnp=dso",
+    "dso-from-gn-net-pnp=dso",
+    "gn-net-from-prior",
+    "gn-net-pnp",
+    "gn-net-contrastive",
+    "lm-net",
+    "gn-net",
+)
+SETTINGS = ("dso-from-orb-pnp.start=orb-pnp", "dso-from-gn-net-pnp.start=gn-net-pnp")
 SUBJECT = "gn-net"
 RIVALS = ("dso", "orb-pnp")
 """methods that the subject should be ahead of"""
+VALIDATION_PHRASE = "validation of the page across weathers"
+STEPS, SPEED_MPS = 52, 40
+"""images of a drive and its speed: at 10 images a second, 204 m of road"""
 _HEAD = """# Across weathers
 
-Printed by `python benchmarks/publish/cross_weather.py`; what is asked and how intervals are made stands there. Shares
-are in percent, failures count as infinite errors. A difference whose interval excludes zero has a star.
+Printed by `python benchmarks/publish/cross_weather.py`; what is asked stands there, and how intervals are made in
+[Statistics](../../docs/statistics.md). Shares are in percent, failures count as infinite errors. A difference whose
+interval excludes zero has a star. Made by commit {commit}.
 """
 
 
@@ -83,8 +102,8 @@ def main() -> None:
     options = _options()
     with tempfile.TemporaryDirectory() as temporary:
         scratch = options.scratch or Path(temporary)
-        datasets = _build(scratch, options)
-        for dataset in datasets:
+        for district in districts(options.phrase, options.districts):
+            dataset = _build(scratch, district, options)
             methods = [word for method in options.methods for word in ("-m", method)]
             settings = [word for setting in options.settings for word in ("--set", setting)]
             results = "--out", scratch / "results", "--split", options.split, "-j", options.workers, "-q"
@@ -96,7 +115,7 @@ def main() -> None:
     print(tables)
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
-        (options.out / "cross_weather.md").write_text(f"{_HEAD}{tables}\n")
+        (options.out / "cross_weather.md").write_text(f"{_HEAD.format(commit=_commit())}{tables}\n")
     print(json.dumps({"benchmark": "cross_weather", **_claims(together, single, methods)}))
 
 
@@ -104,34 +123,33 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, help="folder that keeps datasets and results; default: a temporary one")
     parser.add_argument("--out", type=Path, help="folder for cross_weather.md")
-    parser.add_argument("--split", default="test")
-    parser.add_argument("--seeds", default="100,101,102", help="seeds of the districts")
-    parser.add_argument(
-        "--steps", type=int, default=20, help="steps of each drive, each with six pairs for each combination"
-    )
+    parser.add_argument("--split", default="test", choices=("test", "validation"))
+    parser.add_argument("--districts", type=int, default=COUNT, help="number of districts")
+    parser.add_argument("--steps", type=int, default=STEPS, help="images of each drive")
     parser.add_argument("--workers", "-j", type=int, default=2)
     parser.add_argument("-m", dest="methods", action="append", help=f"default: {', '.join(METHODS)}")
-    parser.add_argument("--set", dest="settings", action="append", default=[], help="method.key=value")
+    parser.add_argument("--set", dest="settings", action="append", help="method.key=value")
     options = parser.parse_args()
+    options.settings = options.settings or ([] if options.methods else list(SETTINGS))
     options.methods = options.methods or list(METHODS)
+    options.phrase = PHRASE if options.split == "test" else VALIDATION_PHRASE
     return options
 
 
-def _build(scratch: Path, options: argparse.Namespace) -> list[Path]:
-    built = []
-    for seed in options.seeds.split(","):
-        for name, conditions, reference in (
-            (f"weather-carla-{seed}", CARLA, "all"),
-            (f"weather-seasons-{seed}", ("WetNoon", *OTHERS), "first"),
-        ):
-            out = scratch / name
-            _run(
-                "build-dataset", "synthetic", "--name", name, "--conditions", ",".join(conditions), "--cameras", "six",
-                "--size", "512x512", "--steps", options.steps, "--speed", 10, "--split", options.split, "--seed", seed,
-                "--reference", reference, "--correspondences", 300, "--out", out, "-j", options.workers, "-q",
-            )  # fmt: skip
-            built.append(out)
-    return built
+def _build(scratch: Path, district: District, options: argparse.Namespace) -> Path:
+    name = f"weather-{options.split}-{district.number:02d}"
+    out: Path = scratch / name
+    drive = "--cameras", "front", "--size", "512x512", "--steps", options.steps, "--speed", SPEED_MPS
+    asked = "--split", options.split, "--seed", district.seed, "--reference", "all", "--correspondences", 0
+    words = "--name", name, "--conditions", ",".join(district.conditions), *drive, *asked
+    _run("build-dataset", "synthetic", *words, "--out", out, "-j", options.workers, "-q")
+    return out
+
+
+def _commit() -> str:
+    """The commit of the repository, with a plus if files differ from it."""
+    asked = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty=+", "--abbrev=12"]
+    return subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()
 
 
 def _run(*words: object) -> None:
@@ -164,16 +182,12 @@ def _errors(results: Path, methods: Sequence[str]) -> pd.DataFrame:
 
 
 def _scored(errors: pd.DataFrame) -> pd.DataFrame:
-    """Conditions, district, step and per-pair values of every metric, for every answer.
-
-    ``WetNoon`` against itself is in both datasets of a district and is counted once.
-    """
+    """Conditions, district, step and per-pair values of every metric, for every answer."""
     named = errors["pair_set"].str.extract(r"^[a-z]+-(?P<reference>\w+)-\d+__[a-z]+-(?P<query>\w+)-\d+__")
     district = errors["dataset"].str.extract(r"-(?P<district>\d+)$")
     rows = pd.concat([errors, named, district], axis=1)
-    own = (rows["reference"] == rows["query"]) & rows["dataset"].str.startswith("weather-seasons")
-    rows = rows[~own].sort_values(["dataset", "pair_set", "query_timestamp_ns", "ref_timestamp_ns", "method"])
-    by_drive = rows.groupby(["district", "dataset", "query"])["query_timestamp_ns"]
+    rows = rows.sort_values(["dataset", "pair_set", "query_timestamp_ns", "ref_timestamp_ns", "method"])
+    by_drive = rows.groupby(["district", "query"])["query_timestamp_ns"]
     rows["step"] = by_drive.rank(method="dense").astype(int)
     of_pairs = PoseErrors(
         rotation_error_deg=rows["rotation_error_deg"].to_numpy(dtype=np.float64),
@@ -188,17 +202,12 @@ def _scored(errors: pd.DataFrame) -> pd.DataFrame:
 
 
 def _groups(rows: pd.DataFrame) -> tuple[list[Group], list[Group]]:
-    """The groups: all pairs across conditions, all within a condition, and each combination of conditions."""
+    """All pairs across conditions, all within a condition, and the changes with each condition at one end."""
     across = rows["reference"] != rows["query"]
     together = [Group("across conditions", rows[across]), Group("within a condition", rows[~across])]
-    order = {name: number for number, name in enumerate((*CARLA, *OTHERS))}
-    names = sorted(
-        set(zip(rows["reference"], rows["query"], strict=True)),
-        key=lambda ends: (order[ends[1]] >= len(CARLA), order[ends[0]], order[ends[1]]),
-    )
     single = [
-        Group(f"{reference} -> {query}", rows[(rows["reference"] == reference) & (rows["query"] == query)])
-        for reference, query in names
+        Group(f"from or to {name}", rows[across & ((rows["reference"] == name) | (rows["query"] == name))])
+        for name in sorted({*rows["reference"], *rows["query"]})
     ]
     return together, single
 
@@ -206,14 +215,14 @@ def _groups(rows: pd.DataFrame) -> tuple[list[Group], list[Group]]:
 def _tables(together: list[Group], single: list[Group], methods: Sequence[str]) -> list[str]:
     lines = []
     for metric in METRICS:
-        lines += [f"\n## {metric}, %\n", f"| reference -> query | pairs | {' | '.join(methods)} |"]
+        lines += [f"\n## {metric}, %\n", f"| group | pairs | {' | '.join(methods)} |"]
         lines += [f"|---|---|{'---|' * len(methods)}"]
         for group in (*together, *single):
             cells = [f"{100 * group.mean(method, metric):.1f}" for method in methods]
             lines.append(f"| {group.name} | {group.pairs} | {' | '.join(cells)} |")
     others = [method for method in methods if method != SUBJECT]
     lines += [f"\n## {SUBJECT} less another method, percentage points [95 % interval]\n"]
-    lines += [f"| reference -> query | metric | {' | '.join(others)} |", f"|---|---|{'---|' * len(others)}"]
+    lines += [f"| group | metric | {' | '.join(others)} |", f"|---|---|{'---|' * len(others)}"]
     for group in (*together, *single):
         for metric in METRICS:
             cells = [_told(group.ahead(SUBJECT, other, metric)) for other in others]
@@ -231,8 +240,14 @@ def _told(difference: Difference) -> str:
 
 def _claims(together: list[Group], single: list[Group], methods: Sequence[str]) -> dict[str, Any]:
     """The differences of the subject to each other method."""
-    claims: dict[str, Any] = {"pairs_a_combination": min(group.pairs for group in single)}
-    crossing = [group for group in single if len(set(group.name.split(" -> "))) == 2]
+    claims: dict[str, Any] = {
+        "districts": int(together[0].rows["district"].nunique()),
+        "pairs": {group.name: group.pairs for group in together},
+        "shares": {
+            method: {f"{group.name}, {metric}": group.mean(method, metric) for group in together for metric in METRICS}
+            for method in methods
+        },
+    }
     for other in methods:
         if other == SUBJECT:
             continue
@@ -244,15 +259,15 @@ def _claims(together: list[Group], single: list[Group], methods: Sequence[str]) 
                 ends = [None, None] if interval is None else [interval.low, interval.high]
                 told[f"{group.name}, {metric}"] = [difference.mean, *ends]
         for metric in METRICS:
-            told[f"combinations ahead, {metric}"] = sum(
-                group.mean(SUBJECT, metric) > group.mean(other, metric) for group in crossing
-            ) / len(crossing)
+            told[f"conditions ahead, {metric}"] = sum(
+                group.mean(SUBJECT, metric) > group.mean(other, metric) for group in single
+            ) / len(single)
         claims[f"{SUBJECT} less {other}"] = told
     rivals = [method for method in RIVALS if method in methods]
     for metric in METRICS if rivals else ():
-        claims[f"combinations ahead of {' and '.join(rivals)}, {metric}"] = sum(
-            all(group.mean(SUBJECT, metric) > group.mean(rival, metric) for rival in rivals) for group in crossing
-        ) / len(crossing)
+        claims[f"conditions ahead of {' and '.join(rivals)}, {metric}"] = sum(
+            all(group.mean(SUBJECT, metric) > group.mean(rival, metric) for rival in rivals) for group in single
+        ) / len(single)
     return claims
 
 
