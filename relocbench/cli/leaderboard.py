@@ -23,7 +23,7 @@ def leaderboard(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write.")],
     metric: Annotated[
         str, typer.Option(metavar="NAME", help="Metric that ranks trackers; any that is a mean over pairs.")
-    ] = "t_auc@0.5m",
+    ] = "recall@(0.25m,2deg)",
     retrieval_metric: Annotated[
         str, typer.Option(metavar="NAME", help="Metric that ranks retrievers: R@1, R@5, AP, ...")
     ] = "R@1",
@@ -34,7 +34,7 @@ def leaderboard(
         ),
     ] = "recall@(0.25m,2deg)",
     split: Annotated[str | None, typer.Option(metavar="NAME", help="Show only the pair sets of this split.")] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the bootstrap.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the draws that decide ranks.")] = 0,
     plots: Annotated[
         bool, typer.Option("--plots/--no-plots", help="Whether cumulative error curves are drawn.")
     ] = True,

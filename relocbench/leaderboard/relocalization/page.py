@@ -16,7 +16,7 @@ from relocbench.leaderboard.common.text import bullet, code, escaped, json_text,
 from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, ChainRow, ChainSetBoard, ChainTable
 from relocbench.leaderboard.tracking.load import machine_words
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
-from relocbench.metrics.statistics.significance import LEVEL
+from relocbench.metrics.statistics.intervals import LEVEL
 
 _POSES = (RANKING, "recall@(0.5m,5deg)", "recall@(1m,5deg)", "recall@(5m,10deg)", "t_auc@0.5m", "r_auc@0.5deg")
 _LOST = {

@@ -11,7 +11,7 @@ from relocbench.leaderboard.common.copies import copies_words, question_words
 from relocbench.leaderboard.common.text import bullet, code, escaped, json_text, number, table_text, with_bounds
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
 from relocbench.leaderboard.tracking.load import machine_words
-from relocbench.metrics.statistics.significance import LEVEL
+from relocbench.metrics.statistics.intervals import LEVEL
 
 CHANCE = "(chance)"
 

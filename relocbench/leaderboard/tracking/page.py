@@ -12,7 +12,7 @@ from relocbench.leaderboard.tracking.matching import matching_section
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, SeedRow, Table
 from relocbench.leaderboard.tracking.page_methods import methods_section, reproduce_section
 from relocbench.metrics import Metric, Spread, metric_named
-from relocbench.metrics.statistics.significance import LEVEL
+from relocbench.metrics.statistics.intervals import LEVEL
 
 SHOWN = (
     "coverage",
