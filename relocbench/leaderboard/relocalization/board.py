@@ -201,7 +201,12 @@ def _table(
         if not c.knows_truth
     }
     better = not metric.startswith("failed_")
-    ranks = rank_with_ties(ranked, generator(seed, place, metric), higher_is_better=better) if ranked else {}
+    errors = {
+        c.label: [pose_errors_of(c.answers[t]) if t in c.answers else None for t in tasks]
+        for c in chains
+        if not c.knows_truth
+    }
+    ranks = rank_with_ties(ranked, generator(seed, place, metric), errors, higher_is_better=better) if ranked else {}
     rows = [_row(chain, tasks, metric, ranks.get(chain.label)) for chain in chains]
     sign = -1 if better else 1
     rows.sort(key=lambda r: (r.values[metric] is None, sign * (r.values[metric] or 0.0), r.chain.label))

@@ -281,8 +281,15 @@ def _table(
             for t, r in zip(tasks, records, strict=True)
         ]
 
+    def drawn_all(method: Retriever) -> list[Array | None]:
+        columns = zip(*(drawn(method, m) for m in METRICS), strict=True)
+        return [None if any(v is None for v in of_task) else np.stack(of_task) for of_task in columns]
+
     ranks = rank_with_ties(
-        {m.label: drawn(m, metric) for m in methods}, generator(seed, place, metric), independent=independent
+        {m.label: drawn(m, metric) for m in methods},
+        generator(seed, place, metric),
+        {m.label: drawn_all(m) for m in methods},
+        independent=independent,
     )
     rows = []
     for method in methods:

@@ -114,6 +114,7 @@ def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) ->
                 if m.ranked
             },
             generator(seed, place, metric.name),
+            {label: [None if rows is None else _errors(rows) for rows in own] for label, own in sets.items()},
             higher_is_better=metric.higher_is_better,
         )
     floor = sets[entry.floor.label] if entry.floor else None
@@ -169,10 +170,14 @@ def _row(
 
 def _interval(metric: Metric, sets: Sequence[ErrorTable]) -> Interval | None:
     """The interval of a share or area, or of the median of one pair set."""
-    errors = [np.stack([rows.errors.translation_error_m, rows.errors.rotation_error_deg]) for rows in sets]
     if metric.name not in MEDIANS:
-        return mean_interval([_per_pair(metric, rows) for rows in sets], errors)
-    return median_interval(errors[0][MEDIANS.index(metric.name)]) if len(sets) == 1 else None
+        return mean_interval([_per_pair(metric, rows) for rows in sets], [_errors(rows) for rows in sets])
+    return median_interval(_errors(sets[0])[MEDIANS.index(metric.name)]) if len(sets) == 1 else None
+
+
+def _errors(rows: ErrorTable) -> Array:
+    """(2, N) the translation and rotation errors: by them, statistics know how alike neighbouring pairs are."""
+    return np.stack([rows.errors.translation_error_m, rows.errors.rotation_error_deg])
 
 
 def _of_group(method: Method, pair_set: str, group: str) -> ErrorTable | None:

@@ -111,14 +111,22 @@ def inflation_of(
     """
     if independent:
         return Inflation(np.ones(1), np.ones(1))
+    return or_prior(measured_inflation(values, errors))
+
+
+def or_prior(inflation: Inflation) -> Inflation:
+    """The inflation of :data:`PRIOR_CORRELATION` where one is NaN because nothing varies."""
+    return Inflation(*(np.where(np.isnan(i), _PRIOR_INFLATION, i) for i in (inflation.likely, inflation.cautious)))
+
+
+def measured_inflation(values: Sequence[Array], errors: Sequence[ArrayLike] | None) -> Inflation:
+    """As :func:`inflation_of`, but NaN where nothing varies."""
     estimates = [series_inflation([v[None] for v in values])]
     if errors is not None:
         estimates.append(series_inflation([_normal_scores(np.atleast_2d(np.asarray(e, float))) for e in errors]))
     likely = np.concatenate([e.likely for e in estimates])
     cautious = np.concatenate([e.cautious for e in estimates])
-    if np.isnan(likely).all():
-        return Inflation(np.array([_PRIOR_INFLATION]), np.array([_PRIOR_INFLATION]))
-    return Inflation(np.array([np.nanmax(likely)]), np.array([np.nanmax(cautious)]))
+    return Inflation(np.fmax.reduce(likely, keepdims=True), np.fmax.reduce(cautious, keepdims=True))
 
 
 def _inflation(sets: Sequence[Array], product: Product, likely_at: float = _LIKELY) -> Inflation:

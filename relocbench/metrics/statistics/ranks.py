@@ -20,7 +20,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from relocbench.metrics.statistics.effective_size import Inflation, difference_inflation
+from relocbench.metrics.statistics.effective_size import (
+    Inflation,
+    difference_inflation,
+    measured_inflation,
+    or_prior,
+)
 from relocbench.metrics.statistics.intervals import LEVEL, mean_of_means, pairs_in_equal_sets
 
 Array = NDArray[np.float64]
@@ -39,6 +44,7 @@ def generator(seed: int, place: str, metric: str) -> np.random.Generator:
 def rank_with_ties(
     values: Mapping[str, Sequence[ArrayLike | None]],
     rng: np.random.Generator,
+    errors: Mapping[str, Sequence[ArrayLike | None]] | None = None,
     *,
     higher_is_better: bool = True,
     independent: bool = False,
@@ -50,6 +56,8 @@ def rank_with_ties(
         values: for each method one entry for each pair set, in the same order of sets for all methods: (N_s,) per-pair
             values ordered by reference time, or None where the method has no result on the set.
         rng: the source of the draws for critical values.
+        errors: (K, N_s) for each method and pair set: continuous errors of the same pairs, which say how correlated
+            neighbours are where the difference of two methods is the same on all pairs.
         higher_is_better: the direction of the metric.
         independent: whether the pairs are known to be independent.
         level: the probability that equal methods all share a rank.
@@ -73,7 +81,8 @@ def rank_with_ties(
     sign = 1.0 if higher_is_better else -1.0
     order = sorted(complete, key=lambda name: (-sign * mean_of_means(complete[name]), name))
     stacked = [np.stack(methods) for methods in zip(*(complete[name] for name in order), strict=True)]
-    differs = different_methods(stacked, rng, independent=independent, level=level)
+    of_methods = None if errors is None else [[e for e in errors[name] if e is not None] for name in order]
+    differs = different_methods(stacked, rng, of_methods, independent=independent, level=level)
     behind = np.tril(differs, -1).sum(axis=1) + 1
     places = np.minimum.accumulate(behind[::-1])[::-1]
     for name, place in zip(order, places.tolist(), strict=True):
@@ -82,15 +91,21 @@ def rank_with_ties(
 
 
 def different_methods(
-    pair_sets: Sequence[Array], rng: np.random.Generator, *, independent: bool = False, level: float = LEVEL
+    pair_sets: Sequence[Array],
+    rng: np.random.Generator,
+    errors: Sequence[Sequence[ArrayLike]] | None = None,
+    *,
+    independent: bool = False,
+    level: float = LEVEL,
 ) -> Mask:
     """Which methods differ significantly from which, (M, M), with one error rate over all comparisons.
 
     Args:
         pair_sets: (M, N_s) the values of M methods on the same pairs of each set, ordered by reference time.
+        rng, errors, independent, level: as in :func:`rank_with_ties`; errors by method in the order of the values.
     """
     size = len(pair_sets[0])
-    statistic, freedom = _t_statistics(pair_sets, independent)
+    statistic, freedom = _t_statistics(pair_sets, errors, independent)
     rejected = np.zeros((size, size), dtype=bool)
     if size < 2 or not np.isfinite(freedom):
         return rejected
@@ -105,7 +120,9 @@ def different_methods(
     return rejected | rejected.T
 
 
-def _t_statistics(pair_sets: Sequence[Array], independent: bool) -> tuple[Array, float]:
+def _t_statistics(
+    pair_sets: Sequence[Array], errors: Sequence[Sequence[ArrayLike]] | None, independent: bool
+) -> tuple[Array, float]:
     """(M, M) t statistics of the differences, NaN where nothing can be said, and their least degrees of freedom.
 
     Two pairs with the largest difference either way are added, as in
@@ -116,7 +133,7 @@ def _t_statistics(pair_sets: Sequence[Array], independent: bool) -> tuple[Array,
     if independent:
         inflation = Inflation(np.ones((methods, methods)), np.ones((methods, methods)))
     else:
-        inflation = difference_inflation(pair_sets)
+        inflation = _with_constant_differences(difference_inflation(pair_sets), pair_sets, errors)
     means = np.mean([x.mean(axis=1) for x in pair_sets], axis=0)
     mean = means[:, None] - means[None, :]
     variance = _differences(_covariance(pair_sets)) * pairs
@@ -129,6 +146,24 @@ def _t_statistics(pair_sets: Sequence[Array], independent: bool) -> tuple[Array,
         statistic = np.where(known, adjusted / np.sqrt(spread / (size + 2)), np.nan)
     freedom = float(size[known].min() - 1) if known.any() else np.nan
     return statistic, freedom
+
+
+def _with_constant_differences(
+    inflation: Inflation, pair_sets: Sequence[Array], errors: Sequence[Sequence[ArrayLike]] | None
+) -> Inflation:
+    """The inflation of all differences: where one does not vary, that of the two methods."""
+    unknown = np.isnan(inflation.likely)
+    if not np.triu(unknown, 1).any():
+        return inflation
+    own = [
+        measured_inflation([x[m] for x in pair_sets], None if errors is None else errors[m])
+        for m in range(len(unknown))
+    ]
+    likely, cautious = (np.concatenate([getattr(o, name) for o in own]) for name in ("likely", "cautious"))
+    larger = or_prior(Inflation(np.fmax.outer(likely, likely), np.fmax.outer(cautious, cautious)))
+    return Inflation(
+        np.where(unknown, larger.likely, inflation.likely), np.where(unknown, larger.cautious, inflation.cautious)
+    )
 
 
 def _largest_statistics(pair_sets: Sequence[Array], freedom: float, rng: np.random.Generator, open_: Mask) -> Array:
@@ -144,6 +179,8 @@ def _largest_statistics(pair_sets: Sequence[Array], freedom: float, rng: np.rand
         count = min(step, DRAWS - start)
         drawn = rng.standard_normal((count, len(root))) @ root.T
         statistics = np.abs(drawn[:, first] - drawn[:, second]) / scale[first, second]
+        if (open_ & (scale == 0)).any():  # a difference without a variance is correlated with no other
+            statistics = np.column_stack([statistics, np.abs(rng.standard_normal(count))])
         chi = np.sqrt(rng.chisquare(freedom, count) / freedom)
         out[start : start + count] = statistics.max(axis=1, initial=0.0) / chi
     return out

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from autoregression import autoregressive
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from relocbench.metrics import generator, rank_with_ties
 from relocbench.metrics.statistics.ranks import different_methods
@@ -15,8 +16,7 @@ Array = NDArray[np.float64]
 
 def drive(rng: np.random.Generator, n: int, rho: float, share: float = 0.5) -> Array:
     """0/1 successes of a drive whose good and bad stretches are correlated."""
-    x = autoregressive(rng, n, rho)
-    return (x < np.quantile(np.random.default_rng(0).normal(size=10**5), share)).astype(float)
+    return (autoregressive(rng, n, rho) < ndtri(share)).astype(float)
 
 
 @pytest.mark.parametrize(("n", "rho"), [(16, 0.9), (60, 0.0), (150, 0.5)])
@@ -97,12 +97,30 @@ def test_a_method_with_a_missing_set_has_no_rank_and_moves_nobody() -> None:
     assert rank_with_ties({"missing": [None]}, np.random.default_rng(0)) == {"missing": None}
 
 
+def test_a_method_that_is_always_right_is_better_than_one_that_never_is_if_the_drive_is_worth_enough() -> None:
+    values = {"always": [np.ones(300)], "never": [np.zeros(300)]}
+    lone = autoregressive(np.random.default_rng(0), 300, 0.2)
+    slow = autoregressive(np.random.default_rng(0), 300, 0.97)
+    never = np.full(300, np.inf)
+    for error, rank in ((lone, 2), (slow, 1)):
+        ranks = rank_with_ties(values, np.random.default_rng(0), {"always": [error], "never": [never]})
+        assert ranks == {"always": 1, "never": rank}
+    # Without errors, a correlation of 0.95 is assumed, and 300 pairs are worth 8.
+    assert rank_with_ties(values, np.random.default_rng(0)) == {"always": 1, "never": 1}
+    longer = {name: [np.tile(v[0], 2)] for name, v in values.items()}
+    assert rank_with_ties(longer, np.random.default_rng(0)) == {"always": 1, "never": 2}
+
+
 def test_a_few_neighbouring_failures_are_one_event() -> None:
-    """Ten failures in a row on 1000 pairs do not tell two methods apart; ten scattered ones do less than half."""
-    perfect, stretch = np.ones(1000), np.ones(1000)
-    stretch[500:510] = 0
+    """Fifteen failures in a row on 1000 pairs do not tell two methods apart, fifteen scattered ones do."""
+    perfect, stretch, scattered = np.ones(1000), np.ones(1000), np.ones(1000)
+    stretch[500:515] = 0
+    scattered[30::65] = 0
+    assert stretch.sum() == scattered.sum()
     ranks = rank_with_ties({"perfect": [perfect], "stretch": [stretch]}, np.random.default_rng(0))
     assert ranks == {"perfect": 1, "stretch": 1}
+    ranks = rank_with_ties({"perfect": [perfect], "scattered": [scattered]}, np.random.default_rng(0))
+    assert ranks == {"perfect": 1, "scattered": 2}
 
 
 def test_few_pairs_say_nothing_and_other_pairs_are_refused() -> None:
