@@ -61,7 +61,7 @@ def probe_page(dataset: Dataset, lines: Sequence[Line], pictures: Sequence[str],
         f"at each offset, seed {options['seed']}. Shares are means over pair sets of means over their pairs; what a "
         "method does not answer counts as not found.",
         "The **radius** is the offset at which the share falls below 50 %, interpolated linearly between the offsets "
-        "that were tried; its 95 % interval over resampled stretches of the drives is in brackets. It is 0 where fewer "
+        "that were tried; its 95 % interval over pairs is in brackets. It is 0 where fewer "
         "than half are found even from the truth. **Half left** is the offset at which half of what is found from the "
         "truth is left: the width of the basin, to be read together with its height (*from the truth*). A ratio counts "
         "a radius beyond the last offset as that offset; it is blank where both radii are 0, and ratios of widths are "

@@ -15,8 +15,8 @@ from relocbench.leaderboard.common.commands import RESUMES, again_section, label
 from relocbench.leaderboard.common.text import bullet, code, escaped, json_text, number, table_text, with_bounds
 from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, ChainRow, ChainSetBoard, ChainTable
 from relocbench.leaderboard.tracking.load import machine_words
+from relocbench.metrics import LEVEL, MIN_EFFECTIVE
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
-from relocbench.metrics.statistics.intervals import LEVEL
 
 _POSES = (RANKING, "recall@(0.5m,5deg)", "recall@(1m,5deg)", "recall@(5m,10deg)", "t_auc@0.5m", "r_auc@0.5deg")
 _LOST = {
@@ -98,11 +98,12 @@ def _how_to_read(board: ChainBoard) -> list[str]:
     return [
         "A retriever ranks the keyframes of the reference traversal for each query, a tracker is asked against the "
         "best K of them, and its most confident answer is kept. The error is that of the query's pose in the map. All "
-        f"numbers are in percent of all queries unless a unit is named; `[low, high]` is a {LEVEL:.0%} interval from a "
-        "bootstrap over blocks along the drives. In a mean over tasks each task counts the same; medians are over all "
-        "queries together. All numbers, in full, are in `relocalization.csv`.",
-        f"**Ranks** go by `{board.metric}`. Chains share a place when a paired bootstrap of their difference from the "
-        f"best of that place does not exclude zero. `{ORACLE}` knows the truth and has no rank: it ranks the keyframes "
+        f"numbers are in percent of all queries unless a unit is named; `[low, high]` is a {LEVEL:.0%} interval for "
+        "the number of independent queries that those along the drives are worth. In a mean over tasks each task "
+        "counts the same; medians are over all queries together. All numbers, in full, are in `relocalization.csv`.",
+        f"**Ranks** go by `{board.metric}`. A chain's rank is one more than the number of chains that are "
+        "significantly better, by a test with one error rate for the whole table. "
+        f"`{ORACLE}` knows the truth and has no rank: it ranks the keyframes "
         f"as the true poses do. `{KEYFRAME}` answers the pose of the first keyframe, without looking at the query: the "
         "floor of each retriever.",
         f"**Where it is lost.** Right is within {metres:g} m and {degrees:g}°. *Basin*: keyframes from which the "
@@ -175,7 +176,10 @@ def _table(board: ChainBoard, table: ChainTable) -> list[str]:
     ]
     parts.append(table_text(columns, rows, left=2))
     if all(row.intervals.get(board.metric) is None for row in table.rows):
-        parts.append("Too few queries for intervals: nothing here is significant, and all chains share a place.")
+        parts.append(
+            f"Too few queries for intervals: they are worth fewer than {MIN_EFFECTIVE:g} independent ones."
+            + (" All chains share a rank." if all(row.rank in (1, None) for row in table.rows) else "")
+        )
     sigmas = [r.median_sigma_translation_m for r in table.records if r.median_sigma_translation_m is not None]
     if sigmas and SIGMA_FACTOR * max(sigmas) > RIGHT[0]:
         limit = SIGMA_FACTOR * max(sigmas)

@@ -11,7 +11,7 @@ from relocbench.leaderboard.common.copies import copies_words, question_words
 from relocbench.leaderboard.common.text import bullet, code, escaped, json_text, number, table_text, with_bounds
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
 from relocbench.leaderboard.tracking.load import machine_words
-from relocbench.metrics.statistics.intervals import LEVEL
+from relocbench.metrics import LEVEL, MIN_EFFECTIVE
 
 CHANCE = "(chance)"
 
@@ -41,12 +41,12 @@ def _how_to_read(board: RetrievalBoard) -> list[str]:
     return [
         "R@K: a right image is among the first K. R@top1%: among the first 1 % of the gallery. AP: average precision "
         "by trapezoids under precision against recall, as University-1652 is scored. MRR: one over the rank of the "
-        f"first right image. All are means over the queries, in percent; `[low, high]` is a {LEVEL:.0%} interval from "
-        "a bootstrap over places, or over blocks of neighbouring queries along a drive. All numbers, in full, are in "
-        "`retrieval.csv`.",
-        f"**Ranks** go by `{board.metric}`. Methods share a place when a paired bootstrap of their difference from the "
-        "best of that place does not exclude zero: their order within a place says nothing. In a mean over tasks each "
-        "task counts the same.",
+        f"first right image. All are means over the queries, in percent; `[low, high]` is a {LEVEL:.0%} interval for "
+        "independent places, or for the number of independent queries that those along a drive are worth. All "
+        "numbers, in full, are in `retrieval.csv`.",
+        f"**Ranks** go by `{board.metric}`. A method's rank is one more than the number of methods that are "
+        "significantly better, by a test with one error rate for the whole table: the order within a rank says "
+        "nothing. In a mean over tasks each task counts the same.",
         "**Failures.** The denominator is every query of a task. A query without a right image in the gallery, one "
         "that the method did not describe, and one on which it broke count as not found; *failed* and *broke* say how "
         "many. An image of the gallery without a descriptor is not retrieved. Of equal scores, wrong images stand "
@@ -110,7 +110,10 @@ def _table(board: RetrievalBoard, table: RetrievalTable) -> list[str]:
     if level:
         parts.append(f"**Not shown to be better than chance:** {', '.join(map(code, level))}.")
     if all(not row.intervals.get(board.metric) for row in table.rows if not row.missing):
-        parts.append("Too few queries for intervals: nothing here is significant, and all methods share a place.")
+        parts.append(
+            f"Too few queries for intervals: they are worth fewer than {MIN_EFFECTIVE:g} independent ones."
+            + (" All methods share a rank." if all(row.rank in (1, None) for row in table.rows) else "")
+        )
     if table.single_positive:
         parts.append(
             "Each query has one right image, so that R@1 ≤ AP ≤ R@1 + (100 − R@1)/4; every row was checked for it."

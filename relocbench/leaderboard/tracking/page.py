@@ -11,8 +11,7 @@ from relocbench.leaderboard.tracking.load import evaluate_command
 from relocbench.leaderboard.tracking.matching import matching_section
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, SeedRow, Table
 from relocbench.leaderboard.tracking.page_methods import methods_section, reproduce_section
-from relocbench.metrics import Metric, Spread, metric_named
-from relocbench.metrics.statistics.intervals import LEVEL
+from relocbench.metrics import LEVEL, MIN_EFFECTIVE, Metric, Spread, metric_named
 
 SHOWN = (
     "coverage",
@@ -64,10 +63,12 @@ def _how_to_read(board: Board) -> list[str]:
     return [
         "Errors are those of `T_query_ref`: translation is the distance between the predicted and the true camera "
         "centre, rotation the angle between the two orientations. Shares are in percent; "
-        f"`[low, high]` is a {LEVEL:.0%} interval from a bootstrap over blocks of neighbouring pairs. "
+        f"`[low, high]` is a {LEVEL:.0%} interval for the number of independent pairs that the pairs are "
+        "worth; there is none where they are worth fewer than ten. "
         "All numbers, in full, are in `leaderboard.csv`; the errors of every single pair are in `errors.csv`.",
-        f"**Ranks** go by `{metric.name}` ({metric.description}). Methods share a place when a paired bootstrap of "
-        "their difference from the best of that place does not exclude zero: their order within a place says nothing. "
+        f"**Ranks** go by `{metric.name}` ({metric.description}). A method's rank is one more than the number of "
+        "methods that are significantly better, by a test with one error rate for the whole table: the order within a "
+        "rank says nothing. Floors have no rank. "
         "A total is the mean over the pair sets, each counting the same.",
         "**Failures.** A pair without an answer, with a failure or with an answer that is not finite has infinite "
         "error, and stays in the denominator, which is every pair of the set. A failure is never replaced by the prior "
@@ -195,7 +196,10 @@ def _tables(board: Board, table: Table, groups: Sequence[Table]) -> list[str]:
     if any(row.rank is not None for row in table.rows) and all(
         not row.intervals.get(board.metric.name) for row in table.rows if not row.missing
     ):
-        parts.append("Too few pairs for intervals: nothing here is significant, and all methods share a place.")
+        parts.append(
+            f"Too few pairs for intervals: they are worth fewer than {MIN_EFFECTIVE:g} independent ones."
+            + (" All methods share a rank." if all(row.rank in (1, None) for row in table.rows) else "")
+        )
     if table.grey:
         parts.append(_grey_note(board, table))
     if groups:
