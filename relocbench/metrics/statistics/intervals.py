@@ -79,7 +79,8 @@ def mean_interval(
     and as many as they are effective pairs where they do not vary.
 
     Args:
-        pair_sets: (N_s,) values in 0..1 of each pair set, ordered by reference time.
+        pair_sets: (N_s,) values of each pair set, ordered by reference time, whose means are in 0..1; single values of
+            :func:`relocbench.metrics.per_group` may exceed 1.
         errors: (K, N_s) of each set: the continuous errors that the values come from (:func:`inflation_of`).
         independent: whether the values are known to be independent, such as one for each place.
         level: nominal coverage of the interval.
@@ -88,17 +89,17 @@ def mean_interval(
         None where there are fewer than :data:`MIN_EFFECTIVE` effective pairs.
 
     Raises:
-        ValueError: no pair sets, an empty one, values outside 0..1, errors of other pairs, or an impossible level.
+        ValueError: no pair sets, an empty one, a mean outside 0..1, errors of other pairs, or an impossible level.
     """
     sets = [_checked(values) for values in pair_sets]
-    if any(v.min() < 0 or v.max() > 1 for v in sets):
-        raise ValueError("the values of shares and areas must be in 0..1")
+    if any(not -1e-9 <= v.mean() <= 1 + 1e-9 for v in sets):
+        raise ValueError("the mean of shares and areas must be in 0..1")
     size = _effective_size(sets, errors, independent, level)
     if size is None:
         return None
     from scipy.special import ndtri, stdtrit
 
-    p = mean_of_means(sets)
+    p = min(max(mean_of_means(sets), 0.0), 1.0)
     variance = _variance_of_one(sets) / (size - 1) + _UNSEEN * (p**2 + (1 - p) ** 2) / size**2
     tails = float(ndtri((1 + level) / 2)) / float(stdtrit(size - 1, (1 + level) / 2))
     draws = max(p * (1 - p) / variance * tails**2, size)

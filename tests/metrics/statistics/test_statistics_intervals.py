@@ -182,7 +182,7 @@ def test_different_pairs_cannot_be_compared() -> None:
         mean_interval([np.ones(10)], [np.ones((2, 11))])
 
 
-@pytest.mark.parametrize("values", [[], [[]], [[np.inf, 1.0]], [[np.nan]], [[1.5, 0.0]], [[-0.1]]])
+@pytest.mark.parametrize("values", [[], [[]], [[np.inf, 1.0]], [[np.nan]], [[1.5]], [[-0.1]]])
 def test_values_that_are_no_shares_are_refused(values: list[list[float]]) -> None:
     with pytest.raises(ValueError, match=r"at least one pair set|finite numbers|in 0\.\.1"):
         mean_interval(values)
