@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from relocbench.metrics import Metric
 
 _USUAL = {
-    "--metric": "t_auc@0.5m",
+    "--metric": "recall@(0.25m,2deg)",
     "--retrieval-metric": "R@1",
     "--relocalization-metric": "recall@(0.25m,2deg)",
 }
@@ -54,7 +54,7 @@ def leaderboard(
         ),
     ] = None,
     split: Annotated[str | None, typer.Option(metavar="NAME", help="Show only the pair sets of this split.")] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the bootstrap.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the draws that decide ranks.")] = 0,
     plots: Annotated[
         bool, typer.Option("--plots/--no-plots", help="Whether cumulative error curves of trackers are drawn.")
     ] = True,

@@ -47,19 +47,21 @@ from relocbench.metrics.retrieval.relevance import (
     relevance_from_lists,
     relevance_within,
 )
-from relocbench.metrics.statistics.block_length import automatic_block_length
-from relocbench.metrics.statistics.significance import (
+from relocbench.metrics.statistics.effective_size import MIN_EFFECTIVE
+from relocbench.metrics.statistics.intervals import (
+    LEVEL,
     Difference,
     Interval,
-    bootstrap_interval,
-    common_block_length,
-    generator,
+    mean_interval,
+    median_interval,
     paired_difference,
-    rank_with_ties,
 )
+from relocbench.metrics.statistics.ranks import generator, rank_with_ties
 
 __all__ = [
+    "LEVEL",
     "METRICS",
+    "MIN_EFFECTIVE",
     "NEVER",
     "PLACE_METRICS",
     "RETRIEVAL_METRICS",
@@ -86,18 +88,17 @@ __all__ = [
     "align_predictions",
     "answered_pairs",
     "area_shares",
-    "automatic_block_length",
-    "bootstrap_interval",
     "chance_level",
     "check_single_positive_tables",
-    "common_block_length",
     "count_at_least",
     "cumulative_curve",
     "exact_scores",
     "generator",
     "infinite_where_failed",
     "matching_quality",
+    "mean_interval",
     "mean_over_pair_sets",
+    "median_interval",
     "metric_named",
     "paired_difference",
     "per_group",

@@ -35,7 +35,7 @@ def absent(tmp_path_factory: pytest.TempPathFactory) -> Path:
     light = (ROOT / "requirements-light.txt").read_text()
     kept = set(re.findall(r"^([\w.-]+)[><=]", light, flags=re.MULTILINE))
     names = {name for name, package in relocbench.cli._PACKAGES.items() if package not in kept}
-    assert {"torch", "open3d", "gtsam", "kiss_icp", "numba", "scipy"} <= names
+    assert {"torch", "open3d", "gtsam", "kiss_icp", "numba"} <= names
     folder = tmp_path_factory.mktemp("absent")
     (folder / "sitecustomize.py").write_text(WITHOUT.format(names=names))
     return folder
@@ -72,7 +72,7 @@ def test_datasets_predictions_scores_and_boards_need_none_of_them(absent: Path, 
     [
         (("evaluate", "-d", "DATASET", "-m", "dso"), "no module 'numba'"),
         (("train", "gn-net", "-d", "DATASET", "-o", "OUT"), "no module 'torch'"),
-        (("preview", "--out", "OUT/x.png"), r"needs the package '(open3d|numba|scipy)', which is not installed here"),
+        (("preview", "--out", "OUT/x.png"), r"needs the package '(open3d|numba)', which is not installed here"),
     ],
 )
 def test_what_needs_one_says_which(

@@ -40,7 +40,7 @@ def test_without_the_identity_the_page_says_that_the_floor_is_missing(one_set: M
     one_set.add("identity", {WINTER: made(2, 100, 0.8)})
     page = page_of(one_set, tmp_path / "out")
     assert "**The floor is missing:**" not in page
-    assert cells(page, f"### {WINTER}".replace("_", "\\_"), "*identity* (the floor)")[0] == "2"
+    assert cells(page, f"### {WINTER}".replace("_", "\\_"), "*identity* (the floor)")[0] == ""
 
 
 def test_the_floor_is_known_by_what_ran_not_by_its_label(one_set: MadeResults, tmp_path: Path) -> None:
@@ -48,6 +48,34 @@ def test_the_floor_is_known_by_what_ran_not_by_its_label(one_set: MadeResults, t
     assert "**The floor is missing:**" in page_of(one_set, tmp_path / "out")
     one_set.add("nothing", {WINTER: made(2, 100, 0.8)}, target="baselines.identity:Identity")
     assert "*nothing* (the floor)" in page_of(one_set, tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("target", "ranked"),
+    [("identity", False), ("predictions:clock", False), ("baselines.identity:Identity", False), ("dso", True)],
+)
+def test_floors_have_no_rank_and_move_nobody(one_set: MadeResults, target: str, ranked: bool) -> None:
+    one_set.add("other", {WINTER: made(2, 100, 0.001)}, target=target)
+    board = one_set.board(metric="t_auc@0.5m")
+    assert row(board, WINTER, "other").rank == (1 if ranked else None)
+    assert row(board, WINTER, "good").rank == (2 if ranked else 1)
+
+
+def test_a_right_position_with_a_wrong_rotation_gains_nothing(one_set: MadeResults) -> None:
+    one_set.add("position", {WINTER: Made([0.0] * 100, [5.0] * 100)})
+    board = one_set.board()
+    assert board.metric.name == "recall@(0.25m,2deg)"
+    assert (row(board, WINTER, "good").rank, row(board, WINTER, "position").rank) == (1, 2)
+    for metric in ("recall@(0.25m,2deg)", "pose_auc@(0.5m,4deg)"):
+        assert row(board, WINTER, "position").values[metric] == 0.0
+
+
+def test_medians_of_one_pair_set_have_intervals(one_set: MadeResults, tmp_path: Path) -> None:
+    found = row(one_set.board(), WINTER, "good")
+    interval, value = found.intervals["median_translation_error_m"], found.values["median_translation_error_m"]
+    assert interval is not None
+    assert value is not None
+    assert interval.low <= value <= interval.high
 
 
 def test_a_method_no_better_than_the_floor_is_named(one_set: MadeResults, tmp_path: Path) -> None:

@@ -18,8 +18,7 @@ from relocbench.evaluation.common.error_table import ErrorTable, PairErrors, rea
 from relocbench.files import load_yaml, write_text
 from relocbench.leaderboard import load_results, make_board, write_leaderboard
 from relocbench.leaderboard.tracking import tables as tables_module
-from relocbench.metrics import bootstrap_interval, rank_descriptors, relevance_from_labels
-from relocbench.metrics.statistics import significance
+from relocbench.metrics import mean_interval, rank_descriptors, relevance_from_labels
 
 
 def made_results(root: Path, sets: int, methods: int = 2) -> MadeResults:
@@ -46,38 +45,23 @@ def test_each_record_of_a_results_folder_is_parsed_once(tmp_path: Path, monkeypa
 
 def test_tables_are_computed_as_often_as_there_are_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def calls(sets: int) -> int:
-        drawn = 0
-        real = bootstrap_interval
+        computed = 0
+        real = mean_interval
 
         def counted(*arguments: Any, **options: Any) -> Any:
-            nonlocal drawn
-            drawn += 1
+            nonlocal computed
+            computed += 1
             return real(*arguments, **options)
 
         made_results(tmp_path / str(sets), sets)
         with monkeypatch.context() as patch:
-            patch.setattr(tables_module, "bootstrap_interval", counted)
+            patch.setattr(tables_module, "mean_interval", counted)
             make_board(load_results(tmp_path / str(sets)))
-        return drawn
+        return computed
 
     two, four = calls(2), calls(4)
     # Each pair set has a table, and all of them one total.
-    assert (two, four) == (3 * 2 * 4, 5 * 2 * 4)
-
-
-def test_drawing_resamples_piece_by_piece_gives_the_same_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    values = np.random.default_rng(0).random((3, 97))
-
-    def means() -> Any:
-        return significance._resampled_means(values, 4, np.random.default_rng(1), 100)
-
-    whole = means()
-    monkeypatch.setattr(significance, "_DRAWN_AT_ONCE", 60)
-    assert np.array_equal(means(), whole)
-    # Independently: every resample is the mean of the pairs of its blocks around the circle, cut to 97.
-    starts = np.random.default_rng(1).integers(97, size=(100, 25))
-    pairs = ((starts[:, :, None] + np.arange(4)) % 97).reshape(100, -1)[:, :97]
-    assert whole == pytest.approx(values[:, pairs].mean(axis=-1), abs=1e-12)
+    assert (two, four) == (3 * 2 * 5, 5 * 2 * 5)
 
 
 def test_rows_by_column_read_back_as_they_were_written(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What the three errors of a pair promise under changes of frame, and at the ends of their ranges."""
+"""What the errors of a pair promise under changes of frame, and at the ends of their ranges."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from relocbench.geometry import invert, make_transform, se3_exp, so3_exp
-from relocbench.metrics import pose_errors
+from relocbench.metrics import pose_errors, within
 
 Array = NDArray[np.float64]
 
@@ -125,3 +125,26 @@ def test_shapes_that_do_not_fit_are_refused() -> None:
         pose_errors(np.eye(4)[None], np.tile(np.eye(4), (2, 1, 1)))
     with pytest.raises(ValueError, match="answered"):
         pose_errors(np.eye(4)[None], np.eye(4)[None], answered=[True, True])
+
+
+@given(twists, twists, st.floats(0.01, 5), st.floats(0.1, 90), st.floats(1.1, 10))
+def test_the_joint_error_is_at_most_one_exactly_within_both_thresholds(
+    pred: Array, gt: Array, metres: float, degrees: float, factor: float
+) -> None:
+    errors = pose_errors(se3_exp(pred), se3_exp(gt))
+    joint = errors.joint_error(metres, degrees)
+    assert np.array_equal(joint <= 1, within(errors, metres, degrees))
+    np.testing.assert_allclose(errors.joint_error(factor * metres, factor * degrees), joint / factor, rtol=1e-12)
+    assert np.all(joint >= errors.translation_error_m / metres)
+    assert np.all(joint >= errors.rotation_error_deg / degrees)
+
+
+def test_a_right_position_alone_has_a_joint_error_of_its_rotation() -> None:
+    T_gt = np.eye(4)[None].repeat(2, axis=0)
+    T_pred = np.stack(
+        [make_transform(so3_exp(np.array([0.0, 0.0, np.radians(3)])), np.zeros(3)), np.full((4, 4), np.nan)]
+    )
+    joint = pose_errors(T_pred, T_gt).joint_error(0.25, 2)
+    assert joint.tolist() == pytest.approx([1.5, np.inf])
+    with pytest.raises(ValueError, match="must be positive"):
+        pose_errors(T_pred, T_gt).joint_error(0.25, 0)

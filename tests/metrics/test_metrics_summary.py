@@ -43,6 +43,7 @@ def test_metric_names_are_stable() -> None:
         "t_auc@1m",
         "r_auc@0.5deg",
         "r_auc@1deg",
+        "pose_auc@(0.5m,4deg)",
         "recall@(0.1m,1deg)",
         "recall@(0.25m,2deg)",
         "recall@(0.5m,5deg)",
@@ -173,7 +174,7 @@ def test_mean_metrics_are_the_mean_of_their_per_pair_values() -> None:
     rng = np.random.default_rng(1)
     errors = errors_of(rng.exponential(0.4, 57), rng.exponential(2, 57))
     with_values = [metric for metric in METRICS if metric.per_pair is not None]
-    assert len(with_values) == 13
+    assert len(with_values) == 14
     for metric in with_values:
         values = metric.per_pair(errors)  # type: ignore[misc]
         assert values.shape == (57,)

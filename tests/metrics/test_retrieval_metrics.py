@@ -22,7 +22,7 @@ from relocbench.metrics import (
     Ranking,
     Relevance,
     RetrievalScores,
-    bootstrap_interval,
+    mean_interval,
     per_group,
     rank_descriptors,
     rank_lists,
@@ -514,7 +514,7 @@ def test_intervals_cover_where_queries_come_in_groups_and_single_queries_do_not(
     for _ in range(200):
         values = (rng.normal(size=40)[groups] + 0.3 * rng.normal(size=len(groups)) < 0).astype(np.float64)
         for name, of in (("groups", per_group(values, groups)), ("queries", values)):
-            interval = bootstrap_interval([of], rng, block_length=1, resamples=300)
+            interval = mean_interval([of], independent=True)
             assert interval is not None
             covered[name] += not interval.excludes(0.5)
     assert 0.88 <= covered["groups"] / 200 <= 0.99

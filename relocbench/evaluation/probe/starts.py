@@ -29,7 +29,6 @@ Kind = Literal["keyframe", "mirrored", "random"]
 KINDS: tuple[Kind, ...] = ("keyframe", "mirrored", "random")
 """the keyframe's pose; the offset of the keyframe's pose, mirrored at the truth; random directions of its length"""
 _SEED = 4
-_INTERVAL_SEED = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +101,7 @@ def start_line(
     """The results of a method on the pairs of one group; one sequence for each pair set, in the order of the drive."""
     shares = [np.array([t.hits[criterion] for t in some]) / np.array([t.count for t in some]) for some in tallies]
     keyframe, random = KINDS.index("keyframe"), KINDS.index("random")
-    ahead = paired_difference(
-        [s[:, keyframe] for s in shares], [s[:, random] for s in shares], np.random.default_rng(_INTERVAL_SEED)
-    )
+    ahead = paired_difference([s[:, keyframe] for s in shares], [s[:, random] for s in shares])
     means = np.mean([s.mean(axis=0) for s in shares], axis=0)
     return StartLine(
         method, conditions, criterion, sum(map(len, tallies)), dict(zip(KINDS, map(float, means), strict=True)), ahead

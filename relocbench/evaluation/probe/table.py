@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 Answers = Mapping[tuple[str, PairKey], PairResult]
 
 ACROSS, SAME = "across conditions", "same condition"
-_SEED = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,14 +110,10 @@ def _lines(
         starts = _values(found, names, what, level, criterion, of_starts=True)
         radius = ratio = half_left = half_ratio = None
         if criterion == main:
-            radius, half_left = (
-                radius_of(values, offsets, np.random.default_rng(_SEED), relative=relative)
-                for relative in (False, True)
-            )
+            radius, half_left = (radius_of(values, offsets, relative=relative) for relative in (False, True))
             if base:
                 ratio, half_ratio = (
-                    radius_ratio(values, base, offsets, np.random.default_rng(_SEED), relative=relative)
-                    for relative in (False, True)
+                    radius_ratio(values, base, offsets, relative=relative) for relative in (False, True)
                 )
         yield Line(
             method,

@@ -53,7 +53,7 @@ def write_chain_results(
         write_chain(folder.answers(name), rows)
         hashes[name] = sha256_file(folder.answers(name))
         used[name] = ChainBasin(metres=basin.metres, degrees=basin.degrees, source=basin.source)
-        scores[name] = summary(name, rows, run.top)
+        scores[name] = summary(rows, run.top)
     write_record(folder.run_yaml, run)
     record_of_scores = ChainScores(
         relocbench=version.__version__,

@@ -19,7 +19,7 @@ from relocbench.evaluation.retrieval.records import (
     TaskRun,
 )
 from relocbench.files import sha256_file
-from relocbench.metrics import Denominator, Interval, bootstrap_interval, generator, per_group, score_retrieval
+from relocbench.metrics import Denominator, mean_interval, per_group, score_retrieval
 from relocbench.metrics.retrieval.measures import RetrievalScores as QueryScores
 
 Values = dict[str, float | int | None]
@@ -27,11 +27,8 @@ _MOST_POSITIVES = 100_000_000
 """limit over all queries of a task: each position takes 8 bytes"""
 
 
-def score_retriever(asked: SetRecord, folder: RetrieverResults, *, seed: int = 0) -> RetrievalScores:
+def score_retriever(asked: SetRecord, folder: RetrieverResults) -> RetrievalScores:
     """Score every task that a retriever answered, and write ``scores.yaml``.
-
-    Args:
-        seed: of the bootstrap of the intervals.
 
     Raises:
         PredictionError: the answers are for another set, or a file is bad.
@@ -41,7 +38,7 @@ def score_retriever(asked: SetRecord, folder: RetrieverResults, *, seed: int = 0
     for name, record in asked.tasks.items():
         if folder.complete(name):
             hashes[name] = sha256_file(folder.answers(name))
-            tasks[name] = summary(name, record, checked_answers(name, record, folder), seed)
+            tasks[name] = summary(record, checked_answers(name, record, folder))
     scores = RetrievalScores(
         relocbench=version.__version__, answers=hashes, denominator=str(Denominator.ALL), tasks=tasks
     )
@@ -71,7 +68,7 @@ def scores_of(answers: Sequence[QueryAnswer], record: TaskRecord) -> QueryScores
     return score_retrieval(ranking_of(answers, record.gallery))
 
 
-def summary(name: str, record: TaskRecord, answers: Sequence[QueryAnswer], seed: int = 0) -> Values:
+def summary(record: TaskRecord, answers: Sequence[QueryAnswer]) -> Values:
     """Counts, means over all queries, and their intervals."""
     scores = scores_of(answers, record)
     statuses = [a.status for a in answers]
@@ -84,24 +81,19 @@ def summary(name: str, record: TaskRecord, answers: Sequence[QueryAnswer], seed:
         "gallery": record.gallery,
         "median_seconds": float(np.median(seconds)) if seconds else None,
     }
+    drawn = {metric: resampled(scores.per_query(metric), answers) for metric in METRICS}
     for metric in METRICS:
-        per_query = scores.per_query(metric)
-        interval = interval_of(resampled(per_query, answers), record.grouped, generator(seed, name, metric))
-        values[metric] = float(np.mean(per_query))
+        interval = mean_interval([drawn[metric]], [np.stack([*drawn.values()])], independent=record.grouped)
+        values[metric] = float(np.mean(scores.per_query(metric)))
         values[f"{metric}_low"] = None if interval is None else interval.low
         values[f"{metric}_high"] = None if interval is None else interval.high
     return values
 
 
 def resampled(per_query: np.ndarray, answers: Sequence[QueryAnswer]) -> np.ndarray:
-    """The values that the bootstrap resamples: one for each group, or one for each query along the drive."""
+    """The values that intervals are computed from: one for each group, or one for each query along the drive."""
     groups = [a.group for a in answers]
     return per_group(per_query, groups) if all(groups) else per_query
-
-
-def interval_of(values: np.ndarray, grouped: bool, rng: np.random.Generator) -> Interval | None:
-    """The 95 % interval of a mean; None where there are too few values."""
-    return bootstrap_interval([values], rng, block_length=1 if grouped else None)
 
 
 def suspicion(name: str, record: TaskRecord, values: Values, run: TaskRun | None) -> str | None:

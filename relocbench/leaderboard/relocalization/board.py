@@ -29,11 +29,12 @@ from relocbench.evaluation.relocalization.score import (
     RANKING,
     basin_recall,
     per_query,
+    pose_errors_of,
 )
 from relocbench.files import sha256_file
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder, check_same_queries
 from relocbench.leaderboard.retrieval.board import holds_tracking
-from relocbench.metrics import Interval, bootstrap_interval, generator, rank_with_ties
+from relocbench.metrics import Interval, generator, mean_interval, rank_with_ties
 
 Array = NDArray[np.float64]
 SHARES = (basin_recall(1), HIT, "right_and_hit", "right_without_hit", "right_among_K", *FAILURES)
@@ -114,7 +115,7 @@ def load_chains(results: Path, *, metric: str = RANKING, split: str | None = Non
     Args:
         metric: the metric that ranks chains, a mean over queries.
         split: only the tasks of this split; sets without such a split are left out.
-        seed: of the bootstrap.
+        seed: of the draws that decide ranks.
 
     Raises:
         PredictionError: with file and line: a bad file, or scores that are missing or stale.
@@ -200,14 +201,19 @@ def _table(
         if not c.knows_truth
     }
     better = not metric.startswith("failed_")
-    ranks = rank_with_ties(ranked, generator(seed, place, metric), higher_is_better=better) if ranked else {}
-    rows = [_row(chain, place, tasks, metric, ranks.get(chain.label), seed) for chain in chains]
+    errors = {
+        c.label: [pose_errors_of(c.answers[t]) if t in c.answers else None for t in tasks]
+        for c in chains
+        if not c.knows_truth
+    }
+    ranks = rank_with_ties(ranked, generator(seed, place, metric), errors, higher_is_better=better) if ranked else {}
+    rows = [_row(chain, tasks, metric, ranks.get(chain.label)) for chain in chains]
     sign = -1 if better else 1
     rows.sort(key=lambda r: (r.values[metric] is None, sign * (r.values[metric] or 0.0), r.chain.label))
     return ChainTable(name, tasks, tuple(record.tasks[t] for t in tasks), tuple(rows))
 
 
-def _row(chain: Chain, place: str, tasks: tuple[str, ...], metric: str, rank: int | None, seed: int) -> ChainRow:
+def _row(chain: Chain, tasks: tuple[str, ...], metric: str, rank: int | None) -> ChainRow:
     missing = tuple(task for task in tasks if task not in chain.answers)
     if missing:
         return ChainRow(chain, dict.fromkeys((*POSE_METRICS, *SHARES)), {}, None, missing=missing)
@@ -223,8 +229,7 @@ def _row(chain: Chain, place: str, tasks: tuple[str, ...], metric: str, rank: in
     values["median_rotation_error_deg"] = float(np.median(errors.rotation_error_deg))
     seconds = [a.seconds for a in given if a.seconds is not None]
     values["median_seconds"] = float(np.median(seconds)) if seconds else None
-    intervals = {
-        m: bootstrap_interval(means[m], generator(seed, place, m)) for m in dict.fromkeys((*WITH_INTERVAL, metric))
-    }
+    of_tasks = [pose_errors_of(chain.answers[task]) for task in tasks]
+    intervals = {m: mean_interval(means[m], of_tasks) for m in dict.fromkeys((*WITH_INTERVAL, metric))}
     statuses = [a.status for a in given]
     return ChainRow(chain, values, intervals, rank, statuses.count("failed"), statuses.count("error"))

@@ -15,8 +15,8 @@ from relocbench.leaderboard.common.commands import labelled_target, settings_of
 from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, ChainRow, ChainSetBoard, ChainTable
 from relocbench.leaderboard.tracking.load import machine_words
+from relocbench.metrics import LEVEL, MIN_EFFECTIVE
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
-from relocbench.metrics.statistics.significance import LEVEL
 from relocbench.pages import render
 from relocbench.pages.markdown import escaped, table_text
 
@@ -39,6 +39,7 @@ def relocalization_page(board: ChainBoard) -> str:
         "page.md.j2",
         metric=board.metric,
         level=f"{LEVEL:.0%}",
+        min_effective=f"{MIN_EFFECTIVE:g}",
         oracle=ORACLE,
         keyframe=KEYFRAME,
         right=f"{metres:g} m and {degrees:g}°",
@@ -130,6 +131,7 @@ def _section(board: ChainBoard, table: ChainTable) -> dict[str, object]:
         "table": table,
         "poses": _pose_table(board, table),
         "losses": _loss_table(table),
+        "ranks_shared": all(row.rank in (1, None) for row in table.rows),
         "without_intervals": all(row.intervals.get(board.metric) is None for row in table.rows),
         "coarse": SIGMA_FACTOR * sigma > RIGHT[0],
         "sigma": f"{sigma:.2f}",

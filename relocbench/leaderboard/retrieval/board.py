@@ -26,7 +26,7 @@ from relocbench.evaluation.retrieval.score import checked_answers, resampled, sc
 from relocbench.files import sha256_file
 from relocbench.leaderboard.common.copies import distinct_label
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder, check_same_queries
-from relocbench.metrics import Interval, bootstrap_interval, generator, rank_with_ties, single_positive_fault
+from relocbench.metrics import Interval, generator, mean_interval, rank_with_ties, single_positive_fault
 
 Array = NDArray[np.float64]
 RANKING = "R@1"
@@ -124,7 +124,7 @@ def load_retrieval(
     Args:
         metric: the metric that ranks methods.
         split: only the tasks of this split; sets without such a split are left out.
-        seed: of the bootstrap. Each number has a generator of its own and does not depend on what else is there.
+        seed: of the draws that decide ranks. Each table has a generator of its own and depends on nothing else.
 
     Raises:
         PredictionError: with file and line: a bad file, or scores that are missing or stale.
@@ -276,7 +276,7 @@ def _table(
 ) -> RetrievalTable:
     records = tuple(record.tasks[task] for task in tasks)
     place = f"{record.compared_by} {name}"
-    block_length = 1 if all(r.grouped for r in records) else None
+    independent = all(r.grouped for r in records)  # one value for each place
 
     def drawn(method: Retriever, metric: str) -> list[Array | None]:
         return [
@@ -284,8 +284,15 @@ def _table(
             for t, r in zip(tasks, records, strict=True)
         ]
 
+    def drawn_all(method: Retriever) -> list[Array | None]:
+        columns = zip(*(drawn(method, m) for m in METRICS), strict=True)
+        return [None if any(v is None for v in of_task) else np.stack(of_task) for of_task in columns]
+
     ranks = rank_with_ties(
-        {m.label: drawn(m, metric) for m in methods}, generator(seed, place, metric), block_length=block_length
+        {m.label: drawn(m, metric) for m in methods},
+        generator(seed, place, metric),
+        {m.label: drawn_all(m) for m in methods},
+        independent=independent,
     )
     rows = []
     for method in methods:
@@ -294,16 +301,14 @@ def _table(
             rows.append(RetrievalRow(method, dict.fromkeys(METRICS), {}, None, missing=missing))
             continue
         sets = {m: [v for v in drawn(method, m) if v is not None] for m in METRICS}
+        errors = [np.stack(of_task) for of_task in zip(*sets.values(), strict=True)]
         given = [a for task in tasks for a in method.answers[task]]
         seconds = [a.seconds for a in given if a.seconds is not None]
         rows.append(
             RetrievalRow(
                 method,
                 {m: float(np.mean([np.mean(v) for v in sets[m]])) for m in METRICS},
-                {
-                    m: bootstrap_interval(sets[m], generator(seed, place, m), block_length=block_length)
-                    for m in {*WITH_INTERVAL, metric}
-                },
+                {m: mean_interval(sets[m], errors, independent=independent) for m in {*WITH_INTERVAL, metric}},
                 ranks[method.label],
                 sum(a.status == "failed" for a in given),
                 sum(a.status == "error" for a in given),

@@ -12,7 +12,7 @@ from relocbench.leaderboard.common.copies import answers_on_copies
 from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
 from relocbench.leaderboard.tracking.load import machine_words
-from relocbench.metrics.statistics.significance import LEVEL
+from relocbench.metrics import LEVEL, MIN_EFFECTIVE
 from relocbench.pages import render
 from relocbench.pages.markdown import escaped, table_text
 
@@ -27,6 +27,7 @@ def retrieval_page(board: RetrievalBoard) -> str:
         "page.md.j2",
         metric=board.metric,
         level=f"{LEVEL:.0%}",
+        min_effective=f"{MIN_EFFECTIVE:g}",
         sets=[_set(board, asked) for asked in board.sets],
         commands=[
             (asked.title, [evaluate_command(asked.record, m.run) for m in asked.methods]) for asked in board.sets
@@ -80,6 +81,7 @@ def _section(board: RetrievalBoard, table: RetrievalTable) -> dict[str, object]:
         "table": table,
         "numbers": table_text(columns, [*(_row(board, row) for row in table.rows), chance], left=2),
         "at_chance": [row.method.label for row in table.rows if _at_chance(board, table, row)],
+        "ranks_shared": all(row.rank in (1, None) for row in table.rows),
         "without_intervals": all(not row.intervals.get(board.metric) for row in table.rows if not row.missing),
     }
 

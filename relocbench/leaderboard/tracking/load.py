@@ -36,6 +36,8 @@ from relocbench.leaderboard.common.untrusted_results import check_file_names, ch
 
 FLOOR = "identity"
 """the method that every other one is compared with"""
+FLOORS = (FLOOR, "clock")
+"""the methods that do not look at an image: what they score is given away by the pairs, and they have no rank"""
 SEED = "seed"
 
 
@@ -58,6 +60,11 @@ class Method:
     def is_floor(self) -> bool:
         """Whether the method is the identity pose, whatever its label."""
         return self.run.target.removeprefix(PREDICTIONS) == FLOOR or self.run.target.endswith(":Identity")
+
+    @property
+    def ranked(self) -> bool:
+        """Whether the method is ranked: it is none of the floors, whatever its label."""
+        return not self.is_floor and self.run.target.removeprefix(PREDICTIONS) not in FLOORS
 
     @property
     def seed(self) -> int | None:

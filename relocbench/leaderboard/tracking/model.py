@@ -10,7 +10,9 @@ from relocbench.leaderboard.tracking.load import DatasetEntry, Method
 from relocbench.metrics import METRICS, Difference, Interval, Metric, Spread
 
 TOTAL = "total"
-INTERVALS = ("t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)", "recall@(0.5m,5deg)")
+MEDIANS = ("median_translation_error_m", "median_rotation_error_deg")
+"""the medians that tables of one pair set show with an interval"""
+INTERVALS = ("pose_auc@(0.5m,4deg)", "t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)", "recall@(0.5m,5deg)")
 """the metrics that tables show with a 95 % interval, besides the ranking metric"""
 
 
@@ -29,6 +31,7 @@ class Row:
     """by metric; all None where a pair set is missing"""
     intervals: Mapping[str, Interval | None]
     rank: int | None
+    """None for a floor, and where a pair set is missing"""
     above_floor: Difference | None
     """difference of the ranking metric to the identity pose on the same pairs; positive is better"""
     missing: tuple[str, ...] = ()
@@ -109,4 +112,4 @@ class Board:
     @property
     def with_interval(self) -> tuple[Metric, ...]:
         """The metrics that are shown with an interval, in the registry's order."""
-        return tuple(m for m in METRICS if m.name in {*INTERVALS, self.metric.name})
+        return tuple(m for m in METRICS if m.name in {*INTERVALS, *MEDIANS, self.metric.name})

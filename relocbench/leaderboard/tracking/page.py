@@ -13,8 +13,7 @@ from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.tracking.load import Method, evaluate_command
 from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_numbers
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, SeedRow, Table
-from relocbench.metrics import Metric, Spread, metric_named
-from relocbench.metrics.statistics.significance import LEVEL
+from relocbench.metrics import LEVEL, MIN_EFFECTIVE, Metric, Spread, metric_named
 from relocbench.pages import render
 from relocbench.pages.markdown import code, escaped, table_text
 
@@ -46,6 +45,7 @@ def markdown(board: Board, *, plots: bool) -> str:
         "page.md.j2",
         metric=board.metric,
         level=f"{LEVEL:.0%}",
+        min_effective=f"{MIN_EFFECTIVE:g}",
         dagger=DAGGER,
         number=number,
         plots=plots,
@@ -128,6 +128,7 @@ def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, obj
         "table": table,
         "total": False,
         "numbers": _method_table(board, table),
+        "ranks_shared": all(row.rank in (1, None) for row in table.rows),
         "without_intervals": any(row.rank is not None for row in table.rows)
         and all(not row.intervals.get(board.metric.name) for row in table.rows if not row.missing),
         "finer": [m.name for m in shown_metrics(board) if m.name in table.finer],

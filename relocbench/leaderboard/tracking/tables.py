@@ -16,13 +16,15 @@ from relocbench.evaluation.common.error_table import ErrorTable
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.evaluation.common.tables import STATUSES
 from relocbench.leaderboard.tracking.load import DatasetEntry, Method
-from relocbench.leaderboard.tracking.model import INTERVALS, TOTAL, Board, DatasetBoard, Row, SeedRow, Table
+from relocbench.leaderboard.tracking.model import INTERVALS, MEDIANS, TOTAL, Board, DatasetBoard, Row, SeedRow, Table
 from relocbench.metrics import (
     METRICS,
+    Interval,
     Metric,
     Spread,
-    bootstrap_interval,
     generator,
+    mean_interval,
+    median_interval,
     metric_named,
     paired_difference,
     rank_with_ties,
@@ -32,9 +34,8 @@ from relocbench.metrics import (
 from relocbench.progress import Reporter, Silent
 
 Array = NDArray[np.float64]
-RANKING = "t_auc@0.5m"
-"""The default ranking metric: continuous, so that it separates methods with fewer pairs than a recall does, and
-coarse enough for ground truth with a sigma of 0.25 m."""
+RANKING = "recall@(0.25m,2deg)"
+"""The default ranking metric: the share of pairs whose pose is right, in position and in rotation."""
 
 
 def ranking_metric(name: str) -> Metric:
@@ -59,7 +60,7 @@ def make_board(
     Args:
         entries: what :func:`relocbench.leaderboard.tracking.load.load_results` returned.
         metric: the metric that ranks methods, a mean over pairs.
-        seed: of the bootstrap. Each number has a generator of its own and does not depend on what else is there.
+        seed: of the draws that decide ranks. Each table has a generator of its own and depends on nothing else.
         split: the split that ``entries`` were limited to, to be recorded.
         reporter: receives the number of tables that are done.
 
@@ -106,13 +107,18 @@ def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) ->
     sets = {m.label: [_of_group(m, name, group) for name in names] for m in entry.methods}
     ranks: dict[str, int | None] = dict.fromkeys(sets)
     if group == ALL:
-        ranks = rank_with_ties(
-            {label: [None if rows is None else _per_pair(metric, rows) for rows in own] for label, own in sets.items()},
+        ranks |= rank_with_ties(
+            {
+                m.label: [None if rows is None else _per_pair(metric, rows) for rows in sets[m.label]]
+                for m in entry.methods
+                if m.ranked
+            },
             generator(seed, place, metric.name),
+            {label: [None if rows is None else _errors(rows) for rows in own] for label, own in sets.items()},
             higher_is_better=metric.higher_is_better,
         )
     floor = sets[entry.floor.label] if entry.floor else None
-    rows = [_row(m, sets[m.label], names, ranks[m.label], floor, metric, seed, place) for m in entry.methods]
+    rows = [_row(m, sets[m.label], names, ranks[m.label], floor, metric) for m in entry.methods]
     asked = _pairs_asked(sets)
     return Table(
         pair_set=shown,
@@ -135,8 +141,6 @@ def _row(
     rank: int | None,
     floor: Sequence[ErrorTable | None] | None,
     metric: Metric,
-    seed: int,
-    place: str,
 ) -> Row:
     missing = tuple(name for name, rows in zip(names, sets, strict=True) if rows is None)
     there = [rows for rows in sets if rows is not None]
@@ -144,17 +148,12 @@ def _row(
     if missing:
         return Row(method, sum(map(len, there)), None, None, None, values, {}, rank, None, missing)
     counts = {status: sum(rows.with_status(status) for rows in there) for status in STATUSES}
-    intervals = {
-        m.name: bootstrap_interval([_per_pair(m, rows) for rows in there], generator(seed, place, m.name))
-        for m in METRICS
-        if m.name in {*INTERVALS, metric.name}
-    }
+    intervals = {m.name: _interval(m, there) for m in METRICS if m.name in {*INTERVALS, *MEDIANS, metric.name}}
     above = None
     if floor is not None and floor is not sets and not any(rows is None for rows in floor):
         above = paired_difference(
             [_sign(metric) * _per_pair(metric, rows) for rows in there],
             [_sign(metric) * _per_pair(metric, rows) for rows in floor if rows is not None],
-            generator(seed, place, metric.name),
         )
     return Row(
         method=method,
@@ -167,6 +166,18 @@ def _row(
         rank=rank,
         above_floor=above,
     )
+
+
+def _interval(metric: Metric, sets: Sequence[ErrorTable]) -> Interval | None:
+    """The interval of a share or area, or of the median of one pair set."""
+    if metric.name not in MEDIANS:
+        return mean_interval([_per_pair(metric, rows) for rows in sets], [_errors(rows) for rows in sets])
+    return median_interval(_errors(sets[0])[MEDIANS.index(metric.name)]) if len(sets) == 1 else None
+
+
+def _errors(rows: ErrorTable) -> Array:
+    """(2, N) the translation and rotation errors: by them, statistics know how alike neighbouring pairs are."""
+    return np.stack([rows.errors.translation_error_m, rows.errors.rotation_error_deg])
 
 
 def _of_group(method: Method, pair_set: str, group: str) -> ErrorTable | None:

@@ -37,7 +37,7 @@ def write_leaderboard(
         out: folder for the files of :func:`write_board`.
         metric: the metric that ranks methods, a mean over pairs.
         split: only the pair sets of this split.
-        seed: of the bootstrap.
+        seed: of the draws that decide ranks.
         plots: whether to draw the curves.
         reporter: receives progress and notes on missing results.
 

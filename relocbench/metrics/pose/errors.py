@@ -1,10 +1,12 @@
-"""The three errors of one pair.
+"""The errors of one pair.
 
 With ``T_query_ref = [[R, t], [0, 1]]`` the query camera's centre in the reference frame is ``c = -R^T t``.
 
 - ``rotation_error_deg``: angle of ``R_pred R_gt^T``.
 - ``translation_error_m`` (primary): ``||c_pred - c_gt||``, the position error of a vehicle that uses the answer. It
   does not depend on the choice of the reference frame (both poses times one transform on the right).
+- ``joint_error(metres, degrees)``: the larger one of the position error over ``metres`` and the rotation error over
+  ``degrees``. It is at most 1 exactly where both are within their thresholds.
 - ``mlad_translation_error_m``: ``||t_pred - t_gt||``, as scored by hloc and by the MLAD and 4Seasons challenges.
   It does not depend on the choice of the query frame (both poses times one transform on the left).
 
@@ -48,6 +50,16 @@ class PoseErrors:
     def answered(self) -> NDArray[np.bool_]:
         """(N,) whether each pair has an answer: by the failure policy, exactly the pairs with finite errors."""
         return np.isfinite(self.translation_error_m)
+
+    def joint_error(self, metres: float, degrees: float) -> Array:
+        """(N,) ``max(translation_error_m / metres, rotation_error_deg / degrees)``: no unit, inf without an answer.
+
+        Raises:
+            ValueError: a threshold that is not positive.
+        """
+        if not (metres > 0 and degrees > 0):
+            raise ValueError(f"the thresholds of a joint error must be positive, got {metres} m and {degrees} degrees")
+        return np.maximum(self.translation_error_m / metres, self.rotation_error_deg / degrees)
 
 
 def pose_errors(T_pred: ArrayLike, T_gt: ArrayLike, answered: ArrayLike | None = None) -> PoseErrors:

@@ -7,6 +7,11 @@ Where fewer than half succeed even from the truth, that radius is 0 and does not
 measure the width of the basin independently of its height: shares are first divided by the share at the smallest
 offset. A method that rarely succeeds can still have a wide basin, so the share from the truth and the relative radius
 should be read together.
+
+The interval of a radius goes from the radius of the curve of lower bounds to that of the curve of upper bounds of the
+shares' distances from the wanted share. The interval of a ratio is that of the logarithm's first-order expansion in
+the shares, pair by pair; where a radius is 0 or beyond the largest offset, it follows from the intervals of both radii
+at a higher level (Bonferroni).
 """
 
 from __future__ import annotations
@@ -17,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from relocbench.metrics.statistics.significance import LEVEL, RESAMPLES, Interval, resampled_set_means
+from relocbench.metrics.statistics.intervals import LEVEL, Interval, linear_interval
 
 Array = NDArray[np.float64]
 
@@ -33,7 +38,7 @@ class Radius:
     beyond: bool
     """whether the share is high enough at every offset: ``value`` is then the largest offset, the radius greater"""
     interval: Interval | None = None
-    """from resampled drives, clipped to the largest offset; None when there are too few pairs for one"""
+    """clipped to the largest offset; None when there are too few effective pairs for one"""
 
 
 @dataclass(frozen=True)
@@ -65,14 +70,12 @@ def success_radius(offsets: ArrayLike, shares: ArrayLike, share: float = HALF, *
 def radius_of(
     pair_sets: Sequence[ArrayLike],
     offsets: ArrayLike,
-    rng: np.random.Generator,
     *,
     share: float = HALF,
     relative: bool = False,
-    resamples: int = RESAMPLES,
     level: float = LEVEL,
 ) -> Radius:
-    """The radius of the mean over pair sets of the mean over their pairs, with a block-bootstrap interval.
+    """The radius of the mean over pair sets of the mean over their pairs, with its interval.
 
     Args:
         pair_sets: (K, N_s) each: the share of successes at each offset of each pair, ordered by reference time.
@@ -81,56 +84,88 @@ def radius_of(
     Raises:
         ValueError: as :func:`success_radius`; no pair sets, or an empty one.
     """
-    x, means, drawn = _resampled(pair_sets, offsets, rng, resamples)
+    x, sets = _fitting(pair_sets, offsets)
+    means = _means(sets)
     first = success_radius(x, means, share, relative=relative)
-    if drawn is None:
+    if relative and means[0] == 0:
         return first
-    interval = _percentiles(_radii(x, _relative(drawn.T) if relative else drawn.T, share), level)
-    return Radius(first.value, first.beyond, interval)
+    bounds = linear_interval([v - (share * v[0] if relative else share) for v in sets], level=level)
+    if bounds is None:
+        return first
+    low, high = (float(_radii(x, bound, 0.0)) for bound in bounds)
+    return Radius(first.value, first.beyond, Interval(min(low, first.value), max(high, first.value), level))
 
 
 def radius_ratio(
     pair_sets_a: Sequence[ArrayLike],
     pair_sets_b: Sequence[ArrayLike],
     offsets: ArrayLike,
-    rng: np.random.Generator,
     *,
     share: float = HALF,
     relative: bool = False,
-    resamples: int = RESAMPLES,
     level: float = LEVEL,
 ) -> Ratio:
-    """The ratio of A's radius to B's on the same pairs in the same order, resampled with the same blocks.
+    """The ratio of A's radius to B's on the same pairs in the same order.
 
     A radius beyond the largest offset counts as that offset. The arguments are those of :func:`radius_of`.
     """
-    both = [np.concatenate([np.asarray(a), np.asarray(b)]) for a, b in zip(pair_sets_a, pair_sets_b, strict=True)]
-    k = len(np.asarray(offsets))
-    x, means, drawn = _resampled(both, np.tile(np.asarray(offsets, dtype=np.float64), 2), rng, resamples)
-    x, _ = _checked(x[:k], means[:k])
-
-    def radii(y: Array) -> Array:
-        return _radii(x, _relative(y) if relative else y, share)
-
+    x, a = _fitting(pair_sets_a, offsets)
+    _, b = _fitting(pair_sets_b, offsets)
+    of_a, of_b = (success_radius(x, _means(sets), share, relative=relative) for sets in (a, b))
     with np.errstate(divide="ignore", invalid="ignore"):
-        value = float(radii(means[:k]) / radii(means[k:]))
-        if drawn is None:
-            return Ratio(value, None)
-        ratios = radii(drawn[:k].T) / radii(drawn[k:].T)
-    return Ratio(value, None if np.isnan(ratios).any() else _percentiles(ratios, level))
+        value = float(np.float64(of_a.value) / of_b.value)
+    inside = all(r.value > 0 and not r.beyond for r in (of_a, of_b))
+    interval = _expanded(x, a, b, share, relative, level) if inside else None
+    if not inside and not np.isnan(value):
+        first, second = (radius_of(s, x, share=share, relative=relative, level=(1 + level) / 2) for s in (a, b))
+        interval = _quotient(first.interval, second.interval, level)
+    return Ratio(value, interval)
 
 
-def _resampled(
-    pair_sets: Sequence[ArrayLike], offsets: ArrayLike, rng: np.random.Generator, resamples: int
-) -> tuple[Array, Array, Array | None]:
-    """The offsets (K,), the mean shares (K,), and the mean shares (K, resamples) of resampled drives."""
+def _expanded(
+    x: Array, a: Sequence[Array], b: Sequence[Array], share: float, relative: bool, level: float
+) -> Interval | None:
+    """The interval of a ratio of radii from the first-order expansion of its logarithm in the mean shares."""
+
+    def logarithm(y: Array) -> Array:
+        out: Array = np.log(np.maximum(_radii(x, _relative(y) if relative else y, share), 1e-12))
+        return out
+
+    k, step = len(x), 1e-6
+    means = np.concatenate([_means(a), _means(b)])
+    slopes = []
+    for half, sign in ((slice(0, k), 1.0), (slice(k, None), -1.0)):
+        moved = np.eye(k) * step
+        slopes.append(sign * (logarithm(means[half] + moved) - logarithm(means[half] - moved)) / (2 * step))
+    values = [np.concatenate([(slopes[0] @ v + slopes[1] @ w)[None], v, w]) for v, w in zip(a, b, strict=True)]
+    bounds = linear_interval(values, level=level)
+    if bounds is None:
+        return None
+    value = logarithm(means[:k]) - logarithm(means[k:])
+    half_width = (bounds[1][0] - bounds[0][0]) / 2
+    return Interval(float(np.exp(value - half_width)), float(np.exp(value + half_width)), level)
+
+
+def _quotient(a: Interval | None, b: Interval | None, level: float) -> Interval | None:
+    """The interval of the quotient of two values from their intervals; None where a bound is not defined."""
+    if a is None or b is None or b.high == 0:
+        return None
+    return Interval(a.low / b.high, a.high / b.low if b.low > 0 else np.inf, level)
+
+
+def _fitting(pair_sets: Sequence[ArrayLike], offsets: ArrayLike) -> tuple[Array, list[Array]]:
+    """The offsets (K,) and the shares (K, N_s) of each pair set, checked."""
     x = np.asarray(offsets, dtype=np.float64)
-    values = [np.asarray(v, dtype=np.float64) for v in pair_sets]
-    for v in values:
+    sets = [np.asarray(v, dtype=np.float64) for v in pair_sets]
+    for v in sets:
         if v.ndim != 2 or len(v) != len(x) or not v.shape[1] or not np.isfinite(v).all():
             raise ValueError(f"expected finite shares ({len(x)}, N >= 1) of each pair set, got {v.shape}")
-    drawn = resampled_set_means(values, rng, resamples)
-    return x, np.mean([v.mean(axis=1) for v in values], axis=0), drawn
+    return x, sets
+
+
+def _means(sets: Sequence[Array]) -> Array:
+    out: Array = np.mean([v.mean(axis=1) for v in sets], axis=0)
+    return out
 
 
 def _checked(offsets: ArrayLike, shares: Array) -> tuple[Array, Array]:
@@ -158,10 +193,3 @@ def _radii(x: Array, y: Array, share: float) -> Array:
     fall = np.where(y_before > y_after, y_before - y_after, 1.0)
     between = x[after - 1] + (y_before - share) / fall * (x[after] - x[after - 1])
     return np.where(first == 0, 0.0, np.where(first == len(x), x[-1], between))
-
-
-def _percentiles(values: Array, level: float) -> Interval:
-    tail = 50 * (1 - level)
-    # An infinite ratio cannot be interpolated: take percentiles among the drawn values.
-    low, high = np.percentile(values, [tail, 100 - tail], method="inverted_cdf")
-    return Interval(float(low), float(high), level)

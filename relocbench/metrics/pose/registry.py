@@ -20,6 +20,8 @@ RECALL_THRESHOLDS: tuple[tuple[float, float], ...] = ((0.1, 1), (0.25, 2), (0.5,
 MLAD_THRESHOLDS_M: tuple[float, ...] = (0.1, 0.2, 0.5)
 TRANSLATION_AUC_THRESHOLDS_M: tuple[float, ...] = (0.5, 1)
 ROTATION_AUC_THRESHOLDS_DEG: tuple[float, ...] = (0.5, 1)
+POSE_AUC_THRESHOLDS: tuple[tuple[float, float], ...] = ((0.5, 4),)
+"""(metres, degrees): twice those within which an answer counts as correct"""
 CORRECT: tuple[float, float] = (0.25, 2)
 """(metres, degrees) within which an answer counts as correct where confidence is assessed"""
 SIGMA_FACTOR = 2.0
@@ -139,6 +141,17 @@ def _rotation_auc(degrees: float) -> Metric:
     )
 
 
+def _pose_auc(metres: float, degrees: float) -> Metric:
+    return _mean_metric(
+        f"pose_auc@({metres:g}m,{degrees:g}deg)",
+        "area under the cumulative curve of the joint error: "
+        f"1/N sum max(0, 1 - max(translation_error_m / {metres:g} m, rotation_error_deg / {degrees:g} deg))",
+        lambda errors: area_shares(errors.joint_error(metres, degrees), 1.0),
+        metres,
+        degrees,
+    )
+
+
 def _median(error: str, unit: str) -> Metric:
     return Metric(
         name=f"median_{error}",
@@ -180,6 +193,7 @@ def _confidence_area(metres: float, degrees: float) -> Metric:
 METRICS: tuple[Metric, ...] = (
     *(_translation_auc(metres) for metres in TRANSLATION_AUC_THRESHOLDS_M),
     *(_rotation_auc(degrees) for degrees in ROTATION_AUC_THRESHOLDS_DEG),
+    *(_pose_auc(*thresholds) for thresholds in POSE_AUC_THRESHOLDS),
     *(_recall(*thresholds) for thresholds in RECALL_THRESHOLDS),
     *(_mlad_recall(metres) for metres in MLAD_THRESHOLDS_M),
     _median("translation_error_m", "m"),

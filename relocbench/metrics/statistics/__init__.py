@@ -1,1 +1,1 @@
-"""Resampling statistics: confidence intervals, paired differences and ranks from a block bootstrap."""
+"""Statistics of correlated pairs: how many independent pairs they are worth, confidence intervals, ranks."""

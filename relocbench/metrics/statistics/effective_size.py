@@ -1,0 +1,189 @@
+"""How many independent pairs the pairs of a drive are worth.
+
+Neighbouring pairs see the same street. The variance of a mean over N of them is V times what it would be if they were
+independent, so that they are worth ``N / V`` independent ones. V is the variance inflation: the sum of the
+autocorrelations over all lags, 1 for independent pairs and ``(1 + rho) / (1 - rho)`` for a first-order autoregression.
+
+V is estimated to be rather too large than too small:
+
+- From the drive as it is: ``(1 + rho) / (1 - rho)`` for the upper bound of a one-sided 90 % interval of the lag-one
+  autocorrelation rho, whose small-sample bias is corrected (Marriott and Pope, "Bias in the estimation of
+  autocorrelations", Biometrika 1954; Kendall, the same issue).
+- From the means of blocks of b = 2, 4, 8, ... neighbouring pairs: b times their variance over the variance of single
+  pairs, times ``(1 + rho) / (1 - rho)`` of the block means (Flyvbjerg and Petersen, "Error estimates on averages of
+  correlated data", J. Chem. Phys. 1989). It finds slow changes that noise from pair to pair hides.
+
+The largest counts. Several sets are estimated together, each around its own mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+MIN_EFFECTIVE = 10.0
+"""effective pairs below which nothing is said"""
+PRIOR_CORRELATION = 0.95
+"""correlation of neighbouring pairs where nothing varies, so that none can be measured"""
+
+_LIKELY, _CAUTIOUS = 1.28, 3.0
+"""quantiles of the normal distribution at 90 % and 99.9 %"""
+_MIN_BLOCKS = 16
+"""blocks of an average set, at least, in which a correlation of block means is looked for"""
+_DOUBT = 2.0
+"""by how many times ``1 / sqrt(blocks)`` the variance of block means is taken to be smaller than measured, since the
+largest of several estimates counts: a standard error is ``sqrt(2 / blocks)``"""
+_LARGEST_CORRELATION = 0.9995
+_PRIOR_INFLATION = (1 + PRIOR_CORRELATION) / (1 - PRIOR_CORRELATION)
+
+Product = Callable[[Array, Array], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Inflation:
+    """The variance inflation of each of several series."""
+
+    likely: Array
+    """at least 1; what intervals and tests use"""
+    cautious: Array
+    """at least ``likely``, from the 99.9 % bound of the lag-one autocorrelation: what decides whether there is one"""
+
+    def enough(self, pairs: float) -> NDArray[np.bool_]:
+        """Whether so many pairs are worth :data:`MIN_EFFECTIVE` independent ones by the cautious estimate."""
+        out: NDArray[np.bool_] = pairs / self.cautious >= MIN_EFFECTIVE
+        return out
+
+
+def series_inflation(sets: Sequence[Array]) -> Inflation:
+    """The variance inflation of each of K series.
+
+    Args:
+        sets: (K, N_s) each, finite, in the order of the drive. A series that does not vary is NaN in the result.
+    """
+    return _inflation(sets, lambda a, b: np.einsum("kn,kn->k", a, b))
+
+
+def difference_inflation(sets: Sequence[Array]) -> Inflation:
+    """The variance inflation of the differences of every two of M series, as (M, M) arrays.
+
+    Args:
+        sets: (M, N_s) each, finite, in the order of the drive. Two series that differ by a constant are NaN.
+    """
+
+    def product(a: Array, b: Array) -> Array:
+        cross = a @ b.T
+        own = np.diag(cross)
+        return own[:, None] + own[None, :] - cross - cross.T
+
+    def together(a: Array, b: Array) -> Array:
+        return np.atleast_1d(np.nansum(product(a, b) / variance))
+
+    each = _inflation(sets, product, likely_at=0.0)
+    variance = np.sum([product(c, c) for c in (x - x.mean(axis=1, keepdims=True) for x in sets)], axis=0)
+    variance[np.isnan(each.likely)] = np.nan
+    if np.isnan(variance).all():
+        return each
+    pooled = _inflation(sets, together)
+    return Inflation(np.maximum(each.likely, pooled.likely), np.maximum(each.cautious, pooled.cautious))
+
+
+def inflation_of(
+    values: Sequence[Array], errors: Sequence[ArrayLike] | None = None, *, independent: bool = False
+) -> Inflation:
+    """One variance inflation of the mean of a value of each pair.
+
+    It is the larger one of the values and of the normal scores of the continuous errors that the values come from. By
+    Gebelein's inequality no function of two normal variables is more correlated than they are, so that errors bound
+    the inflation of every share and area, also where all pairs succeed and the values themselves say nothing.
+
+    Args:
+        values: (N_s,) of each set, in the order of the drive.
+        errors: (K, N_s) of each set: continuous errors of the same pairs, inf allowed; None where there are none.
+        independent: whether the values are known to be independent, such as one for each place.
+
+    Returns:
+        arrays of one element. Where nothing varies, that of :data:`PRIOR_CORRELATION`.
+    """
+    if independent:
+        return Inflation(np.ones(1), np.ones(1))
+    return or_prior(measured_inflation(values, errors))
+
+
+def or_prior(inflation: Inflation) -> Inflation:
+    """The inflation of :data:`PRIOR_CORRELATION` where one is NaN because nothing varies."""
+    return Inflation(*(np.where(np.isnan(i), _PRIOR_INFLATION, i) for i in (inflation.likely, inflation.cautious)))
+
+
+def measured_inflation(values: Sequence[Array], errors: Sequence[ArrayLike] | None) -> Inflation:
+    """As :func:`inflation_of`, but NaN where nothing varies."""
+    estimates = [series_inflation([v[None] for v in values])]
+    if errors is not None:
+        estimates.append(series_inflation([_normal_scores(np.atleast_2d(np.asarray(e, float))) for e in errors]))
+    likely = np.concatenate([e.likely for e in estimates])
+    cautious = np.concatenate([e.cautious for e in estimates])
+    return Inflation(np.fmax.reduce(likely, keepdims=True), np.fmax.reduce(cautious, keepdims=True))
+
+
+def _inflation(sets: Sequence[Array], product: Product, likely_at: float = _LIKELY) -> Inflation:
+    levels = _moments(sets, product)
+    pairs, variance, lagged = next(levels)
+    varies = variance > 1e-12 * max(float(variance.max(initial=0.0)), 1e-300)
+    variance = np.where(varies, variance, np.nan)
+    likely = _autoregressive(lagged / variance, pairs, len(sets), likely_at)
+    cautious = _autoregressive(lagged / variance, pairs, len(sets), _CAUTIOUS)
+    block = 2
+    for blocks, of_means, lagged in levels:
+        known = np.where(of_means > 0, of_means, np.nan)
+        ratio = block * (known / blocks) / (variance / pairs) * (1 - _DOUBT / np.sqrt(blocks))
+        inflation = ratio * _autoregressive(lagged / known, blocks, len(sets))
+        likely = np.where(np.isnan(inflation), likely, np.maximum(likely, inflation))
+        block *= 2
+    return Inflation(np.maximum(likely, 1.0), np.maximum(np.maximum(cautious, likely), 1.0))
+
+
+def _moments(sets: Sequence[Array], product: Product) -> Iterator[tuple[int, Array, Array]]:
+    """The number of pairs, then of blocks of 2, 4, ... pairs, with sums of squares and of products of neighbours."""
+    centred = [x - x.mean(axis=1, keepdims=True) for x in sets]
+    yield _sums(centred, product)
+    while True:
+        # Blocks of 2 b pairs are pairs of blocks of b; a last block without a partner is left out.
+        centred = [(x[:, 0 : x.shape[1] // 2 * 2 : 2] + x[:, 1::2]) / 2 for x in centred if x.shape[1] >= 4]
+        if sum(x.shape[1] for x in centred) < _MIN_BLOCKS * len(sets):
+            return
+        centred = [x - x.mean(axis=1, keepdims=True) for x in centred]
+        yield _sums(centred, product)
+
+
+def _sums(centred: Sequence[Array], product: Product) -> tuple[int, Array, Array]:
+    squares = np.sum([product(x, x) for x in centred], axis=0)
+    neighbours = np.sum([product(x[:, 1:], x[:, :-1]) for x in centred], axis=0)
+    return sum(x.shape[1] for x in centred), squares, neighbours
+
+
+def _autoregressive(lag_one: Array, count: int, sets: int, quantile: float = 0.0) -> Array:
+    """``(1 + rho) / (1 - rho)`` of the bias-corrected lag-one autocorrelation plus ``quantile`` standard errors.
+
+    The expectation of the sample's lag-one autocorrelation is ``rho - (1 + 4 rho) / n`` in the first order.
+    """
+    bias = min(sets / count, 0.2)
+    rho = np.clip((lag_one + bias) / (1 - 4 * bias), 0.0, _LARGEST_CORRELATION)
+    rho = np.minimum(rho + quantile * np.sqrt((1 - rho**2) / count), _LARGEST_CORRELATION)
+    out: Array = (1 + rho) / (1 - rho)
+    return out
+
+
+def _normal_scores(errors: Array) -> Array:
+    """``Phi^-1((rank - 1/2) / N)`` of each row, equal errors with their mean rank. (K, N) -> (K, N)."""
+    from scipy.special import ndtri
+
+    out = np.empty_like(errors)
+    for row, e in zip(out, errors, strict=True):
+        _, place, count = np.unique(e, return_inverse=True, return_counts=True)
+        last = np.cumsum(count)
+        row[:] = ndtri((last - count / 2) / len(e))[place]
+    return out

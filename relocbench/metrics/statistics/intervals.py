@@ -1,0 +1,265 @@
+"""Confidence intervals of shares, areas, medians and paired differences over the correlated pairs of drives.
+
+A percentile interval of a bootstrap over blocks is too narrow where a drive is worth few independent pairs, and has no
+width at all where every pair succeeds. These intervals are those for independent pairs with the effective number of
+pairs (:mod:`relocbench.metrics.statistics.effective_size`) in the place of their number:
+
+- shares and areas: Clopper and Pearson's, with the effective size of Korn and Graubard ("Confidence intervals for
+  proportions with small expected number of positive counts estimated from survey data", Survey Methodology 1998);
+  Brown, Cai and DasGupta ("Interval estimation for a binomial proportion", Statistical Science 2001) say why none by
+  the normal law serves near 0 and 1.
+- medians: the order statistics at the bounds of a share of one half.
+- differences: Student's t, with Bonett and Price's two added pairs ("Adjusted Wald confidence interval for a difference
+  of binomial proportions based on paired data", J. Educ. Behav. Stat. 2012).
+
+Pairs must be ordered by reference time. Several pair sets are averaged, each with equal weight. From
+:data:`MANY_SETS` sets on, the interval is at least as wide as Student's t over the sets.
+
+``benchmarks/truth/intervals.py`` measures their coverage.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from relocbench.metrics.statistics.effective_size import inflation_of
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.95
+MANY_SETS = 8
+"""number of pair sets from which on their spread widens an interval: with fewer, t has heavy tails"""
+_UNSEEN = 0.5
+"""number of pairs of value 0, and of value 1, that are added to the variance of an area: the pairs seen may hold none
+of the few that fail"""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A two-sided confidence interval."""
+
+    low: float
+    high: float
+    level: float
+
+    def excludes(self, value: float) -> bool:
+        """Whether ``value`` lies outside the interval."""
+        return value < self.low or value > self.high
+
+
+@dataclass(frozen=True)
+class Difference:
+    """By how much A exceeds B, in the metric's unit."""
+
+    mean: float
+    interval: Interval | None
+    """None when there are too few effective pairs for one"""
+
+    @property
+    def significant(self) -> bool:
+        """Whether the interval excludes 0."""
+        return self.interval is not None and self.interval.excludes(0.0)
+
+
+def mean_interval(
+    pair_sets: Sequence[ArrayLike],
+    errors: Sequence[ArrayLike] | None = None,
+    *,
+    independent: bool = False,
+    level: float = LEVEL,
+) -> Interval | None:
+    """The interval of a share or area: of the mean over the sets of the mean over a set's pairs.
+
+    With p the mean and v its variance under the inflation, the pairs are worth ``p (1 - p) / v`` draws of 0 or 1,
+    and as many as they are effective pairs where they do not vary.
+
+    Args:
+        pair_sets: (N_s,) values of each pair set, ordered by reference time, whose means are in 0..1; single values of
+            :func:`relocbench.metrics.per_group` may exceed 1.
+        errors: (K, N_s) of each set: the continuous errors that the values come from (:func:`inflation_of`).
+        independent: whether the values are known to be independent, such as one for each place.
+        level: nominal coverage of the interval.
+
+    Returns:
+        None where there are fewer than :data:`MIN_EFFECTIVE` effective pairs.
+
+    Raises:
+        ValueError: no pair sets, an empty one, a mean outside 0..1, errors of other pairs, or an impossible level.
+    """
+    sets = [_checked(values) for values in pair_sets]
+    if any(not -1e-9 <= v.mean() <= 1 + 1e-9 for v in sets):
+        raise ValueError("the mean of shares and areas must be in 0..1")
+    size = _effective_size(sets, errors, independent, level)
+    if size is None:
+        return None
+    from scipy.special import ndtri, stdtrit
+
+    p = min(max(mean_of_means(sets), 0.0), 1.0)
+    variance = _variance_of_one(sets) / (size - 1) + _UNSEEN * (p**2 + (1 - p) ** 2) / size**2
+    tails = float(ndtri((1 + level) / 2)) / float(stdtrit(size - 1, (1 + level) / 2))
+    draws = max(p * (1 - p) / variance * tails**2, size)
+    low, high = _clopper_pearson(p, draws, level)
+    between = _between_sets(sets, level)
+    return Interval(max(0.0, min(low, p - between)), min(1.0, max(high, p + between)), level)
+
+
+def median_interval(
+    values: ArrayLike, errors: ArrayLike | None = None, *, independent: bool = False, level: float = LEVEL
+) -> Interval | None:
+    """The interval of the median of a value of each pair of one set; infinite values are allowed.
+
+    Args:
+        values: (N,) ordered by reference time, inf where there is no answer.
+        errors: (K, N) other continuous errors of the same pairs.
+        independent: whether the values are known to be independent.
+        level: nominal coverage of the interval.
+
+    Returns:
+        None where there are fewer than :data:`MIN_EFFECTIVE` effective pairs; ``high`` may be inf.
+
+    Raises:
+        ValueError: no values, NaN among them, errors of other pairs, or an impossible level.
+    """
+    v = np.asarray(values, dtype=np.float64)
+    if v.ndim != 1 or v.size == 0 or np.isnan(v).any():
+        raise ValueError("a median needs a non-empty (N,) array without NaN")
+    below = (v <= np.median(v)).astype(np.float64)
+    with_own = v[None] if errors is None else np.concatenate([v[None], np.atleast_2d(np.asarray(errors, float))])
+    size = _effective_size([below], [with_own], independent, level)
+    if size is None:
+        return None
+    low, high = _clopper_pearson(0.5, size, level)
+    ordered = np.sort(v)
+    first = max(math.floor(low * v.size) - 1, 0)
+    last = min(math.ceil(high * v.size), v.size - 1)
+    return Interval(float(ordered[first]), float(ordered[last]), level)
+
+
+def paired_difference(
+    pair_sets_a: Sequence[ArrayLike],
+    pair_sets_b: Sequence[ArrayLike],
+    *,
+    independent: bool = False,
+    level: float = LEVEL,
+) -> Difference:
+    """The mean of A minus the mean of B on the same pairs, with its interval.
+
+    Two pairs with the largest difference either way are added, so that an interval has a width where no pair differs.
+
+    Args:
+        pair_sets_a, pair_sets_b: (N_s,) values in 0..1 of each pair set, the same pairs in the same order.
+        independent: whether the pairs are known to be independent.
+        level: nominal coverage of the interval.
+
+    Raises:
+        ValueError: the pairs differ; no pair sets, an empty one, values not finite, or an impossible level.
+    """
+    a, b = [_checked(v) for v in pair_sets_a], [_checked(v) for v in pair_sets_b]
+    if [len(v) for v in a] != [len(v) for v in b]:
+        raise ValueError("a paired difference needs both methods on the same pairs")
+    difference = [x - y for x, y in zip(a, b, strict=True)]
+    size = _effective_size(difference, [np.stack(both) for both in zip(a, b, strict=True)], independent, level)
+    mean = mean_of_means(difference) if difference else 0.0
+    if size is None:
+        return Difference(mean, None)
+    from scipy.special import stdtrit
+
+    largest = max(float(np.abs(d).max()) for d in difference) or 1.0
+    adjusted, variance = with_two_pairs(mean, _variance_of_one(difference), largest, size)
+    half = float(stdtrit(size - 1, (1 + level) / 2)) * math.sqrt(variance)
+    half_between = _between_sets(difference, level)
+    return Difference(
+        mean, Interval(min(adjusted - half, mean - half_between), max(adjusted + half, mean + half_between), level)
+    )
+
+
+def with_two_pairs(mean: float, variance: float, largest: float, size: float) -> tuple[float, float]:
+    """The mean of ``size`` effective differences with ``+largest`` and ``-largest`` added, and that mean's variance."""
+    adjusted = mean * size / (size + 2)
+    spread = (size * (variance * size / (size - 1) + mean**2) + 2 * largest**2) / (size + 2) - adjusted**2
+    return adjusted, spread / (size + 2)
+
+
+def linear_interval(pair_sets: Sequence[Array], *, level: float = LEVEL) -> tuple[Array, Array] | None:
+    """The bounds of the means of K values of each pair, (K,) and (K,), by Student's t with one inflation for all.
+
+    Args:
+        pair_sets: (K, N_s) finite values of each pair set, ordered by reference time.
+
+    Returns:
+        None where there are fewer than :data:`MIN_EFFECTIVE` effective pairs.
+    """
+    size = _effective_size([v[0] for v in pair_sets], pair_sets, False, level)
+    if size is None:
+        return None
+    from scipy.special import stdtrit
+
+    mean = np.mean([v.mean(axis=1) for v in pair_sets], axis=0)
+    variance = np.mean([v.var(axis=1) for v in pair_sets], axis=0) / (size - 1)
+    half = float(stdtrit(size - 1, (1 + level) / 2)) * np.sqrt(variance)
+    return mean - half, mean + half
+
+
+def mean_of_means(pair_sets: Sequence[Array]) -> float:
+    """The mean over the sets of the mean over a set's pairs."""
+    return math.fsum(float(np.mean(v)) for v in pair_sets) / len(pair_sets)
+
+
+def pairs_in_equal_sets(lengths: Sequence[int]) -> float:
+    """``S^2 / sum(1 / N_s)``: how many pairs one set would need for a mean as certain as that of the sets' means."""
+    return len(lengths) ** 2 / math.fsum(1 / n for n in lengths)
+
+
+def _effective_size(
+    sets: Sequence[Array], errors: Sequence[ArrayLike] | None, independent: bool, level: float
+) -> float | None:
+    """The number of effective pairs; None where they are too few."""
+    if not sets:
+        raise ValueError("an interval needs at least one pair set")
+    if not 0 < level < 1:
+        raise ValueError(f"the level of an interval must be between 0 and 1, got {level}")
+    lengths = [len(v) for v in sets]
+    if errors is not None and [np.shape(e)[-1] for e in errors] != lengths:
+        raise ValueError("errors must be those of the same pairs in the same pair sets")
+    pairs = pairs_in_equal_sets(lengths)
+    inflation = inflation_of(sets, errors, independent=independent)
+    return pairs / float(inflation.likely[0]) if bool(inflation.enough(pairs)[0]) else None
+
+
+def _variance_of_one(sets: Sequence[Array]) -> float:
+    """The variance of one pair's value around its set's mean, such that the mean's variance is this over the size."""
+    weights = np.array([1 / len(v) for v in sets])
+    return float(np.sum(weights * [v.var() for v in sets]) / weights.sum())
+
+
+def _between_sets(sets: Sequence[Array], level: float) -> float:
+    """Half the width of Student's t interval over the sets' means; 0 where the sets are few."""
+    if len(sets) < MANY_SETS:
+        return 0.0
+    from scipy.special import stdtrit
+
+    spread = float(np.std([v.mean() for v in sets], ddof=1))
+    return float(stdtrit(len(sets) - 1, (1 + level) / 2)) * spread / math.sqrt(len(sets))
+
+
+def _clopper_pearson(share: float, draws: float, level: float) -> tuple[float, float]:
+    """The bounds of a share seen in a number of independent draws, which need not be whole."""
+    from scipy.special import betaincinv
+
+    tail, right = (1 - level) / 2, share * draws
+    wrong = draws - right
+    low = float(betaincinv(right, wrong + 1, tail)) if right > 1e-9 else 0.0
+    high = float(betaincinv(right + 1, wrong, 1 - tail)) if wrong > 1e-9 else 1.0
+    return low, high
+
+
+def _checked(values: ArrayLike) -> Array:
+    v = np.asarray(values, dtype=np.float64)
+    if v.ndim != 1 or v.size == 0 or not np.isfinite(v).all():
+        raise ValueError("per-pair values must be a non-empty (N,) array of finite numbers")
+    return v
