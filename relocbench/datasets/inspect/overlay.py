@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats, Image, Mask
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import as_grey, as_rgb, write_image
 from relocbench.datasets.core.pair_set import PairSet
@@ -25,7 +26,6 @@ from relocbench.datasets.inspect.drawing import (
     WHITE,
     YELLOW,
     Colour,
-    Image,
     compose,
     depth_colours,
     draw_points,
@@ -39,8 +39,6 @@ from relocbench.datasets.pairs.visibility import DepthView, ReferencePoints, ref
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
 from relocbench.progress import Reporter
 from relocbench.tracking import Query, Reference
-
-Array = NDArray[np.float64]
 
 _POINTS = 3000
 """points that are drawn at most; more would hide the image"""
@@ -170,7 +168,7 @@ def _difference(a: Array, b: Array) -> float:
     return float(np.mean(np.abs((a - a.mean()) * gain + b.mean() - b)))
 
 
-def warp_image(reference: Reference, query: Camera, T_query_ref: Array) -> tuple[Image, NDArray[np.bool_]]:
+def warp_image(reference: Reference, query: Camera, T_query_ref: Array) -> tuple[Image, Mask]:
     """The keyframe as the query would see it, (H, W[, 3]), and where it is known, (H, W).
 
     The keyframe's depth is drawn into the query; each query pixel q with depth z then gets the keyframe's colour at
@@ -193,7 +191,7 @@ def is_sparse(reference: Reference) -> bool:
     return bool(np.count_nonzero(inverse) < _SPARSE * inverse.size)
 
 
-def _filled_depth(reference: Reference) -> NDArray[np.float32]:
+def _filled_depth(reference: Reference) -> Floats:
     """Depth for warping; sparse points are dilated to patches, where the nearest surface wins."""
     inverse = reference.inverse_depth_map
     if is_sparse(reference):
@@ -261,7 +259,7 @@ def _captions(pair: Pair, agreement: ImageAgreement, title: str) -> list[tuple[s
     return [(title, WHITE), (", ".join(facts), WHITE), (said, YELLOW if agreement.truth_is_best else RED)]
 
 
-def _corner_rows(image: Image, uv: Array, visible: NDArray[np.bool_]) -> list[int]:
+def _corner_rows(image: Image, uv: Array, visible: Mask) -> list[int]:
     """Rows of the most recognisable points: the best corner in each cell of the keyframe."""
     grey = _smooth_grey(image).astype(np.float32)
     response = _sample(cv2.cornerMinEigenVal(grey, 5), uv)

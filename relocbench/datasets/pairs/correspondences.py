@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core import pairfile
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
@@ -29,9 +30,6 @@ from relocbench.files import atomic_write, plain_file
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 from relocbench.tracking import Reference
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SCHEMA = pa.schema(
     [

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
@@ -25,7 +25,6 @@ from relocbench.execution import Run, chunks, run_units
 from relocbench.geometry import invert
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
 _IMAGES_A_UNIT = 16
 
 

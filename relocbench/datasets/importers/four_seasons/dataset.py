@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.dataset import Dataset
@@ -49,7 +49,6 @@ from relocbench.files import fitting_name
 from relocbench.geometry import Camera, apply, invert
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
 _INTRINSICS_TOLERANCE_PX = 0.05
 _CAM0, _CAM1 = CAMERAS
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.dataset import Dataset
@@ -29,7 +29,6 @@ from relocbench.files import check_distinct, check_name, fitting_name, load_yaml
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
 CAMERA_FILE, POSE_FILE = "camera.yaml", "poses.txt"
 _ONLY_CAMERA = "cam0"
 

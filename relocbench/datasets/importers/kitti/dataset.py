@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.dataset import Dataset
@@ -35,7 +35,6 @@ from relocbench.execution import Run, run_units
 from relocbench.geometry import Camera, invert
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
 CameraName = Literal["image_0", "image_1", "image_2", "image_3"]
 
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.importers.robotcar import files
 from relocbench.datasets.importers.robotcar.sensors import LmsStream, RobotCarCamera, image_size, present_times
@@ -32,7 +32,6 @@ from relocbench.files import read_csv
 from relocbench.geometry import Camera, invert, make_transform
 from relocbench.progress import Reporter, Silent
 
-Array = NDArray[np.float64]
 OdometrySource = Literal["vo", "ins"]
 
 LIDARS = ("lms_front", "lms_rear")

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.images import DEPTH_SCALE
 from relocbench.datasets.pairs.correspondences import PairCorrespondences, spread_sample
 from relocbench.datasets.pairs.visibility import CHECKS, warp
@@ -20,9 +20,6 @@ from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.geometry import Camera, apply
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _FARTHEST_M = 65535 / DEPTH_SCALE
 """greatest depth that can be stored"""

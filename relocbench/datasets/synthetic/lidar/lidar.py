@@ -14,14 +14,12 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask, Times
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.lidar.echo import clutter, extinction, signal, surface_reflectance
 from relocbench.datasets.synthetic.town.mesh import Mesh
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, invert
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 _BEAMS = 541
 _LMS_PERIOD_NS = 20_000_000
@@ -145,7 +143,7 @@ class SimulatedScan:
     """(N, 3) metres, each in the sensor's frame at its own firing time; 0 without a return"""
     reflectance: Array
     """(N,) in [0, 1]"""
-    returned: NDArray[np.bool_]
+    returned: Mask
     """(N,)"""
     instance: NDArray[np.uint32]
     """(N,) object that reflected the beam; 0 for echoes from rain and snow"""
@@ -269,7 +267,7 @@ def trace(
     return nearest
 
 
-def _may_meet(thing: MovingObject, origins: Array, directions: Array, times_ns: Times) -> NDArray[np.bool_]:
+def _may_meet(thing: MovingObject, origins: Array, directions: Array, times_ns: Times) -> Mask:
     """Mask (N,) of the rays that pass near an object; all of them if it appears or disappears during the scan."""
     ends = thing.motion(np.array([times_ns.min(), times_ns.max()]))[:, :3, 3]
     present = np.isfinite(ends[:, 0])
