@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from baselines.options import NO_OTHER_KEYS
+from baselines.options import Options
 from relocbench.errors import ConfigError
 
 _MOST_WIDTHS, _MOST_CHANNELS, _COARSEST = 12, 8192, 6
@@ -13,7 +13,7 @@ _MOST_WIDTHS, _MOST_CHANNELS, _COARSEST = 12, 8192, 6
 
 
 @dataclass(frozen=True)
-class NetworkOptions:
+class NetworkOptions(Options):
     """Shape of the feature network.
 
     Raises:
@@ -35,8 +35,6 @@ class NetworkOptions:
     normalise: Literal["none", "unit"] = "none"
     """``unit``: the D features of each pixel are divided by their norm, and residuals and derivatives are taken from
     the normalised map; features that are all zero stay zero"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         if not self.widths or min(self.widths) < 1:

@@ -16,14 +16,14 @@ import torch
 from torch import Tensor, nn
 
 from baselines.initialisation import convolution, draw_weights
-from baselines.options import NO_OTHER_KEYS
+from baselines.options import Options
 from relocbench.errors import ConfigError
 
 Stage = Literal["layer3", "layer4"]
 
 
 @dataclass(frozen=True)
-class AttentionOptions:
+class AttentionOptions(Options):
     """Where attention is applied, and its form.
 
     Raises:
@@ -36,8 +36,6 @@ class AttentionOptions:
     """k, an odd number of pixels of the stage's map"""
     residual: bool = True
     """X + X * A instead of X * A"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         if len(set(self.after)) != len(self.after) or not set(self.after) <= {"layer3", "layer4"}:

@@ -23,12 +23,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from baselines.options import NO_OTHER_KEYS
+from baselines.options import Options
 from relocbench.errors import ConfigError
 
 
 @dataclass(frozen=True)
-class DecorrelationOptions:
+class DecorrelationOptions(Options):
     """Weight and constants of the loss.
 
     Raises:
@@ -44,8 +44,6 @@ class DecorrelationOptions:
     """e1"""
     off_power: float = 1.0
     """e2"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         if not 0 <= self.weight < 1:

@@ -9,7 +9,7 @@ from baselines.lpn.attention import AttentionOptions
 from baselines.lpn.heatmap import HeatmapOptions
 from baselines.lpn.rings import RingMean
 from baselines.lpn.soft_partition import SoftPartitionOptions
-from baselines.options import NO_OTHER_KEYS
+from baselines.options import Options
 from relocbench.errors import ConfigError
 
 BackboneName = Literal["resnet18", "resnet50"]
@@ -20,7 +20,7 @@ _MOST_PARTS, _MOST_WIDTH = 256, 65536
 
 
 @dataclass(frozen=True)
-class NetworkOptions:
+class NetworkOptions(Options):
     """Shape of the network; the defaults are LPN's.
 
     Raises:
@@ -45,8 +45,6 @@ class NetworkOptions:
     """D, the size of a part's embedding"""
     dropout: float = 0.75
     """share of the embedding that is dropped in front of the classifier in training"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         if self.backbone not in ("resnet18", "resnet50"):

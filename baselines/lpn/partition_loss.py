@@ -31,7 +31,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from baselines.options import NO_OTHER_KEYS
+from baselines.options import Options
 from relocbench.errors import ConfigError
 
 _LEAST = 1e-12
@@ -39,7 +39,7 @@ _LEAST = 1e-12
 
 
 @dataclass(frozen=True)
-class PartitionLossOptions:
+class PartitionLossOptions(Options):
     """Weight and form of the loss.
 
     Raises:
@@ -57,8 +57,6 @@ class PartitionLossOptions:
     """n of ``power``; above 1 the gradient also vanishes at one-hot masks"""
     tau: float = 0.25
     """of ``exponential``"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         if self.form not in ("original", "power", "exponential"):

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from baselines.gn_net.losses.symmetric import Symmetric, normal_equations
 from baselines.gn_net.sampling import sample_with_gradient
-from baselines.options import NO_OTHER_KEYS
+from baselines.options import Options
 from relocbench.errors import ConfigError
 
 Damping = Literal["identity", "diagonal"]
@@ -28,7 +28,7 @@ _LEAST = 1e-12
 
 
 @dataclass(frozen=True)
-class DescentOptions:
+class DescentOptions(Options):
     """Weight, starts, damping and margin.
 
     Raises:
@@ -45,8 +45,6 @@ class DescentOptions:
     """the matrix that lambda_f multiplies: the identity, or the diagonal of J^T J"""
     margin: float = 0.1
     """pixels^2 of the level"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         if min(self.weight, self.margin) < 0 or min(self.vicinity, self.damping) <= 0:

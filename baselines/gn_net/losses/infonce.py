@@ -17,12 +17,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from baselines.options import NO_OTHER_KEYS
+from baselines.options import Options
 from relocbench.errors import ConfigError
 
 
 @dataclass(frozen=True)
-class InfoNceOptions:
+class InfoNceOptions(Options):
     """Weight, temperature and the points that take part.
 
     Raises:
@@ -37,8 +37,6 @@ class InfoNceOptions:
     """pixels of the level; other points within this distance do not count as wrong"""
     points: int = 512
     """largest number of a pair's points that take part, in their order"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         if min(self.weight, self.away) < 0 or self.temperature <= 0 or self.points < 2:

@@ -23,12 +23,12 @@ from baselines.gn_net.losses.infonce import InfoNceOptions, infonce_terms
 from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
 from baselines.gn_net.losses.reduce import masked_mean
 from baselines.gn_net.sampling import level_coordinates, sample
-from baselines.options import NO_OTHER_KEYS
+from baselines.options import Options
 from relocbench.errors import ConfigError
 
 
 @dataclass(frozen=True)
-class LossOptions:
+class LossOptions(Options):
     """The losses and their weights on each level; a weight of 0 disables a loss.
 
     Raises:
@@ -41,8 +41,6 @@ class LossOptions:
     level_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     """one weight for each level of the network, finest first"""
     infonce: InfoNceOptions = field(default_factory=InfoNceOptions)
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         if not self.level_weights or min(self.level_weights) < 0 or max(self.level_weights) == 0:

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 
 from baselines.gn_net.losses import LossOptions
 from baselines.gn_net.options import NetworkOptions
-from baselines.options import NO_OTHER_KEYS
+from baselines.options import Options
 from relocbench.errors import ConfigError
 
 
 @dataclass(frozen=True)
-class AugmentationOptions:
+class AugmentationOptions(Options):
     """Strengths of the photometric changes of each image; 0 disables one. The geometry is never changed.
 
     Raises:
@@ -39,8 +39,6 @@ class AugmentationOptions:
     vignetting: float = 0.3
     """share of the light that is lost in the farthest corner, uniform in 0 .. this"""
 
-    __pydantic_config__ = NO_OTHER_KEYS
-
     def __post_init__(self) -> None:
         strengths = (self.gain, self.offset, self.gamma, self.contrast, self.colour, self.noise, self.blur)
         if min(strengths) < 0 or not all(0 <= share <= 1 for share in (self.probability, self.grey, self.vignetting)):
@@ -48,7 +46,7 @@ class AugmentationOptions:
 
 
 @dataclass(frozen=True)
-class TrainOptions:
+class TrainOptions(Options):
     """Everything that decides what is learnt, except the data.
 
     Raises:
@@ -99,8 +97,6 @@ class TrainOptions:
     augmentation: AugmentationOptions = field(default_factory=AugmentationOptions)
     loss: LossOptions = field(default_factory=LossOptions)
     network: NetworkOptions = field(default_factory=NetworkOptions)
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         counts = (self.steps, self.batch, self.points, self.log_every, self.validate_every, self.checkpoint_every)
