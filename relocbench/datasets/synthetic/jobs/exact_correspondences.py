@@ -45,11 +45,11 @@ class View:
 
     def cast(self, origins: Array, directions: Array) -> tuple[Array, Mask]:
         """Distances (N,) along unit rays (N, 3) to the first surface, inf if none, and whether it moves (N,)."""
-        distance = np.asarray(scenes.static_scene(self.place, self.factors).cast(origins, directions)[0], np.float64)
+        distance = scenes.static_scene(self.place, self.factors).hits(origins, directions).range
         cars = scenes.moving_scene(self.place, self.factors, self.moving)
         if cars is None:
             return distance, np.zeros(len(distance), dtype=bool)
-        to_car = np.asarray(cars.cast(origins, directions)[0], np.float64)
+        to_car = cars.hits(origins, directions).range
         return np.minimum(distance, to_car), to_car < distance
 
     def depth(self, pixels: Array) -> tuple[Array, Mask]:
@@ -72,7 +72,7 @@ class View:
         seen = met & (off * slant <= across) & (off <= _TOLERANCE_M + _RELATIVE_TOLERANCE * far)
         cars = scenes.moving_scene(self.place, self.factors, self.moving)
         if cars is not None:
-            seen &= hits.range <= cars.cast(origins, directions)[0]
+            seen &= hits.range <= cars.hits(origins, directions).range
         return np.asarray(seen)
 
 

@@ -109,9 +109,9 @@ def changed_since(place: DistrictSpec, reference: Factors, frame: Frame, camera:
     origins, directions, stretch = pixel_rays(
         camera, T_world_cam, np.column_stack([u.ravel(), v.ravel()]).astype(float)
     )
-    distance, _, instance = static_scene(place, reference).cast(origins, directions)
-    hit = np.isfinite(distance)
-    before = np.where(hit, distance / stretch, 0.0).reshape(frame.depth.shape)
-    objects = np.where(hit, instance, 0).reshape(frame.depth.shape)
+    hits = static_scene(place, reference).hits(origins, directions)
+    hit = np.isfinite(hits.range)
+    before = np.where(hit, hits.range / stretch, 0.0).reshape(frame.depth.shape)
+    objects = np.where(hit, hits.instance, 0).reshape(frame.depth.shape)
     moved = np.abs(before - frame.depth) > 0.01 + 1e-3 * before
     return np.asarray(moved | ((objects != frame.instance) & (before > 0)))

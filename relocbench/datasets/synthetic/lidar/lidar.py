@@ -62,21 +62,8 @@ class LidarScene:
         self._material = mesh.material
         self._instance = mesh.instance
 
-    def cast(self, origins: Array, directions: Array) -> tuple[Array, NDArray[np.uint8], NDArray[np.uint32]]:
-        """Range, material and instance of the first surface that each ray hits.
-
-        Args:
-            origins: (N, 3) metres, world.
-            directions: (N, 3); ranges are in their lengths, so in metres for unit directions.
-
-        Returns:
-            range (N,), inf without a hit; material (N,) and instance (N,), 0 without a hit.
-        """
-        hits = self.hits(origins, directions)
-        return hits.range, hits.material, hits.instance
-
     def hits(self, origins: Array, directions: Array) -> RayHits:
-        """Like :meth:`cast`, with the normals of the surfaces."""
+        """The first surface that each ray hits, from origins (N, 3) in metres along directions (N, 3)."""
         count = len(origins)
         if self._empty or count == 0:
             return RayHits(
