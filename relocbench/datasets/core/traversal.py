@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from relocbench.arrays import Array, Floats, Image
 from relocbench.datasets.core import images, pairfile
 from relocbench.datasets.core.layout import TraversalLayout
-from relocbench.datasets.core.schema import Condition, TraversalFile
+from relocbench.datasets.core.schema import CameraEntry, Condition, TraversalFile
 from relocbench.errors import DatasetError
 from relocbench.files import load_yaml, parse_timestamp, read_table
 from relocbench.geometry import Camera, invert
@@ -42,13 +41,11 @@ class Traversal:
 
     def camera(self, camera: str) -> Camera:
         """Model, intrinsics and size of a camera."""
-        out: Camera = self._entry(camera).camera
-        return out
+        return self._entry(camera).camera
 
     def T_rig_cam(self, camera: str) -> Array:
         """Pose of a camera in the rig's frame, (4, 4)."""
-        out: Array = self._entry(camera).T_rig_cam.matrix
-        return out
+        return self._entry(camera).T_rig_cam.matrix
 
     def timestamps(self, camera: str) -> list[int]:
         """Sorted times of the camera's images, nanoseconds."""
@@ -114,7 +111,7 @@ class Traversal:
             camera=self.camera(camera),
         )
 
-    def _entry(self, camera: str) -> Any:
+    def _entry(self, camera: str) -> CameraEntry:
         try:
             return self.file.cameras[camera]
         except KeyError:

@@ -24,7 +24,7 @@ from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.pairs.pixel_sigma import pixel_sigma
-from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, see, warp
+from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, see
 from relocbench.errors import DatasetError
 from relocbench.execution import run_units
 from relocbench.files import atomic_write, plain_file
@@ -402,15 +402,3 @@ def _in_order(results: Iterable[tuple[int, PairCorrespondences]]) -> Iterator[tu
         while due in waiting:
             yield due, waiting.pop(due)
             due += 1
-
-
-__all__ = [
-    "Correspondences",
-    "PairCorrespondences",
-    "pair_correspondences",
-    "read_correspondences",
-    "spread_sample",
-    "warp",
-    "write_correspondences",
-    "write_pair_set",
-]
