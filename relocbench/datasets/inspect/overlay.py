@@ -115,18 +115,23 @@ def spread_pairs(pairs: list[Pair], count: int) -> list[Pair]:
     return [known[row] for row in rows]
 
 
-def _write_picture(dataset: Dataset, pair_set: PairSet, pair: Pair, folder: Path, seed: int) -> Picture:
+def write_pair(path: Path, dataset: Dataset, pair_set: PairSet, pair: Pair, name: str, seed: int) -> ImageAgreement:
+    """Draw the keyframe's points of a pair with known truth in its query image, under a title that begins with name."""
     assert pair.T_query_ref is not None
     reference, query = dataset.reference(pair_set, pair), dataset.query(pair_set, pair)
-    depth = dataset.traversal(pair_set.query).depth(pair_set.camera, pair.query_timestamp_ns)
-    sigma = dataset.traversal(pair_set.query).file.cameras[pair_set.camera].depth_sigma
-    view = DepthView(query.camera, depth, sigma)
+    traversal = dataset.traversal(pair_set.query)
+    depth = traversal.depth(pair_set.camera, pair.query_timestamp_ns)
+    view = DepthView(query.camera, depth, traversal.file.cameras[pair_set.camera].depth_sigma)
     rng = np.random.default_rng([seed, *(time % 2**64 for time in pair.key)])
     agreement = measure_agreement(reference, query, pair.T_query_ref)
-    title = f"{pair_set.name}   keyframe {pair.ref_timestamp_ns}   query {pair.query_timestamp_ns}"
-    image = draw_pair(reference, query, view, pair, agreement, title, rng)
+    title = f"{name}   keyframe {pair.ref_timestamp_ns}   query {pair.query_timestamp_ns}"
+    write_image(path, draw_pair(reference, query, view, pair, agreement, title, rng))
+    return agreement
+
+
+def _write_picture(dataset: Dataset, pair_set: PairSet, pair: Pair, folder: Path, seed: int) -> Picture:
     path = folder / f"{pair_set.name}_{pair.ref_timestamp_ns}_{pair.query_timestamp_ns}.png"
-    write_image(path, image)
+    agreement = write_pair(path, dataset, pair_set, pair, pair_set.name, seed)
     return Picture(
         path.name,
         pair_set.name,
