@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any, TypeVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, quoted
 
 Kind = TypeVar("Kind")
 
@@ -18,6 +18,56 @@ class Options:
     """A dataclass of options, of which unknown keys are refused by name."""
 
     __pydantic_config__ = ConfigDict(extra="forbid")
+
+
+class OptionError(ConfigError, ValueError):
+    """An option has a value that it cannot have; the message has the option's name, the value and what was expected.
+
+    Raised while a dataclass of options is constructed. A dataclass that contains it puts its own name for it in front
+    (``loss.weight``): see :func:`options_from_dict`.
+    """
+
+    def __init__(self, name: str, value: object, expected: str) -> None:
+        self.option, self.value, self.rule = name, value, expected
+        super().__init__(f"{name} is {_shown(value)}, expected {expected}")
+
+    def __reduce__(self) -> Any:
+        return type(self), (self.option, self.value, self.rule)
+
+
+def require(options: object, names: str, holds: Callable[[Any], bool], expected: str) -> None:
+    """Raise OptionError for the first of the options, named with spaces between, for whose value a rule does not
+    hold."""
+    for name in names.split():
+        value = getattr(options, name)
+        if not holds(value):
+            raise OptionError(name, value, expected)
+
+
+def at_least(options: object, least: float, names: str) -> None:
+    """Raise OptionError unless all of the options are ``least`` or more."""
+    require(options, names, lambda value: value >= least, f"{least} or more")
+
+
+def above_0(options: object, names: str) -> None:
+    """Raise OptionError unless all of the options are positive."""
+    require(options, names, lambda value: value > 0, "more than 0")
+
+
+def share(options: object, names: str) -> None:
+    """Raise OptionError unless all of the options are between 0 and 1, or one of these."""
+    require(options, names, lambda value: 0 <= value <= 1, "0 to 1")
+
+
+def share_below_1(options: object, names: str) -> None:
+    """Raise OptionError unless all of the options are 0 or more and below 1."""
+    require(options, names, lambda value: 0 <= value < 1, "0 or more and below 1")
+
+
+def one_of(options: object, name: str, *choices: object) -> None:
+    """Raise OptionError unless the option has one of the values."""
+    words = [str(choice) for choice in choices]
+    require(options, name, lambda value: value in choices, f"{', '.join(words[:-1])} or {words[-1]}")
 
 
 def options_to_dict(options: Any) -> dict[str, Any]:
@@ -34,8 +84,29 @@ def options_from_dict(kind: type[Kind], values: Mapping[str, Any]) -> Kind:
     try:
         return TypeAdapter(kind).validate_python(dict(values))
     except ValidationError as bad:
-        faults = "; ".join(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in bad.errors())
-        raise ConfigError(f"{kind.__name__}: {faults}") from bad
+        raise ConfigError("; ".join(_told(fault) for fault in bad.errors())) from bad
+
+
+def _told(fault: Any) -> str:
+    """One fault that pydantic found: the option by its full name, its value and what was expected."""
+    name = ".".join(str(part) for part in fault["loc"])
+    raised = fault.get("ctx", {}).get("error")
+    if isinstance(raised, OptionError):
+        return str(OptionError(f"{name}.{raised.option}" if name else raised.option, raised.value, raised.rule))
+    if fault["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+        return f"unknown option {name}"
+    if fault["type"] == "missing":
+        return f"option {name} is missing"
+    return f"{name} is {_shown(fault['input'])}: {fault['msg']}"
+
+
+def _shown(value: object) -> str:
+    """A value as it is written in YAML, in quotation marks if it is text."""
+    if isinstance(value, str):
+        return quoted(value)
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    return str(list(value) if isinstance(value, tuple) else value)[:200]
 
 
 def plain(options: Any) -> dict[str, Any]:

@@ -1,13 +1,15 @@
-"""Check that links in README.md and docs/ have targets, and that the commands and tests named there exist."""
+"""Check that links in the pages have targets, anchors included, and that the commands and tests named there exist."""
 
 from __future__ import annotations
 
 import re
 import shlex
 import sys
-from collections.abc import Iterator
+import unicodedata
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import typer
 
@@ -15,21 +17,86 @@ from relocbench.cli.app import app
 
 ROOT = Path(__file__).parents[1]
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+_HEADING = re.compile(r"^#{1,6} +(.+?) *#*$", re.MULTILINE)
+_ID = re.compile(r"<[a-z0-9]+ [^>]*\b(?:id|name)=[\"']([^\"']+)[\"']")
+_BLOCK = re.compile(r"^(```+|~~~+).*?^\1[`~]* *$", re.MULTILINE | re.DOTALL)
+_CODE = re.compile(r"(`+)(?!`).+?(?<!`)\1(?!`)", re.DOTALL)
 _TEST = re.compile(r"`([\w/]+\.py)::(test_\w+)`")
 _FENCE = re.compile(r"^```(\w*)\s*$")
 
 
 def pages() -> list[Path]:
-    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    """The pages for readers, in the README, ``docs/`` and ``leaderboard/``, and the other pages beside the README."""
+    below = [path for folder in ("docs", "leaderboard") for path in sorted((ROOT / folder).rglob("*.md"))]
+    return [*sorted(ROOT.glob("*.md")), *below]
 
 
 def dead_links(page: Path) -> Iterator[str]:
-    for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), start=1):
-        for target in _LINK.findall(line):
-            if "://" in target or target.startswith(("#", "mailto:")):
-                continue
-            if not (page.parent / target.split("#")[0]).exists():
-                yield f"{page.relative_to(ROOT)}:{number}: link to '{target}', which does not exist"
+    """Faults of a page: links to files that do not exist, and to headings that their page does not have."""
+    text = _without_code(page.read_text(encoding="utf-8"))
+    for found in _LINK.finditer(text):
+        target = found.group(1)
+        if "://" in target or target.startswith("mailto:"):
+            continue
+        where = f"{shown(page)}:{text.count(chr(10), 0, found.start(1)) + 1}"
+        name, _, anchor = map(unquote, target.partition("#"))
+        path = page.parent / name if name else page
+        if not path.exists():
+            yield f"{where}: link to '{target}', which does not exist"
+        elif anchor and path.suffix == ".md" and anchor not in anchors(path, on_site=on_site(page)):
+            yield f"{where}: link to '{target}': '{shown(path)}' has no such heading"
+
+
+def shown(page: Path) -> Path:
+    """The path of a page in the repository."""
+    return page.resolve().relative_to(ROOT) if page.resolve().is_relative_to(ROOT) else page
+
+
+def on_site(page: Path) -> bool:
+    """Whether a page is part of the site that mkdocs makes; GitHub shows all pages."""
+    return page.resolve().is_relative_to(ROOT / "docs")
+
+
+def anchors(page: Path, *, on_site: bool) -> set[str]:
+    """The names by which a link reaches a heading of a page: on GitHub, and with ``on_site`` on the site too."""
+    text = _without_code(page.read_text(encoding="utf-8"), blocks_only=True)
+    headings = [_plain(found) for found in _HEADING.findall(text)]
+    named = set(_ID.findall(text))
+    on_github = _distinct(map(github_slug, headings), "-")
+    return named | (on_github & _distinct(map(site_slug, headings), "_") if on_site else on_github)
+
+
+def github_slug(heading: str) -> str:
+    """The anchor that GitHub makes of a heading: spaces become hyphens, each, and punctuation goes."""
+    return re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-")
+
+
+def site_slug(heading: str) -> str:
+    """The anchor that mkdocs makes of a heading: characters outside of ASCII go, and hyphens in a row become one."""
+    ascii_only = unicodedata.normalize("NFKD", heading).encode("ascii", "ignore").decode()
+    return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", ascii_only).strip().lower())
+
+
+def _distinct(slugs: Iterable[str], separator: str) -> set[str]:
+    """The anchors of a page: a repeated one gets a number."""
+    counts: dict[str, int] = {}
+    found = set()
+    for slug in slugs:
+        number = counts.get(slug, 0)
+        found.add(f"{slug}{separator}{number}" if number else slug)
+        counts[slug] = number + 1
+    return found
+
+
+def _plain(heading: str) -> str:
+    """The text of a heading without the marks of Markdown."""
+    return re.sub(r"[`*]", "", re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", heading)).strip()
+
+
+def _without_code(text: str, *, blocks_only: bool = False) -> str:
+    """The text with code blocks, and by default also code in lines, made blank; all lines keep their numbers."""
+    blank = _BLOCK.sub(lambda found: "\n" * found.group().count("\n"), text)
+    return blank if blocks_only else _CODE.sub(lambda found: "\n" * found.group().count("\n"), blank)
 
 
 def commands(page: Path) -> Iterator[tuple[int, str]]:
@@ -75,17 +142,20 @@ def unknown_tests(page: Path) -> Iterator[str]:
         for file, name in _TEST.findall(line):
             found = (ROOT / "tests").rglob(Path(file).name)
             if not any(f"def {name}(" in path.read_text(encoding="utf-8") for path in found):
-                yield f"{page.relative_to(ROOT)}:{number}: test '{file}::{name}', which does not exist"
+                yield f"{shown(page)}:{number}: test '{file}::{name}', which does not exist"
 
 
 def main() -> int:
     faults = [fault for page in pages() for fault in (*dead_links(page), *unknown_tests(page))]
-    shown = 0
+    count = 0
     for page in pages():
         for number, command in commands(page):
-            shown += 1
-            faults += [f"{page.relative_to(ROOT)}:{number}: {fault}" for fault in unknown_words(command)]
-    print("\n".join(faults) or f"{len(pages())} pages, {shown} commands: all links, commands and named tests exist")
+            count += 1
+            faults += [f"{shown(page)}:{number}: {fault}" for fault in unknown_words(command)]
+    print(
+        "\n".join(faults)
+        or f"{len(pages())} pages, {count} commands: all links, anchors, commands and named tests exist"
+    )
     return 1 if faults else 0
 
 

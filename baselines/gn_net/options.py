@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import Options, one_of, require
 
 _MOST_WIDTHS, _MOST_CHANNELS, _COARSEST = 12, 8192, 6
 """far beyond any network that is trained; a weights file that asks for more is not genuine"""
@@ -17,7 +16,7 @@ class NetworkOptions(Options):
     """Shape of the feature network.
 
     Raises:
-        ConfigError: no network can have these options.
+        OptionError: no network can have these options.
     """
 
     widths: tuple[int, ...] = (32, 48, 64, 96, 128)
@@ -37,22 +36,20 @@ class NetworkOptions(Options):
     the normalised map; features that are all zero stay zero"""
 
     def __post_init__(self) -> None:
-        if not self.widths or min(self.widths) < 1:
-            raise ConfigError(f"widths is {self.widths}, expected at least one, all positive")
-        if len(self.widths) > _MOST_WIDTHS or max(self.widths) > _MOST_CHANNELS:
-            raise ConfigError(f"widths are at most {_MOST_WIDTHS}, and none is above {_MOST_CHANNELS}")
-        if not 0 <= self.finest <= _COARSEST:
-            raise ConfigError(f"finest is {self.finest}, expected 0 to {_COARSEST}")
-        if self.dim > _MOST_CHANNELS:
-            raise ConfigError(f"dim is {self.dim}, expected {_MOST_CHANNELS} or less")
-        if self.dim < 2:
-            raise ConfigError(f"dim is {self.dim}, expected 2 or more: one channel cannot place a pixel both ways")
-        if not 1 <= self.levels <= len(self.widths):
-            raise ConfigError(f"levels is {self.levels}, expected 1 to {len(self.widths)}, the number of widths")
-        if self.norm not in ("batch", "none"):
-            raise ConfigError(f"norm is '{self.norm}', expected batch or none")
-        if self.normalise not in ("none", "unit"):
-            raise ConfigError(f"normalise is '{self.normalise}', expected none or unit")
+        require(self, "widths", lambda widths: widths and min(widths) >= 1, "at least one, all positive")
+        require(
+            self,
+            "widths",
+            lambda widths: len(widths) <= _MOST_WIDTHS and max(widths) <= _MOST_CHANNELS,
+            f"at most {_MOST_WIDTHS}, none above {_MOST_CHANNELS}",
+        )
+        require(self, "finest", lambda finest: 0 <= finest <= _COARSEST, f"0 to {_COARSEST}")
+        require(self, "dim", lambda dim: dim <= _MOST_CHANNELS, f"{_MOST_CHANNELS} or less")
+        require(self, "dim", lambda dim: dim >= 2, "2 or more: one channel cannot place a pixel both ways")
+        most = len(self.widths)
+        require(self, "levels", lambda levels: 1 <= levels <= most, f"1 to {most}, the number of widths")
+        one_of(self, "norm", "batch", "none")
+        one_of(self, "normalise", "none", "unit")
 
     @property
     def least_parameters(self) -> int:

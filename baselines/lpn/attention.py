@@ -16,8 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from baselines.initialisation import convolution, draw_weights
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import Options, require
 
 Stage = Literal["layer3", "layer4"]
 
@@ -27,7 +26,7 @@ class AttentionOptions(Options):
     """Where attention is applied, and its form.
 
     Raises:
-        ConfigError: a value is out of range.
+        OptionError: a value is out of range.
     """
 
     after: tuple[Stage, ...] = ()
@@ -38,10 +37,13 @@ class AttentionOptions(Options):
     """X + X * A instead of X * A"""
 
     def __post_init__(self) -> None:
-        if len(set(self.after)) != len(self.after) or not set(self.after) <= {"layer3", "layer4"}:
-            raise ConfigError(f"attention after {self.after}, expected layer3, layer4 or both")
-        if not 1 <= self.kernel <= 255 or self.kernel % 2 == 0:
-            raise ConfigError(f"the attention's kernel is {self.kernel}, expected an odd number of pixels up to 255")
+        require(
+            self,
+            "after",
+            lambda after: len(set(after)) == len(after) and set(after) <= {"layer3", "layer4"},
+            "layer3, layer4, both or none",
+        )
+        require(self, "kernel", lambda k: 1 <= k <= 255 and k % 2, "an odd number of pixels up to 255")
 
 
 class LocalAttention(nn.Module):

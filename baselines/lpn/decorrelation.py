@@ -23,8 +23,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import Options, above_0, at_least, share_below_1
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class DecorrelationOptions(Options):
     """Weight and constants of the loss.
 
     Raises:
-        ConfigError: a value is out of range.
+        OptionError: a value is out of range.
     """
 
     weight: float = 0.0
@@ -46,10 +45,9 @@ class DecorrelationOptions(Options):
     """e2"""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.weight < 1:
-            raise ConfigError(f"weight of the decorrelation is {self.weight}, expected 0 or more and below 1")
-        if min(self.off_weight, self.on_power, self.off_power) < 0 or self.scale <= 0:
-            raise ConfigError("the decorrelation needs off_weight, on_power and off_power of 0 or more, scale above 0")
+        share_below_1(self, "weight")
+        at_least(self, 0, "off_weight on_power off_power")
+        above_0(self, "scale")
 
 
 def correlations(a: Tensor, b: Tensor) -> Tensor:

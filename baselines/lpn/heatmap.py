@@ -19,8 +19,7 @@ from torch.nn import functional
 
 from baselines.initialisation import convolution, draw_weights
 from baselines.lpn.pooling import PartMean, Parts, masked_means
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import Options, one_of, require
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,7 @@ class HeatmapOptions(Options):
     """Options of the network that computes the masks.
 
     Raises:
-        ConfigError: a value is out of range.
+        OptionError: a value is out of range.
     """
 
     heat: Literal["sum", "mean"] = "sum"
@@ -41,14 +40,10 @@ class HeatmapOptions(Options):
     """``all``: mean over all pixels; ``mask``: weighted mean, divided by the sum of the mask"""
 
     def __post_init__(self) -> None:
-        if self.heat not in ("sum", "mean"):
-            raise ConfigError(f"heat is '{self.heat}', expected sum or mean")
-        if self.hidden < 1 or self.kernel < 1 or self.kernel % 2 == 0:
-            raise ConfigError("the heatmap needs at least one hidden channel and a kernel of an odd number of pixels")
-        if self.hidden > 4096 or self.kernel > 255:
-            raise ConfigError("the heatmap has at most 4096 hidden channels and a kernel of at most 255 pixels")
-        if self.mean not in ("all", "mask"):
-            raise ConfigError(f"mean of the heatmap's parts is '{self.mean}', expected all or mask")
+        one_of(self, "heat", "sum", "mean")
+        require(self, "hidden", lambda hidden: 1 <= hidden <= 4096, "1 to 4096 channels")
+        require(self, "kernel", lambda k: 1 <= k <= 255 and k % 2, "an odd number of pixels up to 255")
+        one_of(self, "mean", "all", "mask")
 
 
 class HeatmapPartition(nn.Module):

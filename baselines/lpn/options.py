@@ -9,8 +9,7 @@ from baselines.lpn.attention import AttentionOptions
 from baselines.lpn.heatmap import HeatmapOptions
 from baselines.lpn.rings import RingMean
 from baselines.lpn.soft_partition import SoftPartitionOptions
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import Options, one_of, require, share_below_1
 
 BackboneName = Literal["resnet18", "resnet50"]
 Partition = Literal["rings", "soft", "heatmap"]
@@ -24,7 +23,7 @@ class NetworkOptions(Options):
     """Shape of the network; the defaults are LPN's.
 
     Raises:
-        ConfigError: no network can have these options.
+        OptionError: no network can have these options.
     """
 
     backbone: BackboneName = "resnet50"
@@ -47,22 +46,20 @@ class NetworkOptions(Options):
     """share of the embedding that is dropped in front of the classifier in training"""
 
     def __post_init__(self) -> None:
-        if self.backbone not in ("resnet18", "resnet50"):
-            raise ConfigError(f"backbone is '{self.backbone}', expected resnet18 or resnet50")
-        if self.last_stride not in (1, 2):
-            raise ConfigError(f"last_stride is {self.last_stride}, expected 1 or 2")
-        if self.partition not in ("rings", "soft", "heatmap"):
-            raise ConfigError(f"partition is '{self.partition}', expected rings, soft or heatmap")
-        if self.parts < 1 or (self.parts < 2 and self.partition != "rings"):
-            raise ConfigError(f"parts is {self.parts}, expected 1 or more with rings, 2 or more with masks")
-        if self.ring_mean not in ("square", "ring"):
-            raise ConfigError(f"ring_mean is '{self.ring_mean}', expected square or ring")
-        if self.street not in ("none", "separate", "shared"):
-            raise ConfigError(f"street is '{self.street}', expected none, separate or shared")
-        if self.parts > _MOST_PARTS or self.width > _MOST_WIDTH:
-            raise ConfigError(f"parts are at most {_MOST_PARTS}, width at most {_MOST_WIDTH}")
-        if self.width < 1 or not 0 <= self.dropout < 1:
-            raise ConfigError("width is at least 1, dropout is 0 or more and below 1")
+        one_of(self, "backbone", "resnet18", "resnet50")
+        one_of(self, "last_stride", 1, 2)
+        one_of(self, "partition", "rings", "soft", "heatmap")
+        least = 1 if self.partition == "rings" else 2
+        require(
+            self,
+            "parts",
+            lambda parts: least <= parts <= _MOST_PARTS,
+            f"{least} to {_MOST_PARTS} with partition {self.partition}",
+        )
+        one_of(self, "ring_mean", "square", "ring")
+        one_of(self, "street", "none", "separate", "shared")
+        require(self, "width", lambda width: 1 <= width <= _MOST_WIDTH, f"1 to {_MOST_WIDTH}")
+        share_below_1(self, "dropout")
 
     @property
     def least_parameters(self) -> int:

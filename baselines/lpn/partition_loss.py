@@ -31,8 +31,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import Options, above_0, at_least, one_of
 
 _LEAST = 1e-12
 """added to s in the original and to the mean of a mask, so that the loss of equal masks is finite"""
@@ -43,7 +42,7 @@ class PartitionLossOptions(Options):
     """Weight and form of the loss.
 
     Raises:
-        ConfigError: a value is out of range.
+        OptionError: a value is out of range.
     """
 
     weight: float = 0.0
@@ -59,12 +58,11 @@ class PartitionLossOptions(Options):
     """of ``exponential``"""
 
     def __post_init__(self) -> None:
-        if self.form not in ("original", "power", "exponential"):
-            raise ConfigError(f"form of the partition loss is '{self.form}', expected original, power or exponential")
-        if self.over not in ("parts", "pixels"):
-            raise ConfigError(f"the partition loss's variance is over '{self.over}', expected parts or pixels")
-        if self.weight < 0 or self.power < 1 or self.tau <= 0:
-            raise ConfigError("the partition loss needs weight >= 0, power >= 1 and tau > 0")
+        one_of(self, "form", "original", "power", "exponential")
+        one_of(self, "over", "parts", "pixels")
+        at_least(self, 0, "weight")
+        at_least(self, 1, "power")
+        above_0(self, "tau")
 
 
 def spread(masks: Tensor, over: Literal["parts", "pixels"], relative: bool) -> Tensor:

@@ -22,8 +22,7 @@ from torch import Tensor, nn
 
 from baselines.initialisation import convolution
 from baselines.lpn.pooling import PartMean, Parts, masked_means
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import Options, one_of
 
 _SPREAD = 0.001
 
@@ -33,15 +32,14 @@ class SoftPartitionOptions(Options):
     """How features are pooled.
 
     Raises:
-        ConfigError: a value is out of range.
+        OptionError: a value is out of range.
     """
 
     mean: PartMean = "all"
     """``all``: mean over all pixels, as in the paper; ``mask``: weighted mean, divided by the sum of probabilities"""
 
     def __post_init__(self) -> None:
-        if self.mean not in ("all", "mask"):
-            raise ConfigError(f"mean of the soft partition is '{self.mean}', expected all or mask")
+        one_of(self, "mean", "all", "mask")
 
 
 class SoftPartition(nn.Module):

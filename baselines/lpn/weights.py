@@ -8,7 +8,7 @@ from pathlib import Path
 
 from baselines.lpn.network import LpnNetwork
 from baselines.lpn.options import NetworkOptions
-from baselines.options import options_from_dict, options_to_dict
+from baselines.options import at_least, options_from_dict, options_to_dict, require
 from baselines.weights_file import check_enough, fill_network, holds_network, read_network, write_network
 from relocbench.errors import ConfigError, MethodError
 
@@ -35,8 +35,8 @@ class About:
     """data, seed, steps, scores, versions"""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.size <= _MOST_SIDE or self.rerank_top < 0:
-            raise ConfigError(f"size is 1 to {_MOST_SIDE} pixels, rerank_top 0 or more")
+        require(self, "size", lambda size: 1 <= size <= _MOST_SIDE, f"1 to {_MOST_SIDE} pixels")
+        at_least(self, 0, "rerank_top")
 
 
 def save_weights(path: Path, network: LpnNetwork, about: About) -> None:

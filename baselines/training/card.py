@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import torch
 
 from relocbench import version
+from relocbench.pages import render
 from relocbench.training import TrainingRun, ValidationScores
 
 
@@ -19,8 +20,8 @@ class Description(NamedTuple):
     """What the model card of one trainer says besides what all model cards say."""
 
     title: str
-    about: Sequence[str]
-    """paragraphs: what the network is, and how it is used"""
+    about: str
+    """what the network is, and how it is used: Markdown without headings"""
     data: Sequence[tuple[str, str]]
     """name and fingerprint of each dataset that was learnt from"""
     facts: Mapping[str, str]
@@ -53,34 +54,23 @@ def model_card(
         best_step: the step whose weights were kept.
         scores: of these weights; None without validation.
     """
-    lines = [
-        f"# {described.title}",
-        "",
-        "## What it is",
-        "",
-        *(line for paragraph in described.about for line in (paragraph, "")),
-        "## How it was trained",
-        "",
-        "| | |",
-        "|---|---|",
-        *(f"| data | {dataset}, fingerprint `{digest}` |" for dataset, digest in described.data),
-        *(f"| {name} | {value} |" for name, value in described.facts.items()),
-        f"| seed | {seed} |",
-        f"| steps | {described.steps} |",
-        f"| weights kept | of step {best_step}{', the best in validation' if scores else ', the last'} |",
-        f"| time | {seconds / 60:.1f} minutes |",
-        f"| hardware | {_hardware(device)} |",
-        f"| versions | {', '.join(f'{key} {value}' for key, value in _versions().items())} |",
-        f"| command | `{run.command}` |",
-        "| options | `config.yaml`, `--config` takes it |",
-        "",
-        "## Validation",
-        "",
-    ]
-    if scores is None:
-        return "\n".join([*lines, "None: the last weights were kept unseen.", ""])
-    limits = ["", "## Limits", "", "Trained on the data above alone; not tried on anything else.", ""]
-    return "\n".join([*lines, *_validation_table(described, scores), *limits])
+    rows = metrics = None
+    if scores is not None:
+        metrics = list(next(iter(scores.by_conditions.values()), scores.together))
+        rows = [(group, count, _shares(values, metrics)) for group, count, values in score_rows(scores)]
+    return render(
+        __name__,
+        "model_card.md.j2",
+        described=described,
+        seed=seed,
+        best_step=best_step,
+        minutes=f"{seconds / 60:.1f}",
+        hardware=_hardware(device),
+        versions=_versions(),
+        command=run.command,
+        metrics=metrics,
+        rows=rows,
+    )
 
 
 def weights_card(
@@ -108,15 +98,8 @@ def score_rows(scores: ValidationScores) -> Iterator[tuple[str, int, Mapping[str
         yield group, scores.pairs[group], values
 
 
-def _validation_table(described: Description, scores: ValidationScores) -> Iterator[str]:
-    metrics = list(next(iter(scores.by_conditions.values()), scores.together))
-    if described.validated_by:
-        yield from (described.validated_by, "")
-    yield f"| {described.groups} | {' | '.join(metrics)} |"
-    yield f"|---|---|{'---|' * len(metrics)}"
-    for group, count, values in score_rows(scores):
-        cells = " | ".join(f"{100 * values[metric]:.1f} %" if metric in values else "" for metric in metrics)
-        yield f"| {group} | {count} | {cells} |"
+def _shares(values: Mapping[str, float], metrics: Sequence[str]) -> list[str]:
+    return [f"{100 * values[metric]:.1f} %" if metric in values else "" for metric in metrics]
 
 
 def _versions() -> dict[str, str]:

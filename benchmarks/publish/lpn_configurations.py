@@ -45,6 +45,7 @@ from relocbench.errors import ConfigError, RelocbenchError
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, RetrievalReport, evaluate_retrievers
 from relocbench.files import write_text
 from relocbench.methods.trainers import chosen_options, trainer_named
+from relocbench.pages import render
 
 FLOORS = ("random", "colour-histogram", "orb-bow")
 DIRECTIONS = ("drone-satellite", "satellite-drone")
@@ -193,42 +194,24 @@ def page(rows: Sequence[Row], given: argparse.Namespace, folder: Path, chance: d
     if given.backbone_weights:
         options = replace(options, backbone_weights=str(given.backbone_weights))
     test = open_cross_view(folder)
-    trained_on = [open_cross_view(Path(root)) for root in given.train]
     counts = {task.name: (len(task.queries), len(task.gallery)) for task in test.tasks()}
-    lines = [
-        "# LPN's configurations",
-        "",
-        "Printed by `python benchmarks/publish/lpn_configurations.py`; how it is made stands there. Percent, mean ± "
-        "standard deviation over the seeds.",
-        "",
-        *(f"- Trained on {s.name}, fingerprint `{s.fingerprint}`, {len(s.train_labels)} places." for s in trained_on),
-        f"- Asked on {test.name}, fingerprint `{test.fingerprint}`: "
-        + "; ".join(f"{d} {counts[d][0]} queries, {counts[d][1]} images" for d in DIRECTIONS)
-        + ".",
-        f"- Chance: {'; '.join(f'{d} R@1 {100 * chance[d]:.2f}' for d in DIRECTIONS)}.",
-        f"- {options.network.backbone}, {options.size} pixels, backbone's first weights: {start_of(options).told}"
-        + (f"; {', '.join(given.settings)}" if given.settings else "")
-        + ".",
-    ]
-    apart = differences(options, start_of(options).told)
-    if apart:
-        lines.append(f"- Unlike the published systems: {'; '.join(apart)}.")
-    lines += [
-        "- The last two columns are what the log of trials reports for drone-satellite on the test places of "
-        "**University-1652, another data set than this**, with ImageNet weights; its replaced partition loss, whose "
-        f"formula is not public, reached {REPLACED_PARTITION_LOSS.r_at_1} / {REPLACED_PARTITION_LOSS.ap}.",
-        "",
-        "| system | seeds | "
-        + " | ".join(f"{d} {m}" for d in DIRECTIONS for m in METRICS)
-        + " | University-1652, logged: R@1 | AP |",
-        "|---|---|" + "---|" * (len(DIRECTIONS) * len(METRICS) + 2),
-    ]
-    for row in rows:
-        cells = [_cell(*row.mean_and_deviation(d, m)) for d in DIRECTIONS for m in METRICS]
-        logged = [f"{value:.2f}" for value in row.logged] if row.logged else ["", ""]
-        lines.append(f"| {row.name} | {len(row.seeds) or ''} | {' | '.join([*cells, *logged])} |")
-    lines += ["", "| system | what it is |", "|---|---|", *(f"| {row.name} | {row.about} |" for row in rows), ""]
-    return "\n".join(lines)
+    started = start_of(options).told
+    return render(
+        __name__,
+        "lpn_configurations.md.j2",
+        trained_on=[open_cross_view(Path(root)) for root in given.train],
+        test=test,
+        asked=[(d, *counts[d]) for d in DIRECTIONS],
+        chance=[(d, f"{100 * chance[d]:.2f}") for d in DIRECTIONS],
+        options=options,
+        started=started,
+        settings=given.settings,
+        differences=differences(options, started),
+        replaced=REPLACED_PARTITION_LOSS,
+        columns=[f"{d} {m}" for d in DIRECTIONS for m in METRICS],
+        numbers=[(row.name, len(row.seeds), _cells(row)) for row in rows],
+        rows=rows,
+    )
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -241,6 +224,11 @@ def table(rows: Sequence[Row]) -> str:
             for direction in DIRECTIONS:
                 out.writerow([row.name, seed, direction, *(f"{run[direction][m]:.6f}" for m in METRICS)])
     return text.getvalue()
+
+
+def _cells(row: Row) -> list[str]:
+    measured = [_cell(*row.mean_and_deviation(d, m)) for d in DIRECTIONS for m in METRICS]
+    return [*measured, *([f"{value:.2f}" for value in row.logged] if row.logged else ["", ""])]
 
 
 def _cell(mean: float, deviation: float) -> str:

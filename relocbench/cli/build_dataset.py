@@ -41,6 +41,20 @@ _EXAMPLES = {
     "cross-view": "relocbench build-dataset cross-view --places 60 --drone-views 12 --conditions Sunny,Overcast,Rain "
     "--out D",
 }
+_MADE = {"synthetic": "the dataset, or the recordings,", "cross-view": "the places"}
+"""what a kind makes, if it is not a dataset"""
+_SETS = {
+    "kitti": "pair_step: [1, 2]",
+    "tum-rgbd": "pair_step: [1, 2]",
+    "four-seasons": "max_distance: 3",
+    "robotcar": "cameras: [stereo_left]",
+    "kitti-lidar": "sequence: ['00', '01']",
+    "generic-lidar": "query_distance: 2",
+    "generic": "max_distance: 3",
+    "synthetic": "conditions: [Sunny, Rain]",
+    "cross-view": "conditions: [Sunny, Rain]",
+}
+"""an option of each kind as a YAML file sets it"""
 
 
 class _Kinds(TyperGroup):
@@ -56,11 +70,21 @@ class _Kinds(TyperGroup):
 
         return _command(cmd_name) if cmd_name in KINDS else None
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        from relocbench.datasets.importers import KINDS
+        from relocbench.errors import quoted
+        from relocbench.methods.lookup import hint
+
+        if args[0] not in KINDS and not args[0].startswith("-"):
+            ctx.fail(f"no kind {quoted(args[0])}{hint(args[0], KINDS)}; there is {', '.join(KINDS)}")
+        return super().resolve_command(ctx, args)
+
 
 build_dataset = typer.Typer(
     cls=_Kinds,
     no_args_is_help=True,
-    help="Make a dataset from recordings: relocbench build-dataset KIND [SOURCE...] --out DIR",
+    subcommand_metavar="KIND [SOURCES]... --out FOLDER",
+    help="Make a dataset from recordings, or render one. `relocbench build-dataset KIND --help` has the options.",
     rich_markup_mode="markdown",
 )
 
@@ -106,10 +130,13 @@ def _common(kind: str) -> dict[str, Any]:
     sources = Annotated[list[Path], typer.Argument(help="Recordings; the first is the reference.", show_default=False)]
     common: dict[str, Any] = {} if kind in _NO_SOURCE else {"sources": sources}
     return common | {
-        "out": Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write the dataset to.")],
+        "out": Annotated[
+            Path,
+            typer.Option("--out", "-o", metavar="FOLDER", help=f"Folder to write {_MADE.get(kind, 'the dataset')} to."),
+        ],
         "config": Annotated[
             Path | None,
-            typer.Option(metavar="FILE", help="YAML file that sets any of these options (pair_step: [1, 2])."),
+            typer.Option(metavar="FILE", help=f"YAML file that sets any of these options ({_SETS[kind]})."),
         ],
         "workers": Workers,
         "scheduler": Scheduler,
@@ -134,6 +161,15 @@ def _annotation(name: str, field: FieldInfo) -> Any:
     default = "" if field.is_required() or field.default in (None, "", ()) else f" [default: {_words(field.default)}]"
     metavar = _metavar(field.annotation)
     return Annotated[str | None, typer.Option(flag, help=text + default, metavar=metavar, show_default=False)]
+
+
+def _kinds_with(key: str) -> str:
+    """The other kinds that have an option, for a message."""
+    from relocbench.cli.usage import listed
+    from relocbench.datasets.importers import KINDS, options_of
+
+    found = [kind for kind in KINDS if key in options_of(kind).model_fields]
+    return f"build-dataset {listed(found)}" if found else ""
 
 
 def _words(value: Any) -> str:
@@ -161,8 +197,14 @@ def _build(kind: str, options: type[Strict], given: dict[str, Any]) -> None:
     config, quiet, as_json = given.pop("config"), given.pop("quiet"), given.pop("json")
     tls = (given.pop(f"scheduler_tls_{name}") for name in ("ca", "cert", "key"))
     place = {"workers": given.pop("workers"), "scheduler": scheduler_values(given.pop("scheduler"), *tls)}
+    chosen = merged(
+        options,
+        config,
+        {name: value for name, value in given.items() if value is not None},
+        Where,
+        elsewhere=_kinds_with,
+    )
     where = merged(Where, config, {name: value for name, value in place.items() if value is not None}, options)
-    chosen = merged(options, config, {name: value for name, value in given.items() if value is not None}, Where)
     if where.scheduler is not None:
         # Workers of a cluster start in folders of their own.
         sources, out = [source.absolute() for source in sources], out.absolute()

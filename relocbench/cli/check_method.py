@@ -25,7 +25,12 @@ def check_method(
     ] = [],  # noqa: B006
     dataset: Annotated[
         Path | None,
-        typer.Option("--dataset", "-d", help="Try it on pairs or images of this dataset too [default: made-up views]."),
+        typer.Option(
+            "--dataset",
+            "-d",
+            metavar="FOLDER",
+            help="Try it on pairs or images of this dataset too [default: made-up views].",
+        ),
     ] = None,
     json: Json = False,
 ) -> None:

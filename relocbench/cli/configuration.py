@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import typing
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, quoted
 from relocbench.execution import Scheduler
 from relocbench.files import first_fault, load_yaml_values, yaml_line
+from relocbench.methods.lookup import hint
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -25,12 +27,18 @@ class Where(BaseModel):
 
 
 def merged(
-    model: type[Model], config: Path | None, given: dict[str, Any], beside: type[BaseModel] | None = None
+    model: type[Model],
+    config: Path | None,
+    given: dict[str, Any],
+    beside: type[BaseModel] | None = None,
+    *,
+    elsewhere: Callable[[str], str] = lambda key: "",
 ) -> Model:
     """The model filled from ``config`` and then from ``given``, which wins.
 
     Args:
         beside: another model, whose keys stand in the same file and are passed over.
+        elsewhere: returns the other commands that have an unknown key as their option, or nothing.
 
     Raises:
         ConfigError: naming the option, or the file, line and key.
@@ -38,9 +46,9 @@ def merged(
     values: dict[str, Any] = {}
     node = None
     if config is not None:
-        values, node = load_yaml_values(config, "options with their values", ConfigError)
-        elsewhere = set() if beside is None else beside.model_fields.keys() - model.model_fields.keys()
-        values = {name: value for name, value in values.items() if name not in elsewhere}
+        values, node = load_yaml_values(config, "a file of options", ConfigError)
+        passed_over = set() if beside is None else beside.model_fields.keys() - model.model_fields.keys()
+        values = {name: value for name, value in values.items() if name not in passed_over}
     chosen = {**values, **{name: _parts(model, name, value) for name, value in given.items()}}
     try:
         return model.model_validate(chosen)
@@ -48,6 +56,8 @@ def merged(
         message, location = first_fault(bad)
         key = str(location[0]) if location else ""
         if config is not None and key in values and key not in given:
+            if bad.errors()[0]["type"] == "extra_forbidden" and len(location) == 1:
+                message = f"unknown key {quoted(key)}{_where_else(key, model, elsewhere)}"
             raise ConfigError(message, config, yaml_line(node, location)) from None
         if not key:
             raise ConfigError(message) from None
@@ -56,6 +66,13 @@ def merged(
         if bad.errors()[0]["type"] == "missing":
             detail = "must be given"
         raise ConfigError(f"{option}: {detail}") from None
+
+
+def _where_else(key: str, model: type[BaseModel], elsewhere: Callable[[str], str]) -> str:
+    """The commands that have an unknown key, or else a key of this one that is spelled alike."""
+    if others := elsewhere(key):
+        return f"; it is an option of {others}"
+    return hint(key, model.model_fields)
 
 
 def _parts(model: type[BaseModel], name: str, value: Any) -> Any:

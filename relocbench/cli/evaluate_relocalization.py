@@ -74,7 +74,7 @@ def evaluate_relocalization(
     quiet: common.Quiet = False,
     json: common.Json = False,
 ) -> None:
-    """Run both halves in a row: retrieve keyframes, track against the best, keep the most confident answer.
+    """Retrieve keyframes, track each query against the best of them, and score the most confident answer.
 
     Queries that have an answer are not computed again, so that a killed run continues where it stopped.
 

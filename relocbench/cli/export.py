@@ -49,10 +49,12 @@ def export(
     Example: relocbench export -d D --method dso --format mlad --out submission.zip
     """
     from relocbench.datasets.core.dataset import Dataset
+    from relocbench.evaluation.common.opening import check_outside
     from relocbench.evaluation.tracking.exports import export_poses
     from relocbench.files import alone_writing_to
 
     opened = Dataset(dataset)
+    check_outside(out, dataset)
     names = [opened.pair_set(name).name for name in pair_set] or opened.pair_set_names
     # The zip appears whole in one step: nothing is shared with whoever writes beside it.
     with nullcontext() if format == "mlad" else alone_writing_to(out):

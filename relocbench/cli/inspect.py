@@ -50,12 +50,16 @@ def inspect(
     from relocbench.datasets.core.dataset import Dataset
     from relocbench.datasets.cross_view import is_cross_view
     from relocbench.datasets.inspect.summary import take_inventory
+    from relocbench.evaluation.common.opening import check_outside
     from relocbench.files import alone_writing_to
 
     if is_cross_view(dataset):
         _inspect_places(dataset, [pictures, ground_truth, *pair_set], json)
         return
     opened = Dataset(dataset)
+    for option, folder in (("--pictures", pictures), ("--ground-truth", ground_truth)):
+        if folder is not None:
+            check_outside(folder, dataset, option)
     chosen = [opened.pair_set(name) for name in pair_set] or opened.pair_sets()
     drawn: list[Picture] = []
     if not json:
@@ -102,8 +106,12 @@ def _print_pictures(pictures: list[Picture], folder: Path) -> None:
     from relocbench.cli.console import print_table
 
     rows = [
-        [p.file, f"{p.difference:.1f}", f"{p.difference_turned:.1f}", "yes" if p.truth_is_best else "NO"]
+        [p.file, f"{p.difference:.1f}", f"{p.difference_turned:.1f}", "yes" if p.truth_is_best else "no"]
         for p in pictures
     ]
-    columns = ["picture", "grey levels differ by", "turned a little", "lowest at the truth"]
+    columns = ["picture", "grey levels differ by", "turned a little", "least at the true pose"]
     print_table(f"Pictures in {folder}", columns, rows)
+    if not all(p.truth_is_best for p in pictures):
+        from relocbench.datasets.inspect.overlay import WHY_TURNED_BETTER
+
+        typer.echo(f"note: not least at the true pose: {WHY_TURNED_BETTER}", err=True)

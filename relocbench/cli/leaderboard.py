@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +16,13 @@ if TYPE_CHECKING:
     from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Table
     from relocbench.metrics import Metric
 
+_USUAL = {
+    "--metric": "t_auc@0.5m",
+    "--retrieval-metric": "R@1",
+    "--relocalization-metric": "recall@(0.25m,2deg)",
+}
+"""metric that ranks, unless the option names another"""
+
 
 def leaderboard(
     results: Annotated[
@@ -22,26 +30,38 @@ def leaderboard(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write.")],
     metric: Annotated[
-        str, typer.Option(metavar="NAME", help="Metric that ranks trackers; any that is a mean over pairs.")
-    ] = "t_auc@0.5m",
-    retrieval_metric: Annotated[
-        str, typer.Option(metavar="NAME", help="Metric that ranks retrievers: R@1, R@5, AP, ...")
-    ] = "R@1",
-    relocalization_metric: Annotated[
-        str,
+        str | None,
         typer.Option(
-            metavar="NAME", help="Metric that ranks a retriever with a tracker; any that is a mean over queries."
+            metavar="NAME",
+            help=f"For results of evaluate: metric that ranks trackers; any that is a mean over pairs [default: "
+            f"{_USUAL['--metric']}].",
         ),
-    ] = "recall@(0.25m,2deg)",
+    ] = None,
+    retrieval_metric: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help=f"For results of evaluate-retrieval: metric that ranks retrievers, such as R@5 or AP [default: "
+            f"{_USUAL['--retrieval-metric']}].",
+        ),
+    ] = None,
+    relocalization_metric: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help=f"For results of evaluate-relocalization: metric that ranks a retriever with a tracker; any that is a "
+            f"mean over queries [default: {_USUAL['--relocalization-metric']}].",
+        ),
+    ] = None,
     split: Annotated[str | None, typer.Option(metavar="NAME", help="Show only the pair sets of this split.")] = None,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the bootstrap.")] = 0,
     plots: Annotated[
-        bool, typer.Option("--plots/--no-plots", help="Whether cumulative error curves are drawn.")
+        bool, typer.Option("--plots/--no-plots", help="Whether cumulative error curves of trackers are drawn.")
     ] = True,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Compare methods: CSV, Markdown and cumulative error curves; retrievers and chains have pages of their own.
+    """Compare methods: CSV, Markdown and error curves; retrievers, and retrievers with trackers, have their own pages.
 
     Needs the results folder alone, not the dataset. The same results give the same bytes.
 
@@ -55,19 +75,23 @@ def leaderboard(
     from relocbench.leaderboard.retrieval.write import retrieval_rows, write_retrieval_leaderboard
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
 
+    given = {"--metric": metric, "--retrieval-metric": retrieval_metric}
+    given["--relocalization-metric"] = relocalization_metric
+    _check_metrics_apply(results, given)
+    ranked_by = {option: name or _USUAL[option] for option, name in given.items()}
     asked: dict[str, Any] = {"split": split, "seed": seed, "reporter": reporter(quiet)}
     with alone_writing_to(out):
-        found = write_retrieval_leaderboard(results, out, metric=retrieval_metric, **asked)
-        chains = write_relocalization_leaderboard(results, out, metric=relocalization_metric, **asked)
+        found = write_retrieval_leaderboard(results, out, metric=ranked_by["--retrieval-metric"], **asked)
+        chains = write_relocalization_leaderboard(results, out, metric=ranked_by["--relocalization-metric"], **asked)
         board = None
         if (found is None and chains is None) or holds_tracking(results):
-            board = write_leaderboard(results, out, metric=metric, plots=plots, **asked)
+            board = write_leaderboard(results, out, metric=ranked_by["--metric"], plots=plots, **asked)
     if json:
         retrieval = {} if found is None else {"retrieval_metric": found.metric, "retrieval": retrieval_rows(found)}
         if chains is not None:
             retrieval |= {"relocalization_metric": chains.metric, "relocalization": chain_rows(chains)}
         rows = [] if board is None else leaderboard_rows(board)
-        print_json({"metric": metric, "seed": seed, "split": split, "rows": rows, **retrieval})
+        print_json({"metric": ranked_by["--metric"], "seed": seed, "split": split, "rows": rows, **retrieval})
     elif not quiet:
         if board is not None:
             print_leaderboard(board)
@@ -78,6 +102,27 @@ def leaderboard(
         if chains is not None:
             _print_chains(chains)
             typer.echo(f"written: {out / 'relocalization.md'}", err=True)
+
+
+def _check_metrics_apply(results: Path, given: Mapping[str, str | None]) -> None:
+    """Raise ConfigError if a metric is given for a task of which the folder holds no results, but some of others."""
+    from relocbench.errors import ConfigError
+    from relocbench.evaluation.relocalization.records import all_chain_sets
+    from relocbench.evaluation.retrieval.records import all_sets
+    from relocbench.leaderboard.retrieval.board import holds_tracking
+
+    held = {
+        "--metric": holds_tracking(results),
+        "--retrieval-metric": bool(all_sets(results)),
+        "--relocalization-metric": bool(all_chain_sets(results)),
+    }
+    made_by = dict(zip(held, ("evaluate", "evaluate-retrieval", "evaluate-relocalization"), strict=True))
+    for option, name in given.items():
+        if name is not None and any(held.values()) and not held[option]:
+            there = " and ".join(f"{made_by[other]} (for {other})" for other, is_there in held.items() if is_there)
+            raise ConfigError(
+                f"{option} ranks results of {made_by[option]}, of which there are none here, only of {there}", results
+            )
 
 
 def _print_retrieval(board: RetrievalBoard) -> None:

@@ -18,7 +18,10 @@ def probe(
     methods: common.Methods = [],  # noqa: B006  typer copies it
     settings: common.Settings = [],  # noqa: B006
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FOLDER", help="Folder for tables and pictures.")
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="FOLDER", help="Folder for tables and pictures; required, here or in --config."
+        ),
     ] = None,
     split: common.Split = None,
     pair_sets: common.PairSets = [],  # noqa: B006

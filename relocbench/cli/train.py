@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from relocbench.cli.options import Json, Quiet
+from relocbench.cli.options import Json, Quiet, given
 
 if TYPE_CHECKING:
     from relocbench.progress import Reporter
@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from relocbench.training import TrainingData, TrainingReport, Validate, ValidateRetriever
 
 
-_TRACKERS = "Only for trackers"
-_RETRIEVERS = "Only for retrievers"
+_TRACKERS = "Only for trainers of trackers"
+_RETRIEVERS = "Only for trainers of retrievers"
+_SPLIT, _VALIDATION_PAIRS, _VALIDATION_PLACES = "train", 180, 0.1
 
 
 def train(
@@ -32,12 +33,14 @@ def train(
             "-d",
             metavar="FOLDER",
             help="Dataset with a split 'train', 'validation' or both; for a retriever, places by several views with a "
-            "folder train/. Repeat for several.",
+            "folder train/. Required; repeat for several.",
         ),
     ] = [],  # noqa: B006  typer copies it
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FOLDER", help="Folder for weights, checkpoint, log and model card."),
+        typer.Option(
+            "--out", "-o", metavar="FOLDER", help="Folder for weights, checkpoint, log and model card; required."
+        ),
     ] = None,
     config: Annotated[
         str | None,
@@ -61,22 +64,32 @@ def train(
         ),
     ] = None,
     split: Annotated[
-        str, typer.Option(metavar="NAME", help="Split whose pairs are learned from.", rich_help_panel=_TRACKERS)
-    ] = "train",
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help=f"Split whose pairs are learned from [default: {_SPLIT}].",
+            rich_help_panel=_TRACKERS,
+        ),
+    ] = None,
     validation_pairs: Annotated[
-        int,
-        typer.Option(min=1, metavar="N", help="Pairs that are tracked at each validation.", rich_help_panel=_TRACKERS),
-    ] = 180,
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help=f"Pairs that are tracked at each validation [default: {_VALIDATION_PAIRS}].",
+            rich_help_panel=_TRACKERS,
+        ),
+    ] = None,
     validation_places: Annotated[
-        float,
+        float | None,
         typer.Option(
             min=0.0,
             max=0.5,
             metavar="SHARE",
-            help="Share of the train places that are held out for validation.",
+            help=f"Share of the train places that are held out for validation [default: {_VALIDATION_PLACES}].",
             rich_help_panel=_RETRIEVERS,
         ),
-    ] = 0.1,
+    ] = None,
     no_validation: Annotated[
         bool,
         typer.Option("--no-validation", help="Learn from everything, and keep the last weights instead of the best."),
@@ -115,6 +128,11 @@ def train(
 
     trainer = trainer_named(name)
     of_places = isinstance(trainer, PlaceTrainer)
+    for_trackers = given(split=split, validation_pairs=validation_pairs)
+    for_retrievers = given(validation_places=validation_places, backbone_weights=backbone_weights)
+    _refuse_without_effect(name, of_places, [*for_trackers], [*for_retrievers], no_validation)
+    split, validation_pairs = split or _SPLIT, validation_pairs or _VALIDATION_PAIRS
+    validation_places = _VALIDATION_PLACES if validation_places is None else validation_places
     if backbone_weights is not None:
         if "backbone_weights" not in trainer.default_options():
             raise ConfigError(f"trainer '{name}' has no backbone that takes --backbone-weights")
@@ -136,7 +154,7 @@ def train(
     words = ["train", name, *(f"--dataset={root}" for root in dataset), f"--out={out}"]
     words += [f"--config={config}"] if config else []
     words += [f"--set={setting}" for setting in settings]
-    words += [] if split == "train" else [f"--split={split}"]
+    words += [] if split == _SPLIT else [f"--split={split}"]
     asked = f"--validation-places={validation_places:g}" if of_places else f"--validation-pairs={validation_pairs}"
     words += ["--no-validation" if no_validation else asked]
     command = shlex.join(["relocbench", *words, f"--device={place}"])
@@ -145,13 +163,28 @@ def train(
         remove_parts(out, deep=False)
         if isinstance(trainer, PlaceTrainer):
             share = 0.0 if no_validation else validation_places
-            report = trainer.train_places(*_places(dataset, split, share, options, run.reporter), options, run)
+            report = trainer.train_places(*_places(dataset, share, options, run.reporter), options, run)
         else:
             report = trainer.train(*_pairs(dataset, split, 0 if no_validation else validation_pairs), options, run)
     if json:
         print_json(_plain(report))
     elif not quiet:
         _print(report, "query-gallery" if of_places else "conditions", "queries" if of_places else "pairs")
+
+
+def _refuse_without_effect(
+    name: str, of_places: bool, for_trackers: Sequence[str], for_retrievers: Sequence[str], no_validation: bool
+) -> None:
+    """Raise ConfigError if an option was given that the trainer, or a training without validation, does not use."""
+    from relocbench.errors import ConfigError
+
+    foreign = [f"--{option.replace('_', '-')}" for option in (for_trackers if of_places else for_retrievers)]
+    if foreign:
+        whose, what = ("trackers", "retrievers") if of_places else ("retrievers", "trackers")
+        raise ConfigError(f"{foreign[0]} is an option for trainers of {whose}, and '{name}' trains {what}")
+    for option in ("validation_pairs", "validation_places"):
+        if no_validation and option in (*for_trackers, *for_retrievers):
+            raise ConfigError(f"--{option.replace('_', '-')} has no effect beside --no-validation; give one of them")
 
 
 def _pairs(roots: Sequence[Path], split: str, validation_pairs: int) -> tuple[TrainingData, Validate | None]:
@@ -168,15 +201,12 @@ def _pairs(roots: Sequence[Path], split: str, validation_pairs: int) -> tuple[Tr
 
 
 def _places(
-    roots: Sequence[Path], split: str, held_out: float, options: Mapping[str, Any], reporter: Reporter
+    roots: Sequence[Path], held_out: float, options: Mapping[str, Any], reporter: Reporter
 ) -> tuple[PlaceData, ValidateRetriever | None]:
     """What a retriever learns from and is tried on; no validation at 0."""
     from relocbench.datasets.learning.training_places import training_places
-    from relocbench.errors import ConfigError
     from relocbench.evaluation.retrieval.training_validation import PlaceValidation, hold_out
 
-    if split != "train":
-        raise ConfigError(f"--split {split}: a retriever learns from the folder train/ alone")
     data = training_places(roots, reporter)
     if not held_out:
         return data, None

@@ -2,30 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from typer.exceptions import TyperException
 
 
 def usage_fault(bad: TyperException) -> str:
-    """What is wrong, which other command has an unknown option, and where the usage is explained."""
-    message = " ".join(bad.format_message().split()).rstrip(".")
+    """What is wrong, which other commands have an unknown option, and where the usage is explained."""
+    message = " ".join(bad.format_message().split()).rstrip(".").replace(": Value error, ", ": ")
     context = getattr(bad, "ctx", None)
     if context is None:
         return message
     option = getattr(bad, "option_name", None)
-    others = [] if option is None else _commands_with(option, context)
-    if others:
-        message = f"No such option: {option}; it is an option of {' and '.join(others)}"
+    others = "" if option is None else _commands_with(option, context)
+    if option == "--task" and context.info_name == "evaluate":
+        message = "No such option: --task; the other tasks have commands of their own: " + listed(
+            [f"{context.find_root().command_path} {name}" for name in ("evaluate-retrieval", "evaluate-relocalization")]
+        )
+    elif others:
+        message = f"No such option: {option}; it is an option of {others}"
     return f"{message} (see `{context.command_path} --help`)"
 
 
-def _commands_with(option: str, context: Any) -> list[str]:
-    """The commands of the same family, such as ``evaluate-retrieval`` of ``evaluate``, that have the option."""
-    root = context.find_root()
-    family = str(context.info_name).partition("-")[0]
-    return [
-        f"{root.command_path} {name}"
-        for name, command in getattr(root.command, "commands", {}).items()
-        if name.partition("-")[0] == family and any(option in parameter.opts for parameter in command.params)
-    ]
+def listed(names: Sequence[str]) -> str:
+    """``a, b and c``."""
+    *first, last = names
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _commands_with(option: str, context: Any) -> str:
+    """The related commands that have the option, for a message.
+
+    These are the commands of the same family, such as ``evaluate-retrieval`` of ``evaluate``, and the other kinds of
+    ``build-dataset``.
+    """
+    group = context.parent
+    if group is None:
+        return ""
+    family = str(context.info_name).partition("-")[0] if group.parent is None else ""
+    found = []
+    for name in group.command.list_commands(group):
+        if not family or name.partition("-")[0] == family:
+            command = group.command.get_command(group, name)
+            if any(option in parameter.opts for parameter in command.params):
+                found.append(f"{group.command_path} {name}" if family else name)
+    if not found:
+        return ""
+    return listed(found) if family else f"{group.command_path} {listed(found)}"

@@ -32,7 +32,7 @@ def validate(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Find every fault, with file and line; exit status 2 where there is one.
+    """Find every fault of a dataset, results or predictions, with file and line; exit status 2 where there is one.
 
     Example: relocbench validate predictions/summer__winter__cam0.txt -d D
     """

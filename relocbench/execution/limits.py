@@ -77,7 +77,7 @@ def parse_size(text: str | int | float) -> int:
     """The number of bytes in ``4GB``, ``512 MiB``, ``2.5G`` or a plain number. Raises ValueError."""
     found = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([KMGT]?I?)B?\s*", str(text).upper())
     if found is None or found[2] not in _UNITS:
-        raise ValueError(f"'{str(text)[:40]}' is not a size, expected one such as 4GB or 512MiB")
+        raise ValueError("expected a size such as 4GB or 512MiB")
     return int(float(found[1]) * _UNITS[found[2]])
 
 

@@ -120,7 +120,7 @@ class Pool:
                     if not worker.ready:
                         failed_starts += 1
                         if failed_starts >= _TRIES:
-                            raise RelocbenchError(f"worker processes end while they start ({told.words})")
+                            raise _none_starts(told)
                         again.append((index, unit))
                         continue
                     results = list(on_loss(index, unit, told))
@@ -176,6 +176,14 @@ class Pool:
                     worker.end()
                     self.workers.remove(worker)
                     break
+
+
+def _none_starts(loss: Loss) -> RelocbenchError:
+    return RelocbenchError(
+        f"{_TRIES} worker processes ended while they started ({loss.words}); what they printed is on standard error, "
+        "above this line. Killed ones mean too little memory: close other programs or use fewer workers (--workers 1). "
+        'A script that calls relocbench must do so below `if __name__ == "__main__":`'
+    )
 
 
 @contextmanager

@@ -60,6 +60,16 @@ def _load(path: Path, what: str, error: type[RelocbenchError]) -> tuple[Any, Yam
         raise error(f"not valid YAML ({bad.problem}); expected {what}", path, bad.line) from None
 
 
+_PLAIN = {
+    "tuple_type": "expected a list",
+    "list_type": "expected a list",
+    "dict_type": "expected keys and values",
+    "model_type": "expected keys and values",
+    "dataclass_type": "expected keys and values",
+}
+"""what pydantic says in words of Python, in words of YAML, by the type of its error"""
+
+
 def first_fault(bad: ValidationError) -> tuple[str, tuple[str | int, ...]]:
     """One line about a pydantic error (the first, and how many more), and where it is."""
     faults = bad.errors(include_url=False)
@@ -71,7 +81,8 @@ def first_fault(bad: ValidationError) -> tuple[str, tuple[str | int, ...]]:
     elif first["type"] == "missing":
         message = f"key '{key}' is missing"
     else:
-        told = cut(printable(str(first["msg"]).removeprefix("Value error, ")), 2 * MOST_QUOTED)
+        plain = _PLAIN.get(first["type"], str(first["msg"]).removeprefix("Value error, "))
+        told = cut(printable(plain), 2 * MOST_QUOTED)
         message = f"key '{key}': {told}, got {_shown(first.get('input'))}" if key else told
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     return message + more, location

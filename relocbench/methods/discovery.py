@@ -211,17 +211,35 @@ def target_of(text: str) -> str:
 
 
 def kind_of(target: str) -> MethodKind:
-    """Whether a target is a tracker or a retriever; a tracker if it is both or neither.
+    """Whether a target is a tracker or a retriever; a tracker if it is both, a program, or a class that is neither.
 
     Raises:
-        MethodError: a class cannot be imported.
+        MethodError: nothing of that name is installed, or a class cannot be imported.
     """
     if ":" in target and not target.startswith(SUBPROCESS):
         found = load_dotted(target, "method")
         fitting = [kind for kind in KINDS if callable(getattr(found, kind.call, None))]
     else:
         fitting = [kind for kind in KINDS if target in installed_methods(kind)]
+        if not fitting and not target.startswith(SUBPROCESS):
+            raise _nothing_called(target)
     return fitting[0] if fitting else TRACKERS
+
+
+def _nothing_called(name: str) -> MethodError:
+    """The error for a name that is neither an installed tracker nor an installed retriever."""
+    from relocbench.methods.trainers import installed_trainers
+
+    trainers = installed_trainers()
+    if name in trainers:
+        return MethodError(f"'{name}' is a trainer; its options are shown by `relocbench train {name} --show-options`")
+    found = {kind.made.split()[-1]: installed_methods(kind) for kind in KINDS} | {"trainer": trainers}
+    alike = hint(name, [known for points in found.values() for known in points])
+    there = "; ".join(f"{noun}s: {', '.join(points) or 'none'}" for noun, points in found.items())
+    return MethodError(
+        f"no method '{name}'{alike}; installed {there} (or name a class as package.module:Class, or a tracker's "
+        "program as subprocess:COMMAND)"
+    )
 
 
 def parameters_of(target: str, kind: MethodKind = TRACKERS) -> list[Parameter]:
@@ -267,6 +285,8 @@ def _split_label(text: str, kind: MethodKind) -> tuple[str, str]:
         command = text.removeprefix(SUBPROCESS)
         if text.startswith(SUBPROCESS):
             words = command.split()
+            if not words:
+                raise MethodError(f"{quoted(text)} names no program; expected subprocess:COMMAND")
             label = Path(words[0]).stem if words else ""
         else:
             label = text.rpartition(":")[2] if ":" in text else text

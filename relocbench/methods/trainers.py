@@ -14,7 +14,7 @@ from relocbench.training import ConfiguredTrainer, PlaceTrainer, Trainer
 
 TRAINER_GROUP = "relocbench.trainers"
 _CONFIGURATION = "configuration"
-_OPTIONS = "a trainer's options with their values"
+_OPTIONS = "a file of a trainer's options"
 
 
 def installed_trainers() -> dict[str, metadata.EntryPoint]:

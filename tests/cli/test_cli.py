@@ -68,9 +68,22 @@ def test_every_kind_of_dataset_explains_its_options(kind: str) -> None:
         (["evaluate", "-d", "{d}/pairs", "-m", "identity"], "pairs: expected a dataset with dataset.yaml"),
         (["evaluate", "-d", "{d}", "-m", "identity", "--split", "tset"], "no split 'tset'; there is test, all"),
         (["evaluate", "-d", "{d}", "-m", "identity", "--pair-set", "a"], "no pair set 'a'"),
-        (["evaluate", "-d", "{d}", "--predictions", "{d}/absent"], "absent: no such folder"),
+        (["evaluate", "-d", "{d}", "--predictions", "{d}/absent"], "absent: no such file or folder"),
         (["evaluate", "-d", "{d}", "-m", "identity", "--out", "{d}/pairs"], "--out lies inside the dataset"),
-        (["methods", "absent"], "no method 'absent'"),
+        (["evaluate", "-d", "{d}", "-m", "subprocess:"], "'subprocess:' names no program; expected subprocess:COMMAND"),
+        (
+            ["evaluate", "-d", "{d}", "-m", "identity", "--memory-limit", "4Q"],
+            "--memory-limit: expected a size such as 4GB or 512MiB, got '4Q'",
+        ),
+        (
+            ["evaluate", "-d", "{d}", "-m", "identity", "--overwrite", "now"],
+            "Invalid value for '--overwrite': 'now' is not one of",
+        ),
+        (["leaderboard", "{d}", "--out", "{t}/board"], "is a dataset; expected a results folder"),
+        (["export", "-d", "{d}", "-f", "tum", "--out", "{d}/e"], "--out lies inside the dataset"),
+        (["inspect", "{d}", "--pictures", "{d}/traversals/p"], "--pictures lies inside the dataset"),
+        (["build-dataset", "generic", "{d}", "{d}", "--out", "{t}/o"], "is given twice"),
+        (["methods", "absent"], "no method 'absent'; installed trackers: "),
         (["leaderboard", "{d}/absent", "--out", "{d}/board"], "absent: no such folder"),
         (["inspect", "{d}/absent"], "absent: no such folder"),
         (["build-dataset", "kitti", "{d}/absent", "--sequence", "06", "--out", "{t}/o"], "absent"),
@@ -98,8 +111,34 @@ def test_an_unknown_key_in_a_configuration_is_named_with_its_line(dataset: Datas
     config.write_text("pair_step: [1, two]\n")
     outcome = relocbench("build-dataset", "synthetic", "--config", config, "--out", tmp_path / "o")
     assert f"{config}:1: key 'pair_step.1'" in outcome.complaint
+    config.write_text("conditions: {summer: {wether: rain}}\n")
+    outcome = relocbench("build-dataset", "generic", tmp_path, "--config", config, "--out", tmp_path / "o")
+    assert f"{config}:1: unknown key 'conditions.summer.wether'" in outcome.complaint
+    config.write_text("methods: identity\ndataset: d\n")
+    assert (
+        f"{config}:1: key 'methods': expected a list, got 'identity'" in relocbench("evaluate", "--config", config).err
+    )
+    config.write_text("scheduler: 3\ndataset: d\n")
+    assert "key 'scheduler': expected keys and values, got 3" in relocbench("evaluate", "--config", config).complaint
+    config.write_text("- 1\n")
+    assert f"{config}: expected a file of options with keys" in relocbench("evaluate", "--config", config).complaint
     config.write_text("a: [1\n")
     assert f"{config}:2: not valid YAML" in relocbench("evaluate", "--config", config).complaint
+
+
+def test_a_single_prediction_file_answers_its_pair_set(dataset: Dataset, tmp_path: Path) -> None:
+    assert relocbench("evaluate", "-d", dataset.root, "-m", "identity", "-o", tmp_path / "r", "-j", "0").status == 0
+    (kept,) = (tmp_path / "r").rglob(f"identity/{ACROSS}.txt")
+    renamed = tmp_path / "mine.txt"
+    renamed.write_bytes(kept.read_bytes())
+    score = ("evaluate", "-d", dataset.root, "-o", tmp_path / "s", "--json", "--predictions")
+    assert "give one: --method LABEL" in relocbench(*score, kept).complaint  # its name cannot be a label
+    shown = json.loads(relocbench(*score, kept, "-m", "mine").out)
+    assert shown["methods"]["mine"][ACROSS]["all"]["coverage"] == 1.0
+    told = relocbench(*score, renamed).complaint
+    assert "mine.txt: one file answers one pair set, and there are" in told
+    shown = json.loads(relocbench(*score, renamed, "--pair-set", ACROSS, "-m", "theirs").out)
+    assert shown["methods"]["theirs"][ACROSS]["all"]["coverage"] == 1.0
 
 
 def test_a_configuration_file_sets_everything_and_the_command_line_wins(dataset: Dataset, tmp_path: Path) -> None:

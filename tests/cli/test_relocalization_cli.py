@@ -70,6 +70,15 @@ def test_a_page_says_who_is_ahead_and_where_it_is_lost(results: Path, tmp_path: 
     assert all((tmp_path / "c" / p.name).read_bytes() == p.read_bytes() for p in (tmp_path / "b").iterdir())
 
 
+def test_a_metric_of_a_task_without_results_is_refused(results: Path, tmp_path: Path) -> None:
+    told = relocbench("leaderboard", results, "--out", tmp_path / "b", "--metric", "t_auc@0.5m")
+    assert told.status == 2
+    assert (
+        "--metric ranks results of evaluate, of which there are none here, only of evaluate-retrieval" in told.complaint
+    )
+    assert not (tmp_path / "b").exists()
+
+
 def test_one_json_object(results: Path, dataset: Dataset) -> None:
     out = relocbench(
         *CHAIN, "-d", dataset.root, "-o", results, "-r", "oracle", "-m", f"good={KNOWS}", "--top", 2, "--json", "-q",

@@ -206,7 +206,24 @@ def test_both_kinds_of_methods_are_listed_and_told_apart() -> None:
     shown = relocbench("methods", f"{HERE}:Thumbnail", "--json")
     assert json.loads(shown.out)["side"] == {"type": "int", "default": 8}
     assert (kind_of(f"{HERE}:Thumbnail"), kind_of(TRACKER)) == (RETRIEVERS, TRACKERS)
-    assert (kind_of("identity"), kind_of("absent"), kind_of("subprocess:true")) == (TRACKERS,) * 3
+    assert (kind_of("identity"), kind_of("subprocess:true")) == (TRACKERS, TRACKERS)
+
+
+@pytest.mark.parametrize("command", ["evaluate", "evaluate-relocalization", "probe"])
+def test_places_given_to_a_command_for_pairs_are_named_as_such(tmp_path: Path, command: str) -> None:
+    make_small_views(tmp_path / "v", places=4)
+    oracle = ("-r", "oracle") if command == "evaluate-relocalization" else ()
+    told = relocbench(command, "-d", tmp_path / "v", *oracle, "-m", "identity", "--out", tmp_path / "out")
+    assert "holds places by several views and no pairs: retrievers are evaluated on it, by `relocbench eva" in told.err
+    assert told.status == 2
+
+
+@pytest.mark.parametrize("command", ["methods", "check-method"])
+def test_a_name_that_nothing_has_is_refused_with_trackers_retrievers_and_trainers(command: str) -> None:
+    told = relocbench(command, "orb-bo").complaint
+    assert "no method 'orb-bo' (did you mean 'orb-bow'?); installed trackers: dso, " in told
+    assert "; retrievers: colour-histogram, " in told
+    assert "; trainers: gn-net, " in told
 
 
 def test_retrievers_are_configured_as_trackers_are() -> None:

@@ -17,10 +17,10 @@ def test_levels_and_numbers_are_those_that_the_tool_prints(package: str) -> None
     table = page.split(f"| level | folder of `{folder}` |")[1].split("\n\n")[0]
     rows = re.findall(r"^\| (\d+) \| ([^|]+) \|", table, flags=re.MULTILINE)
     shown = {name: int(level) for level, names in rows for name in re.findall(r"`(\w+)`", names)}
-    command = [sys.executable, str(ROOT / "tools" / "rooms.py"), package]
+    command = [sys.executable, str(ROOT / "tools" / "folders.py"), package]
     printed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
     assert shown == {line.split()[1]: int(line.split()[0]) for line in printed[:-1]}
-    if f"python tools/rooms.py {package}`" in page:
+    if f"python tools/folders.py {package}`" in page:
         assert printed[-1].removeprefix(f"{package}: ") in " ".join(page.split())
 
 

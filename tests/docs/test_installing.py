@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 import tomllib
+import zipfile
+from pathlib import Path
 
 from repository import ROOT
 
@@ -61,3 +66,30 @@ def test_the_image_gets_every_folder_that_the_wheel_needs() -> None:
     assert copied == admitted
     assert {*wheel["packages"], "pyproject.toml", "README.md", "LICENSE"} <= copied
     assert all((ROOT / name).exists() for name in copied)
+
+
+def test_the_wheel_holds_all_templates_and_fills_them_from_there(tmp_path: Path) -> None:
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    packages = (ROOT / "relocbench", ROOT / "baselines")
+    templates = {str(path.relative_to(ROOT)) for folder in packages for path in folder.rglob("*.j2")}
+    with zipfile.ZipFile(wheel) as archive:
+        assert {name for name in archive.namelist() if name.endswith(".j2")} == templates
+        archive.extractall(tmp_path / "installed")
+    for place in (wheel, tmp_path / "installed"):  # a package in an archive has no folder
+        code = (
+            "from relocbench import pages; print(pages.__file__)\n"
+            "print(pages.render('baselines.gn_net.training.loop', 'about.md.j2', name='n', parameters=1, "
+            "network={'levels': 2, 'dim': 3}))"
+        )
+        filled = subprocess.run(
+            [sys.executable, "-c", code],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(place)},
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+        assert filled.startswith(f"{place}/relocbench/pages/__init__.py\nFeature network")
+        assert "2 levels of 3 channels" in filled

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from killing import is_running
-from units_of_work import count_alive, die, die_once, environment, square, user_error
+from units_of_work import count_alive, die, die_once, end_at_once, environment, square, user_error
 
 from relocbench.errors import ConfigError, DatasetError, RelocbenchError
 from relocbench.execution import Run, Scheduler, chunks, kept_workers, run_units, scheduler
@@ -34,6 +34,15 @@ def test_a_worker_that_dies_costs_its_unit_a_retry(tmp_path: Path) -> None:
     units = [str(tmp_path / name) for name in ("a", "die", "b", "c", "d")]
     results = dict(run_units(die_once, units, Run(2)))
     assert [results[i] for i in range(5)] == ["a", "die", "b", "c", "d"]
+
+
+def test_workers_that_end_while_they_start_are_reported_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("relocbench.execution.worker_process.serve", end_at_once)
+    with pytest.raises(RelocbenchError) as told:
+        list(run_units(square, [1, 2, 3], Run(2)))
+    assert "2 worker processes ended while they started (exit status 3)" in str(told.value)
+    for remedy in ("memory", "--workers 1", "standard error", "__main__"):
+        assert remedy in str(told.value)
 
 
 def test_kept_workers_serve_call_after_call_until_one_dies(tmp_path: Path) -> None:

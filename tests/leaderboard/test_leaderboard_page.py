@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from typer.testing import CliRunner
 from relocbench.cli.leaderboard import leaderboard
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import RunRecord
+from relocbench.files import dump_yaml, load_yaml_values, write_text
 from relocbench.leaderboard import write_leaderboard
 from relocbench.leaderboard.tracking.load import evaluate_command
 
@@ -59,21 +61,23 @@ def test_a_method_no_better_than_the_floor_is_named(one_set: MadeResults, tmp_pa
     assert found.above_floor.significant
 
 
-@pytest.mark.parametrize(("sigma", "grey"), [(0.04, False), (0.06, True), (None, False)])
-def test_thresholds_finer_than_two_sigma_are_grey(tmp_path: Path, sigma: float | None, grey: bool) -> None:
+@pytest.mark.parametrize(("sigma", "marked"), [(0.04, False), (0.06, True), (None, False)])
+def test_thresholds_finer_than_two_sigma_have_a_dagger(tmp_path: Path, sigma: float | None, marked: bool) -> None:
     results = MadeResults(tmp_path / "results", {WINTER: 50}, sigma_m=sigma)
     results.write_dataset()
     results.add("mine", {WINTER: made(1, 50, 0.1)})
     page = page_of(results, tmp_path / "out")
-    assert ("| recall@(0.1m,1deg), % † |" in page) == grey
-    assert ("<sub>" in page.split("## town")[1]) == grey
-    assert ("`recall@(0.1m,1deg)`." in page) == grey
+    assert ("| recall@(0.1m,1deg), % † |" in page) == marked
+    assert ("<sub>" in page.split("## town")[1]) == marked
+    assert ("`recall@(0.1m,1deg)`." in page) == marked
     finer = read_csv(tmp_path / "out" / "leaderboard.csv")[0]["finer_than_truth"]
-    assert ("recall@(0.1m,1deg)" in finer.split()) == grey
+    assert ("recall@(0.1m,1deg)" in finer.split()) == marked
     assert "recall@(0.5m,5deg)" not in finer.split()
+    assert "<sub>Small</sub> numbers with a dagger (†)" in page
+    assert ("</sub>† |" in page) == marked
 
 
-def test_ranks_by_a_grey_metric_come_with_a_warning(tmp_path: Path) -> None:
+def test_ranks_by_a_metric_with_a_dagger_come_with_a_warning(tmp_path: Path) -> None:
     results = MadeResults(tmp_path / "results", {WINTER: 50}, sigma_m=0.3)
     results.write_dataset()
     results.add("mine", {WINTER: made(1, 50, 0.1)})
@@ -109,6 +113,21 @@ def test_every_table_of_the_page_has_as_many_cells_as_columns(tmp_path: Path) ->
         count = line.count("|") if line.startswith("|") else 0
         assert count in (0, width) or width == 0, line
         width = count
+
+
+def test_nothing_on_the_page_of_what_others_wrote_is_markup(tmp_path: Path) -> None:
+    evil = "<script>x</script> [y](http://z) a|b\n# h"
+    results = MadeResults(tmp_path / "results", {WINTER: 40}, groups=(evil, "plain"))
+    results.write_dataset()
+    path = results.folder / "dataset.yaml"
+    values, _ = load_yaml_values(path, "a record")
+    values["licence"] = values["pair_sets"][WINTER]["query_condition"] = evil
+    write_text(path, dump_yaml(values))
+    for seed in (0, 1):
+        results.add(f"m{seed}", {WINTER: made(seed, 40, 0.1)}, target=evil, parameters={evil: evil, "seed": seed})
+    outside = re.sub(r"```sh\n.*?\n```|(`+) ?.*?\1", "", page_of(results, tmp_path / "out"), flags=re.DOTALL)
+    assert "\\<script\\>x" in outside
+    assert not re.search(r"(?<!\\)<script|(?<!\\)\]\(http|^# h", outside, flags=re.MULTILINE)
 
 
 def test_the_command_of_a_method_can_be_pasted_into_a_shell() -> None:

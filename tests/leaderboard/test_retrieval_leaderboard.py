@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shlex
+import shutil
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ from small_views import make_small_views
 
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
-from relocbench.evaluation.retrieval.records import METRICS, TaskRecord, all_sets
+from relocbench.evaluation.retrieval.records import METRICS, SET_FILE, TaskRecord, all_sets
 from relocbench.leaderboard.retrieval.board import (
     RetrievalBoard,
     RetrievalRow,
@@ -64,6 +66,19 @@ def test_methods_share_a_place_unless_they_differ(results: Path) -> None:
     assert rows["half"].missing == (S2D,)
     assert set(rows["half"].values.values()) == {None}
     assert rows_of(results, D2S)["half"].rank == 1
+
+
+def test_results_of_one_set_with_other_queries_are_refused(results: Path, tmp_path: Path) -> None:
+    (folder,) = (each.root for each in all_sets(results))
+    first, other = tmp_path / folder.name, tmp_path / f"{folder.name.split('@')[0]}@ffffffffffff"
+    shutil.copytree(folder, first)
+    shutil.copytree(folder, other)
+    text = (other / SET_FILE).read_text(encoding="utf-8")
+    assert re.search("^question: .", text, re.MULTILINE)
+    changed = re.sub("^fingerprint: .*", f"fingerprint: {'f' * 64}", text, flags=re.MULTILINE)
+    (other / SET_FILE).write_text(re.sub("queries: (\\d+)", "queries: 1\\1", changed, count=1), encoding="utf-8")
+    with pytest.raises(PredictionError, match=r"has other queries or another gallery than in .*evaluate one of them"):
+        load_retrieval(tmp_path)
 
 
 def test_values_are_those_of_the_evaluation_and_the_mean_counts_tasks_alike(results: Path) -> None:

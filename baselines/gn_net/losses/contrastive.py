@@ -17,8 +17,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import Options, at_least, one_of, require
 
 Form = Literal["distance", "squared"]
 
@@ -28,7 +27,7 @@ class ContrastiveOptions(Options):
     """Form, weights, margins and negatives.
 
     Raises:
-        ConfigError: a value is out of range.
+        OptionError: a value is out of range.
     """
 
     weight: float = 1.0
@@ -49,14 +48,16 @@ class ContrastiveOptions(Options):
     """number of pixels drawn in each image, of which the hardest negative of each point is chosen"""
 
     def __post_init__(self) -> None:
-        if self.form not in ("distance", "squared"):
-            raise ConfigError(f"contrastive form is '{self.form}', expected distance or squared")
-        if self.negatives not in ("random", "hard", "both"):
-            raise ConfigError(f"negatives is '{self.negatives}', expected random, hard or both")
-        if min(self.weight, self.negative_weight, self.positive_margin, self.away) < 0:
-            raise ConfigError("weight, negative_weight, positive_margin and away of the contrastive loss are 0 or more")
-        if self.margin <= self.positive_margin or self.candidates < 1:
-            raise ConfigError("the contrastive loss needs margin > positive_margin and at least one candidate")
+        one_of(self, "form", "distance", "squared")
+        one_of(self, "negatives", "random", "hard", "both")
+        at_least(self, 0, "weight negative_weight positive_margin away")
+        at_least(self, 1, "candidates")
+        require(
+            self,
+            "margin",
+            lambda margin: margin > self.positive_margin,
+            f"more than positive_margin, which is {self.positive_margin}",
+        )
 
 
 def positive_terms(f_a: Tensor, f_b: Tensor, form: Form = "distance", margin: float = 0.0) -> Tensor:

@@ -18,8 +18,7 @@ from torch import Tensor
 
 from baselines.gn_net.losses.symmetric import Symmetric, normal_equations
 from baselines.gn_net.sampling import sample_with_gradient
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import Options, above_0, at_least, one_of
 
 Damping = Literal["identity", "diagonal"]
 
@@ -32,7 +31,7 @@ class DescentOptions(Options):
     """Weight, starts, damping and margin.
 
     Raises:
-        ConfigError: a value is out of range.
+        OptionError: a value is out of range.
     """
 
     weight: float = 0.0
@@ -47,10 +46,9 @@ class DescentOptions(Options):
     """pixels^2 of the level"""
 
     def __post_init__(self) -> None:
-        if min(self.weight, self.margin) < 0 or min(self.vicinity, self.damping) <= 0:
-            raise ConfigError("the descent loss needs weight and margin of 0 or more, positive vicinity and damping")
-        if self.damped not in ("identity", "diagonal"):
-            raise ConfigError(f"damped is '{self.damped}', expected identity or diagonal")
+        at_least(self, 0, "weight margin")
+        above_0(self, "vicinity damping")
+        one_of(self, "damped", "identity", "diagonal")
 
 
 class DescentTerms(NamedTuple):

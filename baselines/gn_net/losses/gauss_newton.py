@@ -21,8 +21,7 @@ from torch import Tensor
 
 from baselines.gn_net.losses.symmetric import normal_equations
 from baselines.gn_net.sampling import sample_with_gradient
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import Options, above_0, at_least, one_of
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class GaussNewtonOptions(Options):
     """Weights of the loss and its parts, and the choice of starts.
 
     Raises:
-        ConfigError: a value is out of range.
+        OptionError: a value is out of range.
     """
 
     weight: float = 0.5
@@ -50,12 +49,9 @@ class GaussNewtonOptions(Options):
     """quadrature nodes of ``integrated`` along each side of a cell between four pixels"""
 
     def __post_init__(self) -> None:
-        if min(self.weight, self.e1, self.e2) < 0:
-            raise ConfigError("weight, e1 and e2 of the Gauss-Newton loss are 0 or more")
-        if min(self.eps, self.vicinity, self.nodes) <= 0:
-            raise ConfigError("eps, vicinity and nodes of the Gauss-Newton loss are positive")
-        if self.start not in ("drawn", "integrated", "affine"):
-            raise ConfigError(f"start of the Gauss-Newton loss is '{self.start}', expected drawn, integrated or affine")
+        at_least(self, 0, "weight e1 e2")
+        above_0(self, "eps vicinity nodes")
+        one_of(self, "start", "drawn", "integrated", "affine")
 
 
 class GaussNewtonTerms(NamedTuple):

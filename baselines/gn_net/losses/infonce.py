@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import Options, above_0, at_least
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class InfoNceOptions(Options):
     """Weight, temperature and the points that take part.
 
     Raises:
-        ConfigError: a value is out of range.
+        OptionError: a value is out of range.
     """
 
     weight: float = 0.0
@@ -39,10 +38,9 @@ class InfoNceOptions(Options):
     """largest number of a pair's points that take part, in their order"""
 
     def __post_init__(self) -> None:
-        if min(self.weight, self.away) < 0 or self.temperature <= 0 or self.points < 2:
-            raise ConfigError(
-                "InfoNCE needs weight and away of 0 or more, a positive temperature and two points or more"
-            )
+        at_least(self, 0, "weight away")
+        above_0(self, "temperature")
+        at_least(self, 2, "points")
 
 
 def infonce_terms(

@@ -23,8 +23,7 @@ from baselines.gn_net.losses.infonce import InfoNceOptions, infonce_terms
 from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
 from baselines.gn_net.losses.reduce import masked_mean
 from baselines.gn_net.sampling import level_coordinates, sample
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import OptionError, Options, require
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class LossOptions(Options):
     """The losses and their weights on each level; a weight of 0 disables a loss.
 
     Raises:
-        ConfigError: all weights are 0, or a value is out of range.
+        OptionError: all weights are 0, or a value is out of range.
     """
 
     contrastive: ContrastiveOptions = field(default_factory=ContrastiveOptions)
@@ -43,11 +42,16 @@ class LossOptions(Options):
     infonce: InfoNceOptions = field(default_factory=InfoNceOptions)
 
     def __post_init__(self) -> None:
-        if not self.level_weights or min(self.level_weights) < 0 or max(self.level_weights) == 0:
-            raise ConfigError(f"level_weights is {self.level_weights}, expected 0 or more, at least one above 0")
-        weights = (self.contrastive.weight, self.infonce.weight, self.gauss_newton.weight, self.descent.weight)
-        if max(weights) == 0:
-            raise ConfigError("all losses have weight 0: nothing is left to train by")
+        require(
+            self,
+            "level_weights",
+            lambda weights: weights and min(weights) >= 0 and max(weights) > 0,
+            "weights of 0 or more, at least one above 0",
+        )
+        weights = {name: getattr(self, name).weight for name in ("contrastive", "infonce", "gauss_newton", "descent")}
+        if max(weights.values()) == 0:
+            others = ", ".join(f"{name}.weight" for name in list(weights)[1:])
+            raise OptionError("contrastive.weight", 0.0, f"more than 0, since {others} are 0 too")
 
 
 class LossValue(NamedTuple):

@@ -24,6 +24,7 @@ from baselines.training.ema import EmaNetwork
 from baselines.training.log import Row
 from baselines.training.loop import TrainingLoop
 from baselines.training.random_streams import generator
+from relocbench.pages import render
 from relocbench.training import TrainingData, TrainingRun, Validate
 
 _INITIAL_WEIGHTS, _LOSS = range(2)
@@ -132,14 +133,15 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
 
     def describe(self) -> Description:
         options, name = self.options, self._tracker.name
-        about = (
-            f"Feature network for direct relocalization tracking: {options.network.levels} levels of "
-            f"{options.network.dim} channels, {self.network.parameters_count} parameters. "
-            f"Use: `relocbench evaluate -m {name} --set {name}.weights=weights.safetensors`."
-        )
         return Description(
             title=name,
-            about=[about],
+            about=render(
+                __name__,
+                "about.md.j2",
+                name=name,
+                network=options.network,
+                parameters=self.network.parameters_count,
+            ),
             data=list(self._data.items()),
             facts={},
             steps=f"{options.steps}, of {options.batch} pairs of {options.crop}x{options.crop} pixels",

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 from baselines.gn_net.losses import LossOptions
 from baselines.gn_net.options import NetworkOptions
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import OptionError, Options, above_0, at_least, require, share, share_below_1
 
 
 @dataclass(frozen=True)
@@ -15,7 +14,7 @@ class AugmentationOptions(Options):
     """Strengths of the photometric changes of each image; 0 disables one. The geometry is never changed.
 
     Raises:
-        ConfigError: a strength is negative, or a probability above 1.
+        OptionError: a strength is negative, or a probability above 1.
     """
 
     probability: float = 0.8
@@ -40,9 +39,8 @@ class AugmentationOptions(Options):
     """share of the light that is lost in the farthest corner, uniform in 0 .. this"""
 
     def __post_init__(self) -> None:
-        strengths = (self.gain, self.offset, self.gamma, self.contrast, self.colour, self.noise, self.blur)
-        if min(strengths) < 0 or not all(0 <= share <= 1 for share in (self.probability, self.grey, self.vignetting)):
-            raise ConfigError("strengths of augmentation are 0 or more; probability, grey and vignetting at most 1")
+        at_least(self, 0, "gain offset gamma contrast colour noise blur")
+        share(self, "probability grey vignetting")
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ class TrainOptions(Options):
     """Everything that decides what is learnt, except the data.
 
     Raises:
-        ConfigError: a value is out of range.
+        OptionError: a value is out of range.
     """
 
     steps: int = 2000
@@ -99,22 +97,16 @@ class TrainOptions(Options):
     network: NetworkOptions = field(default_factory=NetworkOptions)
 
     def __post_init__(self) -> None:
-        counts = (self.steps, self.batch, self.points, self.log_every, self.validate_every, self.checkpoint_every)
-        if min(counts) < 1 or self.warm_up < 0 or self.seed < 0:
-            raise ConfigError("steps, batch, points and intervals are 1 or more, warm_up and seed 0 or more")
-        if not 0 < self.scale[0] <= self.scale[1]:
-            raise ConfigError(f"scale is {self.scale}, expected two positive factors, the smaller one first")
-        if not (0 <= self.apart < 1 and 0 <= self.ema < 1) or not all(
-            0 <= share <= 1 for share in (self.swap, self.mirror, self.final_rate)
-        ):
-            raise ConfigError("apart, swap, mirror, ema and final_rate lie between 0 and 1, apart and ema below 1")
-        if min(self.learning_rate, self.max_sigma) <= 0 or min(self.weight_decay, self.clip) < 0:
-            raise ConfigError("learning_rate and max_sigma are positive, weight_decay and clip are 0 or more")
+        at_least(self, 1, "steps batch points log_every validate_every checkpoint_every")
+        at_least(self, 0, "warm_up seed weight_decay clip")
+        require(self, "scale", lambda scale: 0 < scale[0] <= scale[1], "two positive factors, the smaller one first")
+        share_below_1(self, "apart ema")
+        share(self, "swap mirror final_rate")
+        above_0(self, "learning_rate max_sigma")
         smallest = 4 * self.network.smallest_side
-        if self.crop < smallest:
-            raise ConfigError(f"crop is {self.crop}, the network's coarsest level needs {smallest} or more")
-        if len(self.loss.level_weights) != self.network.levels:
-            raise ConfigError(
-                f"loss.level_weights has {len(self.loss.level_weights)} entries, "
-                f"the network has {self.network.levels} levels"
-            )
+        require(
+            self, "crop", lambda crop: crop >= smallest, f"{smallest} or more, which the network's coarsest level needs"
+        )
+        weights, levels = self.loss.level_weights, self.network.levels
+        if len(weights) != levels:
+            raise OptionError("loss.level_weights", weights, f"as many as network.levels, which is {levels}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from baselines.lpn.network import LpnNetwork
 from baselines.lpn.training.options import TrainOptions
 from baselines.training.card import Description
+from relocbench.pages import render
 from relocbench.retrieval import PlaceData
 
 _PUBLISHED_SIZE = 256
@@ -29,21 +30,19 @@ def differences(options: TrainOptions, started: str) -> list[str]:
 
 def description(options: TrainOptions, data: PlaceData, trained: LpnNetwork, steps: int, started: str) -> Description:
     """What the model card of a training says; ``started`` as in :func:`differences`."""
-    network = options.network
     counts = ", ".join(f"{sum(i.image.view == view for i in data.images)} {view}" for view in options.views)
     stages = ", ".join(f"{stage.name} {stage.epochs} epochs ({', '.join(stage.trained)})" for stage in options.stages)
-    parameters = sum(parameter.numel() for parameter in trained.parameters())
-    about = [
-        f"{options.system.about}. {network.backbone}, {options.size}x{options.size} pixels, {network.parts} "
-        f"{'part' if network.parts == 1 else 'parts'} of {network.width} numbers, {parameters} parameters. "
-        "Use: `relocbench evaluate-retrieval -m lpn --set lpn.weights=weights.safetensors`."
-    ]
-    apart = differences(options, started)
-    if apart:
-        about.append(f"**Not to be set beside published numbers: {'; '.join(apart)}.**")
     return Description(
         title=options.configuration,
-        about=about,
+        about=render(
+            __name__,
+            "about.md.j2",
+            system=options.system.about,
+            network=options.network,
+            size=options.size,
+            parameters=sum(parameter.numel() for parameter in trained.parameters()),
+            differences=differences(options, started),
+        ),
         data=data.described,
         facts={
             "places": f"{data.places}, {counts} images",

@@ -9,8 +9,7 @@ from baselines.lpn.losses import LossOptions
 from baselines.lpn.network import VIEWS, View
 from baselines.lpn.options import NetworkOptions
 from baselines.lpn.stages import Stage
-from baselines.options import Options
-from relocbench.errors import ConfigError
+from baselines.options import OptionError, Options, at_least, require, share, share_below_1
 
 _SCRATCH_RATE = 3e-3
 """learning rate of all weights if the backbone starts from random weights; the recipe's rates are for pretrained ones.
@@ -25,7 +24,7 @@ class TrainOptions(Options):
     """Everything that decides what is learnt, except the data. The defaults are the recipe of LPN's authors.
 
     Raises:
-        ConfigError: a value is out of range.
+        OptionError: a value is out of range.
     """
 
     configuration: str = "lpn"
@@ -84,34 +83,43 @@ class TrainOptions(Options):
 
     def __post_init__(self) -> None:
         usual = configuration(self.configuration)
-        if self.epochs.keys() - {stage.name for stage in usual.stages}:
-            stages = ", ".join(stage.name for stage in usual.stages)
-            raise ConfigError(f"epochs is {self.epochs}, stages of '{self.configuration}' are {stages}")
-        counts = (self.log_every, self.validate_every, self.checkpoint_every, *self.epochs.values())
-        if min(counts) < 1 or min(self.steps_per_epoch, self.warm_up, self.seed, self.pad) < 0 or self.batch < 2:
-            raise ConfigError("epochs and intervals are 1 or more, batch 2 or more, warm_up, pad and seed 0 or more")
-        if not self.views or len(set(self.views)) < len(self.views):
-            raise ConfigError(f"views is {list(self.views)}, expected some of {', '.join(VIEWS)}, each once")
+        stages = [stage.name for stage in usual.stages]
+        if self.epochs.keys() - set(stages):
+            raise OptionError("epochs", self.epochs, f"stages of '{self.configuration}': {', '.join(stages)}")
+        for stage, epochs in self.epochs.items():
+            if epochs < 1:
+                raise OptionError(f"epochs.{stage}", epochs, "1 or more")
+        at_least(self, 1, "log_every validate_every checkpoint_every")
+        at_least(self, 0, "steps_per_epoch warm_up seed pad weight_decay clip satellite_turn_deg")
+        at_least(self, 2, "batch")
+        require(
+            self,
+            "views",
+            lambda views: views and len(set(views)) == len(views),
+            f"some of {', '.join(VIEWS)}, each once",
+        )
         if "street" in self.views and self.network.street == "none":
-            raise ConfigError("views has street, network.street is none; expected separate or shared")
+            raise OptionError("network.street", "none", "separate or shared, since views has street")
         if self.network.partition != usual.network.partition:
-            raise ConfigError(
-                f"network.partition is '{usual.network.partition}' in '{self.configuration}'; name another"
+            raise OptionError(
+                "network.partition",
+                self.network.partition,
+                f"{usual.network.partition} in configuration '{self.configuration}'; choose another configuration",
             )
-        if self.size < _ALIGNMENT:
-            raise ConfigError(f"size is {self.size} pixels, expected {_ALIGNMENT} or more")
-        if (
-            not all(0 <= share <= 1 for share in (self.decay_after, self.decay, self.flip))
-            or not 0 <= self.momentum < 1
-        ):
-            raise ConfigError("decay_after, decay, flip and momentum lie between 0 and 1, momentum below 1")
-        rates = [rate for rate in (self.backbone_rate, self.rate) if rate is not None]
-        if min([1.0, *rates]) <= 0 or min(self.weight_decay, self.clip, self.satellite_turn_deg) < 0:
-            raise ConfigError("rates are positive, weight_decay, clip and satellite_turn_deg are 0 or more")
-        if self.paired and (self.batch % 2 or not {"drone", "satellite"} <= set(self.views)):
-            raise ConfigError("paired batches hold an even number of images of drone and satellite")
-        if self.loss.decorrelation.weight > 0 and not self.paired:
-            raise ConfigError("loss.decorrelation needs paired=true")
+        require(self, "size", lambda size: size >= _ALIGNMENT, f"{_ALIGNMENT} pixels or more")
+        share(self, "decay_after decay flip")
+        share_below_1(self, "momentum")
+        require(self, "backbone_rate rate", lambda rate: rate is None or rate > 0, "more than 0")
+        if self.paired:
+            require(self, "batch", lambda batch: batch % 2 == 0, "an even number where paired is true")
+            require(
+                self,
+                "views",
+                lambda views: {"drone", "satellite"} <= set(views),
+                "drone and satellite among them where paired is true",
+            )
+        elif self.loss.decorrelation.weight > 0:
+            raise OptionError("paired", False, "true where loss.decorrelation.weight is above 0")
 
     @property
     def system(self) -> Configuration:

@@ -1,4 +1,4 @@
-"""The options that all importers share."""
+"""The options that several importers share."""
 
 from __future__ import annotations
 
@@ -12,22 +12,16 @@ from relocbench.errors import ConfigError
 
 
 class ImportOptions(Strict):
-    """Options of an import. Each field is a command-line option (``pair_step`` is ``--pair-step``) and a YAML key."""
+    """Options of every import. Each field is a command-line option (``max_distance`` is ``--max-distance``) and a YAML
+    key."""
 
     name: str = Field("", description="name of the dataset; default: made from the kind and the recordings")
     licence: str = Field("unknown", description="licence of the recordings, kept in dataset.yaml")
-    pair_rule: Literal["step", "nearest"] | None = Field(
-        None,
-        description="'step': frame i with frame i + k of the same traversal; 'nearest': each query frame with the "
-        "nearest keyframe of the reference traversal; default: step within one traversal, nearest across two",
-    )
-    pair_step: tuple[int, ...] = Field((1,), description="frames between reference and query, such as 1,2,4")
-    max_distance: float = Field(5.0, gt=0, description="farthest pair in metres (nearest rule)")
-    max_angle: float = Field(60.0, gt=0, le=180, description="widest pair in degrees (nearest rule)")
+    max_distance: float = Field(5.0, gt=0, description="farthest pair in metres")
+    max_angle: float = Field(60.0, gt=0, le=180, description="widest pair in degrees")
     correspondences: int = Field(
         2000, ge=0, description="ground-truth correspondences kept for each pair, spread over the image; 0 for none"
     )
-    copy_images: bool = Field(False, description="copy images of the recording instead of linking to them")
     conditions: dict[str, Condition] = Field(
         {}, description="condition of each traversal (weather, season, time_of_day, tags); YAML only"
     )
@@ -43,6 +37,36 @@ class ImportOptions(Strict):
             if name not in traversals:
                 raise ConfigError(f"conditions: no traversal '{name}'; there is {', '.join(traversals)}")
 
+    @property
+    def copies_images(self) -> bool:
+        """Whether images that could be linked are copied; kinds that convert every image have no option for it."""
+        return False
+
+
+class LinkingOptions(ImportOptions):
+    """Options of imports that can link to images of a recording."""
+
+    copy_images: bool = Field(False, description="copy images of the recording instead of linking to them")
+
+    @property
+    def copies_images(self) -> bool:
+        return self.copy_images
+
+
+class RuleOptions(ImportOptions):
+    """Options of imports that pair frames by a rule."""
+
+    max_distance: float = Field(5.0, gt=0, description="farthest pair in metres (nearest rule)")
+    max_angle: float = Field(60.0, gt=0, le=180, description="widest pair in degrees (nearest rule)")
+    pair_rule: Literal["step", "nearest"] | None = Field(
+        None,
+        description="'step': frame i with frame i + k of the same traversal; 'nearest': each query frame with the "
+        "nearest keyframe of the reference traversal; default: step within one traversal, nearest across two",
+    )
+    pair_step: tuple[int, ...] = Field(
+        (1,), description="frames between reference and query, such as 1,2,4 (step rule)"
+    )
+
     @model_validator(mode="after")
     def _steps_not_zero(self) -> Self:
         if not self.pair_step or 0 in self.pair_step:
@@ -50,3 +74,7 @@ class ImportOptions(Strict):
         if len(set(self.pair_step)) != len(self.pair_step):
             raise ValueError("pair_step names a step twice")
         return self
+
+
+class PosedRecordingOptions(RuleOptions, LinkingOptions):
+    """Options of imports of recordings with poses, which link to images and pair frames by a rule."""

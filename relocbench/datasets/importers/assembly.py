@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.core.build import Build
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import ImportOptions, RuleOptions
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.pairs.correspondences import write_pair_set
@@ -39,7 +39,7 @@ def check_folder(path: Path, expected: str) -> None:
 
 
 def write_pairs(
-    job: Build[ImportOptions],
+    job: Build[RuleOptions],
     reference: str,
     query: str,
     camera: str,
@@ -69,7 +69,7 @@ def write_pairs(
 
 
 def _note_unpaired(
-    query: Traversal, camera: str, paired: set[int], job: Build[ImportOptions], same_traversal: bool
+    query: Traversal, camera: str, paired: set[int], job: Build[RuleOptions], same_traversal: bool
 ) -> None:
     """Report query frames without a pair. Under the nearest rule, each should have a keyframe."""
     options = job.options

@@ -52,6 +52,10 @@ _PATCH_RADIUS = 5
 """pixels in an image 1000 pixels wide"""
 _PANEL_WIDTH = 640
 
+WHY_TURNED_BETTER = (
+    "usual across light and season, where grey levels change; in equal light it may mean a wrong true pose"
+)
+
 
 @dataclass(frozen=True)
 class ImageAgreement:
@@ -67,8 +71,20 @@ class ImageAgreement:
 
     @property
     def truth_is_best(self) -> bool:
-        """Whether no turned pose agrees better. This is a hint only: across seasons it can fail for a right truth."""
+        """Whether no turned pose agrees better.
+
+        A right truth often fails this across light and season, where the same surface has other grey levels.
+        """
         return self.difference < self.difference_turned
+
+    @property
+    def verdict(self) -> str:
+        """What the comparison means, in words."""
+        if not np.isfinite(self.difference):
+            return "the query sees no point of the keyframe by the true pose: check the true pose"
+        if self.truth_is_best:
+            return "the images agree best at the true pose"
+        return f"the images agree better when turned a little: {WHY_TURNED_BETTER}"
 
 
 @dataclass(frozen=True)
@@ -255,13 +271,13 @@ def _captions(pair: Pair, agreement: ImageAgreement, title: str) -> list[tuple[s
     if pair.source:
         facts.append(f"truth: {pair.source}")
     if not np.isfinite(agreement.difference):
-        return [(title, WHITE), (", ".join(facts), WHITE), ("THE QUERY SEES NO POINT BY THE TRUTH", RED)]
-    verdict = "lowest at the truth" if agreement.truth_is_best else "NOT LOWEST AT THE TRUTH"
-    said = (
-        f"grey levels differ by {agreement.difference:.1f}; turned left, right, up, down by 0.4 % of the width: "
-        f"{agreement.difference_turned:.1f} or more: {verdict}"
+        return [(title, WHITE), (", ".join(facts), WHITE), (agreement.verdict, RED)]
+    measured = (
+        f"grey levels differ by {agreement.difference:.1f} at the true pose, and by "
+        f"{agreement.difference_turned:.1f} or more when turned left, right, up or down by 0.4 % of the width"
     )
-    return [(title, WHITE), (", ".join(facts), WHITE), (said, YELLOW if agreement.truth_is_best else RED)]
+    lines = [title, ", ".join(facts), measured]
+    return [*((line, WHITE) for line in lines), (agreement.verdict, YELLOW)]
 
 
 def _corner_rows(image: Image, uv: Array, visible: Mask) -> list[int]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.arrays import Array, Indices
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.errors import ConfigError, DatasetError
@@ -63,7 +63,7 @@ def posed_frames(traversal: Traversal, camera: str, numbers: dict[int, int] | No
 def make_pairs(
     reference: PosedFrames,
     query: PosedFrames,
-    options: ImportOptions,
+    options: RuleOptions,
     *,
     same_traversal: bool,
     source: str,
@@ -182,7 +182,7 @@ def _angles_deg(T_world_query: Array, T_world_ref: Array) -> Array:
     return np.degrees(np.asarray(rotation_angle(relative)))
 
 
-def _why_none_near(reference: PosedFrames, query: PosedFrames, options: ImportOptions, same_traversal: bool) -> str:
+def _why_none_near(reference: PosedFrames, query: PosedFrames, options: RuleOptions, same_traversal: bool) -> str:
     limits = f"--max-distance is {options.max_distance:g} m, --max-angle {options.max_angle:g} deg"
     within = [
         (a, d)

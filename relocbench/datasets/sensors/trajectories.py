@@ -32,6 +32,8 @@ def traversal_names(sources: Sequence[Path]) -> list[str]:
             name = plain_name(source.resolve().name, "traversal name")
         except ValueError:
             raise DatasetError("the folder's name cannot name a traversal; rename or link it", source) from None
+        if name in names and names[name].resolve() == source.resolve():
+            raise DatasetError("is given twice; expected different recordings", source)
         if name in names:
             raise DatasetError(f"is the second recording called '{name}' (first: {names[name]})", source)
         names[name] = source

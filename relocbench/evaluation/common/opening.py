@@ -6,7 +6,7 @@ from pathlib import Path
 
 from relocbench.datasets.core import fingerprint
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, DatasetError
 
 
 def open_for_evaluation(folder: Path, out: Path) -> Dataset:
@@ -16,6 +16,8 @@ def open_for_evaluation(folder: Path, out: Path) -> Dataset:
         ConfigError: ``out`` lies inside the dataset.
         DatasetError: there is no dataset, or one of its tables is not what its manifest records.
     """
+    if not (folder / "dataset.yaml").exists() or not (folder / "traversals").is_dir():
+        _refuse_places(folder)
     dataset = Dataset(folder)
     check_outside(out, dataset.root)
     for fault in fingerprint.faults(dataset.layout, content="text"):
@@ -23,7 +25,19 @@ def open_for_evaluation(folder: Path, out: Path) -> Dataset:
     return dataset
 
 
-def check_outside(out: Path, dataset: Path) -> None:
-    """Raise ConfigError if the folder for results lies inside the dataset."""
+def check_outside(out: Path, dataset: Path, option: str = "--out") -> None:
+    """Raise ConfigError if a folder that is written to, named by the option, lies inside the dataset."""
     if out.resolve().is_relative_to(dataset.resolve()):
-        raise ConfigError("--out lies inside the dataset, which results would change; choose another folder", out)
+        raise ConfigError(f"{option} lies inside the dataset, which results would change; choose another folder", out)
+
+
+def _refuse_places(folder: Path) -> None:
+    """Raise DatasetError if the folder holds places by several views instead of pairs."""
+    from relocbench.datasets.cross_view import is_cross_view
+
+    if is_cross_view(folder):
+        raise DatasetError(
+            "holds places by several views and no pairs: retrievers are evaluated on it, by `relocbench "
+            "evaluate-retrieval`",
+            folder,
+        )

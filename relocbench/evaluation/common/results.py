@@ -197,6 +197,8 @@ class DatasetResults:
     def record(self) -> DatasetRecord:
         """The content of ``dataset.yaml``. Raises PredictionError with file and line."""
         path = self.root / "dataset.yaml"
+        if (self.root / "manifest.csv").exists():
+            raise PredictionError("is a dataset; expected a results folder of the evaluate commands", self.root)
         return load_yaml(path, DatasetRecord, "the record of a dataset", PredictionError)
 
     def method(self, label: str) -> MethodResults:

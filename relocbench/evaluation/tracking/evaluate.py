@@ -29,6 +29,7 @@ from relocbench.evaluation.tracking.matching import match_method
 from relocbench.evaluation.tracking.run import Overwrite, run_method
 from relocbench.evaluation.tracking.score import score_method
 from relocbench.execution import kept_workers
+from relocbench.files import check_name
 from relocbench.methods import MethodSpec, parse_methods
 from relocbench.progress import Reporter
 
@@ -97,7 +98,7 @@ def evaluate_methods(options: EvaluateOptions, reporter: Reporter) -> Report:
     specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed)
     results = dataset_results(options.out, dataset)
     if options.predictions is not None:
-        label = options.methods[0] if options.methods else options.predictions.resolve().name
+        label = _label(options)
         folders = [import_predictions(dataset, pair_sets, options.predictions, label, results)]
         write_dataset_record(results, dataset)
     else:
@@ -189,3 +190,14 @@ def _broken(folder: MethodResults, pair_sets: list[PairSet]) -> list[tuple[str, 
 
 def _pair_text(key: PairKey) -> str:
     return f"{key[0]} {key[1]}"
+
+
+def _label(options: EvaluateOptions) -> str:
+    """The label of predictions made elsewhere. Raises ConfigError if the file's or folder's name cannot be one."""
+    assert options.predictions is not None
+    source = options.predictions.resolve()
+    label = options.methods[0] if options.methods else source.stem if source.is_file() else source.name
+    try:
+        return check_name(label, "method label")
+    except ValueError as bad:
+        raise ConfigError(f"{bad}; give one: --method LABEL") from None

@@ -25,7 +25,9 @@ from relocbench.evaluation.tracking.score import read_predictions
 def import_predictions(
     dataset: Dataset, pair_sets: list[PairSet], source: Path, label: str, results: DatasetResults
 ) -> MethodResults:
-    """Check a folder of ``PAIRSET.txt`` (and optional ``PAIRSET.csv``) and copy it to the results under ``label``.
+    """Check a folder of ``PAIRSET.txt`` (and optional ``PAIRSET.csv``), or one file, and copy it to the results.
+
+    A file is for the pair set that it is named after, or else for the only pair set asked for.
 
     A ``run.yaml`` in the folder must name this dataset's fingerprint. Pairs of a set that its file does not answer
     have failed.
@@ -34,8 +36,8 @@ def import_predictions(
         PredictionError: with file and line: no prediction file, a file for an unknown pair set, an unknown or
             duplicate pair, another dataset's fingerprint, or a label that other predictions have.
     """
-    if not source.is_dir():
-        raise PredictionError("no such folder; expected prediction files PAIRSET.txt", source)
+    if not source.exists():
+        raise PredictionError("no such file or folder; expected prediction files PAIRSET.txt", source)
     theirs = MethodResults(source)
     known = RunRecord(
         method=label,
@@ -45,7 +47,31 @@ def import_predictions(
         question=dataset.question,
     )
     record = adopted_run(theirs.run_yaml, known, "the record of a run")
-    wanted = {s.name: s for s in pair_sets}
+    files = [_single(pair_sets, source)] if source.is_file() else _in_folder(dataset, pair_sets, source)
+    ours = results.method(label)
+    if source.resolve() == ours.root.resolve():
+        return ours
+    if ours.run_yaml.exists() and ours.run_record().target != record.target:
+        raise PredictionError(f"holds predictions of '{ours.run_record().target}'; choose another label", ours.run_yaml)
+    checked = [(pair_set.name, *_checked(theirs, path, pair_set)) for pair_set, path in files]
+    for name, lines, answers in checked:
+        write_pose_lines(ours.predictions(name), lines)
+        write_answers(ours.answers(name), answers)
+    write_record(ours.run_yaml, record)
+    return ours
+
+
+def _single(pair_sets: list[PairSet], source: Path) -> tuple[PairSet, Path]:
+    """The pair set that a single file answers. Raises PredictionError if that is not clear."""
+    found = [s for s in pair_sets if s.name == source.stem] or pair_sets
+    if len(found) != 1:
+        names = ", ".join(s.name for s in found)
+        raise PredictionError(f"one file answers one pair set, and there are {names}; choose one: --pair-set", source)
+    return found[0], source
+
+
+def _in_folder(dataset: Dataset, pair_sets: list[PairSet], source: Path) -> list[tuple[PairSet, Path]]:
+    """The pair sets asked for that a folder answers, each with its file. Raises PredictionError for an unknown one."""
     files = sorted(source.glob("*.txt"))
     if not files:
         raise PredictionError("holds no prediction file (PAIRSET.txt)", source)
@@ -53,17 +79,8 @@ def import_predictions(
         if path.stem not in dataset.pair_set_names:
             names = ", ".join(dataset.pair_set_names)
             raise PredictionError(f"no pair set '{path.stem}' in {dataset.name}; there is {names}", path)
-    ours = results.method(label)
-    if source.resolve() == ours.root.resolve():
-        return ours
-    if ours.run_yaml.exists() and ours.run_record().target != record.target:
-        raise PredictionError(f"holds predictions of '{ours.run_record().target}'; choose another label", ours.run_yaml)
-    checked = [(path.stem, *_checked(theirs, path, wanted[path.stem])) for path in files if path.stem in wanted]
-    for name, lines, answers in checked:
-        write_pose_lines(ours.predictions(name), lines)
-        write_answers(ours.answers(name), answers)
-    write_record(ours.run_yaml, record)
-    return ours
+    wanted = {s.name: s for s in pair_sets}
+    return [(wanted[path.stem], path) for path in files if path.stem in wanted]
 
 
 def _checked(theirs: MethodResults, path: Path, pair_set: PairSet) -> tuple[list[PoseLine], list[Answer]]:

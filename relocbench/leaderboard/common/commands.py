@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from relocbench.evaluation.common.results import PREDICTIONS, RunRecord
-from relocbench.leaderboard.common.text import escaped, fenced, json_text
-
-RESUMES = "A run that was stopped goes on with the same command."
+from relocbench.leaderboard.common.text import json_text
 
 
 def method_words(run: RunRecord) -> list[str]:
@@ -31,9 +27,3 @@ def settings_of(label: str, run: RunRecord) -> list[str]:
         for key, value in run.parameters.items()
         if key != "seed" or value != run.seed
     ]
-
-
-def again_section(intro: str, commands: Sequence[tuple[str, Sequence[str]]], page: str) -> list[str]:
-    """The section with the commands of each set, by its title, and the command of the page."""
-    sets = [f"{escaped(title)}:\n\n{fenced(lines)}" for title, lines in commands]
-    return ["## Again", intro, *sets, "This page:\n\n" + fenced([page])]

@@ -1,8 +1,8 @@
-"""Formatting numbers, Markdown and table cells.
+"""Formatting numbers and the cells of tables.
 
-Names, messages and parameters come from whoever made the results. In Markdown all of them pass through :func:`escaped`,
-:func:`code` or :func:`fenced`, in tables for spreadsheets through :func:`cell`, so that they are shown as text and
-cannot act as markup or formulas.
+Names, messages and parameters come from whoever made the results. In tables for spreadsheets they pass through
+:func:`cell`, on pages through the filters of :mod:`relocbench.pages`, so that they are shown as text and cannot act as
+formulas or markup.
 """
 
 from __future__ import annotations
@@ -21,8 +21,6 @@ Value = str | int | float | None
 _DIGITS = {"m": 3, "deg": 3, "s": 3}
 _FORMULA = re.compile(r"[\s'\"\x00-\x20]*[=+\-@＝＋－＠]|[\t\r\n]")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-_STARTS_BLOCK = re.compile(r"(#{1,6}|[+-])(?= |$)|(- ?){2,}$|=+$|~~~|[0-9]{1,9}[.)](?= |$)")
-"""the beginning of a line that Markdown would take for a heading, a list, a rule or code"""
 _DEEPEST = 20
 
 
@@ -41,47 +39,6 @@ def with_bounds(value: float | None, interval: Interval | None, unit: str) -> st
         return ""
     bounds = "" if interval is None else f" [{number(interval.low, unit)}, {number(interval.high, unit)}]"
     return number(value, unit) + bounds
-
-
-def escaped(text: str) -> str:
-    """Text that Markdown shows literally, also in a table and at the beginning of a line."""
-    plain = _one_line(text)
-    for special in "\\`*_|<>[]":
-        plain = plain.replace(special, f"\\{special}")
-    start = _STARTS_BLOCK.match(plain)
-    if start is None:
-        return plain
-    at = start.end() - 1 if plain[0].isdigit() else 0
-    return f"{plain[:at]}\\{plain[at:]}"
-
-
-def code(text: str) -> str:
-    """Text as inline code in Markdown, also in a table; it is delimited by more backticks than it contains."""
-    plain = _one_line(text)
-    if "\\|" in plain or not plain:
-        # Markdown dialects differ on which of the two a backslash before a table's bar escapes.
-        return f"<code>{''.join(c if c.isalnum() or c == ' ' else f'&#{ord(c)};' for c in plain)}</code>"
-    plain = plain.replace("|", "\\|")
-    ticks = "`" * (_longest_run(plain) + 1)
-    gap = " " if plain.startswith("`") or plain.endswith("`") else ""
-    return f"{ticks}{gap}{plain}{gap}{ticks}"
-
-
-def fenced(lines: Sequence[str], language: str = "sh") -> str:
-    """Lines as a fenced code block; the fence is longer than any run of backticks in them."""
-    fence = "`" * max(3, *(_longest_run(line) + 1 for line in lines), 3)
-    return "\n".join([f"{fence}{language}", *lines, fence])
-
-
-def bullet(head: str, lines: Sequence[str]) -> str:
-    """A sentence followed by a list; empty without lines."""
-    return "\n".join([head, "", *(f"- {line}" for line in lines)]) if lines else ""
-
-
-def table_text(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int) -> str:
-    """A Markdown table with its first ``left`` columns aligned left and the others right."""
-    rule = [":--" if i < left else "--:" for i in range(len(columns))]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in [columns, rule, *rows])
 
 
 def cell(value: Value) -> Value:
@@ -122,12 +79,3 @@ def _plain(value: Any, deepest: int) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(v, deepest - 1) for v in value]
     return str(value)
-
-
-def _one_line(text: str) -> str:
-    """Text with white space as single spaces, and with control characters replaced by U+FFFD."""
-    return "".join(c if c.isprintable() else "\ufffd" for c in " ".join(text.split()))
-
-
-def _longest_run(text: str) -> int:
-    return max((len(run) for run in re.findall("`+", text)), default=0)

@@ -11,12 +11,14 @@ from relocbench.evaluation.relocalization.basin import SAID
 from relocbench.evaluation.relocalization.chain import RIGHT
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, ChainRun
 from relocbench.evaluation.relocalization.score import FAILURES, HIT, RANKING
-from relocbench.leaderboard.common.commands import RESUMES, again_section, labelled_target, settings_of
-from relocbench.leaderboard.common.text import bullet, code, escaped, json_text, number, table_text, with_bounds
+from relocbench.leaderboard.common.commands import labelled_target, settings_of
+from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, ChainRow, ChainSetBoard, ChainTable
 from relocbench.leaderboard.tracking.load import machine_words
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
 from relocbench.metrics.statistics.significance import LEVEL
+from relocbench.pages import render
+from relocbench.pages.markdown import escaped, table_text
 
 _POSES = (RANKING, "recall@(0.5m,5deg)", "recall@(1m,5deg)", "recall@(5m,10deg)", "t_auc@0.5m", "r_auc@0.5deg")
 _LOST = {
@@ -30,11 +32,22 @@ assert set(_LOST) == set(FAILURES)
 
 def relocalization_page(board: ChainBoard) -> str:
     """The whole page."""
-    parts = ["# Relocalization leaderboard", *_how_to_read(board)]
-    for asked in board.sets:
-        parts += _set(board, asked)
-    parts += _again(board)
-    return "\n\n".join(part for part in parts if part) + "\n"
+    metres, degrees = RIGHT
+    split = f" --split {shlex.quote(board.split)}" if board.split else ""
+    return render(
+        __name__,
+        "page.md.j2",
+        metric=board.metric,
+        level=f"{LEVEL:.0%}",
+        oracle=ORACLE,
+        keyframe=KEYFRAME,
+        right=f"{metres:g} m and {degrees:g}°",
+        number=number,
+        sets=[_set(board, asked) for asked in board.sets],
+        commands=[(asked.title, evaluate_commands(asked.chains)) for asked in board.sets],
+        page_command=f"relocbench leaderboard RESULTS --out DIR --relocalization-metric '{board.metric}' "
+        f"--seed {board.seed}{split}",
+    )
 
 
 def evaluate_commands(chains: Sequence[Chain]) -> list[str]:
@@ -93,73 +106,51 @@ def _basin_words(chain: Chain) -> list[str]:
     return ["--probe", "PROBE"] if "probe" in sources else []
 
 
-def _how_to_read(board: ChainBoard) -> list[str]:
-    metres, degrees = RIGHT
-    return [
-        "A retriever ranks the keyframes of the reference traversal for each query, a tracker is asked against the "
-        "best K of them, and its most confident answer is kept. The error is that of the query's pose in the map. All "
-        f"numbers are in percent of all queries unless a unit is named; `[low, high]` is a {LEVEL:.0%} interval from a "
-        "bootstrap over blocks along the drives. In a mean over tasks each task counts the same; medians are over all "
-        "queries together. All numbers, in full, are in `relocalization.csv`.",
-        f"**Ranks** go by `{board.metric}`. Chains share a place when a paired bootstrap of their difference from the "
-        f"best of that place does not exclude zero. `{ORACLE}` knows the truth and has no rank: it ranks the keyframes "
-        f"as the true poses do. `{KEYFRAME}` answers the pose of the first keyframe, without looking at the query: the "
-        "floor of each retriever.",
-        f"**Where it is lost.** Right is within {metres:g} m and {degrees:g}°. *Basin*: keyframes from which the "
-        "tracker can be expected to find the pose. Recall = P(one of the K in the basin) x P(right | that) + right "
-        "otherwise. What is not right is lost to *retrieval* (none of the K in the basin), to *tracking* (there was "
-        "one, and no answer is right) or to the *choice* (an answer was right, and another one was more confident).",
-        "**Failures.** The denominator is every query. A query without an answer has infinite errors; an answer "
-        "against a keyframe from which the truth is not known counts as wrong. A chain that misses a task has blank "
-        "means and no rank.",
-    ]
+def _set(board: ChainBoard, asked: ChainSetBoard) -> dict[str, object]:
+    halves, differing = _methods(asked)
+    return {
+        "record": asked.record,
+        "tasks": [
+            (name, task)
+            for name, task in asked.record.tasks.items()
+            if any(name in table.tasks for table in asked.tables)
+        ],
+        "sections": [_section(board, table) for table in asked.tables],
+        "missing": [(row.chain.label, row.missing) for row in asked.tables[0].rows if row.missing],
+        "halves": [(name, part, half, machine_words(half)) for (part, name), half in halves],
+        "parameters": [(name, json_text(half.parameters)) for (_, name), half in halves if half.parameters],
+        "differing": differing,
+    }
 
 
-def _set(board: ChainBoard, asked: ChainSetBoard) -> list[str]:
-    record = asked.record
-    parts = [f"## {escaped(record.dataset)}", f"Fingerprint {code(record.dataset_fingerprint)}.", _tasks(asked)]
-    for table in asked.tables:
-        parts += [f"### {escaped(table.name)}", *_table(board, table)]
-    missing = [
-        f"{code(row.chain.label)} on {', '.join(map(code, row.missing))}" for row in asked.tables[0].rows if row.missing
-    ]
-    parts.append(bullet("**Missing results**, hence blank means and no rank:", missing))
-    return [*parts, *_methods(asked)]
+def _section(board: ChainBoard, table: ChainTable) -> dict[str, object]:
+    sigmas = [r.median_sigma_translation_m for r in table.records if r.median_sigma_translation_m is not None]
+    sigma = max(sigmas, default=0.0)
+    return {
+        "table": table,
+        "poses": _pose_table(board, table),
+        "losses": _loss_table(table),
+        "without_intervals": all(row.intervals.get(board.metric) is None for row in table.rows),
+        "coarse": SIGMA_FACTOR * sigma > RIGHT[0],
+        "sigma": f"{sigma:.2f}",
+        "finest": f"{SIGMA_FACTOR * sigma:.2f}",
+    }
 
 
-def _tasks(asked: ChainSetBoard) -> str:
-    columns = ["task", "conditions", "queries", "images in no pair", "keyframes", "pairs", "rejected", "pairs reach"]
-    columns += ["pairs disagree by, m", "sigma of the truth, m"]
-    rows = [
-        [
-            code(name),
-            f"{escaped(r.condition_gallery)} → {escaped(r.condition_query)}",
-            *map(str, (r.queries, r.images_without_pair, r.gallery, r.pairs, r.rejected)),
-            f"{r.reach_m:.3g} m, {r.reach_deg:.3g}°",
-            number(r.truth_spread_m, "m"),
-            number(r.median_sigma_translation_m, "m"),
-        ]
-        for name, r in asked.record.tasks.items()
-        if any(name in table.tasks for table in asked.tables)
-    ]
-    return table_text(columns, rows, left=2)
-
-
-def _table(board: ChainBoard, table: ChainTable) -> list[str]:
-    parts = []
-    if len(table.tasks) > 1:
-        parts.append(f"Mean over {len(table.tasks)} tasks, {table.queries} queries.")
+def _pose_table(board: ChainBoard, table: ChainTable) -> str:
     poses = list(dict.fromkeys((board.metric, *_POSES)))
     columns = ["rank", "retriever", "tracker", "K", *(escaped(m) for m in poses), "median m", "median °", "s a query"]
     rows = []
     for row in table.rows:
-        values = row.values
         medians = [
-            number(values.get(f"median_{name}"), unit)
+            number(row.values.get(f"median_{name}"), unit)
             for name, unit in (("translation_error_m", "m"), ("rotation_error_deg", "deg"), ("seconds", "s"))
         ]
         rows.append([*_head(row), *(_cell(row, m) for m in poses), *medians])
-    parts.append(table_text(columns, rows, left=3))
+    return table_text(columns, rows, left=3)
+
+
+def _loss_table(table: ChainTable) -> str:
     lost = {share: name for share, name in _LOST.items() if any(row.values[share] for row in table.rows)}
     columns = ["retriever", "tracker", "K", "basin", "basin recall@1", "basin recall@K", "right, if one is in it"]
     columns += ["right otherwise", "right among the K", *(f"lost: {name}" for name in lost.values()), "failed / broke"]
@@ -173,17 +164,7 @@ def _table(board: ChainBoard, table: ChainTable) -> list[str]:
         ]
         for row in table.rows
     ]
-    parts.append(table_text(columns, rows, left=2))
-    if all(row.intervals.get(board.metric) is None for row in table.rows):
-        parts.append("Too few queries for intervals: nothing here is significant, and all chains share a place.")
-    sigmas = [r.median_sigma_translation_m for r in table.records if r.median_sigma_translation_m is not None]
-    if sigmas and SIGMA_FACTOR * max(sigmas) > RIGHT[0]:
-        limit = SIGMA_FACTOR * max(sigmas)
-        parts.append(
-            f"The truth is known to {max(sigmas):.2f} m (one sigma): thresholds below {limit:.2f} m "
-            "measure the truth rather than the chains."
-        )
-    return parts
+    return table_text(columns, rows, left=2)
 
 
 def _head(row: ChainRow) -> list[str]:
@@ -208,46 +189,14 @@ def _basin(row: ChainRow, table: ChainTable) -> str:
     return ", ".join(sorted({SAID[b.source] for b in basins}))
 
 
-def _methods(asked: ChainSetBoard) -> list[str]:
+def _methods(
+    asked: ChainSetBoard,
+) -> tuple[list[tuple[tuple[str, str], RunRecord]], list[tuple[str, str, str]]]:
+    """The methods by half and name, and where a chain has another of the same name: name, chain and parameters."""
     halves: dict[tuple[str, str], RunRecord] = {}
-    differ: list[str] = []
+    differing = []
     for chain in asked.chains:
         for part, (name, half) in zip(("retriever", "tracker"), _halves(chain.run), strict=True):
             if half is not None and not _same(halves.setdefault((part, name), half), half):
-                differ.append(
-                    f"{code(name)} in {code(chain.label)}: {code(json_text(half.parameters, ascii_only=True))}"
-                )
-    rows = [
-        [
-            escaped(name),
-            part,
-            code(half.target),
-            escaped(half.versions.get("method", "")),
-            " ".join(f"{escaped(key)} {escaped(value[:12])}" for key, value in half.files.items()),
-            escaped(machine_words(half)),
-        ]
-        for (part, name), half in sorted(halves.items())
-    ]
-    if not rows:
-        return []
-    lines = [
-        f"{code(name)}: {code(json_text(half.parameters))}"
-        for (_, name), half in sorted(halves.items())
-        if half.parameters
-    ]
-    columns = ["method", "half", "what it is", "version", "files, SHA-256", "machine of the seconds"]
-    return [
-        "### Methods",
-        table_text(columns, rows, left=6),
-        bullet("Parameters:", lines),
-        bullet("**Made otherwise** than the other chains of the same name:", differ),
-    ]
-
-
-def _again(board: ChainBoard) -> list[str]:
-    commands = [(asked.title, evaluate_commands(asked.chains)) for asked in board.sets]
-    split = f" --split {shlex.quote(board.split)}" if board.split else ""
-    page = (
-        f"relocbench leaderboard RESULTS --out DIR --relocalization-metric '{board.metric}' --seed {board.seed}{split}"
-    )
-    return again_section(RESUMES, commands, page)
+                differing.append((name, chain.label, json_text(half.parameters, ascii_only=True)))
+    return sorted(halves.items()), differing

@@ -203,8 +203,11 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
     for folder, other in zip(copies[1:], others, strict=True):
         different = [n for n in other.tasks if other.tasks[n] != record.tasks.get(n, other.tasks[n])]
         if different:
-            told = f"claims to ask what {copies[0].root.name} asks, and task '{different[0]}' is another"
-            raise PredictionError(f"{told}; expected results of one question", folder.root / SET_FILE)
+            raise PredictionError(
+                f"task '{different[0]}' has other queries or another gallery than in {copies[0].root.name}, although "
+                "both folders are marked as results of the same dataset; evaluate one of them again",
+                folder.root / SET_FILE,
+            )
         record = record.model_copy(update={"tasks": {**other.tasks, **record.tasks}})
     names = [n for n in record.tasks if split is None or n in record.splits[split]]
     tasks = {name: record.tasks[name] for name in names}

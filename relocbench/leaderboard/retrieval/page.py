@@ -4,25 +4,36 @@ from __future__ import annotations
 
 import shlex
 
+from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.evaluation.common.results import PREDICTIONS
 from relocbench.evaluation.retrieval.records import RetrievalRun, SetRecord
-from relocbench.leaderboard.common.commands import RESUMES, again_section, method_words
-from relocbench.leaderboard.common.copies import copies_words, question_words
-from relocbench.leaderboard.common.text import bullet, code, escaped, json_text, number, table_text, with_bounds
+from relocbench.leaderboard.common.commands import method_words
+from relocbench.leaderboard.common.copies import answers_on_copies
+from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.retrieval.board import RetrievalBoard, RetrievalRow, RetrievalTable, SetBoard
 from relocbench.leaderboard.tracking.load import machine_words
 from relocbench.metrics.statistics.significance import LEVEL
+from relocbench.pages import render
+from relocbench.pages.markdown import escaped, table_text
 
 CHANCE = "(chance)"
 
 
 def retrieval_page(board: RetrievalBoard) -> str:
     """The whole page."""
-    parts = ["# Retrieval leaderboard", *_how_to_read(board)]
-    for asked in board.sets:
-        parts += _set(board, asked)
-    parts += _again(board)
-    return "\n\n".join(part for part in parts if part) + "\n"
+    split = f" --split {shlex.quote(board.split)}" if board.split else ""
+    return render(
+        __name__,
+        "page.md.j2",
+        metric=board.metric,
+        level=f"{LEVEL:.0%}",
+        sets=[_set(board, asked) for asked in board.sets],
+        commands=[
+            (asked.title, [evaluate_command(asked.record, m.run) for m in asked.methods]) for asked in board.sets
+        ],
+        page_command=f"relocbench leaderboard RESULTS --out DIR --retrieval-metric '{board.metric}' "
+        f"--seed {board.seed}{split}",
+    )
 
 
 def evaluate_command(asked: SetRecord, run: RetrievalRun) -> str:
@@ -37,85 +48,40 @@ def evaluate_command(asked: SetRecord, run: RetrievalRun) -> str:
     )
 
 
-def _how_to_read(board: RetrievalBoard) -> list[str]:
-    return [
-        "R@K: a right image is among the first K. R@top1%: among the first 1 % of the gallery. AP: average precision "
-        "by trapezoids under precision against recall, as University-1652 is scored. MRR: one over the rank of the "
-        f"first right image. All are means over the queries, in percent; `[low, high]` is a {LEVEL:.0%} interval from "
-        "a bootstrap over places, or over blocks of neighbouring queries along a drive. All numbers, in full, are in "
-        "`retrieval.csv`.",
-        f"**Ranks** go by `{board.metric}`. Methods share a place when a paired bootstrap of their difference from the "
-        "best of that place does not exclude zero: their order within a place says nothing. In a mean over tasks each "
-        "task counts the same.",
-        "**Failures.** The denominator is every query of a task. A query without a right image in the gallery, one "
-        "that the method did not describe, and one on which it broke count as not found; *failed* and *broke* say how "
-        "many. An image of the gallery without a descriptor is not retrieved. Of equal scores, wrong images stand "
-        "first. A method that misses a task has blank means and no rank.",
-        "**Chance** is what a random order of the gallery scores on average. The intervals say what other queries "
-        "would have given, not what another training would.",
-    ]
-
-
-def _set(board: RetrievalBoard, asked: SetBoard) -> list[str]:
-    record = asked.record
-    told = f"Fingerprint {code(record.fingerprint)}{question_words(record.question)}."
-    parts = [f"## {escaped(record.name)}", told + copies_words(asked.methods, asked.copies)]
-    if record.positives:
-        parts.append(f"Right are {escaped(record.positives)}.")
-    parts.append(_tasks(asked))
-    if asked.unused:
-        parts.append(f"No method has been run on {', '.join(map(code, asked.unused))}.")
+def _set(board: RetrievalBoard, asked: SetBoard) -> dict[str, object]:
+    methods = asked.methods
     means = [table for table in asked.tables if len(table.tasks) > 1]
-    for table in [*means, *(t for t in asked.tables if len(t.tasks) == 1)]:
-        parts += [f"### {escaped(table.name)}", *_table(board, table)]
     first = (means or asked.tables)[:1]  # there is none where no method has finished a task
-    missing = [
-        f"{code(row.method.label)} on {', '.join(map(code, row.missing))}"
-        for table in first
-        for row in table.rows
-        if row.missing
-    ]
-    parts.append(bullet("**Missing results**, hence blank means and no rank:", missing))
-    return [*parts, *_methods(asked)]
+    return {
+        "record": asked.record,
+        "question": asked.record.question[:SHORT],
+        "copies": answers_on_copies(methods, asked.copies),
+        "tasks": [
+            (name, task)
+            for name, task in asked.record.tasks.items()
+            if any(name in table.tasks for table in asked.tables)
+        ],
+        "unused": asked.unused,
+        "sections": [_section(board, table) for table in [*means, *(t for t in asked.tables if len(t.tasks) == 1)]],
+        "missing": [(row.method.label, row.missing) for table in first for row in table.rows if row.missing],
+        "methods": [
+            (m.label, m.run, sorted({t.dimensions for t in m.run.tasks.values() if t.dimensions}), machine_words(m.run))
+            for m in methods
+        ],
+        "parameters": [(m.label, json_text(m.run.parameters)) for m in methods if m.run.parameters],
+        "told": [(m.label, json_text(m.run.info)) for m in methods if m.run.info],
+    }
 
 
-def _tasks(asked: SetBoard) -> str:
-    columns = ["task", "views", "conditions", "queries", "without a right image", "gallery", "junk"]
-    rows = [
-        [
-            code(name),
-            escaped(r.direction),
-            escaped(r.conditions),
-            str(r.queries),
-            str(r.without_positives),
-            str(r.gallery),
-            str(r.junk),
-        ]
-        for name, r in asked.record.tasks.items()
-        if any(name in table.tasks for table in asked.tables)
-    ]
-    return table_text(columns, rows, left=3)
-
-
-def _table(board: RetrievalBoard, table: RetrievalTable) -> list[str]:
-    parts = []
-    if len(table.tasks) > 1:
-        parts.append(f"Mean over {len(table.tasks)} tasks: {', '.join(map(code, table.tasks))}.")
+def _section(board: RetrievalBoard, table: RetrievalTable) -> dict[str, object]:
     columns = ["rank", "method", *(f"{m}, %" for m in board.shown), "s a query", "failed / broke"]
-    rows = [_row(board, row) for row in table.rows]
-    chance = [number(table.chance[m], "share") for m in board.shown]
-    rows.append(["", f"*{CHANCE}*", *chance, "", ""])
-    parts.append(table_text(columns, rows, left=2))
-    level = [row.method.label for row in table.rows if _at_chance(board, table, row)]
-    if level:
-        parts.append(f"**Not shown to be better than chance:** {', '.join(map(code, level))}.")
-    if all(not row.intervals.get(board.metric) for row in table.rows if not row.missing):
-        parts.append("Too few queries for intervals: nothing here is significant, and all methods share a place.")
-    if table.single_positive:
-        parts.append(
-            "Each query has one right image, so that R@1 ≤ AP ≤ R@1 + (100 − R@1)/4; every row was checked for it."
-        )
-    return parts
+    chance = ["", f"*{CHANCE}*", *(number(table.chance[m], "share") for m in board.shown), "", ""]
+    return {
+        "table": table,
+        "numbers": table_text(columns, [*(_row(board, row) for row in table.rows), chance], left=2),
+        "at_chance": [row.method.label for row in table.rows if _at_chance(board, table, row)],
+        "without_intervals": all(not row.intervals.get(board.metric) for row in table.rows if not row.missing),
+    }
 
 
 def _row(board: RetrievalBoard, row: RetrievalRow) -> list[str]:
@@ -130,32 +96,3 @@ def _at_chance(board: RetrievalBoard, table: RetrievalTable, row: RetrievalRow) 
     value, interval = row.values[board.metric], row.intervals.get(board.metric)
     chance = table.chance[board.metric]
     return value is not None and (value <= chance or (interval is not None and interval.low <= chance))
-
-
-def _methods(asked: SetBoard) -> list[str]:
-    columns = ["method", "what it is", "version", "relocbench", "numbers a descriptor", "machine of the seconds"]
-    rows = []
-    for m in asked.methods:
-        sizes = sorted({t.dimensions for t in m.run.tasks.values() if t.dimensions})
-        machine = machine_words(m.run) or "not recorded"
-        versions = (m.run.versions.get("method", ""), m.run.versions.get("relocbench", ""))
-        rows.append(
-            [
-                escaped(m.label),
-                code(m.run.target),
-                *map(escaped, versions),
-                " ".join(map(str, sizes)),
-                escaped(machine),
-            ]
-        )
-    lines = [f"{code(m.label)}: {code(json_text(m.run.parameters))}" for m in asked.methods if m.run.parameters]
-    told = [f"{code(m.label)}: {code(json_text(m.run.info))}" for m in asked.methods if m.run.info]
-    table = table_text(columns, rows, left=4)
-    return ["### Methods", table, bullet("Parameters:", lines), bullet("What they tell of themselves:", told)]
-
-
-def _again(board: RetrievalBoard) -> list[str]:
-    commands = [(asked.title, [evaluate_command(asked.record, m.run) for m in asked.methods]) for asked in board.sets]
-    split = f" --split {shlex.quote(board.split)}" if board.split else ""
-    page = f"relocbench leaderboard RESULTS --out DIR --retrieval-metric '{board.metric}' --seed {board.seed}{split}"
-    return again_section(RESUMES, commands, page)

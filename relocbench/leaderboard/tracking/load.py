@@ -161,8 +161,8 @@ def _merged(first: DatasetEntry, other: DatasetEntry) -> DatasetEntry:
             same = next((m.errors[name] for m in first.methods if name in m.errors), rows)
             if not np.array_equal(rows.keys, same.keys) or rows.groups != same.groups:
                 raise PredictionError(
-                    f"{other.title} claims to ask what {first.title} asks, and '{method.label}' answered other pairs "
-                    f"of '{name}'; expected results of one question"
+                    f"{other.title}: '{method.label}' answered other pairs of '{name}' than methods on {first.title}, "
+                    "although both are marked as results of the same dataset; evaluate one of them again"
                 )
         label = distinct_label(method.label, known, other.record.fingerprint)
         known[label] = replace(method, label=label, run=method.run.model_copy(update={"method": label}))

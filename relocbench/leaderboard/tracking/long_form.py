@@ -76,7 +76,7 @@ def _row(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[st
         "broke": row.broke,
         "missing": " ".join(row.missing),
     }
-    finer = [m.name for m in METRICS if m.name in table.grey]
+    finer = [m.name for m in METRICS if m.name in table.finer]
     for metric in METRICS:
         out[metric.name] = row.values[metric.name]
         if metric in board.with_interval:

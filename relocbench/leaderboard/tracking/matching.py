@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from urllib.parse import quote
+from collections.abc import Sequence
 
 from relocbench.evaluation.common.matching_table import ALL, OFFSETS_PX, Summary, summarize_matching
 from relocbench.evaluation.tracking.score import groups_of
-from relocbench.leaderboard.common.text import Value, escaped, number, table_text
+from relocbench.leaderboard.common.text import Value, number
 from relocbench.leaderboard.tracking.load import Method
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard
+from relocbench.pages.markdown import escaped, table_text
 
 
 def matching_lines(dataset: DatasetBoard, pair_set: str) -> list[tuple[Method, Summary]]:
@@ -23,28 +24,12 @@ def matching_file(dataset: DatasetBoard, pair_set: str) -> str:
     return f"curves/{dataset.entry.title}__{pair_set}.matching.png"
 
 
-def matching_section(dataset: DatasetBoard, pair_set: str, *, plots: bool) -> list[str]:
-    """The section of the page on a pair set; empty where no method was measured."""
-    lines = matching_lines(dataset, pair_set)
-    if not lines:
-        return []
-    first = lines[0][1]
-    count = first["1px"]["count"]
-    offsets = [f"{offset}px" for offset in OFFSETS_PX]
-    rows = [
-        [escaped(method.label), *(_cell(summary, o, "match") for o in (ALL, *offsets))] for method, summary in lines
-    ]
-    rows.append(["*the starts themselves*", *(_cell(first, o, "start") for o in (ALL, *offsets))])
-    columns = ["method", "all starts", *(f"{offset} px off" for offset in OFFSETS_PX)]
-    parts = [
-        f"**Matching quality**: share of {count} ground-truth correspondences, in percent, that the method's per-pixel "
-        "Gauss-Newton brings within 1 px / 3 px of the true pixel, by how far off it starts. A pixel without an answer "
-        "is not found. Methods that do not match single pixels are not in this table.",
-        table_text(columns, rows, left=1),
-    ]
-    if plots:
-        parts.append(f"![Matching quality on {escaped(pair_set)}]({quote(matching_file(dataset, pair_set))})")
-    return parts
+def matching_numbers(lines: Sequence[tuple[Method, Summary]]) -> str:
+    """The page's table of methods that :func:`matching_lines` gives; one at least."""
+    asked = (ALL, *(f"{offset}px" for offset in OFFSETS_PX))
+    rows = [[escaped(method.label), *(_cell(summary, o, "match") for o in asked)] for method, summary in lines]
+    rows.append(["*the starts themselves*", *(_cell(lines[0][1], o, "start") for o in asked)])
+    return table_text(["method", "all starts", *(f"{offset} px off" for offset in OFFSETS_PX)], rows, left=1)
 
 
 def matching_rows(board: Board) -> list[dict[str, Value]]:

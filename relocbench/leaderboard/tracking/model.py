@@ -65,7 +65,7 @@ class Table:
     """number of pairs whose ground truth was rejected; known only of whole pair sets"""
     medians: Mapping[str, float | None]
     """distance_m and angle_deg of the pairs, sigma_translation_m and sigma_rotation_deg of the ground truth"""
-    grey: frozenset[str]
+    finer: frozenset[str]
     """metrics with a threshold finer than the ground truth allows"""
     rows: tuple[Row, ...]
     """best first; methods without a value come last"""

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import shlex
+from collections.abc import Iterator, Sequence
 from urllib.parse import quote
 
-from relocbench.leaderboard.common.copies import copies_words, question_words
-from relocbench.leaderboard.common.text import bullet, code, escaped, number, table_text, with_bounds
-from relocbench.leaderboard.tracking.load import evaluate_command
-from relocbench.leaderboard.tracking.matching import matching_section
+from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.evaluation.common.results import PREDICTIONS
+from relocbench.leaderboard.common.copies import answers_on_copies
+from relocbench.leaderboard.common.text import json_text, number, with_bounds
+from relocbench.leaderboard.tracking.load import Method, evaluate_command
+from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_numbers
 from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, SeedRow, Table
-from relocbench.leaderboard.tracking.page_methods import methods_section, reproduce_section
 from relocbench.metrics import Metric, Spread, metric_named
 from relocbench.metrics.statistics.significance import LEVEL
+from relocbench.pages import render
+from relocbench.pages.markdown import code, escaped, table_text
 
 SHOWN = (
     "coverage",
@@ -31,16 +35,28 @@ _HEADINGS = {
     "median_rotation_error_deg": "median, °",
     "coverage": "coverage, %",
 }
-GREY = "†"
+DAGGER = "†"
 
 
 def markdown(board: Board, *, plots: bool) -> str:
     """The whole page; with ``plots``, it links the pictures of the curves."""
-    parts = ["# Leaderboard", *_how_to_read(board)]
-    for dataset in board.datasets:
-        parts += _dataset(board, dataset, plots)
-    parts += reproduce_section(board)
-    return "\n\n".join(part for part in parts if part) + "\n"
+    split = f" --split {shlex.quote(board.split)}" if board.split else ""
+    return render(
+        __name__,
+        "page.md.j2",
+        metric=board.metric,
+        level=f"{LEVEL:.0%}",
+        dagger=DAGGER,
+        number=number,
+        plots=plots,
+        datasets=[_dataset(board, dataset, plots) for dataset in board.datasets],
+        commands=[
+            (d.entry.title, [evaluate_command(m.run, matching=bool(m.matching)) for m in d.entry.methods])
+            for d in board.datasets
+        ],
+        page_command=f"relocbench leaderboard RESULTS --out DIR --metric '{board.metric.name}' "
+        f"--seed {board.seed}{split}",
+    )
 
 
 def curve_file(dataset: DatasetBoard, table: Table) -> str:
@@ -59,163 +75,99 @@ def shown_metrics(board: Board) -> list[Metric]:
     return [metric_named(name) for name in names]
 
 
-def _how_to_read(board: Board) -> list[str]:
-    metric = board.metric
-    return [
-        "Errors are those of `T_query_ref`: translation is the distance between the predicted and the true camera "
-        "centre, rotation the angle between the two orientations. Shares are in percent; "
-        f"`[low, high]` is a {LEVEL:.0%} interval from a bootstrap over blocks of neighbouring pairs. "
-        "All numbers, in full, are in `leaderboard.csv`; the errors of every single pair are in `errors.csv`.",
-        f"**Ranks** go by `{metric.name}` ({metric.description}). Methods share a place when a paired bootstrap of "
-        "their difference from the best of that place does not exclude zero: their order within a place says nothing. "
-        "A total is the mean over the pair sets, each counting the same.",
-        "**Failures.** A pair without an answer, with a failure or with an answer that is not finite has infinite "
-        "error, and stays in the denominator, which is every pair of the set. A failure is never replaced by the prior "
-        "or the identity. No pair set is dropped from a mean: a method that misses one has blank totals and no rank. "
-        "*failed* counts pairs where the method said that it failed, *broke* those where it raised, crashed or "
-        "answered nonsense; both are failures. A median is inf when half of the pairs or more have no answer. Pairs "
-        "whose ground truth was rejected are not in a set; their number is printed.",
-        "**The floor.** The identity pose claims that the query camera stands where the keyframe does. Where pairs "
-        "are close it earns a real score, and every other number must be read against it.",
-        f"**Grey.** <sub>Small</sub>{GREY} numbers have a threshold finer than twice the standard deviation (σ) of "
-        "the pair set's ground truth: they measure the ground truth rather than the method.",
-    ]
-
-
-def _dataset(board: Board, dataset: DatasetBoard, plots: bool) -> list[str]:
+def _dataset(board: Board, dataset: DatasetBoard, plots: bool) -> dict[str, object]:
     entry = dataset.entry
-    parts = [f"## {escaped(entry.record.name)}", _facts(dataset), _pair_set_table(dataset)]
-    if entry.withheld:
-        names = ", ".join(map(code, entry.withheld))
-        parts.append(f"Not scored, because the ground truth is withheld or no pair was accepted: {names}.")
-    unused = [name for name in entry.pair_sets if name not in entry.used]
-    if unused:
-        parts.append(f"No method has been run on {', '.join(map(code, unused))}.")
-    if not dataset.pair_sets:
-        return parts
-    parts += [_floor_note(dataset), _missing_note(dataset)]
-    for table in dataset.totals:
-        if len(table.pair_sets) > 1:
-            title = f"### Total of split {code(table.split)}" if table.split else "### Total"
-            over = f"Mean over {len(table.pair_sets)} pair sets: {', '.join(map(code, table.pair_sets))}."
-            parts += [title, over, *_tables(board, table, dataset.groups_of(table))]
+    methods = entry.methods
+    return {
+        "entry": entry,
+        "question": entry.record.question[:SHORT],
+        "copies": answers_on_copies(methods, entry.copies),
+        "facts": [
+            (name, facts, " ".join(split for split, names in entry.splits.items() if split and name in names))
+            for name, facts in entry.pair_sets.items()
+        ],
+        "unused": [name for name in entry.pair_sets if name not in entry.used],
+        "level_with_floor": list(_level_with_floor(dataset)),
+        "missing": list(_missing(dataset)),
+        "sections": [
+            *(_section(board, dataset, t) | {"total": True} for t in dataset.totals if len(t.pair_sets) > 1),
+            *(_section(board, dataset, t) | _pictures(dataset, t, plots) for t in dataset.pair_sets),
+        ],
+        "imported": any(m.run.target.startswith(PREDICTIONS) for m in methods),
+        "machines_differ": len({m.machine for m in methods if m.machine}) > 1,
+        "settings": [(m.label, json_text(m.settings)) for m in methods if m.settings],
+        "differences": list(_differences(methods)),
+    }
+
+
+def _level_with_floor(dataset: DatasetBoard) -> Iterator[tuple[str, list[str]]]:
+    """The pair sets with methods that are not shown to be better than the floor, and these methods."""
     for table in dataset.pair_sets:
-        parts += [f"### {escaped(table.pair_set)}", *_tables(board, table, dataset.groups_of(table))]
-        if plots and has_curves(table):
-            address = quote(curve_file(dataset, table))
-            parts.append(f"![Cumulative error curves of {escaped(table.pair_set)}]({address})")
-        parts += matching_section(dataset, table.pair_set, plots=plots)
-    return [*parts, *methods_section(dataset)]
-
-
-def _facts(dataset: DatasetBoard) -> str:
-    record = dataset.entry.record
-    pairs = sum(s.pairs for s in dataset.entry.pair_sets.values())
-    rejected = sum(s.rejected for s in dataset.entry.pair_sets.values())
-    return (
-        f"Fingerprint {code(record.fingerprint)}{question_words(record.question)}. Licence: {escaped(record.licence)}. "
-        f"{pairs} pairs in {len(dataset.entry.pair_sets)} pair sets; {rejected} more were rejected "
-        "because their ground truth could not be verified." + copies_words(dataset.entry.methods, dataset.entry.copies)
-    )
-
-
-def _pair_set_table(dataset: DatasetBoard) -> str:
-    rows = []
-    for name, s in dataset.entry.pair_sets.items():
-        splits = [split for split, names in dataset.entry.splits.items() if split and name in names]
-        rows.append(
-            [
-                code(name),
-                f"{escaped(s.reference_condition)} → {escaped(s.query_condition)}",
-                escaped(" ".join(splits)),
-                str(s.pairs),
-                str(s.rejected),
-                number(s.median_distance_m, "m"),
-                number(s.median_angle_deg, "deg"),
-                _sigma(s.median_sigma_translation_m, "m"),
-                _sigma(s.median_sigma_rotation_deg, "deg"),
-            ]
-        )
-    columns = [
-        "pair set",
-        "reference → query",
-        "split",
-        "pairs",
-        "rejected",
-        "median distance, m",
-        "median angle, °",
-        "ground-truth σ, m",
-        "ground-truth σ, °",
-    ]
-    return table_text(columns, rows, left=3)
-
-
-def _sigma(value: float | None, unit: str) -> str:
-    return "unknown" if value is None else number(value, unit)
-
-
-def _floor_note(dataset: DatasetBoard) -> str:
-    floor = dataset.entry.floor
-    if floor is None:
-        return (
-            "**The floor is missing:** the identity pose has not been run on this dataset, so nobody can tell how much "
-            "of these numbers the pairs give away. Run `relocbench evaluate --method identity`."
-        )
-    tables = [t for t in dataset.pair_sets if any(r.method is floor and not r.missing for r in t.rows)]
-    lines = []
-    for table in tables:
-        level = [r.method.label for r in table.rows if r.above_floor is not None and not _beats(r)]
-        if level:
-            lines.append(f"on {code(table.pair_set)}: {', '.join(map(code, level))}")
-    if not lines:
-        return ""
-    return bullet(
-        "**Not shown to be better than the floor** (the paired difference does not exclude zero, or is negative):",
-        lines,
-    )
+        if any(r.method is dataset.entry.floor and not r.missing for r in table.rows):
+            level = [r.method.label for r in table.rows if r.above_floor is not None and not _beats(r)]
+            if level:
+                yield table.pair_set, level
 
 
 def _beats(row: Row) -> bool:
     return row.above_floor is not None and row.above_floor.significant and row.above_floor.mean > 0
 
 
-def _missing_note(dataset: DatasetBoard) -> str:
-    lines = []
+def _missing(dataset: DatasetBoard) -> Iterator[tuple[str, list[tuple[str, str]], str]]:
+    """The methods without some results: label, each pair set that is missing with the reason, and what runs it."""
     for method in dataset.entry.methods:
-        missing = {name: why for name, why in method.missing.items() if name in dataset.entry.used}
-        for name, why in missing.items():
-            lines.append(f"{code(method.label)} on {code(name)}: {why}")
+        missing = [(name, why) for name, why in method.missing.items() if name in dataset.entry.used]
         if missing:
-            lines[-1] += f"; to run what is missing: {code(evaluate_command(method.run))}"
-    return bullet("**Missing results**, hence blank totals and no rank:", lines)
+            yield method.label, missing, evaluate_command(method.run)
 
 
-def _tables(board: Board, table: Table, groups: Sequence[Table]) -> list[str]:
-    parts = [_method_table(board, table)]
-    if any(row.rank is not None for row in table.rows) and all(
-        not row.intervals.get(board.metric.name) for row in table.rows if not row.missing
-    ):
-        parts.append("Too few pairs for intervals: nothing here is significant, and all methods share a place.")
-    if table.grey:
-        parts.append(_grey_note(board, table))
-    if groups:
-        parts += ["By group:", *(_pivot(table, groups, metric) for metric in _pivoted(board)), _details(board, groups)]
-    return parts
+def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, object]:
+    """What a pair set and a total have in common."""
+    groups = dataset.groups_of(table)
+    return {
+        "table": table,
+        "total": False,
+        "numbers": _method_table(board, table),
+        "without_intervals": any(row.rank is not None for row in table.rows)
+        and all(not row.intervals.get(board.metric.name) for row in table.rows if not row.missing),
+        "finer": [m.name for m in shown_metrics(board) if m.name in table.finer],
+        "ranked_by_finer": board.metric.name in table.finer,
+        "sigmas": [
+            f"{number(table.medians[name], unit)} {words}"
+            for name, unit, words in (("sigma_translation_m", "m", "m"), ("sigma_rotation_deg", "deg", "°"))
+            if table.medians[name] is not None
+        ],
+        "pivots": [_pivot(table, groups, metric) for metric in (_pivoted(board) if groups else ())],
+        "groups": [(group, _method_table(board, group, ranks=False)) for group in groups],
+        "curves": "",
+        "matching": None,
+    }
 
 
-def _grey_note(board: Board, table: Table) -> str:
-    sigmas = [
-        f"{number(table.medians[name], unit)} {words}"
-        for name, unit, words in (("sigma_translation_m", "m", "m"), ("sigma_rotation_deg", "deg", "°"))
-        if table.medians[name] is not None
-    ]
-    shown = [code(m.name) for m in shown_metrics(board) if m.name in table.grey]
-    if not shown:
-        return ""
-    ranked = " This includes the metric that ranks: the ranks here are not to be relied on."
-    return f"{GREY} finer than twice the ground truth's σ ({', '.join(sigmas)}): {', '.join(shown)}." + (
-        ranked if board.metric.name in table.grey else ""
-    )
+def _pictures(dataset: DatasetBoard, table: Table, plots: bool) -> dict[str, object]:
+    """What a section has if it is a pair set's: curves and matching quality."""
+    lines = matching_lines(dataset, table.pair_set)
+    return {
+        "curves": quote(curve_file(dataset, table)) if plots and has_curves(table) else "",
+        "matching": {
+            "count": lines[0][1]["1px"]["count"],
+            "numbers": matching_numbers(lines),
+            "picture": quote(matching_file(dataset, table.pair_set)),
+        }
+        if lines
+        else None,
+    }
+
+
+def _differences(methods: Sequence[Method]) -> Iterator[tuple[str, str]]:
+    """The targets that were run several times, with a table of the parameters that differ."""
+    for target in dict.fromkeys(m.run.target for m in methods):
+        runs = [m for m in methods if m.run.target == target]
+        names = list(dict.fromkeys(name for m in runs for name in m.run.parameters))
+        differing = [n for n in names if len({json_text(m.run.parameters.get(n)) for m in runs}) > 1]
+        if differing:
+            rows = [[escaped(m.label), *(code(json_text(m.run.parameters.get(n))) for n in differing)] for m in runs]
+            yield target, table_text(["method", *map(code, differing)], rows, left=1)
 
 
 def _method_table(board: Board, table: Table, *, ranks: bool = True) -> str:
@@ -240,7 +192,7 @@ def _method_table(board: Board, table: Table, *, ranks: bool = True) -> str:
 
 def _heading(metric: Metric, table: Table) -> str:
     text = _HEADINGS.get(metric.name, f"{metric.name}, {'%' if metric.unit == 'share' else metric.unit}")
-    return f"{text} {GREY}" if metric.name in table.grey else text
+    return f"{text} {DAGGER}" if metric.name in table.finer else text
 
 
 def _name(row: Row) -> str:
@@ -253,7 +205,7 @@ def _cell(metric: Metric, row: Row, table: Table) -> str:
     value = row.values[metric.name]
     if value is None:
         return ""
-    return _greyed(with_bounds(value, row.intervals.get(metric.name), metric.unit), metric, table)
+    return _marked(with_bounds(value, row.intervals.get(metric.name), metric.unit), metric, table)
 
 
 def _spread_cell(metric: Metric, row: SeedRow, table: Table) -> str:
@@ -263,11 +215,11 @@ def _spread_cell(metric: Metric, row: SeedRow, table: Table) -> str:
     text = number(spread.mean, metric.unit)
     if spread.standard_deviation is not None:
         text += f" ± {number(spread.standard_deviation, metric.unit)}"
-    return _greyed(text, metric, table)
+    return _marked(text, metric, table)
 
 
-def _greyed(text: str, metric: Metric, table: Table) -> str:
-    return f"<sub>{text}</sub>{GREY}" if metric.name in table.grey else text
+def _marked(text: str, metric: Metric, table: Table) -> str:
+    return f"<sub>{text}</sub>{DAGGER}" if metric.name in table.finer else text
 
 
 def _seconds(row: Row) -> str:
@@ -304,10 +256,3 @@ def _far(table: Table) -> str:
     far = [f"{number(distance, 'm')} m"] if distance is not None else []
     far += [f"{number(angle, 'deg')}°"] if angle is not None else []
     return f"<br>{', '.join(far)}" if far else ""
-
-
-def _details(board: Board, groups: Sequence[Table]) -> str:
-    inner = "\n\n".join(
-        f"{escaped(g.group)}, {g.pairs} pairs\n\n{_method_table(board, g, ranks=False)}" for g in groups
-    )
-    return f"<details><summary>All numbers of the groups</summary>\n\n{inner}\n\n</details>"

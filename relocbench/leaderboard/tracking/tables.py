@@ -122,7 +122,7 @@ def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) ->
         pairs=sum(entry.pair_sets[n].pairs for n in names) if group == ALL else sum(map(len, asked)),
         rejected=sum(entry.pair_sets[n].rejected for n in names) if group == ALL else None,
         medians=_medians(asked),
-        grey=_grey(entry, names),
+        finer=_finer(entry, names),
         rows=tuple(sorted(rows, key=lambda row: _order(row, metric))),
         seeds=tuple(_seed_rows(rows)),
     )
@@ -204,8 +204,8 @@ def _medians(asked: Sequence[ErrorTable]) -> dict[str, float | None]:
     return out
 
 
-def _grey(entry: DatasetEntry, names: Sequence[str]) -> frozenset[str]:
-    """The metrics to be printed in grey; a total is grey where one of its pair sets is."""
+def _finer(entry: DatasetEntry, names: Sequence[str]) -> frozenset[str]:
+    """The metrics with a threshold finer than the ground truth of any of the pair sets allows."""
     records = [entry.pair_sets[name] for name in names]
     return frozenset(
         m.name

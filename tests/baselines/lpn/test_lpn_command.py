@@ -98,8 +98,10 @@ def test_mistakes_are_one_line_each(university: Path, tmp_path: Path) -> None:
         (("--config", "lpn-rp"), "did you mean 'lpn-rpp'"),
         (("--set", "sizes=3"), "unknown option 'sizes' (did you mean 'size'?)"),
         (("--set", "views=[drone,street]"), "no held-out image of view 'street' (there are drone, satellite)"),
-        (("--set", "views=[drone,street]", "--no-validation"), "views has street, network.street is none"),
-        (("--split", "test"), "a retriever learns from the folder train/ alone"),
+        (("--set", "views=[drone,street]", "--no-validation"), "network.street is 'none', expected separate or shared"),
+        (("--split", "test"), "--split is an option for trainers of trackers, and 'lpn' trains retrievers"),
+        (("--validation-pairs", 4), "--validation-pairs is an option for trainers of trackers, and 'lpn' trains retr"),
+        (("--no-validation", "--validation-places", 0.2), "--validation-places has no effect beside --no-validation"),
         (("--backbone-weights", tmp_path / "none.pth"), "none.pth: no such file of weights"),
     ):
         told = train(university, tmp_path / "out", *more)
@@ -108,9 +110,10 @@ def test_mistakes_are_one_line_each(university: Path, tmp_path: Path) -> None:
     assert "lies inside a dataset" in train(university, university / "out").complaint
     (tmp_path / "empty").mkdir()
     assert "expected University-1652's layout" in train(tmp_path / "empty", tmp_path / "out").complaint
-    other = relocbench("train", "gn-net", "--backbone-weights", "x", "--show-options")
-    assert other.status == 2
-    assert "has no backbone that takes --backbone-weights" in other.complaint
+    for option, value in (("--backbone-weights", "x"), ("--validation-places", 0.0)):
+        other = relocbench("train", "gn-net", option, value, "--show-options")
+        assert other.status == 2
+        assert f"{option} is an option for trainers of retrievers, and 'gn-net' trains trackers" in other.complaint
 
 
 @pytest.mark.slow

@@ -326,14 +326,22 @@ def test_usual_options_are_the_configurations() -> None:
     ("other", "words"),
     [
         ({"stepz": 3}, "stepz"),
-        ({"views": ["drone", "street"]}, "views has street, network.street is none"),
+        (
+            {"views": ["drone", "street"]},
+            "network.street is 'none', expected separate or shared, since views has street",
+        ),
         ({"views": ["drone", "street"], "network": {"street": "shared"}}, "no images of view 'street' to learn from"),
-        ({"epochs": {"uniform": 1}}, "stages of 'lpn' are all"),
+        ({"epochs": {"uniform": 1}}, r"epochs is .*'uniform': 1.*, expected stages of 'lpn': all"),
         ({"configuration": "lpn2"}, "no configuration 'lpn2'"),
-        ({"network": {"partition": "soft"}}, "network.partition"),
-        ({"loss": {"decorrelation": {"weight": 0.1}}}, "needs paired=true"),
-        ({"paired": True, "batch": 3}, "an even number"),
-        ({"rate": 0}, "rates are positive"),
+        ({"network": {"partition": "soft"}}, "network.partition is 'soft', expected rings in configuration 'lpn'"),
+        (
+            {"loss": {"decorrelation": {"weight": 0.1}}},
+            "paired is false, expected true where loss.decorrelation.weight is above 0",
+        ),
+        ({"paired": True, "batch": 3}, "batch is 3, expected an even number where paired is true"),
+        ({"rate": 0}, "rate is 0.0, expected more than 0"),
+        ({"flip": 2}, "flip is 2.0, expected 0 to 1"),
+        ({"loss": {"partition": {"tau": 0}}}, "loss.partition.tau is 0.0, expected more than 0"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(tmp_path: Path, other: dict[str, Any], words: str) -> None:

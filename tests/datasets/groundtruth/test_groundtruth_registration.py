@@ -91,8 +91,8 @@ def test_sampling_gives_rare_directions_their_share() -> None:
     assert len(np.unique(rows)) == len(rows)
 
 
-@pytest.mark.parametrize("planes_stretch", [False, True])
-def test_linearisation_is_the_derivative(planes_stretch: bool) -> None:
+@pytest.mark.parametrize("planes_rescaled", [False, True])
+def test_linearisation_is_the_derivative(planes_rescaled: bool) -> None:
     centres = RNG.uniform(-20, 20, size=(40, 3))
     normals = RNG.normal(size=(40, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -103,9 +103,9 @@ def test_linearisation_is_the_derivative(planes_stretch: bool) -> None:
     facing = normals @ T[:3, :3]
 
     def at(x: Array) -> Linearised:
-        stretched, moved = (planes.stretched(x[6]), points) if planes_stretch else (planes, points + x[6] * lever_arms)
+        rescaled, moved = (planes.rescaled(x[6]), points) if planes_rescaled else (planes, points + x[6] * lever_arms)
         sample = Sample(moved, facing, np.ones(40), lever_arms)
-        return linearise(stretched, sample, T @ se3_exp(x[:6]), 0.9, 1e6, IcpOptions(drift_per_m=0.0), planes_stretch)
+        return linearise(rescaled, sample, T @ se3_exp(x[:6]), 0.9, 1e6, IcpOptions(drift_per_m=0.0), planes_rescaled)
 
     here, small = at(np.zeros(7)), 1e-5
     assert here.count == 40
@@ -151,16 +151,16 @@ def test_refinement_finds_by_how_much_one_odometry_is_longer(pair: Pair, share: 
     query = PreparedSubmap(longer(pair[1].submap, share))
     start = TRUTH @ se3_exp([0.3, -0.2, 0.05, 0.005, -0.005, 0.01])
     found = run_icp(pair[0].planes, query.planes, start, IcpOptions())
-    assert found.stretch == pytest.approx(1 / (1 + share) - 1, abs=5e-4)
+    assert found.scale_error == pytest.approx(1 / (1 + share) - 1, abs=5e-4)
     metres, degrees = error(found.T_ref_query)
     assert metres < 0.01
     assert degrees < 0.05
-    rigid = run_icp(pair[0].planes, query.planes, start, IcpOptions(stretch_sigma=0.0))
-    assert rigid.stretch == 0
+    rigid = run_icp(pair[0].planes, query.planes, start, IcpOptions(scale_error_sigma=0.0))
+    assert rigid.scale_error == 0
     assert error(rigid.T_ref_query)[0] > 2 * metres
 
 
-def test_what_stands_far_ahead_alone_is_worth_less_with_the_stretch_unknown(pair: Pair) -> None:
+def test_what_stands_far_ahead_alone_is_worth_less_with_the_scale_error_unknown(pair: Pair) -> None:
     def far_ahead(submap: Submap) -> Submap:
         keep = submap.origins[:, 0] > 15
         names = ("points", "normals", "origins", "surface", "steady", "block")
@@ -168,11 +168,11 @@ def test_what_stands_far_ahead_alone_is_worth_less_with_the_stretch_unknown(pair
 
     ref, query = (PreparedSubmap(far_ahead(side.submap)) for side in pair)
     known, unknown = (
-        run_icp(ref.planes, query.planes, TRUTH, IcpOptions(drift_per_m=0.0, stretch_sigma=sigma)).information
+        run_icp(ref.planes, query.planes, TRUTH, IcpOptions(drift_per_m=0.0, scale_error_sigma=sigma)).information
         for sigma in (1e-6, 0.02)
     )
     sigma_known, sigma_unknown = (float(np.sqrt(np.linalg.inv(information)[0, 0])) for information in (known, unknown))
-    # 15 m of street tell the stretch only roughly, and its error counts as often as the street is metres away.
+    # 15 m of street tell the scale error only roughly, and its error counts as often as the street is metres away.
     assert sigma_unknown > 5 * sigma_known
 
 

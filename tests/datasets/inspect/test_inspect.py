@@ -13,7 +13,13 @@ from typer.testing import CliRunner
 from relocbench.cli.app import app
 from relocbench.datasets.core.images import read_image
 from relocbench.datasets.core.pairfile import Pair
-from relocbench.datasets.inspect.overlay import measure_agreement, spread_pairs, warp_image, write_pictures
+from relocbench.datasets.inspect.overlay import (
+    ImageAgreement,
+    measure_agreement,
+    spread_pairs,
+    warp_image,
+    write_pictures,
+)
 from relocbench.datasets.inspect.summary import take_inventory
 from relocbench.geometry import invert, make_transform, so3_exp
 from relocbench.progress import Silent
@@ -81,6 +87,14 @@ def test_agreement_is_undefined_where_the_query_sees_no_point() -> None:
     found = measure_agreement(reference, query, away)
     assert np.isnan(found.difference)
     assert not found.truth_is_best
+    assert found.verdict == "the query sees no point of the keyframe by the true pose: check the true pose"
+
+
+def test_a_verdict_does_not_call_an_expected_difference_a_fault() -> None:
+    assert ImageAgreement(3.0, 5.0).verdict == "the images agree best at the true pose"
+    night = ImageAgreement(5.0, 3.0).verdict
+    assert "agree better when turned a little: usual across light and season" in night
+    assert night.islower()
 
 
 @pytest.mark.parametrize("sparse", [False, True])

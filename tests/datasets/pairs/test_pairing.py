@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.pairs.pairing import PosedFrames, make_pairs, nearest_matches, step_matches
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import make_transform, rotation_angle, se3_exp, so3_exp
@@ -23,7 +23,7 @@ def row_of_cameras(xs: list[float], yaw_deg: float = 0.0, first_time: int = 0) -
 
 def test_a_step_pairs_frame_i_with_frame_i_plus_k_and_has_the_pose_between_them() -> None:
     frames = row_of_cameras([0.0, 1.0, 3.0])
-    pairs = make_pairs(frames, frames, ImportOptions(pair_step=(1, 2)), same_traversal=True, source="test")
+    pairs = make_pairs(frames, frames, RuleOptions(pair_step=(1, 2)), same_traversal=True, source="test")
     assert [(p.ref_timestamp_ns, p.query_timestamp_ns, p.group) for p in pairs] == [
         (0, 1, "step_1"),
         (1, 2, "step_1"),
@@ -84,27 +84,27 @@ def test_frames_of_two_traversals_may_have_the_same_time() -> None:
 def test_an_empty_result_says_how_near_the_nearest_were(query: PosedFrames, said: str, widen: str) -> None:
     reference = row_of_cameras([0.0, 1.0])
     with pytest.raises(DatasetError, match=f"{said}.*{widen}"):
-        make_pairs(reference, query, ImportOptions(), same_traversal=False, source="test")
+        make_pairs(reference, query, RuleOptions(), same_traversal=False, source="test")
 
 
 def test_an_empty_step_says_which_step_there_is() -> None:
     frames = row_of_cameras([0.0, 2.5])
     gapped = PosedFrames(frames.timestamps, frames.T_world_cam, frozenset({0}), numbers=(0, 5))
     with pytest.raises(DatasetError, match=r"\+5 frames away \(2\.5 m, 0 deg\): try --pair-step 5"):
-        make_pairs(gapped, gapped, ImportOptions(), same_traversal=True, source="test")
+        make_pairs(gapped, gapped, RuleOptions(), same_traversal=True, source="test")
 
 
 def test_no_keyframe_is_said_as_such() -> None:
     frames = row_of_cameras([0.0, 1.0])
     bare = PosedFrames(frames.timestamps, frames.T_world_cam, frozenset())
     with pytest.raises(DatasetError, match="no keyframe"):
-        make_pairs(bare, bare, ImportOptions(), same_traversal=True, source="test")
+        make_pairs(bare, bare, RuleOptions(), same_traversal=True, source="test")
 
 
 def test_steps_across_two_traversals_are_refused() -> None:
     frames = row_of_cameras([0.0, 1.0])
     with pytest.raises(ConfigError, match="nearest"):
-        make_pairs(frames, frames, ImportOptions(pair_rule="step"), same_traversal=False, source="test")
+        make_pairs(frames, frames, RuleOptions(pair_rule="step"), same_traversal=False, source="test")
 
 
 def brute_force(reference: NDArray[np.float64], query: NDArray[np.float64], distance: float, angle: float) -> list[int]:

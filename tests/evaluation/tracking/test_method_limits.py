@@ -259,7 +259,7 @@ def test_sizes_are_read_as_people_write_them(text: str | int, size: int) -> None
 
 @pytest.mark.parametrize("text", ["", "many", "4XB", "-1GB", "GB", "1e3GB"])
 def test_what_is_no_size_is_refused(text: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="is not a size"):
+    with pytest.raises(ValueError, match="expected a size"):
         EvaluateOptions(dataset=tmp_path, methods=("identity",), memory_limit=text)
 
 

@@ -6,8 +6,8 @@ that holes and noise of both count.
 
 The odometries of two drives differ in scale. Submaps put together along them differ in length, and without a correction
 surfaces 30 m ahead of the node would pull against those 30 m behind it. ICP therefore has a seventh unknown, the
-stretch s: the scale of the query's odometry relative to the reference's, minus one. It moves each point by s times its
-lever arm, which is the vector from the node to the sensor when it measured the point.
+scale error s: the scale of the query's odometry relative to the reference's, minus one. It moves each point by s times
+its lever arm, which is the vector from the node to the sensor when it measured the point.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ CORRELATION = 20.0
 """The information matrix is divided by this, since residuals are correlated: neighbours share the noise of a plane's
 normal, of a scan's pose and of an uneven surface, and each match is counted from both sides. The value was found by
 comparing predicted with true errors on simulated drives with exact odometry; drift is added by ``drift_per_m``."""
-_STRETCHED = 5e-4
-"""planes are moved and sorted anew when the stretch has changed by so much: 15 mm at 30 m"""
+_RESCALED = 5e-4
+"""planes are moved and sorted anew when the scale error has changed by so much: 15 mm at 30 m"""
 _OPEN = 1e-4
 """information added to every direction, so that unconstrained ones have a sigma of 100 m or 100 rad"""
 
@@ -47,8 +47,8 @@ class IcpOptions:
     """standard deviation of a residual near the nodes"""
     drift_per_m: float = 0.006
     """growth of a residual's standard deviation with the length of the lever arm"""
-    stretch_sigma: float = 0.02
-    """standard deviation of the stretch; 0 fixes the stretch at 0"""
+    scale_error_sigma: float = 0.02
+    """standard deviation of the scale error; 0 fixes the scale error at 0"""
     turn_per_m: float = 2e-4
     """growth of the rotation's standard deviation, in radians, with the length of the lever arm"""
     least_matches: int = 100
@@ -57,7 +57,7 @@ class IcpOptions:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """The normal equations, at 0, in xi = (rho, phi) of ``T_ref_query @ se3_exp(xi)`` and the query's stretch."""
+    """The normal equations, at 0, in xi = (rho, phi) of ``T_ref_query @ se3_exp(xi)`` and the query's scale error."""
 
     H: Array
     """(7, 7) sum of w J^T J over the matches"""
@@ -96,7 +96,7 @@ class IcpResult:
     """number of matches at the end, of both sides"""
     iterations: int
     converged: bool
-    stretch: float = 0.0
+    scale_error: float = 0.0
     """scale of the query's odometry that agrees with the reference's, minus one"""
 
 
@@ -107,12 +107,12 @@ def linearise(
     reach: float,
     scale_m: float,
     options: IcpOptions,
-    planes_stretch: bool = False,
+    planes_rescaled: bool = False,
 ) -> Linearised:
     """Distances of points of the query from planes of the reference, linearised.
 
     The residual of a point q with the plane (p, n) is ``r = n^T (R q + t - p)``. With m = R^T n its derivative is
-    ``J = (m, q x m, m^T c)``, where c is the lever arm of q; if the stretch is that of the planes' drive, the last
+    ``J = (m, q x m, m^T c)``, where c is the lever arm of q; if the scale error is that of the planes' drive, the last
     element is ``-n^T c`` with the lever arm c of the plane. A match has the smaller weight of its point and its plane.
 
     Args:
@@ -120,7 +120,7 @@ def linearise(
         sample: points of the query.
         reach: largest distance of a match, metres; at most the voxel size of the planes.
         scale_m: of Geman-McClure's kernel, ``w = (1 + (r / scale)^2)^-2``.
-        planes_stretch: whether the stretch is that of the planes' drive instead of the points'.
+        planes_rescaled: whether the scale error is that of the planes' drive instead of the points'.
     """
     rotation, translation = T_ref_query[:3, :3], T_ref_query[:3, 3]
     moved, turned = sample.points @ rotation.T + translation, sample.normals @ rotation.T
@@ -133,7 +133,7 @@ def linearise(
     residual = np.einsum("ni,ni->n", n, moved[rows] - planes.points[match])
     of_points, of_planes = sample.lever_arms[rows], planes.lever_arms[match]
     away = np.einsum("ni,ni->n", of_points, of_points) + np.einsum("ni,ni->n", of_planes, of_planes)
-    moves = -of_planes if planes_stretch else of_points @ rotation.T
+    moves = -of_planes if planes_rescaled else of_points @ rotation.T
     near = 1 / (1 + np.square(options.drift_per_m / options.sigma_m) * away)
     standard = residual * np.sqrt(near)
     w = near * np.minimum(planes.weights[match], sample.weights[rows])
@@ -153,7 +153,7 @@ def linearise_both(
     ``T_query_ref`` changes by ``se3_exp(-Ad(T_ref_query) xi)`` when ``T_ref_query`` changes by ``se3_exp(xi)``.
     """
     there = linearise(ref[0], query[1], T_ref_query, reach, scale_m, options)
-    back = linearise(query[0], ref[1], invert(T_ref_query), reach, scale_m, options, planes_stretch=True)
+    back = linearise(query[0], ref[1], invert(T_ref_query), reach, scale_m, options, planes_rescaled=True)
     A = np.eye(7)
     A[:6, :6] = -adjoint(T_ref_query)
     return Linearised(
@@ -183,33 +183,35 @@ def run_icp(
             good to decimetres.
     """
     options = options or IcpOptions()
-    T, stretch, steps, converged = np.array(T_ref_query, dtype=np.float64), 0.0, 0, False
+    T, scale_error, steps, converged = np.array(T_ref_query, dtype=np.float64), 0.0, 0, False
     problem = NOTHING
     for k in range(len(options.levels)) if levels is None else levels:
         level = options.levels[k]
         reach = min(ref.options.reach_m[level], query.options.reach_m[level])
-        converged, laid, there, here = False, stretch, _sides(ref, level, 0.0), _sides(query, level, stretch)
+        converged, laid, there, here = False, scale_error, _sides(ref, level, 0.0), _sides(query, level, scale_error)
         for iteration in range(options.iterations[k]):
-            if abs(stretch - laid) >= _STRETCHED:
-                here, laid = _sides(query, level, stretch), stretch
+            if abs(scale_error - laid) >= _RESCALED:
+                here, laid = _sides(query, level, scale_error), scale_error
             # The kernel narrows over a level's first iterations, so that large residuals have weight at its start.
             scale = options.scales_m[k] * max(1.0, 2.0 * 0.6**iteration)
             problem = linearise_both(there, here, T, reach, scale, options)
             if problem.count < options.least_matches:
-                return IcpResult(T, np.zeros((6, 6)), problem.sigma_m, problem.count, steps, False, stretch)
+                return IcpResult(T, np.zeros((6, 6)), problem.sigma_m, problem.count, steps, False, scale_error)
             xi, longer = _step(problem, laid, options)
-            T, stretch = T @ se3_exp(xi), laid + longer
+            T, scale_error = T @ se3_exp(xi), laid + longer
             steps += 1
-            still = np.linalg.norm(xi[:3]) < 2e-4 and np.linalg.norm(xi[3:]) < 2e-5 and abs(stretch - laid) < _STRETCHED
+            still = (
+                np.linalg.norm(xi[:3]) < 2e-4 and np.linalg.norm(xi[3:]) < 2e-5 and abs(scale_error - laid) < _RESCALED
+            )
             if iteration >= 2 and still:
                 converged = True
                 break
     T[:3, :3] = project_to_rotation(T[:3, :3])
-    return IcpResult(T, _information(problem, options), problem.sigma_m, problem.count, steps, converged, stretch)
+    return IcpResult(T, _information(problem, options), problem.sigma_m, problem.count, steps, converged, scale_error)
 
 
-def _sides(planes: PlaneMap, level: int, stretch: float) -> tuple[Planes, Sample]:
-    return planes.level(level).stretched(stretch), planes.sample(level).stretched(stretch)
+def _sides(planes: PlaneMap, level: int, scale_error: float) -> tuple[Planes, Sample]:
+    return planes.level(level).rescaled(scale_error), planes.sample(level).rescaled(scale_error)
 
 
 def icp_result_at(
@@ -231,25 +233,25 @@ def _variance(problem: Linearised) -> float:
 
 
 def _information(problem: Linearised, options: IcpOptions) -> Array:
-    """(6, 6) information of the pose: from the residuals, with the stretch marginalised, less the drift of odometry
+    """(6, 6) information of the pose: from the residuals, with the scale error marginalised, less the drift of odometry
     over the lever arms."""
     H = problem.H[:6, :6] / _variance(problem)
-    if options.stretch_sigma > 0:
-        with_stretch = problem.H[6, :6] / _variance(problem)
-        own = problem.H[6, 6] / _variance(problem) + options.stretch_sigma**-2
-        H = H - np.outer(with_stretch, with_stretch) / own
+    if options.scale_error_sigma > 0:
+        with_scale_error = problem.H[6, :6] / _variance(problem)
+        own = problem.H[6, 6] / _variance(problem) + options.scale_error_sigma**-2
+        H = H - np.outer(with_scale_error, with_scale_error) / own
     noise = np.linalg.inv(H + _OPEN * np.eye(6))
     drift = problem.lever_length_m * np.repeat([options.drift_per_m, options.turn_per_m], 3)
     return np.asarray(np.linalg.inv(noise + np.diag(np.square(drift))))
 
 
-def _step(problem: Linearised, stretch: float, options: IcpOptions) -> tuple[Array, float]:
-    """The Gauss-Newton step (6,) and the change of the stretch; directions that nothing constrains do not change."""
+def _step(problem: Linearised, scale_error: float, options: IcpOptions) -> tuple[Array, float]:
+    """The Gauss-Newton step (6,) and the scale error's change; directions that nothing constrains do not change."""
     H, g = problem.H.copy(), problem.g.copy()
     count = 6
-    if options.stretch_sigma > 0:
-        H[6, 6] += _variance(problem) / options.stretch_sigma**2
-        g[6] += _variance(problem) / options.stretch_sigma**2 * stretch
+    if options.scale_error_sigma > 0:
+        H[6, 6] += _variance(problem) / options.scale_error_sigma**2
+        g[6] += _variance(problem) / options.scale_error_sigma**2 * scale_error
         count = 7
     H, g = H[:count, :count], g[:count]
     size = np.sqrt(np.maximum(np.diag(H), 1e-12))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions
@@ -40,12 +40,6 @@ class FieldOptions(ImportOptions):
         0.05, gt=0, description="largest sigma of an accepted pair's position on each axis, metres"
     )
     max_sigma_rotation: float = Field(0.15, gt=0, description="largest sigma of its rotation, degrees")
-
-    @model_validator(mode="after")
-    def _only_nearest(self) -> FieldOptions:
-        if self.pair_rule == "step":
-            raise ValueError("--pair-rule step: drives of different days are paired by the nearest keyframe")
-        return self
 
     @property
     def alignment(self) -> AlignmentOptions:

@@ -138,7 +138,7 @@ def _write_images(job: Build[FieldOptions], traversal: str, chosen: Frames) -> N
                 developed.append(index)
                 continue
             if source is not None:
-                writer.link_image(traversal, stream.name, time, source, copy=job.options.copy_images)
+                writer.link_image(traversal, stream.name, time, source, copy=job.options.copies_images)
             advance(1)
         units = [
             _ImageUnit(stream, writer.layout, traversal, tuple(part)) for part in chunks(developed, _IMAGES_A_UNIT)

@@ -61,9 +61,9 @@ class Sample:
         """(N,) lengths of the lever arms, metres"""
         return np.asarray(np.linalg.norm(self.lever_arms, axis=1))
 
-    def stretched(self, stretch: float) -> Self:
-        """The points as they would lie if the odometry's scale were larger by a factor of ``1 + stretch``."""
-        return replace(self, points=self.points + stretch * self.lever_arms) if stretch else self
+    def rescaled(self, scale_error: float) -> Self:
+        """The points as they would lie if the odometry's scale were larger by a factor of ``1 + scale_error``."""
+        return replace(self, points=self.points + scale_error * self.lever_arms) if scale_error else self
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +73,11 @@ class Planes(Sample):
     grid: Grid
     """of these points, which are in the grid's order"""
 
-    def stretched(self, stretch: float) -> Planes:
+    def rescaled(self, scale_error: float) -> Planes:
         """The planes as they would lie, sorted anew."""
-        if not stretch:
+        if not scale_error:
             return self
-        points = self.points + stretch * self.lever_arms
+        points = self.points + scale_error * self.lever_arms
         return grid_planes(points, self.normals, self.weights, self.lever_arms, self.grid.size_m)
 
     def nearest(self, points: Array, normals: Array, reach_m: float, cosine: float = 0.7) -> Indices:

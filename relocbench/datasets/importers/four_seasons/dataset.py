@@ -18,7 +18,7 @@ from pydantic import Field
 from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.importers.assembly import open_writer, write_pairs
@@ -53,7 +53,7 @@ _INTRINSICS_TOLERANCE_PX = 0.05
 _CAM0, _CAM1 = CAMERAS
 
 
-class Options(ImportOptions):
+class Options(PosedRecordingOptions):
     """Options of the four-seasons importer."""
 
     calibration: Path | None = Field(

@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, Condition, Strict, Transform, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
@@ -34,7 +34,7 @@ CAMERA_FILE, POSE_FILE = "camera.yaml", "poses.txt"
 _ONLY_CAMERA = "cam0"
 
 
-class Options(ImportOptions):
+class Options(PosedRecordingOptions):
     """Options of the generic importer."""
 
     max_pose_gap: float = Field(

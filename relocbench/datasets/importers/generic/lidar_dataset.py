@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import Field
 
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import ImportOptions, LinkingOptions
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
 from relocbench.datasets.importers.assembly import open_writer
 from relocbench.datasets.sensors.trajectories import traversal_names
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from relocbench.datasets.core.dataset import Dataset
 
 
-class Options(FieldOptions):
+class Options(FieldOptions, LinkingOptions):
     """Options of ``relocbench build-dataset generic-lidar``."""
 
     odometry: Literal["auto", "poses", "lidar"] = Field(

@@ -16,7 +16,7 @@ from pydantic import Field
 from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
@@ -33,7 +33,7 @@ from relocbench.progress import Reporter
 CameraName = Literal["image_0", "image_1", "image_2", "image_3"]
 
 
-class Options(ImportOptions):
+class Options(PosedRecordingOptions):
     """Options of ``relocbench build-dataset kitti``."""
 
     sequence: tuple[str, ...] = Field(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import ImportOptions, RuleOptions
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.conditions.presets import PRESETS, SPLITS, ExtraKind, conditions_of
 from relocbench.errors import ConfigError
@@ -32,15 +32,19 @@ _RECORDING_FRAMES = 160
 _RECORDING_OPTIONS = ("route", "recording_cameras", "image_scale", "rings", "azimuths", "motion_distorted")
 _KITTI_OPTIONS = ("rings", "azimuths", "motion_distorted")
 _DATASET_OPTIONS = (
-    "name", "licence", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences", "copy_images",
+    "name", "licence", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences",
     "cameras", "size", "distance", "reference", "extras",
 )  # fmt: skip
 
 
-class Options(ImportOptions):
+class Options(RuleOptions):
     """Options of ``relocbench build-dataset synthetic``; the preset sets the others' defaults."""
 
-    preset: Literal["smoke", "demo", "carla", "oxford"] = Field("demo", description="defaults of the other options")
+    preset: Literal["smoke", "demo", "carla", "oxford"] = Field(
+        "demo", description="defaults of the other options; those that this help shows are demo's"
+    )
+    name: str = Field("", description="name of the dataset; default: synthetic-PRESET")
+    licence: str = Field("CC0-1.0", description="licence of the dataset, kept in dataset.yaml")
     conditions: tuple[str, ...] = Field(  # type: ignore[assignment]  # names of conditions instead of descriptions
         ("Sunny", "Overcast", "WetNoon", "Night"), description="conditions to drive in, the reference's first"
     )
@@ -68,8 +72,8 @@ class Options(ImportOptions):
         2.0, ge=0, le=45, description="greatest angle in degrees between rig and direction of travel"
     )
     distance: float = Field(1.6, gt=0, le=100, description="mean distance of pairs in metres (default pair rule)")
-    max_distance: float = Field(10.0, gt=0, description="farthest pair in metres")
-    max_angle: float = Field(30.0, gt=0, le=180, description="widest pair in degrees")
+    max_distance: float = Field(10.0, gt=0, description="farthest pair in metres (default and nearest rule)")
+    max_angle: float = Field(30.0, gt=0, le=180, description="widest pair in degrees (default and nearest rule)")
     pair_rule: Literal["step", "nearest"] | None = Field(
         None,
         description="'step': frame i with frame i + k of the same traversal; 'nearest': each query with the nearest "
@@ -177,8 +181,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         del record["options"][name]
     record["renderer"] = RENDERER_REVISION
     record["factors"] = {name: c.factors.model_dump(mode="json") for name, c in conditions.items()}
-    licence = "CC0-1.0" if options.licence == "unknown" else options.licence
-    writer = DatasetWriter(out, options.name or f"synthetic-{options.preset}", record, licence)
+    writer = DatasetWriter(out, options.name or f"synthetic-{options.preset}", record, options.licence)
     cameras = rig_named(options.cameras).cameras(*options.width_height)
     plans = make_plans(
         SPLITS if options.split == "all" else (options.split,),

@@ -16,7 +16,7 @@ from pydantic import Field
 from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.importers.assembly import check_folder, open_writer, write_pairs
@@ -47,7 +47,7 @@ INTRINSICS: dict[Preset, Camera] = {
 """the calibrations that the benchmark publishes for its cameras"""
 
 
-class Options(ImportOptions):
+class Options(PosedRecordingOptions):
     """Options of ``relocbench build-dataset tum-rgbd``."""
 
     # A hand-held camera turns more than a car does.

@@ -54,9 +54,9 @@ class View:
 
     def depth(self, pixels: Array) -> tuple[Array, Mask]:
         """Depth along z (N,) of pixels (N, 2), inf if there is none, and whether they show a moving car (N,)."""
-        origins, directions, stretch = scenes.pixel_rays(self.camera, self.T_world_cam, pixels)
+        origins, directions, lengths = scenes.pixel_rays(self.camera, self.T_world_cam, pixels)
         distance, moves = self.cast(origins, directions)
-        return distance / stretch, moves
+        return distance / lengths, moves
 
     def sees(self, points: Array) -> Mask:
         """Whether each world point (N, 3) lies on a surface and nothing is in front of it."""

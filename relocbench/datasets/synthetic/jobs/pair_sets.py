@@ -21,7 +21,7 @@ from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
 if TYPE_CHECKING:
-    from relocbench.datasets.core.build_options import ImportOptions
+    from relocbench.datasets.core.build_options import RuleOptions
 
 _WORTH_WORKERS = 600
 """pairs; fewer are finished before other processes have made their districts"""
@@ -49,7 +49,7 @@ def write_pair_sets(
     asked: Sequence[tuple[TraversalPlan, TraversalPlan]],
     cameras: Cameras,
     layout: DatasetLayout,
-    options: ImportOptions,
+    options: RuleOptions,
     spread: DistanceSpread,
     reporter: Reporter,
     run: Run,
@@ -85,7 +85,7 @@ def _unit(
     camera: str,
     cameras: Cameras,
     layout: DatasetLayout,
-    options: ImportOptions,
+    options: RuleOptions,
     spread: DistanceSpread,
     reporter: Reporter,
 ) -> PairSetUnit:

@@ -95,9 +95,9 @@ def frame_seed(seed: int, traversal: int, step: int, camera: int) -> int:
 def pixel_rays(camera: Camera, T_world_cam: Array, pixels: Array) -> tuple[Array, Array, Array]:
     """Rays of pixels (N, 2): origins (N, 3) and unit directions (N, 3) in the world, and lengths (N,) at depth 1 m."""
     rays, _ = camera.unproject(pixels)
-    stretch = np.linalg.norm(rays, axis=1)
-    directions = rays @ T_world_cam[:3, :3].T / stretch[:, None]
-    return np.broadcast_to(T_world_cam[:3, 3], directions.shape).copy(), directions, stretch
+    lengths = np.linalg.norm(rays, axis=1)
+    directions = rays @ T_world_cam[:3, :3].T / lengths[:, None]
+    return np.broadcast_to(T_world_cam[:3, 3], directions.shape).copy(), directions, lengths
 
 
 def changed_since(place: DistrictSpec, reference: Factors, frame: Frame, camera: Camera, T_world_cam: Array) -> Mask:
@@ -106,12 +106,12 @@ def changed_since(place: DistrictSpec, reference: Factors, frame: Frame, camera:
     Season, parked cars and moving cars change objects; light, wetness and snow do not.
     """
     v, u = np.mgrid[: camera.height, : camera.width]
-    origins, directions, stretch = pixel_rays(
+    origins, directions, lengths = pixel_rays(
         camera, T_world_cam, np.column_stack([u.ravel(), v.ravel()]).astype(float)
     )
     hits = static_scene(place, reference).hits(origins, directions)
     hit = np.isfinite(hits.range)
-    before = np.where(hit, hits.range / stretch, 0.0).reshape(frame.depth.shape)
+    before = np.where(hit, hits.range / lengths, 0.0).reshape(frame.depth.shape)
     objects = np.where(hit, hits.instance, 0).reshape(frame.depth.shape)
     moved = np.abs(before - frame.depth) > 0.01 + 1e-3 * before
     return np.asarray(moved | ((objects != frame.instance) & (before > 0)))

@@ -1,0 +1,104 @@
+"""``relocbench build-dataset KIND``: each kind offers and explains the options that it uses, and refuses the others."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from command_line import relocbench
+
+from relocbench.datasets.importers import KINDS, options_of
+
+LIDAR = ("robotcar", "kitti-lidar", "generic-lidar")
+RECORDINGS = ("kitti", "tum-rgbd", "four-seasons", "generic")
+RENDERED = ("synthetic", "cross-view")
+
+
+def help_of(kind: str) -> str:
+    """The help as one line, without its frame."""
+    return " ".join(re.sub("[│╭╮╰╯─]", " ", relocbench("build-dataset", kind, "--help").out).split())
+
+
+@pytest.mark.parametrize(
+    ("option", "kinds"),
+    [
+        ("--pair-rule", (*RECORDINGS, "synthetic")),
+        ("--pair-step", (*RECORDINGS, "synthetic")),
+        ("--copy-images", (*RECORDINGS, "kitti-lidar", "generic-lidar")),
+        ("--matcher", LIDAR),
+        ("--preset", ("synthetic",)),
+    ],
+)
+def test_an_option_is_shown_by_the_kinds_that_use_it_alone(option: str, kinds: tuple[str, ...]) -> None:
+    assert {kind for kind in KINDS if option in help_of(kind).split()} == set(kinds)
+
+
+@pytest.mark.parametrize("kind", LIDAR)
+@pytest.mark.parametrize(("option", "value"), [("--pair-step", "1"), ("--pair-rule", "nearest")])
+def test_an_option_of_other_kinds_is_refused_with_their_names(
+    tmp_path: Path, kind: str, option: str, value: str
+) -> None:
+    those = "build-dataset kitti, tum-rgbd, four-seasons, generic and synthetic"
+    done = relocbench("build-dataset", kind, "a", "b", option, value, "--out", tmp_path / "o")
+    assert done.status == 2
+    assert f"No such option: {option}; it is an option of relocbench {those} (see" in done.complaint
+    config = tmp_path / "c.yaml"
+    config.write_text(f"depth: lidar\n{option[2:].replace('-', '_')}: {value}\n")
+    done = relocbench("build-dataset", kind, "a", "b", "--config", config, "--out", tmp_path / "o")
+    assert done.status == 2
+    assert done.complaint.endswith(
+        f"c.yaml:2: unknown key '{option[2:].replace('-', '_')}'; it is an option of {those}"
+    )
+    assert not (tmp_path / "o").exists()
+
+
+def test_an_unknown_kind_or_key_is_refused_with_the_nearest(tmp_path: Path) -> None:
+    done = relocbench("build-dataset", "kiti", "a", "--out", tmp_path / "o")
+    assert (done.status, "no kind 'kiti' (did you mean 'kitti'?); there is kitti, " in done.complaint) == (2, True)
+    config = tmp_path / "c.yaml"
+    config.write_text("submop: 60\n")
+    done = relocbench("build-dataset", "robotcar", "a", "b", "--config", config, "--out", tmp_path / "o")
+    assert "unknown key 'submop' (did you mean 'submap'?)" in done.complaint
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_shown_licence_is_that_of_the_dataset(kind: str) -> None:
+    licence = options_of(kind)().licence  # type: ignore[attr-defined]
+    assert licence == ("CC0-1.0" if kind in RENDERED else "unknown")
+    assert f"[default: {licence}]" in help_of(kind)
+    assert ("licence of the recordings" in help_of(kind)) == (kind not in RENDERED)
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("synthetic", "name of the dataset; default: synthetic-PRESET"),
+        ("cross-view", "name of the set; default: cross-view-SPLIT"),
+        ("kitti", "name of the dataset; default: made from the kind and the recordings"),
+        ("synthetic", "widest pair in degrees (default and nearest rule)"),
+        ("robotcar", "widest pair in degrees [default: 60.0]"),
+        ("cross-view", "Folder to write the places to."),
+    ],
+)
+def test_a_help_says_what_holds_for_its_kind(kind: str, words: str) -> None:
+    assert words in help_of(kind)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_key_that_a_help_shows_is_one_of_the_kind(kind: str) -> None:
+    found = re.search(r"sets any of these options \((\w+): ", help_of(kind))
+    assert found
+    assert found[1] in options_of(kind).model_fields
+
+
+def test_a_kind_that_converts_every_image_does_not_copy() -> None:
+    for kind in ("generic-lidar", "kitti-lidar", "generic"):
+        assert options_of(kind).model_validate({"copy_images": True}).copies_images  # type: ignore[attr-defined]
+    assert not options_of("robotcar")().copies_images  # type: ignore[attr-defined]
+
+
+def test_the_old_option_for_the_task_is_answered_with_the_commands_of_the_tasks() -> None:
+    told = relocbench("evaluate", "--task", "retrieval").complaint
+    assert "No such option: --task" in told
+    assert "relocbench evaluate-retrieval and relocbench evaluate-relocalization" in told
