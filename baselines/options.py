@@ -11,10 +11,13 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from relocbench.errors import ConfigError, quoted
 
-Options = TypeVar("Options")
+Kind = TypeVar("Kind")
 
-NO_OTHER_KEYS = ConfigDict(extra="forbid")
-"""value of ``__pydantic_config__`` for a dataclass of options, so that unknown keys are refused by name"""
+
+class Options:
+    """A dataclass of options, of which unknown keys are refused by name."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
 
 
 class OptionError(ConfigError, ValueError):
@@ -72,7 +75,7 @@ def options_to_dict(options: Any) -> dict[str, Any]:
     return asdict(options)
 
 
-def options_from_dict(kind: type[Options], values: Mapping[str, Any]) -> Options:
+def options_from_dict(kind: type[Kind], values: Mapping[str, Any]) -> Kind:
     """An instance of the dataclass ``kind`` from plain values; absent ones have their defaults.
 
     Raises:

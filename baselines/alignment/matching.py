@@ -17,12 +17,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.alignment.shared.pyramid import Level
+from relocbench.arrays import Array, Floats, Mask
 from relocbench.kernels import njit
-
-Array = NDArray[np.float64]
 
 Pattern = tuple[tuple[float, float], ...]
 SINGLE_PIXEL: Pattern = ((0, 0),)
@@ -149,7 +147,7 @@ def _match_on(
 
 
 @njit(cache=True, error_model="numpy")
-def _sample(level_map: NDArray[np.float32], x: float, y: float, pattern: Array, out: Array) -> bool:
+def _sample(level_map: Floats, x: float, y: float, pattern: Array, out: Array) -> bool:
     """Write values, x and y derivatives (3, P D) of the pattern around a pixel; False if it leaves the map."""
     height, width, depth = level_map.shape
     channels = depth // 3
@@ -196,8 +194,8 @@ def _remove_brightness(samples: Array, channels: int, brightness: int) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def _match_level(
-    reference_map: NDArray[np.float32],
-    query_map: NDArray[np.float32],
+    reference_map: Floats,
+    query_map: Floats,
     scale: float,
     uv_ref: Array,
     uv: Array,
@@ -206,7 +204,7 @@ def _match_level(
     damping: float,
     longest_step: float,
     iterations: int,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Move ``uv`` (N, 2), pixels of the finest level, on the level ``scale`` times smaller; (N,) which were found."""
     n = len(uv)
     channels = reference_map.shape[2] // 3

@@ -11,7 +11,6 @@ from itertools import takewhile
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from baselines.alignment import (
@@ -29,9 +28,8 @@ from baselines.alignment import (
     match_pixels_by_level,
     small_rotations,
 )
+from relocbench.arrays import Array
 from relocbench.tracking import Query, Reference, TrackResult
-
-Array = NDArray[np.float64]
 
 LARGEST_LOG_GAIN = 1.2
 LARGEST_OFFSET = 200.0

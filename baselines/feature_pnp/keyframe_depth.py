@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relocbench.arrays import Floats
 from relocbench.tracking import Array, Reference
 
 _CONTINUOUS = 0.05  # largest relative range of the four neighbours' inverse depths on one surface
@@ -42,7 +42,7 @@ def inverse_depth_at(reference: Reference, uv: Array, radius_px: float) -> tuple
     return inverse, np.where(inverse > 0, points.sigma[index], 0.0)
 
 
-def _dense(depth: NDArray[np.float32], uv: Array) -> Array:
+def _dense(depth: Floats, uv: Array) -> Array:
     """Interpolate the inverse depth bilinearly; on a plane it is a linear function of the pixel."""
     height, width = depth.shape
     u, v = uv[:, 0], uv[:, 1]

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from baselines.alignment import FeaturePyramid
 from baselines.alignment.features.pyramid import level_coordinates, sample
 from baselines.gn_net.window_kernel import add_window_distances
+from relocbench.arrays import Array, Floats, Mask
 from relocbench.tracking import KeyframePoints
 
-Array = NDArray[np.float64]
-Features = NDArray[np.float32]
+Features = Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ def _move(
     rows = np.arange(len(uv))
     i, j = np.divmod(np.argmin(distances.reshape(len(uv), -1), axis=1), side)
 
-    def peak(before: NDArray[np.floating], after: NDArray[np.floating], inside: NDArray[np.bool_]) -> Array:
+    def peak(before: NDArray[np.floating], after: NDArray[np.floating], inside: Mask) -> Array:
         middle = distances[rows, i, j].astype(np.float64)
         bend = before.astype(np.float64) + after - 2.0 * middle
         off = np.divide(0.5 * (before - after), bend, out=np.zeros_like(bend), where=inside & (bend > 0))

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from baselines.options import NO_OTHER_KEYS, one_of, require
+from baselines.options import Options, one_of, require
 
 _MOST_WIDTHS, _MOST_CHANNELS, _COARSEST = 12, 8192, 6
 """far beyond any network that is trained; a weights file that asks for more is not genuine"""
 
 
 @dataclass(frozen=True)
-class NetworkOptions:
+class NetworkOptions(Options):
     """Shape of the feature network.
 
     Raises:
@@ -34,8 +34,6 @@ class NetworkOptions:
     normalise: Literal["none", "unit"] = "none"
     """``unit``: the D features of each pixel are divided by their norm, and residuals and derivatives are taken from
     the normalised map; features that are all zero stay zero"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         require(self, "widths", lambda widths: widths and min(widths) >= 1, "at least one, all positive")

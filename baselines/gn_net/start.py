@@ -10,15 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.alignment import FeaturePyramid
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose
 from baselines.gn_net.correspondence import Landmarks, match_landmarks
+from relocbench.arrays import Array
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera, apply
-
-Array = NDArray[np.float64]
 
 SMALLEST_SAMPLE = 4
 """the number of matches that determine a pose uniquely"""

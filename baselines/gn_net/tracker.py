@@ -11,7 +11,6 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from pydantic import Field
 
 from baselines.alignment import (
@@ -40,11 +39,10 @@ from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.network import FeatureNet, image_tensor
 from baselines.gn_net.start import MatchedLandmarks, StartSettings, find_landmarks
 from baselines.gn_net.weights import load_weights
+from relocbench.arrays import Array, Image
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
 from relocbench.tracking import Query, Reference, TrackResult
-
-Array = NDArray[np.float64]
 
 SHIPPED = Path(__file__).parent / "shipped"
 """weights that come with the package, as NAME.safetensors"""
@@ -198,7 +196,7 @@ class GnNet:
         return [*without, *map(self._of_image, found)]
 
     @torch.inference_mode()
-    def features(self, image: NDArray[np.uint8], camera: Camera) -> FeaturePyramid:
+    def features(self, image: Image, camera: Camera) -> FeaturePyramid:
         """The feature maps of an image (H, W) or (H, W, 3); the first is that of level ``finest``, with its camera.
 
         Raises:

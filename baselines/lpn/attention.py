@@ -16,13 +16,13 @@ import torch
 from torch import Tensor, nn
 
 from baselines.initialisation import convolution, draw_weights
-from baselines.options import NO_OTHER_KEYS, require
+from baselines.options import Options, require
 
 Stage = Literal["layer3", "layer4"]
 
 
 @dataclass(frozen=True)
-class AttentionOptions:
+class AttentionOptions(Options):
     """Where attention is applied, and its form.
 
     Raises:
@@ -35,8 +35,6 @@ class AttentionOptions:
     """k, an odd number of pixels of the stage's map"""
     residual: bool = True
     """X + X * A instead of X * A"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         require(

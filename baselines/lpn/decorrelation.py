@@ -23,11 +23,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from baselines.options import NO_OTHER_KEYS, above_0, at_least, share_below_1
+from baselines.options import Options, above_0, at_least, share_below_1
 
 
 @dataclass(frozen=True)
-class DecorrelationOptions:
+class DecorrelationOptions(Options):
     """Weight and constants of the loss.
 
     Raises:
@@ -43,8 +43,6 @@ class DecorrelationOptions:
     """e1"""
     off_power: float = 1.0
     """e2"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         share_below_1(self, "weight")

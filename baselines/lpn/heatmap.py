@@ -19,11 +19,11 @@ from torch.nn import functional
 
 from baselines.initialisation import convolution, draw_weights
 from baselines.lpn.pooling import PartMean, Parts, masked_means
-from baselines.options import NO_OTHER_KEYS, one_of, require
+from baselines.options import Options, one_of, require
 
 
 @dataclass(frozen=True)
-class HeatmapOptions:
+class HeatmapOptions(Options):
     """Options of the network that computes the masks.
 
     Raises:
@@ -38,8 +38,6 @@ class HeatmapOptions:
     """size of both convolutions, an odd number of pixels"""
     mean: PartMean = "all"
     """``all``: mean over all pixels; ``mask``: weighted mean, divided by the sum of the mask"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         one_of(self, "heat", "sum", "mean")

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-Image = NDArray[np.uint8]
+from relocbench.arrays import Image
 
 
 def resized(image: Image, size: int) -> Image:

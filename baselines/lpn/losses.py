@@ -20,18 +20,16 @@ from torch.nn import functional
 from baselines.lpn.decorrelation import DecorrelationOptions, decorrelation_loss
 from baselines.lpn.network import View, ViewOutput
 from baselines.lpn.partition_loss import PartitionLossOptions, partition_loss
-from baselines.options import NO_OTHER_KEYS
+from baselines.options import Options
 
 
 @dataclass(frozen=True)
-class LossOptions:
+class LossOptions(Options):
     """The losses besides the instance loss; a weight of 0 disables a loss."""
 
     decorrelation: DecorrelationOptions = field(default_factory=DecorrelationOptions)
     """between drone and satellite, whose batches must then show the same building in each row"""
     partition: PartitionLossOptions = field(default_factory=PartitionLossOptions)
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
 
 class LossValue(NamedTuple):

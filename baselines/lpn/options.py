@@ -9,7 +9,7 @@ from baselines.lpn.attention import AttentionOptions
 from baselines.lpn.heatmap import HeatmapOptions
 from baselines.lpn.rings import RingMean
 from baselines.lpn.soft_partition import SoftPartitionOptions
-from baselines.options import NO_OTHER_KEYS, one_of, require, share_below_1
+from baselines.options import Options, one_of, require, share_below_1
 
 BackboneName = Literal["resnet18", "resnet50"]
 Partition = Literal["rings", "soft", "heatmap"]
@@ -19,7 +19,7 @@ _MOST_PARTS, _MOST_WIDTH = 256, 65536
 
 
 @dataclass(frozen=True)
-class NetworkOptions:
+class NetworkOptions(Options):
     """Shape of the network; the defaults are LPN's.
 
     Raises:
@@ -44,8 +44,6 @@ class NetworkOptions:
     """D, the size of a part's embedding"""
     dropout: float = 0.75
     """share of the embedding that is dropped in front of the classifier in training"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         one_of(self, "backbone", "resnet18", "resnet50")

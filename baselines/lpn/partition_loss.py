@@ -31,14 +31,14 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from baselines.options import NO_OTHER_KEYS, above_0, at_least, one_of
+from baselines.options import Options, above_0, at_least, one_of
 
 _LEAST = 1e-12
 """added to s in the original and to the mean of a mask, so that the loss of equal masks is finite"""
 
 
 @dataclass(frozen=True)
-class PartitionLossOptions:
+class PartitionLossOptions(Options):
     """Weight and form of the loss.
 
     Raises:
@@ -56,8 +56,6 @@ class PartitionLossOptions:
     """n of ``power``; above 1 the gradient also vanishes at one-hot masks"""
     tau: float = 0.25
     """of ``exponential``"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         one_of(self, "form", "original", "power", "exponential")

@@ -22,13 +22,13 @@ from torch import Tensor, nn
 
 from baselines.initialisation import convolution
 from baselines.lpn.pooling import PartMean, Parts, masked_means
-from baselines.options import NO_OTHER_KEYS, one_of
+from baselines.options import Options, one_of
 
 _SPREAD = 0.001
 
 
 @dataclass(frozen=True)
-class SoftPartitionOptions:
+class SoftPartitionOptions(Options):
     """How features are pooled.
 
     Raises:
@@ -37,8 +37,6 @@ class SoftPartitionOptions:
 
     mean: PartMean = "all"
     """``all``: mean over all pixels, as in the paper; ``mask``: weighted mean, divided by the sum of probabilities"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         one_of(self, "mean", "all", "mask")

@@ -152,7 +152,7 @@ def record_legs(
     recorded, jobs = {}, []
     for leg in legs:
         options = DriveOptions(seed=seed, number=leg.number, frames=frames, cameras=())
-        path = route(town, leg.route, length, seed)
+        path = route(town.network, town.periodic.street, leg.route, length, seed)
         found, job = prepare(town, path, condition_named(leg.condition).factors, out, options)
         recorded[leg.number] = found.folder
         jobs.append(job)

@@ -1,4 +1,4 @@
-"""SE(3), interpolation, camera models and projection. Imports nothing but NumPy."""
+"""SE(3), interpolation, camera models and projection. Needs nothing but NumPy."""
 
 from relocbench.geometry.camera import Camera, CameraModel, camera_from_dict
 from relocbench.geometry.robust import robust_sigma

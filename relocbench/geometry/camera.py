@@ -11,9 +11,10 @@ from functools import cached_property
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from relocbench.arrays import Array, Floats, Mask
+
 CameraModel = Literal["pinhole", "radtan", "equidistant"]
 
 _COEFFICIENTS: dict[str, tuple[int, ...]] = {"pinhole": (0,), "radtan": (4, 5, 8), "equidistant": (4,)}
@@ -87,7 +88,7 @@ class Camera:
             cy=(self.cy + 0.5) * factor - 0.5,
         )
 
-    def contains(self, pixels: ArrayLike, border: float = 0.0) -> NDArray[np.bool_]:
+    def contains(self, pixels: ArrayLike, border: float = 0.0) -> Mask:
         """Whether pixels (..., 2) lie on the image, ``border`` pixels inside its outermost pixel centres."""
         p = np.asarray(pixels, dtype=np.float64)
         u, v = p[..., 0], p[..., 1]
@@ -95,7 +96,7 @@ class Camera:
         return inside & (v >= border) & (v <= self.height - 1 - border)
 
     @np.errstate(all="ignore")  # points that are not finite are reported as not valid
-    def project(self, points: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+    def project(self, points: ArrayLike) -> tuple[Array, Mask]:
         """Pixels of points in the camera frame.
 
         Args:
@@ -127,7 +128,7 @@ class Camera:
         valid = valid & np.all(np.isfinite(pixels), axis=-1)
         return np.where(valid[..., None], pixels, np.nan), valid
 
-    def unproject(self, pixels: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+    def unproject(self, pixels: ArrayLike) -> tuple[Array, Mask]:
         """Rays of pixels.
 
         Args:
@@ -155,13 +156,13 @@ class Camera:
             rays = rays / np.where(forward, rays[..., 2], 1.0)[..., None]
         return np.where(valid[..., None], rays, np.nan), valid
 
-    def undistort(self, pixels: ArrayLike, target: Camera | None = None) -> tuple[Array, NDArray[np.bool_]]:
+    def undistort(self, pixels: ArrayLike, target: Camera | None = None) -> tuple[Array, Mask]:
         """Pixels (..., 2) of this camera as pixels of ``target`` (default: :meth:`pinhole`), and valid (...)."""
         rays, valid = self.unproject(pixels)
         moved, seen = (target or self.pinhole()).project(rays)
         return moved, valid & seen
 
-    def undistortion_map(self, target: Camera | None = None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def undistortion_map(self, target: Camera | None = None) -> tuple[Floats, Floats]:
         """For each pixel of ``target`` (default: :meth:`pinhole`) the pixel of this camera that it shows.
 
         Returns:
@@ -234,7 +235,7 @@ class Camera:
         growth = top * bottom + np.poly1d([2.0, 0.0]) * (top.deriv() * bottom - top * bottom.deriv())
         return min(_first_root(growth.coeffs), _first_root(bottom.coeffs))
 
-    def _invert_radtan(self, xd: Array, yd: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    def _invert_radtan(self, xd: Array, yd: Array) -> tuple[Array, Array, Mask]:
         """Undistort by Newton's method in two dimensions, starting from the inverse of the radial part alone."""
         rd = np.hypot(xd, yd)
         r, _ = _invert_increasing(self._radial, rd, self._fold)
@@ -273,7 +274,7 @@ def _first_root(coefficients: ArrayLike) -> float:
 
 def _invert_increasing(
     function: Callable[[Array], tuple[Array, Array]], target: Array, end: float
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Solve ``function(x) = target`` for x in [0, end), where the function increases from 0.
 
     Newton's method within a bracket: alone it would overshoot next to a fold, where the function is nearly flat.

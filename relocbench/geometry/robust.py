@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from relocbench.arrays import Array
 
 _SIGMA_PER_MEDIAN = 1.4826
 """1 / 0.6745: half of a normal distribution lies within 0.6745 standard deviations"""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from relocbench.arrays import Array
 
 
 def _series(theta2: Array, coefficients: tuple[float, ...]) -> Array:

@@ -28,6 +28,7 @@ def write_university(root: Path) -> None:
 
 def write_rendered(root: Path) -> None:
     """A set as ``build-dataset cross-view`` leaves it, its pictures made up."""
+    from relocbench.datasets.core.manifest import write_manifest
     from relocbench.datasets.cross_view import content
     from relocbench.files import dump_yaml
 
@@ -35,7 +36,7 @@ def write_rendered(root: Path) -> None:
     keys = [key for key in _OFFICIAL if "4K" not in key and "google" not in key]
     _write_images(folder, keys)
     rows = content.rows_of(folder, keys)
-    content.write_manifest(folder, rows)
+    write_manifest(folder / content.MANIFEST_FILE, rows)
     write(folder / content.POSES_FILE, "image,condition,x", *(f"{key},Rain,1.5" for key in keys))
     write(folder / content.BUILD_FILE, "command: made up")
     file = content.CrossViewFile(

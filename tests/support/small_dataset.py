@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.datasets.core.build import Build
+from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import CameraEntry, Condition, TraversalFile
@@ -133,17 +135,8 @@ def make_small_dataset(
         kept = sequence[:pairs]
         if not truth:
             kept = [_with_pose(p, None) for p in kept]
-        write_pair_set(
-            writer,
-            "summer",
-            query,
-            CAMERA,
-            [*extra, *kept],
-            count=correspondences,
-            seed=seed,
-            reporter=Silent(),
-            run=Run(),
-        )
+        options = ImportOptions(correspondences=correspondences, seed=seed)
+        write_pair_set(Build(writer, options, Silent(), Run()), "summer", query, CAMERA, [*extra, *kept])
     return writer.finish(splits or {"test": [ACROSS], "all": [ACROSS, WITHIN]})
 
 

@@ -106,7 +106,7 @@ class SolidTexture:
         rays, _ = camera.unproject(np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float64))
         directions = rays @ T_world_cam[:3, :3].T
         origins = np.broadcast_to(T_world_cam[:3, 3], directions.shape)
-        z, _, _ = self._scene.cast(origins, directions)
+        z = self._scene.hits(origins, directions).range
         met = np.isfinite(z)
         points = origins + np.where(met, z, 0.0)[:, None] * directions
         phase = points @ self._waves

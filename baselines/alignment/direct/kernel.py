@@ -13,12 +13,12 @@ vectorises them.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.alignment.shared.compiled import FAST, FloatArray, Number
 from baselines.alignment.shared.normal_equations import accumulate_pose, divide_and_mirror
 from baselines.alignment.shared.scratch import AXX, AXY, AYY, BLOCK, BX, BY, ID, PX, PY, SHARED_ROWS, VALID, U, V
 from baselines.alignment.shared.warp import SMALLEST_SIDE, warp
+from relocbench.arrays import Array
 from relocbench.kernels import njit
 
 # Rows of the scratch block behind the shared ones: the interpolated map, and products with the brightness columns.
@@ -163,8 +163,8 @@ def linearize(
     gain_offset: FloatArray,
     huber: float,
     cutoff: float,
-    H: NDArray[np.float64],
-    g: NDArray[np.float64],
+    H: Array,
+    g: Array,
 ) -> tuple[float, int, int]:
     """Compute the mean energy and the normal equations at one pose.
 

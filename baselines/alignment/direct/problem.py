@@ -8,13 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 from numba.extending import overload
-from numpy.typing import NDArray
 
 from baselines.alignment.direct.kernel import linearize
 from baselines.alignment.shared.compiled import FloatArray
 from baselines.alignment.shared.levenberg import COUNT, ENERGY, SATURATED, linearize_at
-
-Array = NDArray[np.float64]
+from relocbench.arrays import Array
 
 
 class DirectProblem(NamedTuple):

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.alignment.direct.problem import DirectProblem
 from baselines.alignment.direct.settings import Settings
@@ -15,10 +14,9 @@ from baselines.alignment.shared.depth_map import LevelPoints
 from baselines.alignment.shared.levels import LevelOutcome, best_of, coarse_to_fine, failure_of
 from baselines.alignment.shared.levenberg import COUNT, ENERGY, SATURATED, minimise_level
 from baselines.alignment.shared.pyramid import Level, camera_intrinsics
+from relocbench.arrays import Array
 from relocbench.errors import MethodError
 from relocbench.geometry import compose
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

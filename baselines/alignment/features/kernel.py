@@ -15,16 +15,14 @@ map and its central differences at one place are made of twelve pixels: a 4x4 sq
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.alignment.shared.compiled import FAST, FloatArray, Number
 from baselines.alignment.shared.levenberg import COUNT, ENERGY, NOT_FINITE_POINTS, SATURATED, SQUARES, WEIGHT
 from baselines.alignment.shared.normal_equations import accumulate_pose, divide_and_mirror
 from baselines.alignment.shared.scratch import AXX, AXY, AYY, BLOCK, BX, BY, PX, PY, SHARED_ROWS, VALID
 from baselines.alignment.shared.warp import SMALLEST_SIDE, warp
+from relocbench.arrays import Array
 from relocbench.kernels import njit
-
-Array = NDArray[np.float64]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
 from numba import types
 from numba.extending import overload
-from numpy.typing import NDArray
 
 from baselines.alignment.features.kernel import linearize_features
 from baselines.alignment.shared.compiled import FloatArray
 from baselines.alignment.shared.levenberg import linearize_at
-
-Array = NDArray[np.float64]
+from relocbench.arrays import Array
 
 
 class FeatureProblem(NamedTuple):

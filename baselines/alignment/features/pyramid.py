@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.alignment.shared.pyramid import Level, Map, level_camera, require_pinhole, with_gradients
+from relocbench.arrays import Array, Floats
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +93,7 @@ def level_coordinates(uv: Array, level: int) -> Array:
     return np.asarray((uv + 0.5) / (1 << level) - 0.5, dtype=np.float64)
 
 
-def sample(level_map: Map, uv: Array) -> NDArray[np.float32]:
+def sample(level_map: Map, uv: Array) -> Floats:
     """A map (H, W, D) interpolated bilinearly at (N, 2) pixels within it -> (N, D)."""
     height, width = level_map.shape[:2]
     iu = np.clip(np.floor(uv[:, 0]).astype(int), 0, max(width - 2, 0))

@@ -10,22 +10,21 @@ from numpy.typing import NDArray
 
 from baselines.alignment.features.pyramid import FeaturePyramid, level_coordinates, sample
 from baselines.alignment.shared.depth_map import KEPT_BORDER
+from relocbench.arrays import Array, Floats
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class FeaturePoints:
     """The points of one level of the reference."""
 
-    points: NDArray[np.float32]
+    points: Floats
     """(3, N) normalised x, y and inverse depth (1/m)"""
-    values: NDArray[np.float32]
+    values: Floats
     """(N, D) features of the reference at the points"""
-    weights: NDArray[np.float32]
+    weights: Floats
     """(N,) positive; a point of weight 2 counts as two"""
 
     @classmethod

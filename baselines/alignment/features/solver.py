@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.alignment.features.kernel import workspace_for
 from baselines.alignment.features.problem import FeatureProblem
@@ -27,10 +26,9 @@ from baselines.alignment.shared.levenberg import (
 )
 from baselines.alignment.shared.pyramid import camera_intrinsics
 from baselines.alignment.shared.starts import Start
+from relocbench.arrays import Array
 from relocbench.errors import MethodError
 from relocbench.geometry import compose
-
-Array = NDArray[np.float64]
 
 UNKNOWNS = 6
 

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.alignment.shared.pyramid import Level
+from relocbench.arrays import Array, Floats
 from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints
-
-Array = NDArray[np.float64]
 
 KEPT_BORDER = 2
 """pixels of a level that are left out along its border"""
@@ -25,9 +24,9 @@ STRAIGHT = ((-1, 0), (1, 0), (0, -1), (0, 1))
 class LevelPoints:
     """The points of one level of the reference, for direct alignment."""
 
-    points: NDArray[np.float32]
+    points: Floats
     """(3, N) normalised x, y and inverse depth (1/m)"""
-    values: NDArray[np.float32]
+    values: Floats
     """(N, D) the reference's values at the pixels; direct alignment takes D = 1"""
     uv: NDArray[np.int32]
     """(N, 2) the pixels, on this level"""
@@ -126,9 +125,7 @@ def _read_off(sums: InverseDepthSums) -> tuple[NDArray[np.int64], Array]:
     return np.stack([u, v], axis=-1)[positive], inverse_depth[positive]
 
 
-def sample_points(
-    uv: NDArray[np.integer], inverse_depth: Array, level_map: NDArray[np.float32], camera: Camera
-) -> LevelPoints:
+def sample_points(uv: NDArray[np.integer], inverse_depth: Array, level_map: Floats, camera: Camera) -> LevelPoints:
     """The points at pixels (N, 2) with inverse depth (N,), and the values of a level's map (H, W, 3 D) there."""
     u, v = uv[:, 0], uv[:, 1]
     x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy

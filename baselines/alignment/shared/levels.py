@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.alignment.shared.levenberg import NO_RESIDUALS, SINGULAR
-
-Array = NDArray[np.float64]
+from relocbench.arrays import Array
 
 ABANDON_FACTOR = 1.5
 """a start is given up when its root mean energy on a level exceeds the best one's by this factor (DSO)"""

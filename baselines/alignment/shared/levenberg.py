@@ -13,12 +13,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.alignment.shared.small_matrices import product, se3_exp, solve_cholesky
+from relocbench.arrays import Array
 from relocbench.kernels import njit
 
-Array = NDArray[np.float64]
 Workspace = tuple[Array, Array, Array, Array, Array]
 
 CONVERGED, ITERATIONS_SPENT, SINGULAR, NO_RESIDUALS, NOT_FINITE = range(5)

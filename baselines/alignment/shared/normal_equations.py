@@ -14,14 +14,10 @@ lengths and weights w, are first reduced to A = sum w g g^T (2x2) and b = sum w 
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from baselines.alignment.shared.compiled import FAST, FloatArray
 from baselines.alignment.shared.scratch import AXX, AXY, AYY, BX, BY, ID, U, V
+from relocbench.arrays import Array
 from relocbench.kernels import njit
-
-Array = NDArray[np.float64]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.kernels import njit
-
-Array = NDArray[np.float64]
 
 
 @njit(cache=True)

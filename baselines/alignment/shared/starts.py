@@ -6,11 +6,9 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.geometry import make_transform, rotation_from_quaternion
-
-Array = NDArray[np.float64]
 
 SMALL_ROTATION = 0.02
 """quaternion component before normalising: 2.3, 3.2 and 4.0 degrees about one, two and three axes"""

@@ -17,13 +17,13 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from baselines.options import NO_OTHER_KEYS, at_least, one_of, require
+from baselines.options import Options, at_least, one_of, require
 
 Form = Literal["distance", "squared"]
 
 
 @dataclass(frozen=True)
-class ContrastiveOptions:
+class ContrastiveOptions(Options):
     """Form, weights, margins and negatives.
 
     Raises:
@@ -46,8 +46,6 @@ class ContrastiveOptions:
     """pixels of the level; pixels within this distance of the true one are no negatives"""
     candidates: int = 1024
     """number of pixels drawn in each image, of which the hardest negative of each point is chosen"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         one_of(self, "form", "distance", "squared")

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from baselines.gn_net.losses.symmetric import Symmetric, normal_equations
 from baselines.gn_net.sampling import sample_with_gradient
-from baselines.options import NO_OTHER_KEYS, above_0, at_least, one_of
+from baselines.options import Options, above_0, at_least, one_of
 
 Damping = Literal["identity", "diagonal"]
 
@@ -27,7 +27,7 @@ _LEAST = 1e-12
 
 
 @dataclass(frozen=True)
-class DescentOptions:
+class DescentOptions(Options):
     """Weight, starts, damping and margin.
 
     Raises:
@@ -44,8 +44,6 @@ class DescentOptions:
     """the matrix that lambda_f multiplies: the identity, or the diagonal of J^T J"""
     margin: float = 0.1
     """pixels^2 of the level"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         at_least(self, 0, "weight margin")

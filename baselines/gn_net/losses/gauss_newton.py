@@ -21,11 +21,11 @@ from torch import Tensor
 
 from baselines.gn_net.losses.symmetric import normal_equations
 from baselines.gn_net.sampling import sample_with_gradient
-from baselines.options import NO_OTHER_KEYS, above_0, at_least, one_of
+from baselines.options import Options, above_0, at_least, one_of
 
 
 @dataclass(frozen=True)
-class GaussNewtonOptions:
+class GaussNewtonOptions(Options):
     """Weights of the loss and its parts, and the choice of starts.
 
     Raises:
@@ -47,8 +47,6 @@ class GaussNewtonOptions:
     ``affine``: that mean for features that are linear around the true pixel"""
     nodes: int = 2
     """quadrature nodes of ``integrated`` along each side of a cell between four pixels"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         at_least(self, 0, "weight e1 e2")

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from baselines.options import NO_OTHER_KEYS, above_0, at_least
+from baselines.options import Options, above_0, at_least
 
 
 @dataclass(frozen=True)
-class InfoNceOptions:
+class InfoNceOptions(Options):
     """Weight, temperature and the points that take part.
 
     Raises:
@@ -36,8 +36,6 @@ class InfoNceOptions:
     """pixels of the level; other points within this distance do not count as wrong"""
     points: int = 512
     """largest number of a pair's points that take part, in their order"""
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         at_least(self, 0, "weight away")

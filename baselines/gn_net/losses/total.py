@@ -23,11 +23,11 @@ from baselines.gn_net.losses.infonce import InfoNceOptions, infonce_terms
 from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
 from baselines.gn_net.losses.reduce import masked_mean
 from baselines.gn_net.sampling import level_coordinates, sample
-from baselines.options import NO_OTHER_KEYS, OptionError, require
+from baselines.options import OptionError, Options, require
 
 
 @dataclass(frozen=True)
-class LossOptions:
+class LossOptions(Options):
     """The losses and their weights on each level; a weight of 0 disables a loss.
 
     Raises:
@@ -40,8 +40,6 @@ class LossOptions:
     level_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     """one weight for each level of the network, finest first"""
     infonce: InfoNceOptions = field(default_factory=InfoNceOptions)
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         require(

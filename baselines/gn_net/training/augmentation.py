@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.gn_net.training.options import AugmentationOptions
+from relocbench.arrays import Floats
 
-Values = NDArray[np.float32]
+Values = Floats
 
 GREY = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 """luma of ITU-R BT.601"""

@@ -14,9 +14,10 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from baselines.gn_net.training.augmentation import augment
-from baselines.gn_net.training.crops import Image, Pixels, cut_pair, mirrored
+from baselines.gn_net.training.crops import Pixels, cut_pair, mirrored
 from baselines.gn_net.training.drawing import EvenDraw
 from baselines.gn_net.training.options import TrainOptions
+from relocbench.arrays import Image
 from relocbench.training import TrainingData, TrainingPair
 
 _CUT, _REF, _QUERY = range(3)

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
-Pixels = NDArray[np.float32]
+from relocbench.arrays import Floats, Image, Mask
+
+Pixels = Floats
 
 
 class Cut(NamedTuple):
@@ -96,7 +97,7 @@ def _inside(corner: NDArray[np.floating], image: Image, side: int) -> NDArray[np
     return out
 
 
-def _within(u: NDArray[np.floating], side: int) -> NDArray[np.bool_]:
+def _within(u: NDArray[np.floating], side: int) -> Mask:
     return np.asarray(np.all((u >= 0) & (u <= side - 1), axis=1), dtype=bool)
 
 

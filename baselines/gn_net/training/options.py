@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 from baselines.gn_net.losses import LossOptions
 from baselines.gn_net.options import NetworkOptions
-from baselines.options import NO_OTHER_KEYS, OptionError, above_0, at_least, require, share, share_below_1
+from baselines.options import OptionError, Options, above_0, at_least, require, share, share_below_1
 
 
 @dataclass(frozen=True)
-class AugmentationOptions:
+class AugmentationOptions(Options):
     """Strengths of the photometric changes of each image; 0 disables one. The geometry is never changed.
 
     Raises:
@@ -38,15 +38,13 @@ class AugmentationOptions:
     vignetting: float = 0.3
     """share of the light that is lost in the farthest corner, uniform in 0 .. this"""
 
-    __pydantic_config__ = NO_OTHER_KEYS
-
     def __post_init__(self) -> None:
         at_least(self, 0, "gain offset gamma contrast colour noise blur")
         share(self, "probability grey vignetting")
 
 
 @dataclass(frozen=True)
-class TrainOptions:
+class TrainOptions(Options):
     """Everything that decides what is learnt, except the data.
 
     Raises:
@@ -97,8 +95,6 @@ class TrainOptions:
     augmentation: AugmentationOptions = field(default_factory=AugmentationOptions)
     loss: LossOptions = field(default_factory=LossOptions)
     network: NetworkOptions = field(default_factory=NetworkOptions)
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         at_least(self, 1, "steps batch points log_every validate_every checkpoint_every")

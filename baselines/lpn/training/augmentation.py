@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from baselines.lpn.images import Image
 from baselines.lpn.training.options import TrainOptions
+from relocbench.arrays import Image
 
 
 def augmented(image: Image, view: str, options: TrainOptions, rng: np.random.Generator) -> Image:

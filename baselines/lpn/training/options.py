@@ -9,7 +9,7 @@ from baselines.lpn.losses import LossOptions
 from baselines.lpn.network import VIEWS, View
 from baselines.lpn.options import NetworkOptions
 from baselines.lpn.stages import Stage
-from baselines.options import NO_OTHER_KEYS, OptionError, at_least, require, share, share_below_1
+from baselines.options import OptionError, Options, at_least, require, share, share_below_1
 
 _SCRATCH_RATE = 3e-3
 """learning rate of all weights if the backbone starts from random weights; the recipe's rates are for pretrained ones.
@@ -20,7 +20,7 @@ _ALIGNMENT = 16
 
 
 @dataclass(frozen=True)
-class TrainOptions:
+class TrainOptions(Options):
     """Everything that decides what is learnt, except the data. The defaults are the recipe of LPN's authors.
 
     Raises:
@@ -80,8 +80,6 @@ class TrainOptions:
     """steps; checkpoints are also written after each validation"""
     loss: LossOptions = field(default_factory=LossOptions)
     network: NetworkOptions = field(default_factory=NetworkOptions)
-
-    __pydantic_config__ = NO_OTHER_KEYS
 
     def __post_init__(self) -> None:
         usual = configuration(self.configuration)

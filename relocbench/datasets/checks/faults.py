@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import AXIS_COLUMNS, TABLE_COLUMNS, PairKey, PoseLine, parse_pose, table_columns
 from relocbench.datasets.core.traversal import POSE_COLUMNS
 from relocbench.errors import DatasetError, RelocbenchError
@@ -26,7 +25,6 @@ from relocbench.files import (
 )
 from relocbench.geometry import Camera
 
-Array = NDArray[np.float64]
 Model = TypeVar("Model", bound=BaseModel)
 
 _PAIR_NUMBERS = ("distance_m", "angle_deg", "overlap", "sigma_translation_m", "sigma_rotation_deg")

@@ -7,16 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.checks.faults import Findings, TableRow, read_pair_lines, read_pair_table
 from relocbench.datasets.core.layout import DatasetLayout, TraversalLayout
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.datasets.core.schema import TraversalFile
 from relocbench.geometry import invert, rotation_angle
 from relocbench.progress import Reporter
-
-Array = NDArray[np.float64]
 
 POSE_TOLERANCE_M = 1e-3
 POSE_TOLERANCE_DEG = 0.01

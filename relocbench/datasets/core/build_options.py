@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from relocbench.datasets.core.schema import Condition, Strict
+from relocbench.errors import ConfigError
 
 
 class ImportOptions(Strict):
@@ -24,6 +26,16 @@ class ImportOptions(Strict):
         {}, description="condition of each traversal (weather, season, time_of_day, tags); YAML only"
     )
     seed: int = Field(0, ge=0, description="seed of every random choice")
+
+    def condition_of(self, traversal: str) -> Condition:
+        """The condition that is given for a traversal; unknown by default."""
+        return self.conditions.get(traversal, Condition())
+
+    def check_conditions(self, traversals: Sequence[str]) -> None:
+        """Raise ConfigError if a condition is given for a traversal that does not exist."""
+        for name in self.conditions:
+            if name not in traversals:
+                raise ConfigError(f"conditions: no traversal '{name}'; there is {', '.join(traversals)}")
 
     @property
     def copies_images(self) -> bool:

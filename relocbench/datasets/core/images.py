@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Image
 from relocbench.datasets.core.image_header import (
     JPEG_START,
     MOST_FILE_BYTES,
@@ -44,7 +45,7 @@ class ExpectedSize:
             raise DatasetError(f"image is {found}, expected {expected} ({self.source})", path)
 
 
-def read_image(path: Path, expected: ExpectedSize | None = None) -> NDArray[np.uint8]:
+def read_image(path: Path, expected: ExpectedSize | None = None) -> Image:
     """An 8-bit image, (H, W) grey or (H, W, 3) RGB, as stored: an orientation in its metadata is ignored.
 
     Args:
@@ -66,7 +67,7 @@ def read_image(path: Path, expected: ExpectedSize | None = None) -> NDArray[np.u
     return image
 
 
-def write_image(path: Path, image: NDArray[np.uint8]) -> None:
+def write_image(path: Path, image: Image) -> None:
     """Write (H, W) grey or (H, W, 3) RGB as an 8-bit PNG."""
     write_bytes(path, png_bytes(image))
 
@@ -115,12 +116,12 @@ def write_points(path: Path, points: KeyframePoints) -> None:
             stream.write(f"{u!r},{v!r},{idepth!r},{sigma!r}\n")
 
 
-def as_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def as_rgb(image: Image) -> Image:
     """(H, W, 3) of a grey (H, W) or RGB (H, W, 3) image."""
     return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
 
 
-def as_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def as_grey(image: Image) -> Image:
     """(H, W) of a grey (H, W) or RGB (H, W, 3) image."""
     return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
 

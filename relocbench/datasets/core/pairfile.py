@@ -15,13 +15,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.errors import DatasetError, RelocbenchError
 from relocbench.files import atomic_write, parse_floats, parse_timestamp, read_csv, read_rows, write_text
 from relocbench.geometry import rotation_angle, transform_from_tq, transform_to_tq
 
-Array = NDArray[np.float64]
 PairKey = tuple[int, int]
 """(reference timestamp, query timestamp), nanoseconds"""
 

@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import pose_numbers
 from relocbench.datasets.core.schema import DatasetFile
@@ -69,7 +69,7 @@ def _traversal(traversal: Traversal) -> dict[str, Any]:
     }
 
 
-def _transform_fields(values: Mapping[str, Any]) -> NDArray[np.float64]:
+def _transform_fields(values: Mapping[str, Any]) -> Array:
     """The numbers (1, 7) of a transform in ``traversal.yaml``."""
     return _signed(np.array([[*values["translation_m"], *values["quaternion_xyzw"]]], dtype=np.float64))
 
@@ -81,7 +81,7 @@ def _pairs(pair_set: PairSet) -> list[Any]:
     return [[[*p.key, p.accepted, p.T_query_ref is not None] for p in pairs], _digest(poses)]
 
 
-def _signed(fields: NDArray[np.float64]) -> NDArray[np.float64]:
+def _signed(fields: Array) -> Array:
     """Poses (N, 7) whose quaternions have a positive largest component: q and -q are the same rotation."""
     quaternions = fields[:, 3:]
     place = np.argmax(np.round(np.abs(quaternions), DECIMALS), axis=1)
@@ -89,7 +89,7 @@ def _signed(fields: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([fields[:, :3], np.where(negative, -quaternions, quaternions)], axis=1)
 
 
-def _digest(rows: NDArray[np.float64]) -> str:
+def _digest(rows: Array) -> str:
     values = _rounded(rows)
     return hashlib.sha256(values.astype("<f8").tobytes()).hexdigest()
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
 
+from relocbench.arrays import Array
 from relocbench.files import MAX_FOLDER_BYTES, check_distinct, check_joined_name, check_name
 from relocbench.geometry import Camera, camera_from_dict, transform_from_tq, transform_to_tq
 
@@ -44,12 +44,12 @@ class Transform(Strict):
         return self
 
     @property
-    def matrix(self) -> NDArray[np.float64]:
+    def matrix(self) -> Array:
         """(4, 4)"""
         return transform_from_tq(self.translation_m, self.quaternion_xyzw)
 
     @classmethod
-    def of(cls, matrix: NDArray[np.float64]) -> Transform:
+    def of(cls, matrix: Array) -> Transform:
         """The transform with a (4, 4) matrix."""
         t, q = transform_to_tq(matrix)
         return cls.model_validate({"translation_m": t.tolist(), "quaternion_xyzw": q.tolist()})
@@ -96,7 +96,7 @@ class CameraEntry(Strict):
     def of(
         cls,
         camera: Camera,
-        T_rig_cam: NDArray[np.float64] | None = None,
+        T_rig_cam: Array | None = None,
         depth_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> CameraEntry:
         """The entry for a camera with (4, 4) extrinsics (default: identity) and depth noise."""

@@ -5,20 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relocbench.arrays import Array, Floats, Image
 from relocbench.datasets.core import images, pairfile
 from relocbench.datasets.core.layout import TraversalLayout
-from relocbench.datasets.core.schema import Condition, TraversalFile
+from relocbench.datasets.core.schema import CameraEntry, Condition, TraversalFile
 from relocbench.errors import DatasetError
 from relocbench.files import load_yaml, parse_timestamp, read_table
 from relocbench.geometry import Camera, invert
 from relocbench.tracking import KeyframePoints, Neighbour, Query, Reference
 
-Array = NDArray[np.float64]
 POSE_COLUMNS = ("timestamp_ns", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 
 
@@ -45,13 +41,11 @@ class Traversal:
 
     def camera(self, camera: str) -> Camera:
         """Model, intrinsics and size of a camera."""
-        out: Camera = self._entry(camera).camera
-        return out
+        return self._entry(camera).camera
 
     def T_rig_cam(self, camera: str) -> Array:
         """Pose of a camera in the rig's frame, (4, 4)."""
-        out: Array = self._entry(camera).T_rig_cam.matrix
-        return out
+        return self._entry(camera).T_rig_cam.matrix
 
     def timestamps(self, camera: str) -> list[int]:
         """Sorted times of the camera's images, nanoseconds."""
@@ -74,7 +68,7 @@ class Traversal:
         except KeyError:
             raise DatasetError(f"no pose at {timestamp_ns}", self.layout.poses) from None
 
-    def image(self, camera: str, timestamp_ns: int) -> NDArray[np.uint8]:
+    def image(self, camera: str, timestamp_ns: int) -> Image:
         """An image, (H, W) grey or (H, W, 3) RGB.
 
         Raises:
@@ -83,7 +77,7 @@ class Traversal:
         path = self.layout.find_image(camera, timestamp_ns) or self.layout.image(camera, timestamp_ns)
         return images.read_image(path, self._expected_size(camera))
 
-    def depth(self, camera: str, timestamp_ns: int) -> NDArray[np.float32] | None:
+    def depth(self, camera: str, timestamp_ns: int) -> Floats | None:
         """Dense depth (H, W) in metres, 0 where unknown; None if the frame has none."""
         path = self.layout.depth(camera, timestamp_ns)
         if not path.exists() and not path.is_symlink():
@@ -117,7 +111,7 @@ class Traversal:
             camera=self.camera(camera),
         )
 
-    def _entry(self, camera: str) -> Any:
+    def _entry(self, camera: str) -> CameraEntry:
         try:
             return self.file.cameras[camera]
         except KeyError:

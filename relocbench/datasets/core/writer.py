@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core import fingerprint, images, pairfile
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
@@ -33,7 +34,6 @@ from relocbench.files import (
 )
 from relocbench.tracking import KeyframePoints
 
-Array = NDArray[np.float64]
 _VERSIONED = ("relocbench", "numpy", "opencv-python-headless", "open3d")
 
 

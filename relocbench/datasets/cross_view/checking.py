@@ -8,6 +8,7 @@ from pathlib import Path
 
 from relocbench.datasets.checks.faults import Findings
 from relocbench.datasets.core import images
+from relocbench.datasets.core.manifest import read_manifest
 from relocbench.datasets.cross_view import content
 from relocbench.datasets.cross_view.opening import open_cross_view
 from relocbench.errors import DatasetError
@@ -26,8 +27,8 @@ def validate_cross_view(root: Path, reporter: Reporter, *, quick: bool = False) 
         opened = open_cross_view(root)
         for note in opened.notes:
             found.note(note, root)
-        rows = content.read_manifest(root) if (root / content.MANIFEST_FILE).exists() else None
-        digests = {key: digest for key, _, digest in rows or ()}
+        rows = read_manifest(root / content.MANIFEST_FILE) if (root / content.MANIFEST_FILE).exists() else []
+        digests = {key: digest for key, _, digest in rows}
         folders = [*opened.train.values(), *opened.queries.values(), *opened.galleries.values()]
         paths = {Path(p) for folder in folders for p in _paths(shot.view.read for shot in folder)}
         if not quick:

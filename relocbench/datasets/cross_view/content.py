@@ -50,16 +50,6 @@ def question_of(file: CrossViewFile, keys: Iterable[str]) -> str:
     return hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()
 
 
-def write_manifest(root: Path, rows: Sequence[Row]) -> None:
-    """Write ``manifest.csv``."""
-    manifest.write_manifest(root / MANIFEST_FILE, rows)
-
-
-def read_manifest(root: Path) -> list[Row]:
-    """Read ``manifest.csv``. Raises DatasetError with file and line."""
-    return manifest.read_manifest(root / MANIFEST_FILE)
-
-
 def check_against(root: Path, rows: Sequence[Row], present: Iterable[str]) -> None:
     """Raise DatasetError unless every image is listed and exists with its size. Contents are not read."""
     listed = {key: size for key, size, _ in rows}

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from relocbench.datasets.core.manifest import read_manifest
 from relocbench.datasets.cross_view import content, sample
 from relocbench.datasets.cross_view.cross_view_set import CrossViewSet, Shot, shots_of
 from relocbench.datasets.cross_view.layout import (
@@ -54,7 +55,10 @@ def open_cross_view(path: Path, reporter: Reporter | None = None) -> CrossViewSe
     layout = read_layout(path)
     if not any(folder.images for folder in layout.all):
         raise DatasetError(f"none of its {sum(len(f.empty) for f in layout.all)} class folders holds an image", path)
-    opened = _made_here(path, layout) if (path / content.BUILD_FILE).exists() else _foreign(path, layout)
+    if (path / content.BUILD_FILE).exists():
+        opened = _made_here(path, layout)
+    else:
+        opened = _set(path, _plain(path), layout, lambda: content.fingerprint_of(content.rows_of(path, layout.keys)))
     for note in opened.notes:
         (reporter or Silent()).note(f"{path}: {note}")
     return opened
@@ -67,15 +71,6 @@ def _refuse(path: Path) -> None:
     if (path / content.BUILD_FILE).exists() and not (path / content.DATASET_FILE).exists():
         raise DatasetError("is an unfinished build; run its command again to continue it", path)
     raise DatasetError(_EXPECTED, path)
-
-
-def _foreign(path: Path, layout: ViewFolders) -> CrossViewSet:
-    return _set(
-        path,
-        _plain(path),
-        layout,
-        lambda: content.fingerprint_of(content.rows_of(path, layout.keys)),
-    )
 
 
 def _plain(path: Path) -> str:
@@ -95,7 +90,7 @@ def _made_here(path: Path, layout: ViewFolders) -> CrossViewSet:
             f"key 'format_version' is {file.format_version}, but this relocbench reads {content.FORMAT_VERSION}",
             path / content.DATASET_FILE,
         )
-    rows = content.read_manifest(path)
+    rows = read_manifest(path / content.MANIFEST_FILE)
     if content.fingerprint_of(rows) != file.fingerprint:
         raise DatasetError(
             f"{content.MANIFEST_FILE} was changed after the set was made: the fingerprint does not match",

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions, RuleOptions
-from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.pairs.correspondences import write_pair_set
 from relocbench.datasets.pairs.pairing import make_pairs, posed_frames
-from relocbench.errors import ConfigError, DatasetError
-from relocbench.execution import Run
-from relocbench.progress import Reporter
+from relocbench.errors import DatasetError
 
 
 def configuration(kind: str, sources: Sequence[Path], options: ImportOptions) -> dict[str, Any]:
@@ -34,18 +32,6 @@ def open_writer(
     return DatasetWriter(out, name, configuration(kind, sources, options), options.licence)
 
 
-def condition_of(options: ImportOptions, traversal: str) -> Condition:
-    """The condition that the options give for a traversal; unknown by default."""
-    return options.conditions.get(traversal, Condition())
-
-
-def check_conditions(options: ImportOptions, traversals: Sequence[str]) -> None:
-    """Raise ConfigError if the options give a condition for a traversal that does not exist."""
-    for name in options.conditions:
-        if name not in traversals:
-            raise ConfigError(f"conditions: no traversal '{name}'; there is {', '.join(traversals)}")
-
-
 def check_folder(path: Path, expected: str) -> None:
     """Raise DatasetError if ``path`` is not a folder."""
     if not path.is_dir():
@@ -53,21 +39,16 @@ def check_folder(path: Path, expected: str) -> None:
 
 
 def write_pairs(
-    writer: DatasetWriter,
+    job: Build[RuleOptions],
     reference: str,
     query: str,
     camera: str,
-    options: RuleOptions,
     *,
     source: str,
     where: Path,
-    reporter: Reporter,
-    run: Run,
     numbers: dict[int, int] | None = None,
-    sigma_translation_m: float | None = None,
-    sigma_rotation_deg: float | None = None,
-) -> str:
-    """Write a pair set by the pairing rule of the options, with its correspondences, and return its name.
+) -> None:
+    """Write a pair set by the pairing rule of the options, with its correspondences.
 
     The traversals must have been written before, with images and depth.
 
@@ -75,45 +56,29 @@ def write_pairs(
         source: how the poses were obtained.
         where: the recording's folder, for messages.
         numbers: timestamp_ns -> frame number, if the recording's frame numbers have gaps.
-        sigma_translation_m, sigma_rotation_deg: one standard deviation of the true poses, if known.
     """
-    traversals = {name: Traversal(writer.layout.traversal(name)) for name in (reference, query)}
-    pairs = make_pairs(
-        posed_frames(traversals[reference], camera, numbers),
-        posed_frames(traversals[query], camera, numbers if query == reference else None),
-        options,
-        same_traversal=query == reference,
-        source=source,
-        where=where,
-        sigma_translation_m=sigma_translation_m,
-        sigma_rotation_deg=sigma_rotation_deg,
+    drives = {name: Traversal(job.writer.layout.traversal(name)) for name in (reference, query)}
+    same = query == reference
+    frames = (
+        posed_frames(drives[reference], camera, numbers),
+        posed_frames(drives[query], camera, numbers if same else None),
     )
-    _note_unpaired(
-        traversals[query], camera, {p.query_timestamp_ns for p in pairs}, options, query == reference, reporter
-    )
-    return write_pair_set(
-        writer,
-        reference,
-        query,
-        camera,
-        pairs,
-        count=options.correspondences,
-        seed=options.seed,
-        reporter=reporter,
-        run=run,
-    )
+    pairs = make_pairs(*frames, job.options, same_traversal=same, source=source, where=where)
+    _note_unpaired(drives[query], camera, {p.query_timestamp_ns for p in pairs}, job, same)
+    write_pair_set(job, reference, query, camera, pairs)
 
 
 def _note_unpaired(
-    query: Traversal, camera: str, paired: set[int], options: RuleOptions, same_traversal: bool, reporter: Reporter
+    query: Traversal, camera: str, paired: set[int], job: Build[RuleOptions], same_traversal: bool
 ) -> None:
     """Report query frames without a pair. Under the nearest rule, each should have a keyframe."""
+    options = job.options
     if options.pair_rule == "step" or (same_traversal and options.pair_rule is None):
         return
     frames = [t for t in query.timestamps(camera) if t in query.poses]
     left_out = sum(t not in paired for t in frames)
     if left_out:
-        reporter.note(
+        job.reporter.note(
             f"{query.name}: {left_out} of {len(frames)} query frames are in no pair: no keyframe is within "
             f"--max-distance {options.max_distance:g} m and --max-angle {options.max_angle:g} deg"
         )

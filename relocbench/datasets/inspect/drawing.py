@@ -6,10 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Image, Mask
 from relocbench.datasets.core.images import as_grey
 
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
 WHITE, YELLOW, RED = (255, 255, 255), (255, 225, 60), (255, 90, 70)
@@ -31,10 +30,10 @@ def draw_points(
     image: Image,
     uv: Array,
     colours: NDArray[np.uint8],
-    shown: NDArray[np.bool_],
+    shown: Mask,
     corners: list[int],
     scale: int,
-    also_hidden: NDArray[np.bool_] | None = None,
+    also_hidden: Mask | None = None,
 ) -> Image:
     """Draw points as dots on a dimmed image, hidden points as small grey dots, and number the corners."""
     canvas = enlarge((image * 0.65).astype(np.uint8), scale)
@@ -59,7 +58,7 @@ def _draw_number(canvas: Image, at: tuple[int, int], number: str) -> None:
         cv2.putText(canvas, number, place, cv2.FONT_HERSHEY_SIMPLEX, size / 14, colour, thickness, cv2.LINE_AA)
 
 
-def mixed(warped: Image, known: NDArray[np.bool_], query: Image, scale: int, *, patches: bool) -> tuple[str, Image]:
+def mixed(warped: Image, known: Mask, query: Image, scale: int, *, patches: bool) -> tuple[str, Image]:
     """Caption and image: a chessboard of warped keyframe and query, or ``patches`` of the keyframe on the query."""
     out = query.copy()
     if patches:
@@ -73,14 +72,14 @@ def mixed(warped: Image, known: NDArray[np.bool_], query: Image, scale: int, *, 
     return "squares: keyframe warped / query; edges must be continuous", enlarge(out, scale)
 
 
-def red_cyan(warped: Image, known: NDArray[np.bool_], query: Image) -> Image:
+def red_cyan(warped: Image, known: Mask, query: Image) -> Image:
     red, cyan = (as_grey(image) for image in (warped, query))
     out: Image = np.stack([red, cyan, cyan], axis=-1).astype(np.uint8)
     out[~known] = cyan[~known, None] // 2
     return out
 
 
-def match_brightness(warped: Image, query: Image, known: NDArray[np.bool_]) -> Image:
+def match_brightness(warped: Image, query: Image, known: Mask) -> Image:
     """The warped keyframe with the query's mean brightness and contrast."""
     if not np.any(known):
         return warped

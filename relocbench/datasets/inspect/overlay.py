@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats, Image, Mask
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import as_grey, as_rgb, write_image
 from relocbench.datasets.core.pair_set import PairSet
@@ -25,7 +26,6 @@ from relocbench.datasets.inspect.drawing import (
     WHITE,
     YELLOW,
     Colour,
-    Image,
     compose,
     depth_colours,
     draw_points,
@@ -39,8 +39,6 @@ from relocbench.datasets.pairs.visibility import DepthView, ReferencePoints, ref
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
 from relocbench.progress import Reporter
 from relocbench.tracking import Query, Reference
-
-Array = NDArray[np.float64]
 
 _POINTS = 3000
 """points that are drawn at most; more would hide the image"""
@@ -133,18 +131,23 @@ def spread_pairs(pairs: list[Pair], count: int) -> list[Pair]:
     return [known[row] for row in rows]
 
 
-def _write_picture(dataset: Dataset, pair_set: PairSet, pair: Pair, folder: Path, seed: int) -> Picture:
+def write_pair(path: Path, dataset: Dataset, pair_set: PairSet, pair: Pair, name: str, seed: int) -> ImageAgreement:
+    """Draw the keyframe's points of a pair with known truth in its query image, under a title that begins with name."""
     assert pair.T_query_ref is not None
     reference, query = dataset.reference(pair_set, pair), dataset.query(pair_set, pair)
-    depth = dataset.traversal(pair_set.query).depth(pair_set.camera, pair.query_timestamp_ns)
-    sigma = dataset.traversal(pair_set.query).file.cameras[pair_set.camera].depth_sigma
-    view = DepthView(query.camera, depth, sigma)
+    traversal = dataset.traversal(pair_set.query)
+    depth = traversal.depth(pair_set.camera, pair.query_timestamp_ns)
+    view = DepthView(query.camera, depth, traversal.file.cameras[pair_set.camera].depth_sigma)
     rng = np.random.default_rng([seed, *(time % 2**64 for time in pair.key)])
     agreement = measure_agreement(reference, query, pair.T_query_ref)
-    title = f"{pair_set.name}   keyframe {pair.ref_timestamp_ns}   query {pair.query_timestamp_ns}"
-    image = draw_pair(reference, query, view, pair, agreement, title, rng)
+    title = f"{name}   keyframe {pair.ref_timestamp_ns}   query {pair.query_timestamp_ns}"
+    write_image(path, draw_pair(reference, query, view, pair, agreement, title, rng))
+    return agreement
+
+
+def _write_picture(dataset: Dataset, pair_set: PairSet, pair: Pair, folder: Path, seed: int) -> Picture:
     path = folder / f"{pair_set.name}_{pair.ref_timestamp_ns}_{pair.query_timestamp_ns}.png"
-    write_image(path, image)
+    agreement = write_pair(path, dataset, pair_set, pair, pair_set.name, seed)
     return Picture(
         path.name,
         pair_set.name,
@@ -186,7 +189,7 @@ def _difference(a: Array, b: Array) -> float:
     return float(np.mean(np.abs((a - a.mean()) * gain + b.mean() - b)))
 
 
-def warp_image(reference: Reference, query: Camera, T_query_ref: Array) -> tuple[Image, NDArray[np.bool_]]:
+def warp_image(reference: Reference, query: Camera, T_query_ref: Array) -> tuple[Image, Mask]:
     """The keyframe as the query would see it, (H, W[, 3]), and where it is known, (H, W).
 
     The keyframe's depth is drawn into the query; each query pixel q with depth z then gets the keyframe's colour at
@@ -209,7 +212,7 @@ def is_sparse(reference: Reference) -> bool:
     return bool(np.count_nonzero(inverse) < _SPARSE * inverse.size)
 
 
-def _filled_depth(reference: Reference) -> NDArray[np.float32]:
+def _filled_depth(reference: Reference) -> Floats:
     """Depth for warping; sparse points are dilated to patches, where the nearest surface wins."""
     inverse = reference.inverse_depth_map
     if is_sparse(reference):
@@ -277,7 +280,7 @@ def _captions(pair: Pair, agreement: ImageAgreement, title: str) -> list[tuple[s
     return [*((line, WHITE) for line in lines), (agreement.verdict, YELLOW)]
 
 
-def _corner_rows(image: Image, uv: Array, visible: NDArray[np.bool_]) -> list[int]:
+def _corner_rows(image: Image, uv: Array, visible: Mask) -> list[int]:
     """Rows of the most recognisable points: the best corner in each cell of the keyframe."""
     grey = _smooth_grey(image).astype(np.float32)
     response = _sample(cv2.cornerMinEigenVal(grey, 5), uv)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Floats
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.pairs.correspondences import SIGMA, key_of, open_correspondences, read_group
 from relocbench.errors import DatasetError
@@ -30,7 +30,7 @@ class CorrespondenceIndex:
     def __contains__(self, key: PairKey) -> bool:
         return key in self._groups
 
-    def read_visible(self, key: PairKey) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None]:
+    def read_visible(self, key: PairKey) -> tuple[Floats, Floats, Floats | None]:
         """Pixels (N, 2) of reference and query that are visible in both, and their sigma (N,) if the file has it.
 
         Raises:

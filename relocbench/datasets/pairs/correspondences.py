@@ -16,22 +16,20 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core import pairfile
+from relocbench.datasets.core.build import Build
+from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.core.traversal import Traversal
-from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.pairs.pixel_sigma import pixel_sigma
-from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, see, warp
+from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, see
 from relocbench.errors import DatasetError
-from relocbench.execution import Run, run_units
+from relocbench.execution import run_units
 from relocbench.files import atomic_write, plain_file
 from relocbench.geometry import Camera
-from relocbench.progress import Reporter
 from relocbench.tracking import Reference
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SCHEMA = pa.schema(
     [
@@ -182,35 +180,22 @@ def _sigma_pose(pair: Pair) -> tuple[float, float] | None:
     return pair.sigma_translation_m, float(np.radians(pair.sigma_rotation_deg))
 
 
-def write_pair_set(
-    writer: DatasetWriter,
-    reference: str,
-    query: str,
-    camera: str,
-    pairs: Sequence[Pair],
-    *,
-    count: int,
-    seed: int,
-    reporter: Reporter,
-    run: Run,
-) -> str:
-    """Write a pair set with the overlap of each pair and, if ``count`` > 0, a correspondence file; returns its name.
+def write_pair_set(job: Build[ImportOptions], reference: str, query: str, camera: str, pairs: Sequence[Pair]) -> None:
+    """Write a pair set with the overlap of each pair and, if the options want any, a file of correspondences.
 
     The traversals must have been written before. Pairs that are rejected or have no pose get neither overlap nor
     correspondences. A set that an earlier run of the same build has finished is kept unchanged.
-
-    Args:
-        count: greatest number of correspondences per pair.
     """
+    layout, count = job.writer.layout, job.options.correspondences
     name = pair_set_name(reference, query, camera)
     ordered = sorted(pairs, key=lambda p: p.key)
-    if is_finished(writer.layout, name, ordered, with_correspondences=count > 0):
-        return name
-    traversals = [Traversal(writer.layout.traversal(t)) for t in (reference, query)]
+    if is_finished(layout, name, ordered, with_correspondences=count > 0):
+        return
+    traversals = [Traversal(layout.traversal(t)) for t in (reference, query)]
     measured = [p for p in ordered if p.accepted and p.T_query_ref is not None]
-    units = [_Unit(traversals[0], traversals[1], camera, pair, count, seed) for pair in measured]
-    run = run if len(units) >= _WORTH_WORKERS else run.alone()
-    with reporter.stage(f"correspondences of {name}", len(units)) as advance:
+    units = [_Unit(traversals[0], traversals[1], camera, pair, count, job.options.seed) for pair in measured]
+    run = job.run if len(units) >= _WORTH_WORKERS else job.run.alone()
+    with job.reporter.stage(f"correspondences of {name}", len(units)) as advance:
 
         def results() -> Iterator[tuple[PairKey, PairCorrespondences]]:
             for index, found in _in_order(run_units(_work, units, run)):
@@ -218,8 +203,7 @@ def write_pair_set(
                 advance(1)
 
         sigma = any(_sigma_pose(p) is not None for p in measured)
-        write_measured(writer.layout, name, ordered, results(), with_correspondences=count > 0, sigma=sigma)
-    return name
+        write_measured(layout, name, ordered, results(), with_correspondences=count > 0, sigma=sigma)
 
 
 def write_measured(
@@ -418,15 +402,3 @@ def _in_order(results: Iterable[tuple[int, PairCorrespondences]]) -> Iterator[tu
         while due in waiting:
             yield due, waiting.pop(due)
             due += 1
-
-
-__all__ = [
-    "Correspondences",
-    "PairCorrespondences",
-    "pair_correspondences",
-    "read_correspondences",
-    "spread_sample",
-    "warp",
-    "write_correspondences",
-    "write_pair_set",
-]

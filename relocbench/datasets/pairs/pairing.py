@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import invert, rotation_angle
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +158,7 @@ def nearest_matches(
 
 def _within(
     reference: PosedFrames, query: PosedFrames, max_distance: float, same_traversal: bool
-) -> Iterator[tuple[int, NDArray[np.int64], Array, Array]]:
+) -> Iterator[tuple[int, Indices, Array, Array]]:
     """For each query row, the keyframes within reach (as positions in ``keyframe_rows``), distances and angles."""
     rows = reference.keyframe_rows
     keys = reference.T_world_cam[rows]

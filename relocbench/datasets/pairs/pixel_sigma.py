@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.pairs.visibility import ReferencePoints, lift
 from relocbench.geometry import Camera, apply, hat
-
-Array = NDArray[np.float64]
 
 _STEP = 1e-4
 """step of the numerical derivative relative to the depth, small enough for a projection to be linear"""

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import as_rgb
@@ -28,7 +27,6 @@ from relocbench.metrics import Relevance, relevance_from_lists, relevance_within
 from relocbench.metrics.retrieval.relevance import PLACE_RADIUS_M
 from relocbench.retrieval import Image, ImageView, RetrievalTask
 
-Array = NDArray[np.float64]
 Positives = Literal["radius", "pairs"]
 VIEW = "street"
 _ONE_WORLD_M = 2.0

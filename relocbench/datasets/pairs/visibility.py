@@ -25,11 +25,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from relocbench.arrays import Array, Floats, Mask
 from relocbench.geometry import Camera, apply, invert
 from relocbench.tracking import Reference
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Check = Literal["both", "self", "none"]
 
 CHECKS: tuple[Check, ...] = ("both", "self", "none")
@@ -48,7 +47,7 @@ class DepthView:
     """A camera and its depth, for visibility checks."""
 
     camera: Camera
-    depth: NDArray[np.float32] | None = None
+    depth: Floats | None = None
     """(H, W) metres along z, 0 where unknown; None where there is no dense depth"""
     depth_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -161,7 +160,7 @@ def tolerance(z: Array, sigma_a: Array, sigma_b: Array) -> Array:
     return SIGMAS * np.hypot(sigma_a, sigma_b) + RELATIVE_TOLERANCE * z
 
 
-def agrees(depth: NDArray[np.float32], pixels: Array, z: Array, sigma: Array, view: DepthView) -> tuple[Mask, Mask]:
+def agrees(depth: Floats, pixels: Array, z: Array, sigma: Array, view: DepthView) -> tuple[Mask, Mask]:
     """Whether depths z (N,) agree with a dense depth image at pixels (N, 2), and whether that depth is known (N,).
 
     If the four surrounding pixels are one surface, their inverse depth is interpolated, which is linear over a plane;
@@ -177,7 +176,7 @@ def agrees(depth: NDArray[np.float32], pixels: Array, z: Array, sigma: Array, vi
     return known & np.where(smooth, one_surface, edge), known
 
 
-def sample_depth(depth: NDArray[np.float32], pixels: Array) -> tuple[Array, Array, Mask]:
+def sample_depth(depth: Floats, pixels: Array) -> tuple[Array, Array, Mask]:
     """Sample a depth image between pixels (N, 2).
 
     Returns:
@@ -232,7 +231,7 @@ def _reach(depth: Array, z: Array, camera_ref: Camera, camera_query: Camera) -> 
     return np.clip(np.ceil((magnification - 1.0) / 2.0), 0, _SPLAT_LIMIT).astype(np.int64), magnification
 
 
-def _slope(depth: NDArray[np.float32], pixels: Array) -> Array:
+def _slope(depth: Floats, pixels: Array) -> Array:
     """Greatest depth difference in metres between a pixel and its four neighbours on the same surface."""
     u, v = np.rint(pixels).astype(int).T
     height, width = depth.shape

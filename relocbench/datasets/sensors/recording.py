@@ -12,13 +12,10 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Image, Mask, Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.geometry import Camera, interpolate_trajectory
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,16 +32,16 @@ class Trajectory:
     """indices of poses whose motion from the previous pose was not measured but guessed; nothing is interpolated
     there, however short the gap"""
 
-    def covers(self, times_ns: Times) -> NDArray[np.bool_]:
+    def covers(self, times_ns: Times) -> Mask:
         """Whether the trajectory has a pose at each time (M,): within the drive and not in a gap."""
         right = np.clip(np.searchsorted(self.times_ns, times_ns, side="left"), 1, max(len(self.times_ns) - 1, 1))
-        inside: NDArray[np.bool_] = (times_ns >= self.times_ns[0]) & (times_ns <= self.times_ns[-1])
+        inside: Mask = (times_ns >= self.times_ns[0]) & (times_ns <= self.times_ns[-1])
         if len(self.times_ns) == 1:
             return inside
         gap = self.times_ns[right] - self.times_ns[right - 1]
         on_pose = (times_ns == self.times_ns[right]) | (times_ns == self.times_ns[right - 1])
         measured = (gap <= self.max_gap_ns) & ~np.isin(right, self.breaks)
-        out: NDArray[np.bool_] = inside & (on_pose | measured)
+        out: Mask = inside & (on_pose | measured)
         return out
 
     def pieces(self, times_ns: Times) -> Times:
@@ -126,7 +123,7 @@ class CameraStream(Protocol):
         """(M,) strictly increasing"""
         ...
 
-    def read(self, index: int) -> NDArray[np.uint8]:
+    def read(self, index: int) -> Image:
         """Read an undistorted image, (H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
         ...
 

@@ -7,15 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relocbench.arrays import Array
 from relocbench.datasets.core.layout import IMAGE_SUFFIXES
 from relocbench.datasets.core.pairfile import parse_pose
 from relocbench.errors import DatasetError, RelocbenchError, quoted
 from relocbench.files import check_distinct, plain_name, read_rows, seconds_to_ns
 
-Array = NDArray[np.float64]
 QuaternionOrder = Literal["xyzw", "wxyz"]
 
 

@@ -6,14 +6,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats, Image, Mask
 from relocbench.datasets.sensors.point_table import MOST_SCAN_BYTES
 from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
 from relocbench.geometry import Camera, apply
-
-Array = NDArray[np.float64]
 
 LIDAR_SIGMA = 0.02
 """metres; ranging accuracy of KITTI's HDL-64"""
@@ -36,7 +34,7 @@ def read_scan(path: Path) -> Array:
     return points[np.all(np.isfinite(points), axis=1)]
 
 
-def project_scan(points: Array, camera: Camera, T_cam_lidar: Array, max_depth: float = 80.0) -> NDArray[np.float32]:
+def project_scan(points: Array, camera: Camera, T_cam_lidar: Array, max_depth: float = 80.0) -> Floats:
     """Depth (H, W) in metres along z by projecting lidar points (N, 3), 0 where there is none.
 
     Of several points in a pixel the nearest is kept. Since lidar and camera are at different places, the lidar sees
@@ -51,7 +49,7 @@ def project_scan(points: Array, camera: Camera, T_cam_lidar: Array, max_depth: f
     return np.where(np.isfinite(nearest) & ~hidden(nearest), nearest, np.float32(0.0))
 
 
-def hidden(nearest: NDArray[np.float32]) -> NDArray[np.bool_]:
+def hidden(nearest: Floats) -> Mask:
     """Which points of a depth image (H, W; inf where there is none) are hidden behind a nearer surface.
 
     A point is hidden if clearly nearer points lie on both sides of it, left and right or above and below. One side is
@@ -68,7 +66,7 @@ def hidden(nearest: NDArray[np.float32]) -> NDArray[np.bool_]:
     return known & ((side["left"] & side["right"]) | (side["above"] & side["below"]))
 
 
-def _strip(side: str) -> tuple[NDArray[np.uint8], tuple[int, int]]:
+def _strip(side: str) -> tuple[Image, tuple[int, int]]:
     """Kernel for the strip of pixels on one side of a pixel, and the pixel's place (x, y) in the kernel."""
     along, across = _REACH, 2 * _THICKNESS + 1
     shape, anchor = {

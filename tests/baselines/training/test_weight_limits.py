@@ -73,8 +73,8 @@ WEIGHTS: dict[str, tuple[Callable[[Path], Any], bytes, str]] = {
     "empty": (gn_net.load_weights, b"", "not a readable safetensors file"),
     "brackets in the metadata": (gn_net.load_weights, describing("gn-net", "[" * 100_000), "not weights of gn-net"),
     "5000 digits": (gn_net.load_weights, describing("gn-net", "9" * 5000), "not weights of gn-net"),
-    "channels of 10^9": (gn_net.load_weights, gn_net_of(widths=[10**9], levels=1), "none is above 8192"),
-    "10^5 stages": (gn_net.load_weights, gn_net_of(widths=[1] * 10**5, levels=1), "widths are at most 12"),
+    "channels of 10^9": (gn_net.load_weights, gn_net_of(widths=[10**9], levels=1), "at most 12, none above 8192"),
+    "10^5 stages": (gn_net.load_weights, gn_net_of(widths=[1] * 10**5, levels=1), "at most 12, none"),
     "a square of 2^1000": (gn_net.load_weights, gn_net_of(finest=1000), "finest is 1000"),
     "dim of 10^9": (gn_net.load_weights, gn_net_of(dim=10**9), "dim is 1000000000"),
     "a network of 5 GB": (gn_net.load_weights, gn_net_of(widths=[8192, 8192], levels=1), "numbers or more; it holds 1"),
@@ -82,11 +82,11 @@ WEIGHTS: dict[str, tuple[Callable[[Path], Any], bytes, str]] = {
     "10^12 classes": (lpn.load_weights, lpn_of(classes=10**12), "numbers or more; it holds 1"),
     "a word for classes": (lpn.load_weights, lpn_of(classes="many"), "is not understood"),
     "a list for the network": (lpn.load_weights, describing("lpn", {**LPN, "network": [1, 2]}), "is not understood"),
-    "10^9 parts": (lpn.load_weights, lpn_of({"parts": 10**9}), "parts are at most 256"),
-    "width of 10^9": (lpn.load_weights, lpn_of({"width": 10**9}), "width at most 65536"),
+    "10^9 parts": (lpn.load_weights, lpn_of({"parts": 10**9}), "parts is 1000000000, expected 1 to 256"),
+    "width of 10^9": (lpn.load_weights, lpn_of({"width": 10**9}), "width is 1000000000, expected 1 to 65536"),
     "an attention over 10^9": (lpn.load_weights, lpn_of({"attention": {"kernel": 10**9 + 1}}), "up to 255"),
-    "10^9 hidden channels": (lpn.load_weights, lpn_of({"heatmap": {"hidden": 10**9}}), "at most 4096"),
-    "images of 10^9 pixels": (lpn.load_weights, lpn_of(size=10**9), "size is 1 to 4096"),
+    "10^9 hidden channels": (lpn.load_weights, lpn_of({"heatmap": {"hidden": 10**9}}), "expected 1 to 4096 channels"),
+    "images of 10^9 pixels": (lpn.load_weights, lpn_of(size=10**9), "size is 1000000000, expected 1 to 4096"),
 }  # fmt: skip
 
 

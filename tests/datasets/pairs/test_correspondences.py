@@ -15,10 +15,9 @@ from relocbench.datasets.pairs.correspondences import (
     pair_correspondences,
     read_correspondences,
     spread_sample,
-    warp,
     write_correspondences,
 )
-from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, reference_z_buffer, see
+from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, reference_z_buffer, see, warp
 from relocbench.errors import DatasetError
 from relocbench.geometry import Camera, invert, make_transform, se3_exp
 from relocbench.tracking import KeyframePoints, Reference

@@ -230,7 +230,7 @@ def test_correspondences_hold_forward_and_backward_on_static_surfaces(town: Data
         camera = town.traversal(QUERY).camera("front")
         T_world_query = town.traversal(QUERY).T_world_cam("front", pair.query_timestamp_ns)
         origins, directions, lengths = scenes.pixel_rays(camera, T_world_query, seen)
-        depth = np.asarray(scene.cast(origins, directions)[0]) / lengths
+        depth = scene.hits(origins, directions).range / lengths
         back, _, valid = warp(np.column_stack([seen, depth]), camera, camera, invert(pair.T_query_ref))
         error = np.linalg.norm(back - rows.uv_ref[rows.visible], axis=1)
         # A ray to the very edge of a surface may miss it in single precision.

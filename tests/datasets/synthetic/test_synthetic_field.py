@@ -155,7 +155,7 @@ def test_scans_of_both_drives_lie_on_the_one_town(robotcar: Path) -> None:
         assert len(points) > 5000
         nearest = np.full(len(points), np.inf)
         for axis in np.vstack([np.eye(3), -np.eye(3)]):
-            nearest = np.minimum(nearest, scene.cast(points - 1e-3 * axis, np.broadcast_to(axis, points.shape))[0])
+            nearest = np.minimum(nearest, scene.hits(points - 1e-3 * axis, np.broadcast_to(axis, points.shape)).range)
         # Rain sends echoes of its own, and the noise grows where little comes back.
         assert np.median(nearest) < 0.015
         assert np.mean(nearest < 0.1) > 0.93
@@ -281,9 +281,9 @@ def test_a_folder_that_holds_something_else_is_left_alone(tmp_path: Path) -> Non
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
 
-def streets(seed: int) -> tuple[StreetNetwork, SimpleNamespace]:
+def streets(seed: int) -> tuple[StreetNetwork, int]:
     network = make_network(np.random.default_rng([seed, 2, 0]), 250.0)
-    return network, SimpleNamespace(network=network, periodic=SimpleNamespace(street=periodic_street(network)))
+    return network, periodic_street(network)
 
 
 def driven(path: Route) -> slice:
@@ -292,13 +292,13 @@ def driven(path: Route) -> slice:
     return slice(margin, len(path.points) - margin)
 
 
-def found_routes(name: RouteName, length_m: float) -> list[tuple[Route, Route, SimpleNamespace]]:
-    """The route, the common one and the district of each of some seeds that has one."""
+def found_routes(name: RouteName, length_m: float) -> list[tuple[Route, Route, int]]:
+    """The route, the common one and the periodic street of each of some seeds that has one."""
     found = []
     for seed in range(8):
-        _, district = streets(seed)
+        town = streets(seed)
         try:
-            found.append((route(district, name, length_m, seed), route(district, "common", length_m, seed), district))
+            found.append((route(*town, name, length_m, seed), route(*town, "common", length_m, seed), town[1]))
         except ConfigError:
             continue
     assert len(found) >= 4
@@ -312,8 +312,8 @@ def distance(path: Route, other: Route) -> Array:
 
 
 def test_the_common_route_is_that_of_the_datasets() -> None:
-    network, district = streets(0)
-    np.testing.assert_array_equal(route(district, "common", 300.0, 5).points, network.drive(300.0, 5).points)
+    network, periodic = streets(0)
+    np.testing.assert_array_equal(route(network, periodic, "common", 300.0, 5).points, network.drive(300.0, 5).points)
 
 
 def test_a_detour_leaves_the_common_route_and_comes_back() -> None:
@@ -339,8 +339,8 @@ def test_a_crossing_is_passed_in_another_direction() -> None:
 
 
 def test_the_periodic_route_runs_along_the_repeating_facades() -> None:
-    for path, _, district in found_routes("periodic", 200.0):
-        stretches = path.on_street(district.periodic.street)
+    for path, _, periodic in found_routes("periodic", 200.0):
+        stretches = path.on_street(periodic)
         along = sum(min(end, path.length - MARGIN_M) - max(start, MARGIN_M) for start, end in stretches)
         assert along > 40
 

@@ -68,7 +68,8 @@ def standing(pose: Array) -> Motion:
 
 def test_ranges_agree_with_analytic_planes() -> None:
     origins, directions = random_rays(5000)
-    distance, material, instance = LidarScene(ROOM).cast(origins, directions)
+    hits = LidarScene(ROOM).hits(origins, directions)
+    distance, material, instance = hits.range, hits.material, hits.instance
     np.testing.assert_allclose(distance, way_out(origins, directions), atol=2e-5)
     assert set(material.tolist()) == {Material.PLASTER}
     assert set(instance.tolist()) == {7}
@@ -78,14 +79,15 @@ def test_ranges_are_in_lengths_of_the_direction() -> None:
     origins, directions = random_rays(50)
     scene = LidarScene(ROOM)
     np.testing.assert_allclose(
-        scene.cast(origins, 4 * directions)[0], scene.cast(origins, directions)[0] / 4, rtol=1e-5
+        scene.hits(origins, 4 * directions).range, scene.hits(origins, directions).range / 4, rtol=1e-5
     )
 
 
 def test_a_ray_that_meets_nothing_has_an_infinite_range() -> None:
     floor = quads(np.array([[(-5.0, -5, 0), (5, -5, 0), (5, 5, 0), (-5, 5, 0)]]), Material.GRASS, 3)
     for mesh in (floor, floor.select(np.zeros(2, dtype=np.bool_))):
-        distance, material, instance = LidarScene(mesh).cast(np.array([[0.0, 0, 1]]), np.array([[0.0, 0, 1]]))
+        hits = LidarScene(mesh).hits(np.array([[0.0, 0, 1]]), np.array([[0.0, 0, 1]]))
+        distance, material, instance = hits.range, hits.material, hits.instance
         assert (distance[0], material[0], instance[0]) == (np.inf, 0, 0)
 
 
@@ -183,14 +185,14 @@ def test_a_beam_meets_a_moving_object_where_it_is_when_the_beam_is_fired() -> No
     times = np.linspace(-50_000_000, 450_000_000, 400).astype(np.int64)
     room = LidarScene(ROOM)
     found = trace(room, [MovingObject(LidarScene(THING), Crossing(), 1.3)], origins, directions, times)
-    expected = [room.cast(o[None], d[None]) for o, d in zip(origins, directions, strict=True)]
+    expected = [room.hits(o[None], d[None]) for o, d in zip(origins, directions, strict=True)]
     poses = Crossing()(times)
     for i in range(400):
         if np.isfinite(poses[i, 0, 0]):
-            there = LidarScene(moved(THING, poses[i])).cast(origins[i : i + 1], directions[i : i + 1])
-            expected[i] = min(expected[i], there, key=lambda hit: float(hit[0][0]))
-    np.testing.assert_allclose(found.range, [hit[0][0] for hit in expected], atol=1e-4)
-    np.testing.assert_array_equal(found.instance, [hit[2][0] for hit in expected])
+            there = LidarScene(moved(THING, poses[i])).hits(origins[i : i + 1], directions[i : i + 1])
+            expected[i] = min(expected[i], there, key=lambda hit: float(hit.range[0]))
+    np.testing.assert_allclose(found.range, [hit.range[0] for hit in expected], atol=1e-4)
+    np.testing.assert_array_equal(found.instance, [hit.instance[0] for hit in expected])
     assert (found.instance == 99).sum() > 40
     np.testing.assert_allclose(np.linalg.norm(found.normal, axis=1), 1.0, atol=1e-5)
 

@@ -150,7 +150,7 @@ def nearest_surface(points: Array) -> Array:
     scene = LidarScene(street_mesh(Street(), TRAFFIC, ()))
     out = np.full(len(points), np.inf)
     for axis in np.vstack([np.eye(3), -np.eye(3)]):
-        out = np.minimum(out, scene.cast(points - 1e-3 * axis, np.broadcast_to(axis, points.shape))[0])
+        out = np.minimum(out, scene.hits(points - 1e-3 * axis, np.broadcast_to(axis, points.shape)).range)
     return out
 
 

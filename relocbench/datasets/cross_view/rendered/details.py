@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.cross_view.rendered.flight import nearest_street
 from relocbench.datasets.cross_view.rendered.places import buildings
 from relocbench.datasets.synthetic.renderer.raycast import NOTHING, Scene
@@ -19,7 +19,6 @@ from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic, me
 from relocbench.datasets.synthetic.town.shapes import Shape, boxes, instances, join, quads
 from relocbench.datasets.synthetic.town.town import SPLITS, District
 
-Array = NDArray[np.float64]
 _FROM_M = 80.0
 """height at which rays begin, above all roofs"""
 _FIRST_INSTANCE = 2**30

@@ -9,13 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.cross_view.rendered.places import Building
 from relocbench.datasets.synthetic.town.network import StreetNetwork
 from relocbench.geometry import Camera
 
-Array = NDArray[np.float64]
 ROUNDS = 3
 FAR_TO_NEAR = 256.0 / 121.5
 """ratio in University-1652"""

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.datasets.synthetic.town.mesh import Semantic
 from relocbench.datasets.synthetic.town.polylines import inside
 from relocbench.datasets.synthetic.town.rows import PeriodicFront
 from relocbench.datasets.synthetic.town.town import District
 
-Array = NDArray[np.float64]
 _LEAST_FOOTPRINT_M = 4.5
 """least shorter side of a building that is a place; excludes the links between houses"""
 _FROM_PERIODIC_M = 14.0

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.cross_view.rendered import flight
 from relocbench.datasets.cross_view.rendered.flight import Optics
 from relocbench.datasets.cross_view.rendered.places import Building, PlaceOfTown, buildings, spread
@@ -17,7 +17,6 @@ from relocbench.datasets.synthetic.town.network import StreetNetwork
 from relocbench.errors import ConfigError
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
 MOST_PLACES = 5000
 """places in one split; labels have four digits, and those of test begin at this number"""
 PLACES_PER_TOWN = 50

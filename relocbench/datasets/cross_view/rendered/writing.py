@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from relocbench.datasets.core import pairfile
+from relocbench.datasets.core.manifest import write_manifest
 from relocbench.datasets.core.writer import versions
 from relocbench.datasets.cross_view import content
 from relocbench.datasets.cross_view.rendered.places import PlaceOfTown
@@ -86,7 +87,7 @@ def finish(
     """Hash all images and write the manifest and, last, ``dataset.yaml`` with the fingerprint."""
     remove_parts(root)
     rows = content.rows_of(root, [key for photo in photos for key in photo.keys])
-    content.write_manifest(root, rows)
+    write_manifest(root / content.MANIFEST_FILE, rows)
     file = content.CrossViewFile(
         format_version=content.FORMAT_VERSION,
         kind="cross-view",

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.making import BlockOptions
 from relocbench.datasets.groundtruth.pose_graph.block_fits import BlockFits
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution, optimise
@@ -20,7 +20,6 @@ from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.geometry import invert
 
-Array = NDArray[np.float64]
 FirstPose = tuple[int, int, Array]
 """(reference time, query time, ``T_ref_query`` between the rigs), times in nanoseconds"""
 

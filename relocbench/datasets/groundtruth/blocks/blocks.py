@@ -11,8 +11,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
+from relocbench.arrays import Array, Floats, Times
 
 
 class Surface(IntEnum):
@@ -66,15 +65,15 @@ class Nodes:
 class Block:
     """The points measured along one piece of road, thinned to one point a voxel."""
 
-    points: NDArray[np.float32]
+    points: Floats
     """(N, 3) in the node's frame"""
-    normals: NDArray[np.float32]
+    normals: Floats
     """(N, 3) unit vectors towards the sensor; 0 where no plane fits"""
-    origins: NDArray[np.float32]
+    origins: Floats
     """(N, 3) position of the sensor when it measured each point"""
     surface: NDArray[np.uint8]
     """(N,) :class:`Surface`"""
-    steady: NDArray[np.float32]
+    steady: Floats
     """(N,) static score in [0, 1]: 1 for a static point, 0 for a dynamic one, through which other beams went"""
 
     def __len__(self) -> int:

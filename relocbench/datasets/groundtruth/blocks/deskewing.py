@@ -8,13 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask, Times
 from relocbench.datasets.groundtruth.blocks.nodes import ArcLength
 from relocbench.datasets.sensors.recording import FieldRecording, LidarStream, Trajectory
 from relocbench.geometry import invert, so3_log
 from relocbench.kernels import njit
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 _KEPT_SCANS = 8
 """of each lidar, so that a scan which two blocks share is read once"""
@@ -94,7 +92,7 @@ def _period(lidar: LidarStream) -> int:
     return int(np.median(gaps)) if len(gaps) else 200_000_000
 
 
-def _moving(lidar: LidarStream, arc_length: ArcLength, min_step_m: float) -> NDArray[np.bool_]:
+def _moving(lidar: LidarStream, arc_length: ArcLength, min_step_m: float) -> Mask:
     """(M,) whether the car moved on before each scan."""
     steps = np.floor(arc_length.at(lidar.times_ns) / min_step_m)
     return np.diff(steps, prepend=-1.0) != 0 if len(steps) else np.zeros(0, np.bool_)

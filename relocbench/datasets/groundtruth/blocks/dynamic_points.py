@@ -15,15 +15,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Floats, Indices
 from relocbench.datasets.groundtruth.blocks.deskewing import Beams
 from relocbench.datasets.groundtruth.voxels.traversal import enter_grid, next_voxel
 from relocbench.datasets.groundtruth.voxels.voxels import Grid, cell_of, make_grid, pack
 from relocbench.kernels import njit
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -47,8 +44,8 @@ class DynamicPointOptions:
 
 
 def static_scores(
-    beams: Beams, normals: NDArray[np.float32], wanted: Indices, voting: Indices, options: DynamicPointOptions
-) -> NDArray[np.float32]:
+    beams: Beams, normals: Floats, wanted: Indices, voting: Indices, options: DynamicPointOptions
+) -> Floats:
     """Static scores (M,) of points: the share of the votes on each that are for it; 1 where none is against it.
 
     Args:
@@ -79,7 +76,7 @@ def static_scores(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _passed(
-    targets: Beams, normals: NDArray[np.float32], grid: Grid, beams: Beams, pass_m: float, margin_m: float,
+    targets: Beams, normals: Floats, grid: Grid, beams: Beams, pass_m: float, margin_m: float,
     apart_ns: int, cosine: float,
 ) -> Indices:  # fmt: skip
     """(M,) number of beams that went through each target."""

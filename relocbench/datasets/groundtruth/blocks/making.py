@@ -20,8 +20,6 @@ from relocbench.datasets.groundtruth.voxels.thinning import thin
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.geometry import apply, invert
 
-Array = NDArray[np.float64]
-
 _PATH_M = 100.0
 """ground is classified against the poses of the rig within this distance along the drive, both ways"""
 _LEVELS = 16

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices, Mask, Times
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.sensors.recording import FieldRecording, Trajectory
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.kernels import njit
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 _ANCHOR_M = 0.25
 """arc length is measured between anchor poses so far apart, so that it does not grow by the odometry's noise while the
@@ -28,7 +25,7 @@ class ArcLength:
     """(N,)"""
     travelled_m: Array
     """(N,) metres, never decreasing; constant while the car stands and across gaps of the odometry"""
-    segment: NDArray[np.int64]
+    segment: Indices
     """(N,) number of the segment, a part of the odometry without a gap, that each time lies in"""
 
     def at(self, times_ns: Times) -> Array:
@@ -97,13 +94,13 @@ def arc_length_along(recording: FieldRecording) -> ArcLength:
     return ArcLength(knots, _travelled(np.ascontiguousarray(positions), starts, _ANCHOR_M), segment)
 
 
-def _joined(odometry: Trajectory, knots: Times) -> NDArray[np.bool_]:
+def _joined(odometry: Trajectory, knots: Times) -> Mask:
     """(N - 1,) whether the odometry covers the time between neighbouring knots."""
     return odometry.covers(knots[:-1] + (knots[1:] - knots[:-1]) // 2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _travelled(positions: Array, starts: NDArray[np.bool_], anchor_m: float) -> Array:
+def _travelled(positions: Array, starts: Mask, anchor_m: float) -> Array:
     """(N,) arc length along positions (N, 3).
 
     Between anchors, which are ``anchor_m`` apart, it grows by the motion in the direction of the next anchor.

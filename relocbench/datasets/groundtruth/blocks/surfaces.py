@@ -11,12 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats, Indices, Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.voxels.voxels import Grid, cell_of, make_grid, pack
 from relocbench.kernels import njit
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -43,7 +41,7 @@ class SurfaceOptions:
     """largest angle between the ground and the floor of the car"""
 
 
-def fit_normals(points: Array, wanted: Indices, options: SurfaceOptions) -> NDArray[np.float32]:
+def fit_normals(points: Array, wanted: Indices, options: SurfaceOptions) -> Floats:
     """Normals (M, 3) of some points, of either sign; 0 where no plane fits.
 
     Args:
@@ -65,7 +63,7 @@ def fit_normals(points: Array, wanted: Indices, options: SurfaceOptions) -> NDAr
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fit(
     points: Array, wanted: Indices, grid: Grid, radius: float, fewest: int, plane_m: float, flatness: float, line: float
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+) -> tuple[Floats, Mask]:
     """Normals (M, 3), and (M,) whether the neighbours determine a plane at all."""
     normals = np.zeros((len(wanted), 3), dtype=np.float32)
     decided = np.zeros(len(wanted), dtype=np.bool_)
@@ -152,17 +150,15 @@ def smallest_eigenvector(
     return max(a[low, low], 0.0), min(one, two), max(one, two), v[0, low], v[1, low], v[2, low]
 
 
-def towards(
-    normals: NDArray[np.float32], points: NDArray[np.float32], origins: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def towards(normals: Floats, points: Floats, origins: Floats) -> Floats:
     """Normals (N, 3), flipped where necessary to point towards the sensor."""
     away = np.einsum("ni,ni->n", normals, origins - points) < 0
     return np.where(away[:, None], -normals, normals).astype(np.float32)
 
 
 def classify(
-    points: NDArray[np.float32],
-    normals: NDArray[np.float32],
+    points: Floats,
+    normals: Floats,
     T_node_path: Array,
     wheel_height_m: float,
     options: SurfaceOptions,

@@ -13,18 +13,15 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from relocbench.arrays import Array, Floats, Mask
 from relocbench.datasets.groundtruth.depth.rasteriser import OCCLUSION_STEP, Drawn, View, draw, draw_occlusion
 from relocbench.datasets.groundtruth.depth.sightlines import TracedSpace, sight_limits, trace_beams
 from relocbench.datasets.groundtruth.depth.surfels import SurfelOptions, Surfels, make_surfels
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 _CLOSED = 5
 """width in pixels of the window in which depth must be closed"""
@@ -176,20 +173,20 @@ def _seen_by(surfels: Surfels, camera: Camera, T_cam_node: Array, options: Depth
     return View(p, n, a, reach8, surfels.occluding_reach[rows], own, drift.astype(np.float32))
 
 
-def _occluded(drawn: Drawn, occlusion: Floats, options: DepthOptions) -> NDArray[np.bool_]:
+def _occluded(drawn: Drawn, occlusion: Floats, options: DepthOptions) -> Mask:
     """(H, W) whether something hides the surface that was drawn."""
     height, width = drawn.depth.shape
     limit = np.repeat(np.repeat(occlusion, OCCLUSION_STEP, axis=0), OCCLUSION_STEP, axis=1)[:height, :width]
     return np.asarray(drawn.depth - np.float32(options.occlusion_margin_m) - np.float32(0.02) * drawn.depth > limit)
 
 
-def _without_specks(kept: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
+def _without_specks(kept: Mask, least: int) -> Mask:
     """The mask (H, W) without connected patches of fewer than ``least`` pixels."""
     if least <= 1:
         return kept
     _, labels, stats, _ = cv2.connectedComponentsWithStats(kept.astype(np.uint8), connectivity=4)
     large = stats[:, cv2.CC_STAT_AREA] >= least
-    out: NDArray[np.bool_] = kept & large[labels]
+    out: Mask = kept & large[labels]
     return out
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.core import images
 from relocbench.datasets.groundtruth.depth.depth import (
     DepthImage,
@@ -29,8 +29,6 @@ from relocbench.execution import Run, chunks, run_units
 from relocbench.geometry import Camera, invert
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 DepthSource = Literal["lidar", "stereo"]
 
 _IMAGES_A_UNIT = 8

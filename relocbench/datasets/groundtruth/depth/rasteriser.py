@@ -9,14 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Floats
 from relocbench.datasets.groundtruth.depth.surfels import SECTORS
 from relocbench.geometry import Camera
 from relocbench.kernels import njit
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 OCCLUSION_STEP = 4
 """occlusion is computed at every fourth pixel"""

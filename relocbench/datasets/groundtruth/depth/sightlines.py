@@ -12,12 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.geometry import Camera, invert
 from relocbench.kernels import njit
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 _LARGEST = 30_000_000
 """largest number of cells"""

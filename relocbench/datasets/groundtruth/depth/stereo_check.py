@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats, Image
 from relocbench.datasets.groundtruth.depth.depth import DepthImage
 from relocbench.datasets.sensors.stereo import StereoGeometry, stereo_depth
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 _ROWS_PX = 0.5
 """largest difference of rows in a rectified pair"""
@@ -62,7 +58,7 @@ def rectified(left: Camera, right: Camera, T_right_left: Array, max_disparity: i
     return StereoGeometry(left.fx * baseline, left.cx - right.cx, max_disparity=max_disparity)
 
 
-def depth_by_stereo(left: NDArray[np.uint8], right: NDArray[np.uint8], geometry: StereoGeometry) -> DepthImage:
+def depth_by_stereo(left: Image, right: Image, geometry: StereoGeometry) -> DepthImage:
     """Depth of the left image by semi-global matching."""
     depth = stereo_depth(left, right, geometry)
     a, b, c = geometry.depth_sigma

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Floats, Indices, Mask
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.kernels import njit
-
-Floats = NDArray[np.float32]
-Indices = NDArray[np.int64]
 
 SECTORS = 8
 _OVERLAP = 0.8
@@ -128,7 +126,7 @@ def _tangents(normals: Floats) -> Floats:
     return out
 
 
-def _stars(distance: Floats, far: Floats, plane: NDArray[np.bool_], options: SurfelOptions) -> tuple[Floats, Floats]:
+def _stars(distance: Floats, far: Floats, plane: Mask, options: SurfelOptions) -> tuple[Floats, Floats]:
     """``reach`` and ``occluding_reach`` of surfels, from the distances to their neighbours (N, 8), inf if none."""
     met = np.isfinite(distance)
     nearest = np.min(distance, axis=1, initial=options.gap_m)
@@ -145,7 +143,7 @@ def _stars(distance: Floats, far: Floats, plane: NDArray[np.bool_], options: Sur
 
 def _grid(
     points: Floats, cell_m: float, first: int = 0
-) -> tuple[NDArray[np.float32], float, Indices, NDArray[np.int32], NDArray[np.int32]]:
+) -> tuple[Floats, float, Indices, NDArray[np.int32], NDArray[np.int32]]:
     """Points from row ``first`` on, sorted by cell: lowest corner, cell size, shape, start of each cell, and rows.
 
     The cell size is at least ``cell_m``; it is enlarged until the grid fits into memory.

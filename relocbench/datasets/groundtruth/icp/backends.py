@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.icp.icp import IcpOptions, IcpResult, icp_result_at, run_icp
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
@@ -21,7 +21,6 @@ from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.errors import ConfigError
 from relocbench.geometry import project_to_rotation
 
-Array = NDArray[np.float64]
 Backend = Literal["own", "open3d", "small_gicp"]
 BACKENDS: tuple[Backend, ...] = ("own", "open3d", "small_gicp")
 

@@ -16,12 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, Planes, Sample
 from relocbench.geometry import adjoint, invert, project_to_rotation, robust_sigma, se3_exp
-
-Array = NDArray[np.float64]
 
 CORRELATION = 20.0
 """The information matrix is divided by this, since residuals are correlated: neighbours share the noise of a plane's

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import parse_pose
-from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.groundtruth.alignment.registration_job import register_drives
 from relocbench.datasets.groundtruth.alignment.two_drives import FirstPose
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
@@ -33,9 +33,7 @@ from relocbench.execution import Run, run_units
 from relocbench.progress import Reporter
 
 
-def build_ground_truth(
-    recordings: Sequence[FieldRecording], writer: DatasetWriter, options: FieldOptions, reporter: Reporter, run: Run
-) -> Dataset:
+def build_ground_truth(recordings: Sequence[FieldRecording], job: Build[FieldOptions]) -> Dataset:
     """Build the dataset of a reference drive and its query drives.
 
     Args:
@@ -45,8 +43,9 @@ def build_ground_truth(
         ConfigError: an option does not fit the recordings.
         DatasetError: a recording is damaged, or no pair could be accepted; names the most frequent reason.
     """
+    options, reporter, run = job.options, job.reporter, job.run
     cameras, first = check_recordings(recordings, options)
-    folder = writer.layout.root / "groundtruth"
+    folder = job.writer.layout.root / "groundtruth"
     if not options.use_prior:
         recordings = [replace(recording, prior=None) for recording in recordings]
     block_m, blocks = options.alignment.block_m, options.alignment.blocks
@@ -67,22 +66,12 @@ def build_ground_truth(
     _require_accepted(paired, [q.name for q in queries], folder / "registrations")
     poses = rig_poses(recordings, frames, paired)
     for recording, drive, chosen, known in zip(recordings, drives, frames, poses, strict=True):
-        write_traversal(writer, recording, drive, chosen, known, options, reporter, run)
+        write_traversal(job, recording, drive, chosen, known)
     for query, answer in zip(queries, paired, strict=True):
         for camera, outcomes in answer.outcomes.items():
-            write_pair_set(
-                writer,
-                reference.name,
-                query.name,
-                camera,
-                [outcome.pair() for outcome in outcomes],
-                count=options.correspondences,
-                seed=options.seed,
-                reporter=reporter,
-                run=run,
-            )
+            write_pair_set(job, reference.name, query.name, camera, [outcome.pair() for outcome in outcomes])
             reporter.note(_summary(query.name, camera, outcomes))
-    return writer.finish()
+    return job.writer.finish()
 
 
 def check_recordings(

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording
-
-Times = NDArray[np.int64]
 
 
 def select_images(

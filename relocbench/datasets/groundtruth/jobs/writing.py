@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core import images
+from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
-from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.groundtruth.depth.depth import DepthOptions
 from relocbench.datasets.groundtruth.depth.images import DepthFrame, DepthView, make_depth
 from relocbench.datasets.groundtruth.depth.stereo_partner import StereoPair, stereo_pair
@@ -21,11 +21,9 @@ from relocbench.datasets.groundtruth.pairs.pairing import Paired
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.sensors.recording import CameraStream, FieldRecording
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.execution import Run, chunks, run_units
+from relocbench.execution import chunks, run_units
 from relocbench.geometry import invert
-from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
 _IMAGES_A_UNIT = 16
 
 
@@ -90,27 +88,25 @@ def rig_poses(
 
 
 def write_traversal(
-    writer: DatasetWriter,
+    job: Build[FieldOptions],
     recording: FieldRecording,
     drive: Drive,
     frames: Mapping[str, Frames],
     poses: Mapping[int, Array],
-    options: FieldOptions,
-    reporter: Reporter,
-    run: Run,
 ) -> None:
     """Write the description, poses, images and depth of one drive; only images with a pose have depth."""
+    writer, options = job.writer, job.options
     name, length, entries = recording.name, options.depth_submap, {}
     for camera, chosen in frames.items():
-        _write_images(writer, name, chosen, options, reporter, run)
+        _write_images(job, name, chosen)
         stream = chosen.stream
         view = DepthView(drive, stream.camera, stream.T_rig_cam, options.depth, chosen.pair, length, DepthOptions())
         path = writer.layout.traversal(name).depth
         wanted = [DepthFrame(time, path(camera, time)) for time in chosen.times if time in poses]
         missing = {frame.time_ns for frame in wanted if writer.needs_depth(name, camera, frame.time_ns)}
-        sigma, agreement = make_depth(view, wanted, missing, reporter, run)
+        sigma, agreement = make_depth(view, wanted, missing, job.reporter, job.run)
         if agreement is not None and chosen.pair is not None:
-            reporter.note(f"{name}, {camera}: lidar against stereo with {chosen.pair.right.name}: {agreement}")
+            job.reporter.note(f"{name}, {camera}: lidar against stereo with {chosen.pair.right.name}: {agreement}")
         entries[camera] = CameraEntry.of(stream.camera, stream.T_rig_cam, sigma)
     origin = f"lidar submaps of {length:g} m" if options.depth == "lidar" else "stereo"
     file = TraversalFile(
@@ -133,23 +129,21 @@ class _ImageUnit:
     indices: tuple[int, ...]
 
 
-def _write_images(
-    writer: DatasetWriter, traversal: str, chosen: Frames, options: FieldOptions, reporter: Reporter, run: Run
-) -> None:
-    stream, developed = chosen.stream, []
-    with reporter.stage(f"images of {traversal}", len(chosen.indices)) as advance:
+def _write_images(job: Build[FieldOptions], traversal: str, chosen: Frames) -> None:
+    writer, stream, developed = job.writer, chosen.stream, []
+    with job.reporter.stage(f"images of {traversal}", len(chosen.indices)) as advance:
         for index, time in zip(chosen.indices, chosen.times, strict=True):
             source = stream.file(index)
             if source is None and writer.needs_image(traversal, stream.name, time):
                 developed.append(index)
                 continue
             if source is not None:
-                writer.link_image(traversal, stream.name, time, source, copy=options.copies_images)
+                writer.link_image(traversal, stream.name, time, source, copy=job.options.copies_images)
             advance(1)
         units = [
             _ImageUnit(stream, writer.layout, traversal, tuple(part)) for part in chunks(developed, _IMAGES_A_UNIT)
         ]
-        for _, done in run_units(_develop, units, run):
+        for _, done in run_units(_develop, units, job.run):
             advance(done)
 
 

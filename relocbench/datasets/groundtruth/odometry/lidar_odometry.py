@@ -8,15 +8,13 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.odometry.local_map import LocalMap
 from relocbench.datasets.sensors.recording import LidarStream, Scan, Trajectory
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import apply, invert, make_transform, project_to_rotation, se3_exp, se3_log
 from relocbench.progress import Reporter, Silent
-
-Array = NDArray[np.float64]
 
 _FEWEST_POINTS = 100
 """a scan with fewer points is skipped"""

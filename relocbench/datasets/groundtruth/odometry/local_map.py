@@ -10,13 +10,11 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.geometry import apply, make_transform, so3_exp
-
-Array = NDArray[np.float64]
 
 _VOXEL_M = 0.4
 _FARTHEST_M = 60.0
@@ -97,7 +95,7 @@ def _thinned(points: Array, voxel_m: float = _VOXEL_M) -> Array:
     return out
 
 
-def plane_normals(points: Array, around: Array) -> tuple[Array, NDArray[np.bool_]]:
+def plane_normals(points: Array, around: Array) -> tuple[Array, Mask]:
     """Unit normals (N, 3), of either sign, of planes through the neighbours of points (N, 3); and (N,) where one fits.
 
     Args:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.pose_graph.graph import Solution
@@ -17,7 +17,6 @@ from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.geometry import adjoint, interpolate, invert
 
-Array = NDArray[np.float64]
 SOURCE = "lidar registration, pose graph"
 
 

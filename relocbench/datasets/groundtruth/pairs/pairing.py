@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.alignment.two_drives import AlignmentOptions, map_prior, solve_drive
 from relocbench.datasets.groundtruth.pairs.outcome import OutcomeLimits, Outcomes, PairOutcome, SolvedDrive
 from relocbench.datasets.groundtruth.pose_graph.files import PlacedDrive
@@ -15,8 +15,6 @@ from relocbench.datasets.groundtruth.pose_graph.graph import Solution
 from relocbench.datasets.groundtruth.submaps.drive import Drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.geometry import rotation_angle
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +104,7 @@ class _Keyframes:
 
     times: tuple[int, ...]
     T_world_cam: Array
-    part: NDArray[np.int64]
+    part: Indices
     """(M,) the connected part of the graph that each keyframe is in"""
 
     @classmethod

@@ -13,15 +13,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
 from relocbench.datasets.groundtruth.pose_graph.edge_information import minimum, nearest_semidefinite, scatter_by_patch
 from relocbench.datasets.groundtruth.pose_graph.local_edges import LocalFit
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions, Planes, Sample
 from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
-
-Array = NDArray[np.float64]
 
 _OPTIONS = PlaneOptions(thinning_m=(0.0,), reach_m=(0.3,), samples=(1500,), near_m=(1e9,))
 _KEPT = 64
@@ -74,7 +72,7 @@ class Matches:
     """(M,) distances, metres"""
     weights: Array
     """(M,) weights by surface, static score and distance (Geman-McClure)"""
-    patches: NDArray[np.int64]
+    patches: Indices
     """(M,) number of the patch of surface that each point lies on"""
 
     def __len__(self) -> int:

@@ -12,9 +12,8 @@ at this distance.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from relocbench.arrays import Array, Indices
 
 _RIDGE = 1e-9
 """share of the trace that is added to the diagonal, so that open directions do not make a matrix singular"""
@@ -46,7 +45,7 @@ def minimum(H: Array, g: Array, characteristic_length_m: float, open_share: floa
     return np.asarray(-scale * (vectors @ (inverse * (vectors.T @ (scale * g)))))
 
 
-def scatter_by_patch(gradients: Array, patch: NDArray[np.int64]) -> Array:
+def scatter_by_patch(gradients: Array, patch: Indices) -> Array:
     """(6, 6) sum over the patches of the outer product of each patch's gradient with itself.
 
     Args:

@@ -11,12 +11,9 @@ from dataclasses import dataclass, fields
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices, Mask
 from relocbench.geometry import invert, se3_log
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 class Kind(IntEnum):
@@ -45,7 +42,7 @@ class Edges:
     def __len__(self) -> int:
         return len(self.first)
 
-    def __getitem__(self, which: NDArray[np.bool_] | Indices) -> Edges:
+    def __getitem__(self, which: Mask | Indices) -> Edges:
         """The edges that a mask or indices select."""
         return Edges(*(getattr(self, field.name)[which] for field in fields(self)))
 

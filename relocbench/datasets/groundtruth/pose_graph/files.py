@@ -11,16 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask, Times
 from relocbench.datasets.core.pairfile import parse_pose
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.errors import DatasetError
 from relocbench.files import atomic_write, parse_timestamp, read_csv
 from relocbench.geometry import interpolate, transform_to_tq
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 GRAPH_COLUMNS = (
     *("traversal", "node", "timestamp_ns", "tx", "ty", "tz", "qx", "qy", "qz", "qw"),
@@ -52,7 +49,7 @@ class PlacedDrive:
         return np.concatenate([[0.0], np.cumsum(steps)])
 
     @property
-    def connected(self) -> NDArray[np.bool_]:
+    def connected(self) -> Mask:
         """(K,) whether trusted registrations tie each node to the other drive."""
         return np.asarray(np.isfinite(self.arc_length_to_trusted).any(axis=1))
 

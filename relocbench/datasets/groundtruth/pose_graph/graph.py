@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices, Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.consensus import find_runs
@@ -25,9 +25,6 @@ from relocbench.datasets.groundtruth.pose_graph.outlier_test import OutlierTest
 from relocbench.datasets.groundtruth.pose_graph.selection import GraphOptions, Selected, select
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.geometry import invert, rotation_angle
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _CONTROLLED = 1.0
 """least redundancy, out of six, of a registration that others confirm"""
@@ -66,7 +63,7 @@ class Solution:
         return self.T_world_node[self.drives.reference_count :]
 
     @cached_property
-    def part(self) -> NDArray[np.int64]:
+    def part(self) -> Indices:
         """(N,) the connected part of the graph that each node is in: the smallest number of its nodes."""
         return components(len(self.drives), self.edges.first, self.edges.second)
 

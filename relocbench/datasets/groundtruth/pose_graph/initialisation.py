@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges
 from relocbench.geometry import invert
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 def initial_poses(edges: Edges, T_odom_node: Array, travelled_m: Array, segment: Indices) -> Array:

@@ -9,13 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices, Mask
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, components
 from relocbench.geometry import adjoint, invert, project_to_rotation
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _SWAP = [3, 4, 5, 0, 1, 2]
 _GAUGE_SIGMA = 1e-4
@@ -24,7 +21,7 @@ _LEAST_INFORMATION = 1e-4
 """information that is added to all directions of a measurement (a sigma of 100 m or rad), to make it invertible"""
 
 
-def _graph(edges: Edges, T_world_node: Array, kernel: float | None, robust: NDArray[np.bool_] | None) -> Any:
+def _graph(edges: Edges, T_world_node: Array, kernel: float | None, robust: Mask | None) -> Any:
     """gtsam's factor graph, with one pose of each connected part fixed."""
     import gtsam
 
@@ -51,9 +48,7 @@ def _values(T_world_node: Array) -> Any:
     return values
 
 
-def solve(
-    T_world_node: Array, edges: Edges, kernel: float | None = None, robust: NDArray[np.bool_] | None = None
-) -> Array:
+def solve(T_world_node: Array, edges: Edges, kernel: float | None = None, robust: Mask | None = None) -> Array:
     """Poses (N, 4, 4) that minimise the squared residuals, by the Levenberg-Marquardt method.
 
     Args:

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.edge_information import (
     minimum,
@@ -35,8 +35,6 @@ from relocbench.datasets.groundtruth.pose_graph.selection import (
     reestimated,
 )
 from relocbench.geometry import invert, se3_exp
-
-Array = NDArray[np.float64]
 
 _NOISE_ROUNDS = 4
 """number of times that the graph is solved and its noise estimated, in each iteration"""
@@ -159,7 +157,7 @@ def neighbouring_blocks(solution: Solution, options: LocalOptions) -> list[tuple
     return out
 
 
-def _along(drives: BothDrives, node: int, others: NDArray[np.int64]) -> Array:
+def _along(drives: BothDrives, node: int, others: Indices) -> Array:
     """(M,) arc length from a node to others of its drive; ``inf`` across a gap of the odometry."""
     arc_length = np.abs(drives.travelled_m[others] - drives.travelled_m[node])
     return np.where(drives.segment[others] == drives.segment[node], arc_length, np.inf)

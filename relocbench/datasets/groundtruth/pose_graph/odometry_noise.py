@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.errors import ConfigError
-
-Array = NDArray[np.float64]
 
 _LEAST_REDUNDANCY = 30.0
 """least total redundancy with which a variance is estimated"""

@@ -14,15 +14,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind
 from relocbench.datasets.groundtruth.pose_graph.least_squares import Scales
 from relocbench.geometry import invert
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _NEAR = 3.0
 """half width of the window, in standard deviations"""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from relocbench.arrays import Array, Mask
 
 _LEAST_CHECKED = 0.02
 """redundancy number below which a direction counts as not confirmed by other edges"""
@@ -28,7 +28,7 @@ class OutlierTest:
     """(E, 6) expected values of the squares: from 0 to 1 for edges of the graph, above 1 for edges left out"""
 
     @property
-    def checked(self) -> NDArray[np.bool_]:
+    def checked(self) -> Mask:
         """(E, 6) whether other edges confirm each direction"""
         return self.redundancy_numbers > _LEAST_CHECKED
 

@@ -11,17 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices, Mask
 from relocbench.datasets.groundtruth.pose_graph.both_drives import BothDrives
 from relocbench.datasets.groundtruth.pose_graph.consensus import RunOptions
 from relocbench.datasets.groundtruth.pose_graph.edges import Edges, Kind, components
 from relocbench.datasets.groundtruth.pose_graph.least_squares import Covariances, solve
 from relocbench.datasets.groundtruth.pose_graph.odometry_noise import OdometryNoise, estimate, variance_factor
 from relocbench.datasets.groundtruth.pose_graph.outlier_test import OutlierTest, check_left_out, check_used
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 MEDIAN_CHI2 = 5.348
 """median of chi2 with six degrees of freedom"""
@@ -169,7 +166,7 @@ def reestimated(
     return estimate(noise, drives.arc_length(some.first, some.second), some.residuals(T_world_node), posterior)
 
 
-def evenly_spaced(count: int, most: int) -> NDArray[np.int64]:
+def evenly_spaced(count: int, most: int) -> Indices:
     """At most ``most`` of the numbers from 0 to ``count - 1``, evenly spaced."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)) if count else np.arange(0)
 

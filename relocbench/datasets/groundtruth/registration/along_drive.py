@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.registration.global_registration import GlobalOptions, pose_difference
 from relocbench.datasets.groundtruth.registration.hypotheses import (
@@ -42,7 +42,6 @@ from relocbench.datasets.groundtruth.registration.submap_pair import (
 from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 
-Array = NDArray[np.float64]
 Remember = Callable[[str, Callable[[], SearchResult]], SearchResult]
 """(key, work) -> the result of the work, done now or earlier"""
 

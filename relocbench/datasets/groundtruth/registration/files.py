@@ -12,14 +12,12 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
 from relocbench.errors import DatasetError
 from relocbench.files import atomic_write, read_csv
-
-Array = NDArray[np.float64]
 
 _UPPER = np.triu_indices(6)
 _EVIDENCE = tuple(f.name for f in fields(Evidence) if f.name != "weakest_direction")

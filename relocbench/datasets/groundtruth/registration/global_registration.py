@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.icp.backends import open3d_cloud
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
@@ -22,7 +22,6 @@ from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.errors import ConfigError
 from relocbench.geometry import invert, rotation_angle
 
-Array = NDArray[np.float64]
 Matcher = Literal["ransac", "fgr", "kiss-matcher"]
 
 

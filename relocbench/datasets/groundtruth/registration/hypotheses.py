@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.registration.global_registration import distinct, pose_difference
 from relocbench.datasets.groundtruth.registration.submap_pair import (
     Guess,
@@ -23,8 +23,6 @@ from relocbench.datasets.groundtruth.registration.submap_pair import (
 )
 from relocbench.datasets.groundtruth.verification.alternatives import ShiftOptions, alternatives, fit
 from relocbench.datasets.groundtruth.verification.evidence import Evidence, Registration
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -116,7 +114,7 @@ def choose_hypothesis(
     return SearchResult(best)
 
 
-def nearest_node(ref: PreparedDrive, T_odom_query: Array, among: NDArray[np.int64]) -> tuple[int, float]:
+def nearest_node(ref: PreparedDrive, T_odom_query: Array, among: Indices) -> tuple[int, float]:
     """The reference node nearest to a pose in the reference's odometry, of those given, and its distance."""
     apart = np.linalg.norm(ref.nodes.T_odom_node[among, :3, 3] - T_odom_query[:3, 3], axis=1)
     return int(among[int(np.argmin(apart))]), float(apart.min())

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from threading import Event, Lock, Thread
-from typing import Any, NotRequired, TypedDict
+from typing import Any
 
 import numpy as np
 
@@ -23,24 +23,6 @@ from relocbench.files import parse_json, read_bytes
 from relocbench.progress import Advance
 
 _POLL_S = 0.5
-
-
-class StoredRegistration(TypedDict):
-    """A :class:`Registration` as JSON holds it."""
-
-    ref: int
-    query: int
-    T_ref_query: list[list[float]]
-    information: list[list[float]]
-    evidence: dict[str, Any]
-    reason: str
-
-
-class StoredResult(TypedDict):
-    """A :class:`SearchResult` as JSON holds it."""
-
-    reason: str
-    best: NotRequired[StoredRegistration]
 
 
 class Journal:
@@ -126,7 +108,7 @@ def _whole_lines(path: Path) -> list[bytes]:
     return [line + b"\n" for line in read_bytes(path, "a journal").split(b"\n")[:-1]]
 
 
-def _stored(result: SearchResult) -> StoredResult:
+def _stored(result: SearchResult) -> dict[str, Any]:
     found = result.best
     if found is None:
         return {"reason": result.reason}
@@ -143,7 +125,7 @@ def _stored(result: SearchResult) -> StoredResult:
     }
 
 
-def _restored(stored: StoredResult) -> SearchResult:
+def _restored(stored: Any) -> SearchResult:
     """The result of a line. Raises ValueError, TypeError, KeyError or AttributeError if it is not one."""
     best = stored.get("best")
     if best is None:

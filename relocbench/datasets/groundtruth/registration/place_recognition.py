@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.registration.global_registration import (
     Features,
     GlobalOptions,
@@ -16,8 +16,6 @@ from relocbench.datasets.groundtruth.registration.global_registration import (
 )
 from relocbench.datasets.groundtruth.registration.submap_pair import Guess, PreparedDrive, nodes_every
 from relocbench.geometry import invert
-
-Array = NDArray[np.float64]
 
 _PLACES_M = 25.0
 """distance between the nodes of the reference that features are compared at"""

@@ -8,8 +8,8 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.icp.backends import Backend, icp_by_backend
 from relocbench.datasets.groundtruth.icp.icp import IcpOptions, IcpResult
@@ -19,7 +19,6 @@ from relocbench.datasets.groundtruth.verification.evidence import Evidence, Regi
 from relocbench.datasets.groundtruth.verification.verification import Thresholds, gather_evidence, verdict
 from relocbench.geometry import invert
 
-Array = NDArray[np.float64]
 Guess = tuple[int, int, Array]
 """reference node, query node, ``T_ref_query``"""
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
@@ -21,8 +21,6 @@ from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
 from relocbench.datasets.groundtruth.verification.evidence import Registration
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert
-
-Array = NDArray[np.float64]
 
 _KINDS = 4
 """number of kinds of rejection that are drawn; the table has all"""

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.report.figures import QUERY, REFERENCE, shortened, write_figure
@@ -24,8 +25,7 @@ from relocbench.datasets.groundtruth.report.inspected import InspectedSet, Spot,
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.geometry import apply, invert, make_transform
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+Flags = Mask
 
 _LENGTH_M, _WIDTH_M = 60.0, 30.0
 _PIXEL_M = 0.05

@@ -9,19 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.core.images import write_image
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.groundtruth.report.inspected import InspectedSet, Spot, chosen_spots, inspected_sets
 from relocbench.datasets.groundtruth.report.overlay_picture import write_overlay
 from relocbench.datasets.groundtruth.report.page import DrawnSet, DrawnSpot, write_page
 from relocbench.datasets.groundtruth.report.residual_picture import measure_residuals, write_residuals
 from relocbench.datasets.groundtruth.report.road_picture import write_map
-from relocbench.datasets.inspect.overlay import draw_pair, measure_agreement
-from relocbench.datasets.pairs.visibility import DepthView
+from relocbench.datasets.inspect.overlay import write_pair
 from relocbench.progress import Reporter
 
 
@@ -63,20 +58,6 @@ def _write_spot(dataset: Dataset, found: InspectedSet, spot: Spot, number: int, 
     if spot.pair.T_query_ref is None:
         return DrawnSpot(spot, number, overlay, None, None)
     keyframe = f"{found.name}/keyframe_{number:02d}.png"
-    agrees = _write_keyframe(folder / keyframe, dataset, found, spot.pair, number, seed)
-    return DrawnSpot(spot, number, overlay, keyframe, agrees)
-
-
-def _write_keyframe(path: Path, dataset: Dataset, found: InspectedSet, pair: Pair, number: int, seed: int) -> bool:
-    """Draw the keyframe's points in the query image. Returns whether grey levels agree best at the ground truth."""
-    assert pair.T_query_ref is not None
-    pair_set = found.pair_set
-    reference, query = dataset.reference(pair_set, pair), dataset.query(pair_set, pair)
-    traversal = dataset.traversal(pair_set.query)
-    depth = traversal.depth(pair_set.camera, pair.query_timestamp_ns)
-    view = DepthView(query.camera, depth, traversal.file.cameras[pair_set.camera].depth_sigma)
-    rng = np.random.default_rng([seed, *(time % 2**64 for time in pair.key)])
-    agreement = measure_agreement(reference, query, pair.T_query_ref)
-    title = f"{number}   {found.name}   keyframe {pair.ref_timestamp_ns}   query {pair.query_timestamp_ns}"
-    write_image(path, draw_pair(reference, query, view, pair, agreement, title, rng))
-    return agreement.truth_is_best
+    name = f"{number}   {found.name}"
+    agreement = write_pair(folder / keyframe, dataset, found.pair_set, spot.pair, name, seed)
+    return DrawnSpot(spot, number, overlay, keyframe, agreement.truth_is_best)

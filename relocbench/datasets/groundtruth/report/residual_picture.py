@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.icp.icp import IcpOptions, linearise
 from relocbench.datasets.groundtruth.pose_graph.selection import evenly_spaced
 from relocbench.datasets.groundtruth.report.figures import QUERY, REFERENCE, shortened, write_figure
@@ -21,8 +21,6 @@ from relocbench.datasets.groundtruth.report.inspected import InspectedSet
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap, PlaneOptions
 from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
 from relocbench.geometry import invert, robust_sigma
-
-Array = NDArray[np.float64]
 
 _REACH_M = 0.3
 _SCALE_M = 0.05

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.groundtruth.pairs.reasons import by_kind, common, kind_of
 from relocbench.datasets.groundtruth.report.figures import (
@@ -25,8 +25,6 @@ from relocbench.datasets.groundtruth.report.figures import (
     write_figure,
 )
 from relocbench.datasets.groundtruth.report.inspected import InspectedSet, Spot, reason_of
-
-Array = NDArray[np.float64]
 
 _BAND_M = 1.5
 """largest length of the bar of a pair, which reaches half-way to its neighbours"""

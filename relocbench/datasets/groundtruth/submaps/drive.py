@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from relocbench.datasets.groundtruth.blocks.blocks import Nodes
 from relocbench.datasets.groundtruth.blocks.making import BlockOptions
 from relocbench.datasets.groundtruth.blocks.nodes import make_nodes
@@ -16,8 +13,6 @@ from relocbench.datasets.groundtruth.submaps.submaps import SubmapWindow
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.execution import Run
 from relocbench.progress import Reporter
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

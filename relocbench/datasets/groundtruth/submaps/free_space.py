@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.groundtruth.blocks.blocks import Surface
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
@@ -20,7 +21,6 @@ from relocbench.datasets.groundtruth.voxels.voxels import Grid, cell_of, cells_o
 from relocbench.geometry import apply
 from relocbench.kernels import njit
 
-Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
 _CELLS_M = (0.3, 0.5, 0.8)
@@ -83,7 +83,7 @@ class BeamVotes:
     weights: Array
     """(V,) weights of the patches"""
 
-    def violations(self, found: NDArray[np.bool_]) -> float:
+    def violations(self, found: Mask) -> float:
         """Weighted share of the decided patches that more beams went through than reached; nan if none is decided.
 
         Args:
@@ -95,7 +95,7 @@ class BeamVotes:
         return float(self.weights[violated].sum()) / total if total > 0 else float("nan")
 
     @property
-    def _decided(self) -> NDArray[np.bool_]:
+    def _decided(self) -> Mask:
         # A single beam that goes through decides nothing: it may have passed beside an edge.
         return (self.through + self.reached >= 2) | (self.reached >= 1)
 

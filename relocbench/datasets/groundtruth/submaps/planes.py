@@ -7,15 +7,12 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Surface
 from relocbench.datasets.groundtruth.voxels.thinning import first_in_voxels
 from relocbench.datasets.groundtruth.voxels.voxels import Grid, cell_of, make_grid, pack
 from relocbench.kernels import njit
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _BINS = 6
 """normals are binned on an octahedral map of so many by so many cells"""

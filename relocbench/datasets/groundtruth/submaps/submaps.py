@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.blocks.blocks import Block, Nodes
 from relocbench.datasets.groundtruth.blocks.store import BlockStore
 from relocbench.datasets.groundtruth.voxels.claims import VoxelClaims
 from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
 from relocbench.geometry import apply, invert
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap
 from relocbench.geometry import apply, make_transform, so3_exp
-
-Array = NDArray[np.float64]
 
 _LEVEL = 1
 _COSINE = 0.7

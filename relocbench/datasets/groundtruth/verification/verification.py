@@ -10,16 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relocbench.arrays import Array
 from relocbench.datasets.groundtruth.submaps.free_space import BeamVotes
 from relocbench.datasets.groundtruth.submaps.planes import PlaneMap
 from relocbench.datasets.groundtruth.submaps.prepared import PreparedSubmap
 from relocbench.datasets.groundtruth.verification.evidence import Evidence
 from relocbench.geometry import apply, invert, robust_sigma
-
-Array = NDArray[np.float64]
 
 _SIGMA_M, _DRIFT_PER_M = 0.02, 0.01
 """standard deviation of a distance from a plane near the nodes, and its growth with the lever arm"""

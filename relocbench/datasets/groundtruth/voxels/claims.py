@@ -7,12 +7,11 @@ block number does. Adding or removing a claim only looks at the other claims on 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Floats, Indices, Mask
 from relocbench.datasets.groundtruth.voxels.voxels import EMPTY, slot_of
 from relocbench.kernels import njit
 
-Indices = NDArray[np.int64]
 _NONE = -1
 
 
@@ -31,7 +30,7 @@ class VoxelClaims:
         self._free = np.arange(1024)
         self._blocks: dict[int, tuple[Indices, Indices, Indices]] = {}
 
-    def enter(self, block: int, keys: Indices, ranks: NDArray[np.float32]) -> None:
+    def enter(self, block: int, keys: Indices, ranks: Floats) -> None:
         """Add a block with the voxels (N,) of its points and their ranks (N,); a voxel gets the lowest rank in it."""
         voxels, inverse = np.unique(keys, return_inverse=True)
         best = np.full(len(voxels), np.inf, dtype=np.float32)
@@ -49,7 +48,7 @@ class VoxelClaims:
         _leave(voxels, mine, self._keys, self._heads, self._next, self._owner, self._rank, self._wins)
         self._free = np.concatenate([self._free, mine])
 
-    def winning(self, block: int) -> NDArray[np.bool_]:
+    def winning(self, block: int) -> Mask:
         """(N,) whether the block wins the voxel of each of its points."""
         _, mine, inverse = self._blocks[block]
         return self._wins[mine][inverse]
@@ -92,7 +91,7 @@ def _slot(key: int, table: Indices) -> int:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _judge(head: int, following: Indices, owner: Indices, rank: NDArray[np.float32], wins: NDArray[np.bool_]) -> None:
+def _judge(head: int, following: Indices, owner: Indices, rank: Floats, wins: Mask) -> None:
     best = head
     claim = head
     while claim != _NONE:
@@ -107,7 +106,7 @@ def _judge(head: int, following: Indices, owner: Indices, rank: NDArray[np.float
 @njit(cache=True, nogil=True, error_model="numpy")
 def _enter(
     voxels: Indices, claims: Indices, keys: Indices, heads: Indices, following: Indices, owner: Indices,
-    rank: NDArray[np.float32], wins: NDArray[np.bool_],
+    rank: Floats, wins: Mask,
 ) -> int:  # fmt: skip
     """Link new claims and find the winners anew. Returns how many slots of the table became taken."""
     taken = 0
@@ -125,7 +124,7 @@ def _enter(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _leave(
     voxels: Indices, claims: Indices, keys: Indices, heads: Indices, following: Indices, owner: Indices,
-    rank: NDArray[np.float32], wins: NDArray[np.bool_],
+    rank: Floats, wins: Mask,
 ) -> None:  # fmt: skip
     for i in range(len(voxels)):
         slot = _slot(voxels[i], keys)

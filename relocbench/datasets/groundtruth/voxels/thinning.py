@@ -9,11 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices
 from relocbench.datasets.groundtruth.voxels.voxels import voxel_keys
 from relocbench.kernels import njit
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _UNIT_M = 1e-6
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Indices
 from relocbench.kernels import njit
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Indices
 from relocbench.kernels import njit
-
-Indices = NDArray[np.int64]
 
 _BITS = 21
 _HALF = 1 << (_BITS - 1)

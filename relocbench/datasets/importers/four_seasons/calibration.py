@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, read_rows
 from relocbench.geometry import Camera, is_rotation, make_transform, project_to_rotation
 
-Array = NDArray[np.float64]
 FOLDER_NAMES = ("Calibration", "calibration")
 _PRINTED_ROTATION = 1e-4
 """tolerance for rotations that are printed with few digits"""

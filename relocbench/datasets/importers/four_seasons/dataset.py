@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from relocbench.arrays import Array
 from relocbench.datasets.core import images
+from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
-from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.importers.assembly import check_conditions, condition_of, open_writer, write_pairs
+from relocbench.datasets.importers.assembly import open_writer, write_pairs
 from relocbench.datasets.importers.four_seasons.calibration import (
     StereoCalibration,
     find_calibration,
@@ -44,12 +44,11 @@ from relocbench.datasets.importers.four_seasons.recording import (
 from relocbench.datasets.pairs.correspondences import write_pair_set
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import DatasetError
-from relocbench.execution import Run, run_units
+from relocbench.execution import Run
 from relocbench.files import fitting_name
 from relocbench.geometry import Camera, apply, invert
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
 _INTRINSICS_TOLERANCE_PX = 0.05
 _CAM0, _CAM1 = CAMERAS
 
@@ -82,10 +81,11 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     """
     assert isinstance(options, Options)
     names = traversal_names(sources)
-    check_conditions(options, names)
+    options.check_conditions(names)
     writer = open_writer("four-seasons", sources, options, out, fitting_name("four-seasons-" + "-".join(names)))
     if writer.complete:
         return Dataset(out)
+    job = Build(writer, options, reporter, run)
     recordings = [read_recording(source, name) for source, name in zip(sources, names, strict=True)]
     frames = common_frames(recordings, reporter)
     listed = read_relocalization_files(options.relocalization_files, recordings)
@@ -94,19 +94,19 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     calibrations = _calibrations(recordings, options, reporter)
     for recording in recordings:
         _check_track(recording, reporter)
-        _Import(writer, recording, calibrations[recording.name], options, reporter, run).write(
+        _Import(job, recording, calibrations[recording.name]).write(
             frames.get(recording.name, np.eye(4)), _listed_times(listed, recording)
         )
     if options.relocalization_files:
-        count = options.correspondences
         sets = pairs_of_files(listed, frames, options.withheld_truth == "from-poses", reporter)
         for key, pairs in sets.items():
-            write_pair_set(writer, *key, _CAM0, pairs, count=count, seed=options.seed, reporter=reporter, run=run)
+            write_pair_set(job, *key, _CAM0, pairs)
     else:
         reference, *others = recordings
         for query in others or [reference]:
             if reference.has_images and query.has_images and query.name in frames:
-                _write_by_rule(writer, reference, query, options, reporter, run)
+                source, where = query.pose_source, query.root
+                write_pairs(job, reference.name, query.name, _CAM0, source=source, where=where)
     return writer.finish()
 
 
@@ -114,18 +114,15 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
 class _Import:
     """Writes one recording as a traversal of the dataset."""
 
-    writer: DatasetWriter
+    job: Build[Options]
     recording: Recording
     calibration: StereoCalibration
-    options: Options
-    reporter: Reporter
-    run: Run
 
     def write(self, T_common_w: Array, listed: set[int]) -> None:
         """Write rig, poses, images of the posed and listed frames, and keyframe points."""
         recording = self.recording
         poses = {t: T_common_w @ T_w_cam for t, T_w_cam in recording.T_w_cam.items()}
-        self.writer.traversal(self._traversal_file(), poses)
+        self.job.writer.traversal(self._traversal_file(), poses)
         self._link_images({*poses, *recording.keyframes, *listed})
         self._write_points()
 
@@ -136,7 +133,7 @@ class _Import:
             cameras[_CAM1] = CameraEntry.of(stereo.cam1, invert(stereo.T_cam1_cam0))
         return TraversalFile(
             name=self.recording.name,
-            condition=condition_of(self.options, self.recording.name),
+            condition=self.job.options.condition_of(self.recording.name),
             cameras=cameras,
             source=f"4Seasons recording {self.recording.name}, rig frame rectified cam0",
         )
@@ -145,42 +142,38 @@ class _Import:
         name = self.recording.name
         units = [(c, t, p) for c in CAMERAS for t, p in self.recording.images[c].items() if t in times]
         if not self.recording.has_images:
-            self.reporter.note(
+            self.job.reporter.note(
                 f"{name} has no undistorted_images/{_CAM0}: its poses and points are imported for inspection, but none "
                 "of its pairs can be evaluated"
             )
             return
-        with self.reporter.stage(f"images of {name}", len(units)) as advance:
+        with self.job.reporter.stage(f"images of {name}", len(units)) as advance:
             for camera, time, path in units:
-                self.writer.link_image(name, camera, time, path, copy=self.options.copy_images)
+                self.job.writer.link_image(name, camera, time, path, copy=self.job.options.copy_images)
                 advance(1)
 
     def _write_points(self) -> None:
-        recording = self.recording
-        layout = self.writer.layout.traversal(recording.name)
+        job, recording = self.job, self.recording
+        layout = job.writer.layout.traversal(recording.name)
         seen = recording.images[_CAM0]
         chosen = {t: p for t, p in recording.keyframes.items() if t in seen or not recording.has_images}
         if len(chosen) < len(recording.keyframes):
-            self.reporter.note(f"{len(recording.keyframes) - len(chosen)} keyframes of {recording.name} have no image")
+            job.reporter.note(f"{len(recording.keyframes) - len(chosen)} keyframes of {recording.name} have no image")
         if not recording.scales and chosen and recording.default_scale == 1.0:
-            self.reporter.note(f"{recording.name} gives no GNSS scale: its keyframe points are taken to be in metres")
+            job.reporter.note(f"{recording.name} gives no GNSS scale: its keyframe points are taken to be in metres")
         units = [
             _KeyframeUnit(
                 path,
                 layout.points(_CAM0, time),
                 self.calibration.cam0,
                 recording.scale(time),
-                self.options.point_filter == "usual",
+                job.options.point_filter == "usual",
             )
             for time, path in chosen.items()
         ]
-        empty = 0
-        with self.reporter.stage(f"keyframe points of {recording.name}", len(units)) as advance:
-            for _, count in run_units(_write_keyframe, units, self.run):
-                empty += count == 0
-                advance(1)
+        empty = job.work(f"keyframe points of {recording.name}", _write_keyframe, units).count(0)
         if empty:
-            self.reporter.note(f"{empty} keyframes of {recording.name} have no point that passes the filter")
+            job.reporter.note(f"{empty} keyframes of {recording.name} have no point that passes the filter")
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,19 +252,3 @@ def _check_rule_can_pair(recordings: Sequence[Recording], frames: Mapping[str, A
             f"both; give --relocalization-files, or import {reference.name} alone",
             reference.root,
         )
-
-
-def _write_by_rule(
-    writer: DatasetWriter, reference: Recording, query: Recording, options: Options, reporter: Reporter, run: Run
-) -> None:
-    write_pairs(
-        writer,
-        reference.name,
-        query.name,
-        _CAM0,
-        options,
-        source=query.pose_source,
-        where=query.root,
-        reporter=reporter,
-        run=run,
-    )

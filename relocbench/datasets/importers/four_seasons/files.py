@@ -11,16 +11,14 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.pairfile import parse_pose
 from relocbench.datasets.sensors.trajectories import parse_time
 from relocbench.errors import DatasetError
 from relocbench.files import lines_of, parse_floats, parse_timestamp, read_rows, read_text
 from relocbench.geometry import Camera, invert
 from relocbench.tracking import KeyframePoints
-
-Array = NDArray[np.float64]
 
 PATCH_OFFSETS = ((0, -2), (-1, -1), (1, -1), (-2, 0), (0, 0), (2, 0), (-1, 1), (0, 2))
 """(du, dv) of the eight grey values stored with a point (Engel et al. 2018, pattern 8)"""
@@ -71,7 +69,7 @@ class KeyframeFile:
         return len(self.uv)
 
     @property
-    def reliable(self) -> NDArray[np.bool_]:
+    def reliable(self) -> Mask:
         """(N,) The usual selection of points for localization: positive, of low variance and sufficient baseline."""
         variance = 1.0 / (self.hessian + _HESSIAN_FLOOR)
         with np.errstate(divide="ignore"):
@@ -83,7 +81,7 @@ class KeyframeFile:
             & (self.relative_baseline >= MIN_RELATIVE_BASELINE)
         )
 
-    def points(self, scale: float = 1.0, keep: NDArray[np.bool_] | None = None) -> KeyframePoints:
+    def points(self, scale: float = 1.0, keep: Mask | None = None) -> KeyframePoints:
         """Points in metres: a depth d of ``w`` is ``scale * d`` metres, so inverse depth and sigma are divided by it.
 
         Args:

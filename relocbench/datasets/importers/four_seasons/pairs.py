@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair, PairKey, PoseLine, read_pose_lines
 from relocbench.datasets.importers.four_seasons.recording import CAMERAS, Recording
 from relocbench.datasets.pairs.pairing import relative_pose
@@ -16,7 +16,6 @@ from relocbench.errors import DatasetError
 from relocbench.geometry import invert, rotation_angle
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
 SetKey = tuple[str, str]
 """(reference traversal, query traversal)"""
 DIFFICULTIES = ("easy", "moderate", "hard")

@@ -9,12 +9,10 @@ from operator import xor
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.errors import DatasetError
 from relocbench.files import lines_of, read_bytes, seconds_to_ns
-
-Array = NDArray[np.float64]
 
 _SEMI_MAJOR_M = 6378137.0
 _FLATTENING = 1 / 298.257223563

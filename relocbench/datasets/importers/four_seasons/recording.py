@@ -8,8 +8,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.importers.four_seasons.files import (
     keyframe_files,
     read_gnss_poses,
@@ -21,7 +21,6 @@ from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.geometry import invert
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
 CAMERAS = ("cam0", "cam1")
 GNSS_POSES, MLAD_POSES = "GNSSPoses.txt", "poses.txt"
 TRACK = "septentrio.nmea"

@@ -11,25 +11,25 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from relocbench.arrays import Array
 from relocbench.datasets.core import images
+from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, Condition, Strict, Transform, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.importers.assembly import check_conditions, open_writer, write_pairs
+from relocbench.datasets.importers.assembly import open_writer, write_pairs
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, timed_files, traversal_names
 from relocbench.datasets.sensors.undistortion import undistort, undistort_points
 from relocbench.errors import DatasetError
-from relocbench.execution import Run, run_units
+from relocbench.execution import Run
 from relocbench.files import check_distinct, check_name, fitting_name, load_yaml, load_yaml_values
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
 CAMERA_FILE, POSE_FILE = "camera.yaml", "poses.txt"
 _ONLY_CAMERA = "cam0"
 
@@ -113,30 +113,21 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     """
     assert isinstance(options, Options)
     names = traversal_names(sources)
-    check_conditions(options, names)
+    options.check_conditions(names)
     writer = open_writer("generic", sources, options, out, fitting_name("generic-" + "-".join(names)))
     if writer.complete:
         return Dataset(out)
     folders = [read_folder(source, name) for source, name in zip(sources, names, strict=True)]
     reference, *others = folders
+    job = Build(writer, options, reporter, run)
     for folder in folders:
-        _write_traversal(writer, folder, options, reporter, run)
+        _write_traversal(job, folder)
     for query in others or [reference]:
         cameras = [c for c in reference.cameras if c in query.cameras]
         if not cameras:
             raise DatasetError(f"has no camera of {reference.name} ({', '.join(reference.cameras)})", query.root)
         for camera in cameras:
-            write_pairs(
-                writer,
-                reference.name,
-                query.name,
-                camera,
-                options,
-                source=POSE_FILE,
-                where=query.root,
-                reporter=reporter,
-                run=run,
-            )
+            write_pairs(job, reference.name, query.name, camera, source=POSE_FILE, where=query.root)
     return writer.finish()
 
 
@@ -200,16 +191,17 @@ def poses_at_images(folder: GenericFolder, max_gap_s: float) -> dict[int, Array]
     return dict(zip(posed.tolist(), trajectory.at(posed), strict=True))
 
 
-def _write_traversal(
-    writer: DatasetWriter, folder: GenericFolder, options: Options, reporter: Reporter, run: Run
-) -> None:
+def _write_traversal(job: Build[Options], folder: GenericFolder) -> None:
     """Write rig, poses, and the images, depth and points of the posed frames."""
+    writer, options = job.writer, job.options
     poses = poses_at_images(folder, options.max_pose_gap)
     if not poses:
         raise DatasetError(_why_no_pose(folder), folder.root / POSE_FILE)
     without = len(folder.image_times) - len(poses)
     if without:
-        reporter.note(f"{without} image times of {folder.name} have no pose (before, after or in a gap of {POSE_FILE})")
+        job.reporter.note(
+            f"{without} image times of {folder.name} have no pose (before, after or in a gap of {POSE_FILE})"
+        )
     writer.traversal(
         TraversalFile(
             name=folder.name,
@@ -227,9 +219,7 @@ def _write_traversal(
         for time, path in c.images.items()
         if time in poses
     ]
-    with reporter.stage(f"frames of {folder.name}", len(units)) as advance:
-        for _ in run_units(_write_frame, units, run):
-            advance(1)
+    job.work(f"frames of {folder.name}", _write_frame, units)
 
 
 @dataclass(frozen=True, eq=False)

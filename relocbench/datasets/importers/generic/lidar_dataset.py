@@ -9,7 +9,7 @@ from pydantic import Field
 
 from relocbench.datasets.core.build_options import ImportOptions, LinkingOptions
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.importers.assembly import check_conditions, open_writer
+from relocbench.datasets.importers.assembly import open_writer
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
@@ -35,6 +35,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         DatasetError: with file and line: something in a recording is missing or wrong, or no pair can be accepted.
         ConfigError: the options do not fit the recordings.
     """
+    from relocbench.datasets.core.build import Build
     from relocbench.datasets.groundtruth.jobs.build import build_ground_truth
     from relocbench.datasets.groundtruth.odometry.files import kept_in
     from relocbench.datasets.importers.generic.recording import read_generic
@@ -43,7 +44,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     names = traversal_names(sources)
     if len(names) < 2:
         raise ConfigError(f"ground truth across drives needs a reference and at least one query, got {len(names)}")
-    check_conditions(options, names)
+    options.check_conditions(names)
     writer = open_writer("generic-lidar", sources, options, out, "generic_lidar_" + names[0])
     recordings = [
         read_generic(
@@ -56,4 +57,4 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         )
         for source, title in zip(sources, names, strict=True)
     ]
-    return build_ground_truth(recordings, writer, options, reporter, run)
+    return build_ground_truth(recordings, Build(writer, options, reporter, run))

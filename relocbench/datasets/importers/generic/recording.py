@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Image, Times
 from relocbench.datasets.core import images
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
@@ -27,7 +27,6 @@ from relocbench.errors import DatasetError
 from relocbench.geometry import Camera, invert, make_transform
 from relocbench.progress import Reporter, Silent
 
-Array = NDArray[np.float64]
 OdometrySource = Literal["auto", "poses", "lidar"]
 
 PRIOR_FILE = "prior.txt"
@@ -47,13 +46,13 @@ class GenericCameraStream:
     distorted: Camera
     T_rig_cam: Array
     files: tuple[Path, ...]
-    times_ns: NDArray[np.int64]
+    times_ns: Times
 
     @property
     def camera(self) -> Camera:
         return self.distorted.pinhole()
 
-    def read(self, index: int) -> NDArray[np.uint8]:
+    def read(self, index: int) -> Image:
         """Read an undistorted image, (H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
         path = self.files[index]
         image = images.read_image(path, expected_size(self.distorted))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from relocbench.arrays import Array, Mask, Times
 from relocbench.datasets.core.npy import parse_npy
 from relocbench.datasets.core.schema import Strict, Transform
 from relocbench.datasets.sensors.point_clouds import read_point_cloud
@@ -18,9 +19,6 @@ from relocbench.datasets.sensors.recording import Scan
 from relocbench.datasets.sensors.trajectories import timed_files
 from relocbench.errors import DatasetError
 from relocbench.files import check_distinct, check_name, load_yaml, read_bytes
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 LIDAR_FILE = "lidar.yaml"
 SUFFIXES = (".ply", ".pcd", ".bin", ".npy")
@@ -141,9 +139,7 @@ def read_lidar_file(root: Path) -> LidarFile:
     return load_yaml(root / LIDAR_FILE, LidarFile, "the lidar or lidars of the folder", DatasetError)
 
 
-def _point_times(
-    values: NDArray[Any], kept: NDArray[np.bool_], scan_ns: int, settings: GenericLidar, path: Path
-) -> Times:
+def _point_times(values: NDArray[Any], kept: Mask, scan_ns: int, settings: GenericLidar, path: Path) -> Times:
     if not np.all(np.isfinite(np.asarray(values[kept], dtype=np.float64))):
         raise DatasetError(f"{settings.time} holds a time that is not finite", path)
     factor = _NS[settings.time_unit]

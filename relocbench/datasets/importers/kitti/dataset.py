@@ -11,31 +11,25 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from relocbench.arrays import Array
 from relocbench.datasets.core import images
+from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.importers.assembly import (
-    check_conditions,
-    check_folder,
-    condition_of,
-    open_writer,
-    write_pairs,
-)
+from relocbench.datasets.importers.assembly import check_folder, open_writer, write_pairs
 from relocbench.datasets.importers.kitti.files import KittiSequence
 from relocbench.datasets.pairs.pairing import PosedFrames, make_pairs
 from relocbench.datasets.sensors.stereo import StereoGeometry, stereo_depth
 from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, project_scan, read_scan
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.execution import Run, run_units
+from relocbench.execution import Run
 from relocbench.geometry import Camera, invert
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
 CameraName = Literal["image_0", "image_1", "image_2", "image_3"]
 
 
@@ -124,7 +118,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     """
     assert isinstance(options, Options)
     sequences = _find_sequences(sources, options)
-    check_conditions(options, [s.traversal for s in sequences])
+    options.check_conditions([s.traversal for s in sequences])
     plans = [_read(s, options, needs_depth=s is sequences[0], reporter=reporter) for s in sequences]
     reference, query = plans[0], plans[-1]
     if query is not reference and all(np.allclose(p.poses[0], np.eye(4), atol=1e-6) for p in plans):
@@ -134,29 +128,15 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
             f"Transform {query.sequence.poses_file} into the world of {reference.sequence.name} first"
         )
     # Options that give no pair are reported before the depth of a long recording is computed.
-    make_pairs(
-        reference.posed_frames(),
-        query.posed_frames(),
-        options,
-        same_traversal=query is reference,
-        source="",
-        where=reference.sequence.folder,
-    )
+    frames, where = (reference.posed_frames(), query.posed_frames()), reference.sequence.folder
+    make_pairs(*frames, options, same_traversal=query is reference, source="", where=where)
     writer = open_writer("kitti", sources, options, out, "kitti_" + "_".join(s.name for s in sequences))
+    job = Build(writer, options, reporter, run)
     for plan in plans:
-        _write_traversal(writer, plan, options, reporter, run)
-    write_pairs(
-        writer,
-        reference.sequence.traversal,
-        query.sequence.traversal,
-        options.camera,
-        options,
-        source="KITTI odometry poses",
-        where=reference.sequence.folder,
-        reporter=reporter,
-        run=run,
-        numbers={reference.times[i]: i for i in reference.frames},
-    )
+        _write_traversal(job, plan)
+    names = reference.sequence.traversal, query.sequence.traversal
+    numbers = {reference.times[i]: i for i in reference.frames}
+    write_pairs(job, *names, options.camera, source="KITTI odometry poses", where=where, numbers=numbers)
     return writer.finish()
 
 
@@ -203,28 +183,26 @@ def _read(sequence: KittiSequence, options: Options, needs_depth: bool, reporter
     return _Plan(sequence, frames, poses, times, kind, depth_files, camera)
 
 
-def _write_traversal(writer: DatasetWriter, plan: _Plan, options: Options, reporter: Reporter, run: Run) -> None:
+def _write_traversal(job: Build[Options], plan: _Plan) -> None:
     """Write one traversal with its images and depth."""
+    writer, options = job.writer, job.options
     name, calibration = plan.sequence.traversal, plan.sequence.calibration
     sigma = (0.0, 0.0, 0.0)
     if plan.kind:
         sigma = _stereo_geometry(plan.sequence, options).depth_sigma if plan.kind == "stereo" else (LIDAR_SIGMA, 0, 0)
     file = TraversalFile(
         name=name,
-        condition=condition_of(options, name),
+        condition=options.condition_of(name),
         rate_hz=_rate(plan.times),
         cameras={options.camera: CameraEntry.of(plan.camera, calibration.T_cam0_cam(options.camera), sigma)},
         source=f"KITTI odometry sequence {plan.sequence.name}, depth from {plan.kind or 'nothing'}",
     )
     writer.traversal(file, {plan.times[i]: plan.poses[i] for i in plan.frames})
-    with reporter.stage(f"images of {name}", len(plan.frames)) as advance:
+    with job.reporter.stage(f"images of {name}", len(plan.frames)) as advance:
         for i, path in plan.frames.items():
             writer.link_image(name, options.camera, plan.times[i], path, copy=options.copy_images)
             advance(1)
-    units = _depth_units(writer, plan, options)
-    with reporter.stage(f"depth of {name} from {plan.kind}", len(units)) as advance:
-        for _ in run_units(_compute_depth, units, run):
-            advance(1)
+    job.work(f"depth of {name} from {plan.kind}", _compute_depth, _depth_units(writer, plan, options))
 
 
 def _depth_units(writer: DatasetWriter, plan: _Plan, options: Options) -> list[_StereoUnit | _LidarUnit]:

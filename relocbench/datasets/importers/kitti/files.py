@@ -7,15 +7,13 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.errors import DatasetError
 from relocbench.files import parse_floats, parse_seconds, read_rows, read_text, whole_number
 from relocbench.geometry import Camera, is_rotation, make_transform, project_to_rotation
 from relocbench.progress import Reporter
-
-Array = NDArray[np.float64]
 
 _CALIBRATION_LINES = ("P0", "P1", "P2", "P3", "Tr")
 _MATRIX = " ".join(f"m{row}{column}" for row in range(3) for column in range(4))

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator
 
 from relocbench.datasets.core.build_options import ImportOptions, LinkingOptions
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.importers.assembly import check_conditions, check_folder, open_writer
+from relocbench.datasets.importers.assembly import check_folder, open_writer
 from relocbench.errors import ConfigError
 from relocbench.execution import Run
 from relocbench.files import fitting_name
@@ -51,6 +51,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         DatasetError: with file and line: something in a sequence is missing or wrong, or no pair can be accepted.
         ConfigError: the options do not fit the recordings.
     """
+    from relocbench.datasets.core.build import Build
     from relocbench.datasets.groundtruth.jobs.build import build_ground_truth
     from relocbench.datasets.groundtruth.odometry.files import kept_in
     from relocbench.datasets.importers.kitti.recording import read_kitti
@@ -64,7 +65,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     for sequence in options.sequence:
         check_folder(sources[0] / "sequences" / sequence, "a sequence of KITTI odometry")
     names = [f"kitti_{sequence}" for sequence in options.sequence]
-    check_conditions(options, names)
+    options.check_conditions(names)
     default_name = fitting_name(f"kitti_lidar_{'_'.join(options.sequence)}")
     writer = open_writer("kitti-lidar", sources, options, out, default_name)
     recordings = [
@@ -81,4 +82,4 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         )
         for sequence, title in zip(options.sequence, names, strict=True)
     ]
-    return build_ground_truth(recordings, writer, options, reporter, run)
+    return build_ground_truth(recordings, Build(writer, options, reporter, run))

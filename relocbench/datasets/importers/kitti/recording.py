@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Image, Times
 from relocbench.datasets.core import images
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.groundtruth.odometry.lidar_odometry import FromLidar, lidar_odometry
@@ -23,8 +23,6 @@ from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import Camera, invert
 from relocbench.progress import Reporter, Silent
 
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 ScanMotion = Literal["compensated", "distorted"]
 OdometrySource = Literal["lidar", "poses"]
 
@@ -87,7 +85,7 @@ class RectifiedCamera:
     files: tuple[Path, ...]
     times_ns: Times
 
-    def read(self, index: int) -> NDArray[np.uint8]:
+    def read(self, index: int) -> Image:
         """Read an image, (H, W) or (H, W, 3) RGB. Raises DatasetError with the file."""
         path = self.files[index]
         return images.read_image(path, images.ExpectedSize(self.camera.size, f"the first image of {self.name}"))

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from relocbench.datasets.core.build_options import ImportOptions
 from relocbench.datasets.groundtruth.jobs.options import FieldOptions
-from relocbench.datasets.importers.assembly import check_conditions, check_folder, open_writer
+from relocbench.datasets.importers.assembly import check_folder, open_writer
 from relocbench.execution import Run
 from relocbench.progress import Reporter
 
@@ -35,6 +35,7 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         DatasetError: with file and line: something in a recording is missing or wrong, or no pair can be accepted.
         ConfigError: the options do not fit the recordings.
     """
+    from relocbench.datasets.core.build import Build
     from relocbench.datasets.groundtruth.jobs.build import build_ground_truth, check_recordings
     from relocbench.datasets.importers.robotcar.recording import read_robotcar_drives
 
@@ -51,10 +52,10 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
         odometry=options.odometry,
         reporter=reporter,
     )
-    check_conditions(options, [r.name for r in recordings])
+    options.check_conditions([r.name for r in recordings])
     check_recordings(recordings, options)
     writer = open_writer("robotcar", sources, options, out, "robotcar_" + recordings[0].name)
-    return build_ground_truth(recordings, writer, options, reporter, run)
+    return build_ground_truth(recordings, Build(writer, options, reporter, run))
 
 
 def _with_right_camera(sources: Sequence[Path], cameras: tuple[str, ...]) -> tuple[str, ...] | None:

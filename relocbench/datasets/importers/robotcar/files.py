@@ -13,16 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Condition
 from relocbench.errors import DatasetError, quoted
 from relocbench.files import lines_of, load_yaml_value, parse_floats, read_rows, read_text
 from relocbench.geometry import is_rotation, make_transform, project_to_rotation
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 POSE_COLUMNS = "x y z roll pitch yaw"
 VO_COLUMNS = ("source_timestamp", "destination_timestamp", *POSE_COLUMNS.split())

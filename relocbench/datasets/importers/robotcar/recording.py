@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.schema import Condition
 from relocbench.datasets.importers.robotcar import files
 from relocbench.datasets.importers.robotcar.sensors import LmsStream, RobotCarCamera, image_size, present_times
@@ -32,7 +32,6 @@ from relocbench.files import read_csv
 from relocbench.geometry import Camera, invert, make_transform
 from relocbench.progress import Reporter, Silent
 
-Array = NDArray[np.float64]
 OdometrySource = Literal["vo", "ins"]
 
 LIDARS = ("lms_front", "lms_rear")
@@ -74,12 +73,8 @@ class Calibration:
     models: Path | None
     tags: Path | None
 
-    def T_vehicle_sensor(self, sensor: str) -> Array:
-        """Extrinsics (4, 4) of a lidar or the INS, whose files map from the sensor to the vehicle."""
-        return files.read_extrinsics(self.extrinsics / f"{sensor}.txt")
-
-    def T_camera_vehicle(self, sensor: str) -> Array:
-        """Extrinsics (4, 4) of a camera, whose file maps from the vehicle to the camera."""
+    def extrinsics_of(self, sensor: str) -> Array:
+        """(4, 4) from a lidar or the INS to the vehicle, but from the vehicle to a camera."""
         return files.read_extrinsics(self.extrinsics / f"{sensor}.txt")
 
 
@@ -186,7 +181,7 @@ def _lidars(
         what = f"scans of {title}/{name}"
         times = present_times(folder / name, folder / f"{name}.timestamps", ".bin", what, reporter)
         if len(times):
-            T_rig_lidar = T_RIG_VEHICLE @ calibration.T_vehicle_sensor(name)
+            T_rig_lidar = T_RIG_VEHICLE @ calibration.extrinsics_of(name)
             streams.append(LmsStream(name, folder / name, T_rig_lidar, times))
     if not streams:
         raise DatasetError(f"holds no lidar scan; expected {' or '.join(f'{n}/TIME.bin' for n in LIDARS)}", folder)
@@ -234,7 +229,7 @@ def _T_vehicle_image(calibration: Calibration, lens: Lens, model: files.LensMode
     The published models of the narrow pair are relative to the centre lens, those of the wide pair to the left lens,
     which is the vehicle's origin. The right lens is in both pairs, which gives the centre lens's offset from the left.
     """
-    T_camera_vehicle = calibration.T_camera_vehicle(lens.sensor)
+    T_camera_vehicle = calibration.extrinsics_of(lens.sensor)
     T_left_camera = np.eye(4)
     if lens.model == "stereo_narrow_left" and calibration.models is not None:
         wide, narrow = (
@@ -268,7 +263,7 @@ def _prior(
     start = origin or MapOrigin.of(track)
     if start.zone != track.zone:
         raise DatasetError(f"is in UTM zone {track.zone}, but the other drives are in zone {start.zone}", path)
-    T_rig_ins = T_RIG_VEHICLE @ calibration.T_vehicle_sensor("ins")
+    T_rig_ins = T_RIG_VEHICLE @ calibration.extrinsics_of("ins")
     return map_trajectory(track, start, T_rig_ins), start
 
 

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats, Image, Times
 from relocbench.datasets.core import images
 from relocbench.datasets.core.image_header import MOST_PIXELS
 from relocbench.datasets.importers.robotcar.files import parse_microseconds, read_timestamps
@@ -21,9 +22,6 @@ from relocbench.errors import DatasetError
 from relocbench.files import read_bytes
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 _POINT_BYTES = 24
 _BEAMS = 541
@@ -96,7 +94,7 @@ class RobotCarCamera:
 
     _CODES: ClassVar[dict[str, int]] = {"GBRG": cv2.COLOR_BayerGBRG2RGB, "RGGB": cv2.COLOR_BayerRGGB2RGB}
 
-    def read(self, index: int) -> NDArray[np.uint8]:
+    def read(self, index: int) -> Image:
         """Read an image, (H, W, 3) RGB, black outside the lens's view. Raises DatasetError with the file."""
         path = self.folder / f"{int(self.times_ns[index]) // 1000}.png"
 
@@ -114,7 +112,7 @@ class RobotCarCamera:
 
 
 @lru_cache(maxsize=8)
-def read_look_up_table(path: Path, width: int, height: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def read_look_up_table(path: Path, width: int, height: int) -> tuple[Floats, Floats]:
     """u and v (H, W) in the recorded image of each pixel of the undistorted one.
 
     The file holds all u, then all v, float64, row by row.

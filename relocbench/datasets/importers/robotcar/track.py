@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.importers.robotcar.files import InertialTrack, OdometrySteps
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.geometry import invert, make_transform, project_to_rotation, se3_exp, se3_log
-
-Array = NDArray[np.float64]
 
 T_RIG_VEHICLE = np.diag([1.0, -1.0, -1.0, 1.0])
 """from the vehicle's axes (x forward, y right, z down)"""

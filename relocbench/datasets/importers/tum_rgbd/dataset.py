@@ -11,31 +11,24 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from relocbench.arrays import Array
 from relocbench.datasets.core import images
+from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
-from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.importers.assembly import (
-    check_conditions,
-    check_folder,
-    condition_of,
-    open_writer,
-    write_pairs,
-)
+from relocbench.datasets.importers.assembly import check_folder, open_writer, write_pairs
 from relocbench.datasets.sensors.recording import Trajectory
 from relocbench.datasets.sensors.trajectories import read_trajectory, traversal_names
 from relocbench.datasets.sensors.undistortion import undistort
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.execution import Run, run_units
+from relocbench.execution import Run
 from relocbench.files import fitting_name, parse_seconds, read_rows
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
 Preset = Literal["fr1", "fr2", "fr3", "ros-default"]
 
 CAMERA = "rgb"
@@ -128,33 +121,23 @@ def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Repo
     for source in sources:
         check_folder(source, "a TUM RGB-D sequence")
     names = traversal_names(sources)
-    check_conditions(options, names)
+    options.check_conditions(names)
     writer = open_writer("tum-rgbd", sources, options, out, fitting_name("_to_".join(names)))
+    job = Build(writer, options, reporter, run)
     for index, (source, name) in enumerate(zip(sources, names, strict=True)):
-        _write_traversal(writer, source, name, index, options, reporter, run)
-    write_pairs(
-        writer,
-        names[0],
-        names[-1],
-        CAMERA,
-        options,
-        source="TUM RGB-D motion capture",
-        where=sources[0],
-        reporter=reporter,
-        run=run,
-    )
+        _write_traversal(job, source, name, index)
+    write_pairs(job, names[0], names[-1], CAMERA, source="TUM RGB-D motion capture", where=sources[0])
     return writer.finish()
 
 
-def _write_traversal(
-    writer: DatasetWriter, source: Path, name: str, index: int, options: Options, reporter: Reporter, run: Run
-) -> None:
+def _write_traversal(job: Build[Options], source: Path, name: str, index: int) -> None:
+    writer, options = job.writer, job.options
     camera = _intrinsics(source, options.intrinsics[min(index, len(options.intrinsics) - 1)])
     time_offset = options.time_offset[min(index, len(options.time_offset) - 1)]
-    frames = _frames(source, name, time_offset, options, reporter)
+    frames = _frames(source, name, time_offset, options, job.reporter)
     file = TraversalFile(
         name=name,
-        condition=condition_of(options, name),
+        condition=options.condition_of(name),
         cameras={CAMERA: CameraEntry.of(camera.pinhole(), depth_sigma=KINECT_SIGMA)},
         source=f"TUM RGB-D sequence {source.resolve().name}, truth at t {time_offset:+g} s",
     )
@@ -168,9 +151,7 @@ def _write_traversal(
             units.append(_Unit(frame.image, target.image(CAMERA, frame.time), camera, None))
         if frame.depth and writer.needs_depth(name, CAMERA, frame.time):
             units.append(_Unit(frame.depth, target.depth(CAMERA, frame.time), camera, 1.0 / options.depth_scale))
-    with reporter.stage(f"images of {name}", len(units)) as advance:
-        for _ in run_units(_convert, units, run):
-            advance(1)
+    job.work(f"images of {name}", _convert, units)
 
 
 def _intrinsics(source: Path, asked: str) -> Camera:

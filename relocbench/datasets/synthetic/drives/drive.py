@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.geometry import make_transform, so3_exp
-
-Array = NDArray[np.float64]
 
 RATE_HZ = 10.0
 STEP_NS = 100_000_000

@@ -8,12 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relocbench.arrays import Array, Times
 from relocbench.geometry import invert, make_transform, so3_exp
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 
 def rotation_from_rpy(roll_pitch_yaw: ArrayLike) -> Array:

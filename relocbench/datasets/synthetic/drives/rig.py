@@ -10,12 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera, make_transform, so3_exp
-
-Array = NDArray[np.float64]
 
 _R_VEHICLE_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """rotation of a camera that looks straight ahead"""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -31,34 +31,20 @@ Street = tuple[int, int]
 """the nodes at its ends, the smaller first"""
 
 
-class PeriodicStreet(Protocol):
-    @property
-    def street(self) -> int: ...
-
-
-class Roads(Protocol):
-    """The streets that routes use, such as :class:`relocbench.datasets.synthetic.town.town.District`."""
-
-    @property
-    def network(self) -> StreetNetwork: ...
-
-    @property
-    def periodic(self) -> PeriodicStreet: ...
-
-
-def route(district: Roads, name: RouteName, length_m: float, seed: int) -> Path:
+def route(network: StreetNetwork, periodic: int, name: RouteName, length_m: float, seed: int) -> Path:
     """The path of a route, ``length_m`` metres long; the common one is the network's drive for the seed.
+
+    ``periodic`` is the street with repeating facades.
 
     Raises:
         ConfigError: no detour or crossing fits into a drive of this length.
     """
-    network = district.network
     if name == "common":
         return network.drive(length_m, seed)
     common = network.walk(length_m + _LONGEST_DETOUR_M, seed)
     if name == "detour":
         return network.path(_detour(network, common, length_m), RUN_IN_M, length_m)
-    middle = network.nodes_of(district.periodic.street)
+    middle = network.nodes_of(periodic)
     if name == "crossing":
         middle = _across(network, common, length_m)
     chain = _extended(network, middle, length_m, _driven(network, common, length_m))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, Drive, Route
 from relocbench.geometry import invert
 
-Array = NDArray[np.float64]
 MovingCar = tuple[Array, int]
 """``T_world_car`` (4, 4) and the seed of the car's look"""
 

@@ -7,9 +7,9 @@ Transverse Mercator with an accuracy of a few nanometers, J. Geodesy 2011).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from relocbench.arrays import Array
 
 _EQUATORIAL_M = 6378137.0
 _FLATTENING = 1 / 298.257223563

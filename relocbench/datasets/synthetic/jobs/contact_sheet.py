@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Image
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.drive import MARGIN_M
 from relocbench.datasets.synthetic.drives.rig import rig_named
@@ -24,7 +24,7 @@ _EXTENT_M = 250.0
 
 def contact_sheet(
     conditions: Mapping[str, Factors], *, seed: int, split: str, at_m: float, width: int, reporter: Reporter
-) -> NDArray[np.uint8]:
+) -> Image:
     """The front camera's view ``at_m`` metres along the drive in each condition, with labels, (H, W, 3) RGB."""
     place = DistrictSpec(seed, split, _EXTENT_M)
     route = scenes.district(place).network.drive(_ROUTE_M, seed)
@@ -39,7 +39,7 @@ def contact_sheet(
     return tiled(pictures)
 
 
-def labelled(picture: NDArray[np.uint8], label: str) -> NDArray[np.uint8]:
+def labelled(picture: Image, label: str) -> Image:
     """The picture (H, W, 3) with its label in white on a darkened strip along the bottom."""
     out = np.ascontiguousarray(picture.copy())
     scale = picture.shape[1] / 640
@@ -50,7 +50,7 @@ def labelled(picture: NDArray[np.uint8], label: str) -> NDArray[np.uint8]:
     return out
 
 
-def tiled(pictures: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+def tiled(pictures: list[Image]) -> Image:
     """Pictures of the same size in rows of nearly equal length, on white."""
     rows = -(-len(pictures) // _ROW_LENGTH)
     columns = -(-len(pictures) // rows)

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.core.images import DEPTH_SCALE
 from relocbench.datasets.pairs.correspondences import PairCorrespondences, spread_sample
 from relocbench.datasets.pairs.visibility import CHECKS, warp
@@ -20,9 +20,6 @@ from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.scenes import DistrictSpec
 from relocbench.geometry import Camera, apply
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _FARTHEST_M = 65535 / DEPTH_SCALE
 """greatest depth that can be stored"""
@@ -48,11 +45,11 @@ class View:
 
     def cast(self, origins: Array, directions: Array) -> tuple[Array, Mask]:
         """Distances (N,) along unit rays (N, 3) to the first surface, inf if none, and whether it moves (N,)."""
-        distance = np.asarray(scenes.static_scene(self.place, self.factors).cast(origins, directions)[0], np.float64)
+        distance = scenes.static_scene(self.place, self.factors).hits(origins, directions).range
         cars = scenes.moving_scene(self.place, self.factors, self.moving)
         if cars is None:
             return distance, np.zeros(len(distance), dtype=bool)
-        to_car = np.asarray(cars.cast(origins, directions)[0], np.float64)
+        to_car = cars.hits(origins, directions).range
         return np.minimum(distance, to_car), to_car < distance
 
     def depth(self, pixels: Array) -> tuple[Array, Mask]:
@@ -75,7 +72,7 @@ class View:
         seen = met & (off * slant <= across) & (off <= _TOLERANCE_M + _RELATIVE_TOLERANCE * far)
         cars = scenes.moving_scene(self.place, self.factors, self.moving)
         if cars is not None:
-            seen &= hits.range <= cars.cast(origins, directions)[0]
+            seen &= hits.range <= cars.hits(origins, directions).range
         return np.asarray(seen)
 
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import gamma
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.pairs.pairing import PosedFrames, relative_pose
 from relocbench.geometry import rotation_angle
-
-Array = NDArray[np.float64]
 
 _SHAPE = 4.0
 """shape of the gamma distribution, which gives a standard deviation of half its mean"""

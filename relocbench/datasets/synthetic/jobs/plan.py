@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.images import DEPTH_SCALE
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.pairs.pairing import PosedFrames
@@ -21,7 +21,6 @@ from relocbench.datasets.synthetic.town.network import LANE_M
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
 
-Array = NDArray[np.float64]
 Cameras = Mapping[str, tuple[Camera, Array]]
 """name -> (camera, ``T_rig_cam`` (4, 4))"""
 

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from relocbench.arrays import Array, Times
 from relocbench.datasets.core.schema import Transform
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, DriveStyle, Route, drive, route_length
@@ -41,8 +41,6 @@ from relocbench.files import atomic_write, dump_yaml, read_bytes, remove_parts, 
 from relocbench.geometry import make_transform, transform_to_tq
 from relocbench.progress import Reporter, Silent
 from relocbench.version import __version__
-
-Array = NDArray[np.float64]
 
 LEAD_NS = 500_000_000
 """time from the start of the drive to the first image or scan, and from the last one to the end"""
@@ -219,7 +217,7 @@ def _drive(
     return _smooth(step_times, driven.T_world_rig), car_tracks(step_times, others)
 
 
-def _smooth(times_ns: NDArray[np.int64], T_world_rig: Array) -> TrueTrajectory:
+def _smooth(times_ns: Times, T_world_rig: Array) -> TrueTrajectory:
     """Splines through the steps, with continuous velocity and angular velocity, sampled at 100 Hz."""
     fine = np.arange(times_ns[0], times_ns[-1] + 1, _TRUTH_NS, dtype=np.int64)
     knots, at = (times_ns - times_ns[0]) / 1e9, (fine - times_ns[0]) / 1e9

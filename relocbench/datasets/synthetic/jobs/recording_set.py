@@ -66,7 +66,7 @@ def plan_drives(
     with reporter.stage("laying out districts", len(splits)) as advance:
         for split in splits:
             town = make_district(seed, split, extent_m)
-            paths = {name: route(town, name, length_m, seed) for name in routes}
+            paths = {name: route(town.network, town.periodic.street, name, length_m, seed) for name in routes}
             for condition in conditions:
                 for name, path in paths.items():
                     for k in range(traversals):

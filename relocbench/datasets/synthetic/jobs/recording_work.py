@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Image
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.jobs.estimates import Spent
@@ -23,8 +23,6 @@ from relocbench.datasets.synthetic.town.cars import cars
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
 from relocbench.files import atomic_write
 from relocbench.geometry import Camera
-
-Array = NDArray[np.float64]
 
 _CAR_RADIUS_M = 3.5
 _MOVING_INSTANCE = 2**31
@@ -44,7 +42,7 @@ class Picture(Protocol):
     """What a renderer returns."""
 
     @property
-    def rgb(self) -> NDArray[np.uint8]: ...
+    def rgb(self) -> Image: ...
 
 
 class FrameRenderer(Protocol):

@@ -7,9 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relocbench.arrays import Array
 from relocbench.datasets.core import images
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.synthetic.conditions.condition import Factors
@@ -29,8 +27,6 @@ from relocbench.datasets.synthetic.renderer.render import Frame
 from relocbench.execution import Run, chunks, run_units
 from relocbench.geometry import Camera
 from relocbench.progress import Reporter
-
-Array = NDArray[np.float64]
 
 _STEPS_A_UNIT = 8
 _WORTH_AN_ESTIMATE = 400

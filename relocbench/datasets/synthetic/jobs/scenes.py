@@ -8,8 +8,8 @@ from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives.traffic import MovingCar
 from relocbench.datasets.synthetic.lidar.lidar import LidarScene
@@ -18,7 +18,6 @@ from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
 from relocbench.datasets.synthetic.town.town import District, compose, make_district
 from relocbench.geometry import Camera
 
-Array = NDArray[np.float64]
 Value = TypeVar("Value")
 
 
@@ -101,9 +100,7 @@ def pixel_rays(camera: Camera, T_world_cam: Array, pixels: Array) -> tuple[Array
     return np.broadcast_to(T_world_cam[:3, 3], directions.shape).copy(), directions, lengths
 
 
-def changed_since(
-    place: DistrictSpec, reference: Factors, frame: Frame, camera: Camera, T_world_cam: Array
-) -> NDArray[np.bool_]:
+def changed_since(place: DistrictSpec, reference: Factors, frame: Frame, camera: Camera, T_world_cam: Array) -> Mask:
     """Mask (H, W) of pixels that show another object than the reference condition does.
 
     Season, parked cars and moving cars change objects; light, wetness and snow do not.
@@ -112,9 +109,9 @@ def changed_since(
     origins, directions, lengths = pixel_rays(
         camera, T_world_cam, np.column_stack([u.ravel(), v.ravel()]).astype(float)
     )
-    distance, _, instance = static_scene(place, reference).cast(origins, directions)
-    hit = np.isfinite(distance)
-    before = np.where(hit, distance / lengths, 0.0).reshape(frame.depth.shape)
-    objects = np.where(hit, instance, 0).reshape(frame.depth.shape)
+    hits = static_scene(place, reference).hits(origins, directions)
+    hit = np.isfinite(hits.range)
+    before = np.where(hit, hits.range / lengths, 0.0).reshape(frame.depth.shape)
+    objects = np.where(hit, hits.instance, 0).reshape(frame.depth.shape)
     moved = np.abs(before - frame.depth) > 0.01 + 1e-3 * before
     return np.asarray(moved | ((objects != frame.instance) & (before > 0)))

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Image, Mask, Times
 from relocbench.datasets.core import images
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives import odometry
@@ -25,9 +25,6 @@ from relocbench.datasets.synthetic.lidar import lidar
 from relocbench.errors import ConfigError
 from relocbench.files import write_bytes, write_text
 from relocbench.geometry import Camera, invert, make_transform
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 CAMERAS: dict[str, float] = {"image_0": 0.0, "image_1": 0.53715, "image_2": -0.06, "image_3": 0.47}
 """metres to the right of camera 0; cameras 0 and 1 are grey, 2 and 3 colour"""
@@ -99,11 +96,11 @@ class KittiLayout(FieldsOnly):
             return path.is_file() and path.stat().st_size > 0 and path.stat().st_size % 16 == 0
         return images.is_whole(path)
 
-    def write_image(self, camera: str, path: Path, rgb: NDArray[np.uint8]) -> None:
+    def write_image(self, camera: str, path: Path, rgb: Image) -> None:
         colour = camera in ("image_2", "image_3")
         images.write_image(path, rgb if colour else images.as_grey(rgb))
 
-    def write_scan(self, path: Path, points: Array, reflectance: Array, returned: NDArray[np.bool_]) -> None:
+    def write_scan(self, path: Path, points: Array, reflectance: Array, returned: Mask) -> None:
         """Write x, y, z, reflectance of the returned points as float32."""
         write_bytes(path, np.column_stack([points, reflectance])[returned].astype("<f4").tobytes())
 

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any, Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Image, Mask, Times
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.lidar.lidar import Lidar
 from relocbench.geometry import Camera, interpolate, interpolate_trajectory
 
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 MovingCar = tuple[Array, int]
 """``T_world_car`` (4, 4) and the seed of the car's look"""
 
@@ -145,9 +143,9 @@ class Layout(Protocol):
         """Whether the file exists and was written to its end."""
         ...
 
-    def write_image(self, camera: str, path: Path, rgb: NDArray[np.uint8]) -> None: ...
+    def write_image(self, camera: str, path: Path, rgb: Image) -> None: ...
 
-    def write_scan(self, path: Path, points: Array, reflectance: Array, returned: NDArray[np.bool_]) -> None: ...
+    def write_scan(self, path: Path, points: Array, reflectance: Array, returned: Mask) -> None: ...
 
     def write_texts(self, trajectory: TrueTrajectory, factors: Factors, seed: int) -> dict[str, Any]:
         """Write calibration, times, odometry and other text files; returns the random errors in them, for the truth.

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Image, Mask, Times
 from relocbench.datasets.core import images
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.drives import odometry
@@ -27,9 +27,6 @@ from relocbench.datasets.synthetic.lidar import lidar
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.files import plain_file, write_bytes, write_text
 from relocbench.geometry import Camera, invert, make_transform
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 EXTRINSICS: dict[str, tuple[float, ...]] = {
     "stereo": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
@@ -160,10 +157,10 @@ class RobotCarLayout(FieldsOnly):
             return path.is_file() and path.stat().st_size == _SCAN_BYTES
         return images.is_whole(path)
 
-    def write_image(self, camera: str, path: Path, rgb: NDArray[np.uint8]) -> None:
+    def write_image(self, camera: str, path: Path, rgb: Image) -> None:
         images.write_image(path, mosaic(rgb, LENSES[self.model_of(camera)].pattern))
 
-    def write_scan(self, path: Path, points: Array, reflectance: Array, returned: NDArray[np.bool_]) -> None:
+    def write_scan(self, path: Path, points: Array, reflectance: Array, returned: Mask) -> None:
         """Write all 541 beams, (0, 0, 0) for those without a return."""
         write_bytes(path, np.column_stack([points[:, :2], reflectance]).astype("<f8").tobytes())
 
@@ -224,7 +221,7 @@ def model_text(camera: Camera, lens: Lens) -> str:
     return first + "".join(" ".join(f"{v:.6f}" for v in row) + "\n" for row in T_camera_image)
 
 
-def mosaic(rgb: NDArray[np.uint8], pattern: str) -> NDArray[np.uint8]:
+def mosaic(rgb: Image, pattern: str) -> Image:
     """Bayer mosaic (H, W) of an image (H, W, 3); ``pattern`` names the colours of the top left 2x2 pixels."""
     out = np.empty(rgb.shape[:2], dtype=np.uint8)
     for k, colour in enumerate(pattern):

@@ -6,12 +6,9 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Times
 from relocbench.datasets.synthetic.drives import odometry, utm
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 VO_COLUMNS = "source_timestamp,destination_timestamp,x,y,z,roll,pitch,yaw"
 INS_COLUMNS = (

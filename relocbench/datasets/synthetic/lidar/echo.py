@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.town.mesh import Material
-
-Array = NDArray[np.float64]
 
 DARK = 0.1
 """reflectance of the dark surface for which data sheets state a range"""

@@ -14,14 +14,12 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Mask, Times
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.lidar.echo import clutter, extinction, signal, surface_reflectance
 from relocbench.datasets.synthetic.town.mesh import Mesh
 from relocbench.errors import ConfigError
 from relocbench.geometry import apply, invert
-
-Array = NDArray[np.float64]
-Times = NDArray[np.int64]
 
 _BEAMS = 541
 _LMS_PERIOD_NS = 20_000_000
@@ -64,21 +62,8 @@ class LidarScene:
         self._material = mesh.material
         self._instance = mesh.instance
 
-    def cast(self, origins: Array, directions: Array) -> tuple[Array, NDArray[np.uint8], NDArray[np.uint32]]:
-        """Range, material and instance of the first surface that each ray hits.
-
-        Args:
-            origins: (N, 3) metres, world.
-            directions: (N, 3); ranges are in their lengths, so in metres for unit directions.
-
-        Returns:
-            range (N,), inf without a hit; material (N,) and instance (N,), 0 without a hit.
-        """
-        hits = self.hits(origins, directions)
-        return hits.range, hits.material, hits.instance
-
     def hits(self, origins: Array, directions: Array) -> RayHits:
-        """Like :meth:`cast`, with the normals of the surfaces."""
+        """The first surface that each ray hits, from origins (N, 3) in metres along directions (N, 3)."""
         count = len(origins)
         if self._empty or count == 0:
             return RayHits(
@@ -145,7 +130,7 @@ class SimulatedScan:
     """(N, 3) metres, each in the sensor's frame at its own firing time; 0 without a return"""
     reflectance: Array
     """(N,) in [0, 1]"""
-    returned: NDArray[np.bool_]
+    returned: Mask
     """(N,)"""
     instance: NDArray[np.uint32]
     """(N,) object that reflected the beam; 0 for echoes from rain and snow"""
@@ -269,7 +254,7 @@ def trace(
     return nearest
 
 
-def _may_meet(thing: MovingObject, origins: Array, directions: Array, times_ns: Times) -> NDArray[np.bool_]:
+def _may_meet(thing: MovingObject, origins: Array, directions: Array, times_ns: Times) -> Mask:
     """Mask (N,) of the rays that pass near an object; all of them if it appears or disappears during the scan."""
     ends = thing.motion(np.array([times_ns.min(), times_ns.max()]))[:, :3, 3]
     present = np.isfinite(ends[:, 0])

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Floats
 from relocbench.datasets.synthetic.renderer.raycast import NOTHING
 from relocbench.datasets.synthetic.renderer.samples import PIXEL_OFFSETS, View, ray
 from relocbench.datasets.synthetic.renderer.surfaces import Geometry, Hits, corner
 from relocbench.datasets.synthetic.renderer.vectors import cross, dot, subtract
 from relocbench.kernels import njit
 
-Floats = NDArray[np.float32]
 _CONTRAST = 0.04
 """least difference of two pixels relative to their sum that makes an edge worth smoothing"""
 _AROUND = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))

@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Floats
 from relocbench.datasets.synthetic.renderer.vectors import smoothstep
 from relocbench.kernels import njit
 
-Floats = NDArray[np.float32]
 NIGHT_LUX = 80.0
 """lux per unit of irradiance; by day, when lamps hardly matter, a unit stands for several hundred times as much"""
 _LAMP_CELL_M = 8.0

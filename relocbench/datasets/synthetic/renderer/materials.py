@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Floats
 from relocbench.datasets.synthetic.town.mesh import Material
 from relocbench.kernels import njit
 
-Floats = NDArray[np.float32]
 Colour = tuple[int, int, int]
 CHOICES = 6
 

@@ -6,9 +6,9 @@ import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
+from relocbench.arrays import Floats, Mask
 from relocbench.datasets.synthetic.town.mesh import Mesh
 
-Floats = NDArray[np.float32]
 NOTHING = 0xFFFFFFFF
 """triangle number of a ray that hits nothing"""
 
@@ -31,7 +31,7 @@ class Scene:
         hit = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays), nthreads=1)
         return np.asarray(hit["primitive_ids"].numpy())
 
-    def occluded(self, rays: Floats, far: float = np.inf) -> NDArray[np.bool_]:
+    def occluded(self, rays: Floats, far: float = np.inf) -> Mask:
         """Whether each ray (N, 6) hits anything before ``far``, in lengths of its direction: (N,)."""
         if len(rays) == 0:
             return np.zeros(0, dtype=np.bool_)

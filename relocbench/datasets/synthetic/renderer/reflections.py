@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Floats, Indices, Mask
 from relocbench.datasets.synthetic.renderer.surfaces import Hits
 from relocbench.kernels import njit
 
-Floats = NDArray[np.float32]
 _CLEAR = 0.5
 """sharpness from which on a reflection is not interpolated in even rows"""
 _ACROSS, _ALONG = 4, 30
@@ -28,7 +27,7 @@ _FLAT = 0.97
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def interpolated_pixels(casts: NDArray[np.bool_], hits: Hits, width: int) -> NDArray[np.int64]:
+def interpolated_pixels(casts: Mask, hits: Hits, width: int) -> Indices:
     """Pixels whose reflection is interpolated, in the order in which they are filled: even rows first.
 
     ``casts`` (N,) marks the reflecting pixels of the image.
@@ -52,7 +51,7 @@ def interpolated_pixels(casts: NDArray[np.bool_], hits: Hits, width: int) -> NDA
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fill(reflected: Floats, pixels: NDArray[np.int64], width: int) -> None:
+def fill(reflected: Floats, pixels: Indices, width: int) -> None:
     """Set each of the pixels in ``reflected`` (N, 3), in their order, to the mean of its two neighbours."""
     for i in pixels:
         step = width if (i // width) % 2 else 1
@@ -60,7 +59,7 @@ def fill(reflected: Floats, pixels: NDArray[np.int64], width: int) -> None:
             reflected[i, k] = np.float32(0.5) * (reflected[i - step, k] + reflected[i + step, k])
 
 
-def roughen(reflected: Floats, casts: NDArray[np.bool_], sharpness: Floats, width: int) -> None:
+def roughen(reflected: Floats, casts: Mask, sharpness: Floats, width: int) -> None:
     """Blur reflections on wet ground, more along the light's direction, as a rough film does; puddles stay clear.
 
     ``casts`` (N,) marks the reflecting pixels of ``reflected`` (N, 3).
@@ -78,7 +77,7 @@ def roughen(reflected: Floats, casts: NDArray[np.bool_], sharpness: Floats, widt
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _scatter(image: Floats, reflected: Floats, pixels: NDArray[np.int64], first: int) -> None:
+def _scatter(image: Floats, reflected: Floats, pixels: Indices, first: int) -> None:
     """Copy the pixels with weight 1 into an image (M, 4) that begins at pixel ``first``."""
     for i in pixels:
         for k in range(3):
@@ -87,7 +86,7 @@ def _scatter(image: Floats, reflected: Floats, pixels: NDArray[np.int64], first:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mix(reflected: Floats, mean: Floats, sharpness: Floats, pixels: NDArray[np.int64], first: int) -> None:
+def _mix(reflected: Floats, mean: Floats, sharpness: Floats, pixels: Indices, first: int) -> None:
     """Blend each pixel with the blurred image (M, 4, with weights) according to its sharpness."""
     for i in pixels:
         rest = (np.float32(1.0) - sharpness[i]) / mean[i - first, 3]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Floats
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.renderer import lamps as lighting
 from relocbench.datasets.synthetic.renderer import reflections, shading, shadows, surfaces
@@ -22,7 +23,7 @@ from relocbench.datasets.synthetic.renderer.lamps import Beam
 from relocbench.datasets.synthetic.renderer.materials import make_looks
 from relocbench.datasets.synthetic.renderer.raycast import NOTHING, Scene
 from relocbench.datasets.synthetic.renderer.response import apply_response
-from relocbench.datasets.synthetic.renderer.samples import PIXEL_OFFSETS, Floats, Samples, View, direct_samples
+from relocbench.datasets.synthetic.renderer.samples import PIXEL_OFFSETS, Samples, View, direct_samples
 from relocbench.datasets.synthetic.renderer.sky import Sky, make_sky
 from relocbench.datasets.synthetic.renderer.skylight import Skylight, make_skylight, with_moving_cars
 from relocbench.datasets.synthetic.renderer.surfaces import Hits, Setting

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from relocbench.arrays import Floats
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.kernels import njit
 
-Floats = NDArray[np.float32]
 _KEY = 0.17
 _LEAST_GAIN, _MOST_GAIN = 0.05, 5.0
 """limits of the automatic exposure, so that it does not turn night into day"""

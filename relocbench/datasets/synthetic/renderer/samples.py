@@ -12,11 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.synthetic.renderer.raycast import NOTHING
 from relocbench.datasets.synthetic.renderer.vectors import Vector, add_scaled, dot
 from relocbench.kernels import njit
-
-Floats = NDArray[np.float32]
 
 PIXEL_OFFSETS = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]], dtype=np.float32)
 """(4, 2) offsets of the samples in a supersampled pixel: a rotated square, so that edges near the axes cross it at four
@@ -26,8 +25,8 @@ places"""
 class View(NamedTuple):
     """A pinhole camera with its pose."""
 
-    origin: NDArray[np.float64]
-    rotation: NDArray[np.float64]
+    origin: Array
+    rotation: Array
     """(3, 3) R_world_cam"""
     fx: float
     fy: float

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Floats
 from relocbench.datasets.synthetic.renderer.lamps import Beam, Lamps, headlight_irradiance, strongest_lamp
 from relocbench.datasets.synthetic.renderer.samples import Samples, View, start
 from relocbench.datasets.synthetic.renderer.sky import MAP, Sky
@@ -14,7 +14,6 @@ from relocbench.datasets.synthetic.renderer.vectors import Vector, dot, exp_nega
 from relocbench.datasets.synthetic.town.mesh import Material
 from relocbench.kernels import njit
 
-Floats = NDArray[np.float32]
 _LEAF = int(Material.LEAF)
 _BRIGHTEST = 10.0
 _HAZE = 0.00025

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Floats, Indices, Mask
 from relocbench.datasets.synthetic.renderer.lamps import Lamps, strongest_lamp
 from relocbench.datasets.synthetic.renderer.samples import PIXEL_OFFSETS, View, ray
 from relocbench.datasets.synthetic.renderer.surfaces import Hits
 from relocbench.datasets.synthetic.renderer.vectors import add_scaled, cross, dot
 from relocbench.kernels import njit
 
-Floats = NDArray[np.float32]
-
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shadow_rays(
-    hits: Hits, asked: NDArray[np.bool_], to_sun: Floats, by_lamp: bool, lamps: Lamps
-) -> tuple[NDArray[np.int64], Floats]:
+def shadow_rays(hits: Hits, asked: Mask, to_sun: Floats, by_lamp: bool, lamps: Lamps) -> tuple[Indices, Floats]:
     """The samples among those asked for (N,) that face the light, and a ray (M, 6) from each to it.
 
     The light is the sun or, at night, the strongest lamp. A ray to a lamp reaches it at parameter 1.
@@ -48,7 +44,7 @@ def shadow_rays(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def chessboard(count: int, width: int) -> NDArray[np.bool_]:
+def chessboard(count: int, width: int) -> Mask:
     """Mask (count,) of the dark squares of a chessboard over an image ``width`` pixels wide."""
     out = np.zeros(count, dtype=np.bool_)
     for row in range(count // width):
@@ -57,7 +53,7 @@ def chessboard(count: int, width: int) -> NDArray[np.bool_]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def interpolate_chessboard(hits: Hits, lit: Floats, width: int) -> NDArray[np.bool_]:
+def interpolate_chessboard(hits: Hits, lit: Floats, width: int) -> Mask:
     """Set the light squares of the chessboard from their neighbours where possible; returns the others (N,).
 
     A pixel takes the value that its four neighbours have in common, if all five lie nearly in one plane.
@@ -100,7 +96,7 @@ _SUN_RADIUS = 0.008
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def penumbra_rays(view: View, hits: Hits, lit: Floats, width: int, to_sun: Floats) -> tuple[NDArray[np.int64], Floats]:
+def penumbra_rays(view: View, hits: Hits, lit: Floats, width: int, to_sun: Floats) -> tuple[Indices, Floats]:
     """Pixels at the edges of shadows (M,), and four rays (4 M, 6) from each, spread over the pixel and the sun's disc.
 
     ``hits`` and ``lit`` are those of the whole image. The rays of a pixel do not depend on what else is rendered.

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.renderer.textures import MACRO, SIZE, bake
 
-Floats = NDArray[np.float32]
 MAP = 768
 """texels along a side of the sky's map"""
 _NIGHT = np.array([0.0009, 0.0012, 0.0021])
@@ -34,7 +34,7 @@ class Sky(NamedTuple):
     """(3,) radiance of white paper that faces the sun; 0 if the sun is hidden or below the horizon"""
 
 
-def _smoothstep(x: NDArray[np.floating] | float, low: float, high: float) -> NDArray[np.float64]:
+def _smoothstep(x: NDArray[np.floating] | float, low: float, high: float) -> Array:
     t = np.clip((np.asarray(x, dtype=np.float64) - low) / (high - low), 0, 1)
     return np.asarray(t * t * (3 - 2 * t))
 
@@ -101,7 +101,7 @@ def make_sky(factors: Factors, seed: int) -> Sky:
     return Sky(radiance, ambient.astype(np.float32), horizon.astype(np.float32), to_sun, sun.astype(np.float32))
 
 
-def _clouds(d: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+def _clouds(d: Array, seed: int) -> Array:
     """Low-frequency noise in [0, 1] on a layer above the town, seen in directions (..., 3)."""
     layer = bake(seed).second(MACRO)
     total = np.zeros(d.shape[:-1])
@@ -111,7 +111,7 @@ def _clouds(d: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
     return total
 
 
-def _periodic(layer: Floats, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+def _periodic(layer: Floats, u: Array, v: Array) -> Array:
     """Bilinear lookup in a tile that repeats with period 1."""
     x, y = u * SIZE, v * SIZE
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)

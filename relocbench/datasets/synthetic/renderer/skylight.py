@@ -9,13 +9,12 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Floats, Mask
 from relocbench.datasets.synthetic.renderer.raycast import Scene
 from relocbench.datasets.synthetic.town.mesh import Mesh, Semantic
 from relocbench.kernels import njit
 
-Floats = NDArray[np.float32]
 _CELL_M = 2.5
 _HEIGHTS = np.array([0.3, 1.5, 3.5, 6.5, 10.5, 16.0, 24.0], dtype=np.float32)
 _DIRECTIONS = 14
@@ -96,7 +95,7 @@ def with_moving_cars(light: Skylight, mesh: Mesh, scene: Scene) -> Skylight:
     return light._replace(ground=np.minimum(light.ground, under))
 
 
-def _ground(mesh: Mesh, standing: NDArray[np.bool_], scene: Scene, low: Floats, shape: tuple[int, int]) -> Floats:
+def _ground(mesh: Mesh, standing: Mask, scene: Scene, low: Floats, shape: tuple[int, int]) -> Floats:
     """Cosine-weighted sky visibility (y, x) of the ground near the low ones of the triangles (T,); 1 elsewhere."""
     ny, nx = shape
     ground = np.ones(shape, dtype=np.float32)
@@ -131,7 +130,7 @@ def _ground(mesh: Mesh, standing: NDArray[np.bool_], scene: Scene, low: Floats, 
     return ground
 
 
-def _corners(mesh: Mesh, chosen: NDArray[np.bool_]) -> Iterator[Floats]:
+def _corners(mesh: Mesh, chosen: Mask) -> Iterator[Floats]:
     """The corners (M, 3, 3) of the chosen triangles (T,), in chunks."""
     for first in range(0, len(mesh), _TRIANGLES_AT_ONCE):
         part = slice(first, first + _TRIANGLES_AT_ONCE)

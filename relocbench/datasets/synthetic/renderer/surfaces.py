@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats, Mask
 from relocbench.datasets.synthetic.renderer.materials import CHOICES, Looks, scramble
 from relocbench.datasets.synthetic.renderer.raycast import NOTHING
 from relocbench.datasets.synthetic.renderer.samples import Samples, View, start
@@ -15,7 +16,6 @@ from relocbench.datasets.synthetic.renderer.vectors import Vector, add_scaled, c
 from relocbench.datasets.synthetic.town.mesh import Material, Mesh, Semantic
 from relocbench.kernels import njit
 
-Floats = NDArray[np.float32]
 _ASPHALT = int(Material.ASPHALT)
 _MARKING, _WINDOW, _SHOP = int(Material.LANE_MARKING), int(Material.WINDOW), int(Material.SHOP_WINDOW)
 _LEAF, _HEDGE, _LAMP = int(Material.LEAF), int(Material.HEDGE), int(Material.LAMP)
@@ -58,7 +58,7 @@ class Setting(NamedTuple):
 class Hits(NamedTuple):
     """The surfaces that N samples hit, before lighting."""
 
-    depth: NDArray[np.float64]
+    depth: Array
     """(N,) ray parameter from the ray's start; 0 for the sky"""
     position: Floats
     normal: Floats
@@ -281,7 +281,7 @@ def surfaces(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def casts_reflection(geometry: Geometry, samples: Samples, hits: Hits, least: float) -> NDArray[np.bool_]:
+def casts_reflection(geometry: Geometry, samples: Samples, hits: Hits, least: float) -> Mask:
     """Mask (N,) of the samples specular enough for a reflection ray; curved car paint only reflects the sky."""
     out = np.zeros(len(hits.depth), dtype=np.bool_)
     for i in range(len(out)):

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array, Floats
 from relocbench.datasets.synthetic.town.mesh import Material
 from relocbench.kernels import njit
 
-Floats = NDArray[np.float32]
 SIZE = 256
 """texels along a side of the finest level"""
 LEVELS = 9
@@ -55,7 +55,7 @@ def _noise(rng: np.random.Generator, cells: int, octaves: int, gain: float = 0.5
     return np.asarray((total - total.mean()) / total.std(), dtype=np.float32)
 
 
-def _enlarge(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+def _enlarge(values: Array, axis: int) -> Array:
     """Periodic smooth interpolation to SIZE along an axis."""
     n = values.shape[axis]
     x = np.arange(SIZE) * n / SIZE
@@ -65,7 +65,7 @@ def _enlarge(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
     shape = [1, 1]
     shape[axis] = SIZE
     t = t.reshape(shape)
-    out: NDArray[np.float64] = values.take(i % n, axis) * (1 - t) + values.take((i + 1) % n, axis) * t
+    out: Array = values.take(i % n, axis) * (1 - t) + values.take((i + 1) % n, axis) * t
     return out
 
 

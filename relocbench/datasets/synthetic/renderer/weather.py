@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from relocbench.arrays import Floats
 from relocbench.kernels import njit
 
-Floats = NDArray[np.float32]
 _NEAR_M, _FAR_M = 0.8, 14.0
 _RAIN_EXPOSURE_S, _SNOW_EXPOSURE_S = 0.012, 0.004
 _RAIN_SPEED, _SNOW_SPEED = 7.5, 1.2

@@ -1,0 +1,35 @@
+"""A dataset at work: what all steps of a build share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.execution import Run, run_units
+from relocbench.progress import Reporter
+
+Options = TypeVar("Options", bound=ImportOptions, covariant=True)
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, eq=False)
+class Build(Generic[Options]):
+    """A dataset that is being written, by which options, whom to report to, and where work runs."""
+
+    writer: DatasetWriter
+    options: Options
+    reporter: Reporter
+    run: Run
+
+    def work(self, title: str, step: Callable[[Unit], Result], units: Sequence[Unit]) -> list[Result]:
+        """The results of ``step`` for all units, in their order, with a progress bar of this title."""
+        found: dict[int, Result] = {}
+        with self.reporter.stage(title, len(units)) as advance:
+            for index, result in run_units(step, units, self.run):
+                found[index] = result
+                advance(1)
+        return [found[index] for index in range(len(units))]
