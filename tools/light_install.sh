@@ -21,7 +21,7 @@ for python in "${@:-python3}"; do
   echo "$("$env/bin/python" -V): installed in $spent s, $(du -sm "$env" | cut -f1) MB"
   mkdir -p "$work/run-$(basename "$python")"
   cd "$work/run-$(basename "$python")"
-  PYTHONPATH="$root/tests/support" "$env/bin/python" -c \
+  PYTHONPATH="$root:$root/tests/support" "$root/${VENV:-.venv}/bin/python" -c \
     'from pathlib import Path; from small_dataset import make_small_dataset; make_small_dataset(Path("data"))'
   try() {
     if "$env/bin/$1" "${@:2}" >out 2>err; then echo "  ok      $*"; else echo "  FAILED  $*: $(tail -n 1 err)"; failed=1; fi

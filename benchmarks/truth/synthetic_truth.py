@@ -32,7 +32,7 @@ from relocbench.datasets.core.images import DEPTH_SCALE
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.importers import importer
-from relocbench.datasets.pairs.correspondences import read_correspondences
+from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors
 from relocbench.datasets.synthetic.conditions.presets import conditions_of
 from relocbench.datasets.synthetic.drives.drive import DriveStyle

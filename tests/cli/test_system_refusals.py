@@ -25,7 +25,7 @@ from baselines.files import write_whole
 from baselines.training.checkpoint import Checkpoint, save_checkpoint
 from relocbench.datasets.core import images
 from relocbench.datasets.core.layout import DatasetLayout
-from relocbench.datasets.pairs.correspondences import read_correspondences, write_correspondences
+from relocbench.datasets.pairs.correspondence_file import read_correspondences, write_correspondences
 from relocbench.datasets.synthetic.jobs.estimates import Spent
 from relocbench.datasets.synthetic.jobs.rendering import estimate
 from relocbench.errors import DatasetError

@@ -14,7 +14,7 @@ from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset, time_of
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.learning.training_pairs import DatasetPairs, without_only_validation
-from relocbench.datasets.pairs.correspondences import read_correspondences
+from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.errors import ConfigError, DatasetError, MethodError
 from relocbench.evaluation.tracking.training_validation import TrackerValidation
 from relocbench.methods.trainers import installed_trainers, trainer_named, trainer_options

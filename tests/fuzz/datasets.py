@@ -108,7 +108,7 @@ def _manifest(place: Place) -> Iterable[str]:
 
 
 def _correspondences(place: Place) -> None:
-    from relocbench.datasets.pairs.correspondences import read_correspondences
+    from relocbench.datasets.pairs.correspondence_file import read_correspondences
 
     found = read_correspondences(place.target)
     if len(found):

@@ -21,7 +21,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import CameraEntry, Condition, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.pairs.correspondences import write_pair_set
+from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.execution import Run
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
 from relocbench.progress import Silent

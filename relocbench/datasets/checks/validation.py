@@ -20,7 +20,6 @@ from relocbench.datasets.core import fingerprint, images
 from relocbench.datasets.core.layout import IMAGE_SUFFIXES, DatasetLayout
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.datasets.core.schema import DatasetFile, TraversalFile
-from relocbench.datasets.pairs.correspondences import check_rows, iterate_correspondences, open_correspondences
 from relocbench.errors import DatasetError, RelocbenchError
 from relocbench.execution import default_workers
 from relocbench.files import load_yaml_values, sha256_file, whole_number, yaml_line
@@ -172,6 +171,8 @@ def _check_correspondences(
 
 
 def _check_parquet_columns(path: Path) -> None:
+    from relocbench.datasets.pairs.correspondence_file import check_rows, open_correspondences  # needs pyarrow
+
     with open_correspondences(path) as file:
         for group in range(file.num_row_groups):
             check_rows(file, group, path)
@@ -180,6 +181,8 @@ def _check_parquet_columns(path: Path) -> None:
 def _check_rows(path: Path, lines: dict[PairKey, PoseLine], found: Findings) -> None:
     unknown: set[PairKey] = set()
     wrong, first, before = 0, -1, 0
+    from relocbench.datasets.pairs.correspondence_file import iterate_correspondences  # needs pyarrow
+
     for rows in iterate_correspondences(path):
         keys = np.unique(np.column_stack([rows.ref_timestamp_ns, rows.query_timestamp_ns]), axis=0)
         unknown |= {(ref, query) for ref, query in keys.tolist()} - lines.keys()

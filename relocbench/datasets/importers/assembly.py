@@ -10,8 +10,8 @@ from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions, RuleOptions
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.pairs.correspondences import write_pair_set
 from relocbench.datasets.pairs.pairing import make_pairs, posed_frames
+from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.errors import DatasetError
 
 

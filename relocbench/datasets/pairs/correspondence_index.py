@@ -8,7 +8,7 @@ import numpy as np
 
 from relocbench.arrays import Floats
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.datasets.pairs.correspondences import SIGMA, key_of, open_correspondences, read_group
+from relocbench.datasets.pairs.correspondence_file import SIGMA, key_of, open_correspondences, read_group
 from relocbench.errors import DatasetError
 
 

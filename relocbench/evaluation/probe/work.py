@@ -15,7 +15,6 @@ from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.datasets.core.writer import versions
-from relocbench.datasets.pairs.correspondences import read_correspondences
 from relocbench.errors import PredictionError, one_line
 from relocbench.evaluation.common.capabilities import Capabilities
 from relocbench.evaluation.common.handles import TrackerHandle
@@ -174,6 +173,8 @@ def _ask(unit: ProbeUnit, key: PairKey, tracker: TrackerHandle | None) -> tuple[
     messages: list[str] = []
     correspondences = DatasetLayout(unit.dataset).correspondence_file(name)
     if task.pixels and correspondences.exists():
+        from relocbench.datasets.pairs.correspondence_file import read_correspondences  # needs pyarrow
+
         image = traversal_of(unit.dataset, unit.reference).image(unit.camera, key[0])
         known = with_structure(read_correspondences(correspondences, key), image, task.structured)
         with step("", (key,), MANY_TIMES):  # one call for the pixels of all offsets, and one for each level

@@ -19,7 +19,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey
-from relocbench.datasets.pairs.correspondences import Correspondences, read_correspondences
+from relocbench.datasets.pairs.correspondences import Correspondences
 from relocbench.errors import PredictionError, one_line
 from relocbench.evaluation.common.handles import TrackerHandle
 from relocbench.evaluation.common.matching_table import (
@@ -197,6 +197,8 @@ def _match_unit(unit: Unit) -> int:
 
 
 def _starts(unit: Unit, key: PairKey) -> Starts:
+    from relocbench.datasets.pairs.correspondence_file import read_correspondences  # needs pyarrow
+
     name = pair_set_name(unit.reference, unit.query, unit.camera)
     known = read_correspondences(_correspondence_file(unit.dataset, name), key)
     return draw_starts(known, traversal_of(unit.dataset, unit.query).file.cameras[unit.camera].camera, key)

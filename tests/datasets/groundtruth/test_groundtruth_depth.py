@@ -30,12 +30,8 @@ from relocbench.datasets.groundtruth.depth.surfels import SECTORS, SurfelOptions
 from relocbench.datasets.groundtruth.submaps.submaps import Submap
 from relocbench.datasets.groundtruth.voxels.thinning import thin
 from relocbench.datasets.importers.kitti.files import Calibration
-from relocbench.datasets.pairs.correspondences import (
-    PairCorrespondences,
-    pair_correspondences,
-    read_correspondences,
-    write_correspondences,
-)
+from relocbench.datasets.pairs.correspondence_file import read_correspondences, write_correspondences
+from relocbench.datasets.pairs.correspondences import PairCorrespondences, pair_correspondences
 from relocbench.datasets.pairs.pixel_sigma import pixel_sigma
 from relocbench.datasets.pairs.visibility import DepthView, ReferencePoints, warp
 from relocbench.datasets.sensors.velodyne import read_scan

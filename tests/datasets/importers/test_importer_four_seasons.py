@@ -27,7 +27,7 @@ from relocbench.datasets.importers.four_seasons.files import (
     read_transformations,
 )
 from relocbench.datasets.importers.four_seasons.receiver import agreement, ecef_from_geodetic, read_gga
-from relocbench.datasets.pairs.correspondences import read_correspondences
+from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.sensors.trajectories import read_trajectory
 from relocbench.errors import DatasetError
 from relocbench.execution import Run

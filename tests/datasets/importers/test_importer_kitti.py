@@ -15,7 +15,7 @@ from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.kitti import dataset as kitti
 from relocbench.datasets.importers.kitti.files import Calibration
-from relocbench.datasets.pairs.correspondences import read_correspondences
+from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.sensors.stereo import StereoGeometry, stereo_depth
 from relocbench.datasets.sensors.velodyne import hidden, project_scan, read_scan
 from relocbench.errors import ConfigError, DatasetError

@@ -20,7 +20,7 @@ from small_street import SolidTexture, StraightRoad, Street
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair
-from relocbench.datasets.pairs.correspondences import read_correspondences
+from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS
 from relocbench.datasets.synthetic.jobs.recording import Recorded, record
 from relocbench.geometry import invert, rotation_angle, se3_exp, transform_to_tq

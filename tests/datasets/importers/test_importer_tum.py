@@ -13,7 +13,7 @@ from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.tum_rgbd import dataset as tum_rgbd
 from relocbench.datasets.importers.tum_rgbd.dataset import INTRINSICS
-from relocbench.datasets.pairs.correspondences import read_correspondences
+from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run
 from relocbench.geometry import apply, invert, rotation_angle

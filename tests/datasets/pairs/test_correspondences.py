@@ -10,13 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from relocbench.datasets.pairs.correspondences import (
-    PairCorrespondences,
-    pair_correspondences,
-    read_correspondences,
-    spread_sample,
-    write_correspondences,
-)
+from relocbench.datasets.pairs.correspondence_file import read_correspondences, write_correspondences
+from relocbench.datasets.pairs.correspondences import PairCorrespondences, pair_correspondences, spread_sample
 from relocbench.datasets.pairs.visibility import CHECKS, DepthView, ReferencePoints, reference_z_buffer, see, warp
 from relocbench.errors import DatasetError
 from relocbench.geometry import Camera, invert, make_transform, se3_exp

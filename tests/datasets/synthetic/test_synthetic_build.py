@@ -16,7 +16,7 @@ from killing import Fault, run_until_killed
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.rendered import dataset as synthetic
-from relocbench.datasets.pairs.correspondences import read_correspondences
+from relocbench.datasets.pairs.correspondence_file import read_correspondences
 from relocbench.datasets.pairs.pairing import PosedFrames
 from relocbench.datasets.pairs.visibility import warp
 from relocbench.datasets.synthetic.conditions.condition import condition_named

@@ -13,7 +13,8 @@ import pytest
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.datasets.pairs.correspondences import Correspondences, read_correspondences
+from relocbench.datasets.pairs.correspondence_file import read_correspondences
+from relocbench.datasets.pairs.correspondences import Correspondences
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.matching_table import (
     OFFSETS_PX,

@@ -26,7 +26,7 @@ from relocbench.datasets.groundtruth.pairs.reasons import by_kind
 from relocbench.datasets.groundtruth.pose_graph.files import write_graph
 from relocbench.datasets.groundtruth.submaps.drive import Drive, make_drive
 from relocbench.datasets.groundtruth.verification.evidence import Registration
-from relocbench.datasets.pairs.correspondences import write_pair_set
+from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.datasets.sensors.recording import FieldRecording
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.execution import Run, run_units

@@ -41,7 +41,7 @@ from relocbench.datasets.importers.four_seasons.recording import (
     common_frames,
     read_recording,
 )
-from relocbench.datasets.pairs.correspondences import write_pair_set
+from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.datasets.sensors.trajectories import traversal_names
 from relocbench.errors import DatasetError
 from relocbench.execution import Run

@@ -10,8 +10,9 @@ import numpy as np
 
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
-from relocbench.datasets.pairs.correspondences import PairCorrespondences, is_finished, write_measured
+from relocbench.datasets.pairs.correspondences import PairCorrespondences
 from relocbench.datasets.pairs.pairing import make_pairs
+from relocbench.datasets.pairs.writing import is_finished, write_measured
 from relocbench.datasets.synthetic.jobs.exact_correspondences import View, exact_correspondences
 from relocbench.datasets.synthetic.jobs.pairs import DistanceSpread, drawn_pairs
 from relocbench.datasets.synthetic.jobs.plan import Cameras, TraversalPlan

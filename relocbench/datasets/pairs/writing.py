@@ -1,0 +1,135 @@
+"""Writing the pairs of a pair set, with their overlap and correspondences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from relocbench.datasets.core import pairfile
+from relocbench.datasets.core.build import Build
+from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
+from relocbench.datasets.core.pairfile import Pair, PairKey
+from relocbench.datasets.core.traversal import Traversal
+from relocbench.datasets.pairs.correspondence_file import open_correspondences, write_correspondences
+from relocbench.datasets.pairs.correspondences import PairCorrespondences, pair_correspondences
+from relocbench.datasets.pairs.visibility import DepthView
+from relocbench.errors import DatasetError
+from relocbench.execution import run_units
+
+_WORTH_WORKERS = 40
+"""pairs; fewer are finished before worker processes have started"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Unit:
+    """One pair to process."""
+
+    reference: Traversal
+    query: Traversal
+    camera: str
+    pair: Pair
+    count: int
+    seed: int
+
+
+def _work(unit: _Unit) -> PairCorrespondences:
+    pair, camera = unit.pair, unit.camera
+    assert pair.T_query_ref is not None
+    entry = unit.query.file.cameras[camera]
+    query = DepthView(entry.camera, unit.query.depth(camera, pair.query_timestamp_ns), entry.depth_sigma)
+    rng = np.random.default_rng([unit.seed, *(time % 2**64 for time in pair.key)])
+    reference = unit.reference.reference(camera, pair.ref_timestamp_ns)
+    return pair_correspondences(reference, pair.T_query_ref, query, unit.count, rng, _sigma_pose(pair))
+
+
+def _sigma_pose(pair: Pair) -> tuple[float, float] | None:
+    """Sigma of the pose in metres and radians; None if unknown."""
+    if pair.sigma_translation_m is None or pair.sigma_rotation_deg is None:
+        return None
+    return pair.sigma_translation_m, float(np.radians(pair.sigma_rotation_deg))
+
+
+def write_pair_set(job: Build[ImportOptions], reference: str, query: str, camera: str, pairs: Sequence[Pair]) -> None:
+    """Write a pair set with the overlap of each pair and, if the options want any, a file of correspondences.
+
+    The traversals must have been written before. Pairs that are rejected or have no pose get neither overlap nor
+    correspondences. A set that an earlier run of the same build has finished is kept unchanged.
+    """
+    layout, count = job.writer.layout, job.options.correspondences
+    name = pair_set_name(reference, query, camera)
+    ordered = sorted(pairs, key=lambda p: p.key)
+    if is_finished(layout, name, ordered, with_correspondences=count > 0):
+        return
+    traversals = [Traversal(layout.traversal(t)) for t in (reference, query)]
+    measured = [p for p in ordered if p.accepted and p.T_query_ref is not None]
+    units = [_Unit(traversals[0], traversals[1], camera, pair, count, job.options.seed) for pair in measured]
+    run = job.run if len(units) >= _WORTH_WORKERS else job.run.alone()
+    with job.reporter.stage(f"correspondences of {name}", len(units)) as advance:
+
+        def results() -> Iterator[tuple[PairKey, PairCorrespondences]]:
+            for index, found in _in_order(run_units(_work, units, run)):
+                yield measured[index].key, found
+                advance(1)
+
+        sigma = any(_sigma_pose(p) is not None for p in measured)
+        write_measured(layout, name, ordered, results(), with_correspondences=count > 0, sigma=sigma)
+
+
+def write_measured(
+    layout: DatasetLayout,
+    name: str,
+    pairs: Sequence[Pair],
+    measured: Iterable[tuple[PairKey, PairCorrespondences]],
+    *,
+    with_correspondences: bool,
+    sigma: bool = False,
+) -> None:
+    """Write a pair set: first its correspondences, if wanted, and last its pairs with the measured overlaps.
+
+    Args:
+        pairs: all pairs of the set, sorted by their keys.
+        measured: results for some or all of the pairs, which are consumed one at a time.
+        sigma: as in :func:`write_correspondences`.
+    """
+    overlaps: dict[PairKey, float] = {}
+
+    def noted() -> Iterator[tuple[PairKey, PairCorrespondences]]:
+        for key, found in measured:
+            overlaps[key] = found.overlap
+            yield key, found
+
+    if with_correspondences:
+        write_correspondences(layout.correspondence_file(name), noted(), sigma=sigma)
+    else:
+        for _ in noted():
+            pass
+    complete = [replace(p, overlap=overlaps.get(p.key, p.overlap)) for p in pairs]
+    pairfile.write_pairs(layout.pair_file(name), layout.pair_table(name), complete)
+
+
+def is_finished(layout: DatasetLayout, name: str, pairs: Sequence[Pair], *, with_correspondences: bool) -> bool:
+    """Whether an earlier run has written this pair set; its pairs are written after the correspondences."""
+    if not (layout.pair_file(name).exists() and layout.pair_table(name).exists()):
+        return False
+    try:
+        if with_correspondences:
+            with open_correspondences(layout.correspondence_file(name)):
+                pass
+        known = pairfile.read_pairs(layout.pair_file(name), layout.pair_table(name))
+    except DatasetError:
+        return False
+    return [p.key for p in known] == [p.key for p in pairs]
+
+
+def _in_order(results: Iterable[tuple[int, PairCorrespondences]]) -> Iterator[tuple[int, PairCorrespondences]]:
+    """The results in order of their indices; early ones wait for those before them."""
+    waiting: dict[int, PairCorrespondences] = {}
+    due = 0
+    for index, result in results:
+        waiting[index] = result
+        while due in waiting:
+            yield due, waiting.pop(due)
+            due += 1
