@@ -1,8 +1,9 @@
-"""The throughput of an evaluation in pairs per second, its scaling to two workers, and its memory.
+"""The throughput of an evaluation in pairs per second, its own time for a pair, its scaling, and its memory.
 
-Ratios are to the same evaluation with one worker in the same run. The throughput excludes the start of the workers and
-compilation, which take seconds, would hide the scaling of a short run, and are printed separately. The last line is
-JSON.
+Ratios are to the same evaluation with one worker in the same run. The evaluation's own time for a pair is all but the
+method's seconds, of a method that does nothing: reading and handing over images, checking, keeping and scoring answers.
+The throughput excludes the start of the workers and compilation, which take seconds, would hide the scaling of a short
+run, and are printed separately. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -81,6 +82,7 @@ def throughput(small: Dataset, large: Dataset, method: str, workers: int, out: P
         "pairs_per_s_with_start_up": b["pairs"] / b["wall_s"],
         "start_up_s": a["wall_s"] - a["pairs"] / rate,
         "tracker_share": b["tracker_s"] / (b["wall_s"] * workers),
+        "own_ms_per_pair": 1000 * (1 / rate - (b["tracker_s"] - a["tracker_s"]) / (b["pairs"] - a["pairs"])),
     }
 
 
@@ -122,6 +124,7 @@ def main() -> None:
         small, large = (datasets[n] for n in arguments.pairs)
         one = throughput(small, large, arguments.method, 1, folder / "out")
         two = throughput(small, large, arguments.method, 2, folder / "out")
+        own = throughput(small, large, "identity", 1, folder / "out")
         memory = {n: peak_mib(datasets[n].root, arguments.method, folder / f"mem-{n}") for n in arguments.memory_pairs}
     few, many = (memory[n] for n in arguments.memory_pairs)
     result = {
@@ -129,6 +132,7 @@ def main() -> None:
         "method": arguments.method,
         "pairs_per_s_per_core": round(one["pairs_per_s"], 1),
         "two_workers_ratio": round(two["pairs_per_s"] / one["pairs_per_s"], 2),
+        "own_ms_per_pair": round(own["own_ms_per_pair"], 2),
         "one_worker": {k: round(v, 3) for k, v in one.items()},
         "two_workers": {k: round(v, 3) for k, v in two.items()},
         "peak_mib": {str(n): {k: round(v, 1) for k, v in m.items()} for n, m in memory.items()},
