@@ -1,0 +1,34 @@
+"""Every published page has a command that makes it again, and what decides it exists."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+
+import pytest
+from repository import ROOT
+
+sys.path.insert(0, str(ROOT / "tools"))
+import published
+
+
+def test_every_published_page_is_listed_with_what_decides_it() -> None:
+    listed = {page.path for page in published.PAGES}
+    here = {str(path.relative_to(ROOT)) for path in (ROOT / "leaderboard").rglob("*.md")}
+    beside = {"leaderboard/README.md", "leaderboard/LEDGER.md", "leaderboard/relocalization/retrieval.md"}
+    assert here - beside - {"leaderboard/retrieval/real/lpn_configurations.md"} == listed
+    for page in published.PAGES:
+        assert all((ROOT / path).exists() for path in page.decided_by)
+        target = page.command.split()[1]
+        assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+
+
+def test_the_table_says_what_changed_since() -> None:
+    try:
+        text = published.table()
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("no repository with its history")
+    assert text.count("\n") == 1 + len(published.PAGES)
+    assert published.on_page_markdown(f"before {published.PLACE} after") == f"before {text} after"
+    assert published.on_page_markdown("nothing") == "nothing"
