@@ -119,10 +119,16 @@ def evaluate(
         seed=seed,
     )
     report = evaluate_methods(options, reporter or Silent())
-    return read_leaderboard(report.results, split=split)
+    return read_leaderboard(report.results, split=split, datasets=[options.dataset])
 
 
-def read_leaderboard(results: Path | str, *, split: str | None = None, metric: str | None = None) -> pd.DataFrame:
+def read_leaderboard(
+    results: Path | str,
+    *,
+    split: str | None = None,
+    metric: str | None = None,
+    datasets: Sequence[Path | str] = (),
+) -> pd.DataFrame:
     """Compare the trackers in a results folder: a row for each dataset, pair set, group and method, ranked.
 
     The columns are those of ``leaderboard.csv``: shares from 0 to 1, metres, degrees, seconds.
@@ -131,10 +137,14 @@ def read_leaderboard(results: Path | str, *, split: str | None = None, metric: s
         results: the results folder, or one of its ``DATASET@FINGERPRINT`` folders; it is only read.
         split: only the pair sets of this split.
         metric: the metric that ranks methods; by default that of ``relocbench leaderboard``.
+        datasets: datasets of the results, or folders with datasets in them; those in folders beside the results folder
+            need not be named. Where one is at hand, all errors are computed anew from predictions and truth.
 
     Raises:
-        PredictionError: no results, a bad file, or scores that are missing or stale.
-        ConfigError: an unknown metric or split.
+        PredictionError: no results, a bad file, scores that are missing or stale, or errors that are not those of the
+            predictions.
+        ConfigError: an unknown metric or split, or a dataset that no result is of.
+        DatasetError: a folder in ``datasets`` that holds no dataset, or a damaged one.
     """
     import pandas as pd
 
@@ -144,17 +154,19 @@ def read_leaderboard(results: Path | str, *, split: str | None = None, metric: s
 
     ranked_by = metric or RANKING
     ranking_metric(ranked_by)  # an unknown metric is reported before anything is read
-    board = make_board(load_results(Path(results), split), metric=ranked_by, split=split)
+    entries = load_results(Path(results), split, datasets=[Path(folder) for folder in datasets])
+    board = make_board(entries, metric=ranked_by, split=split)
     return pd.DataFrame(leaderboard_rows(board))
 
 
-def read_errors(results: Path | str, *, split: str | None = None) -> pd.DataFrame:
+def read_errors(results: Path | str, *, split: str | None = None, datasets: Sequence[Path | str] = ()) -> pd.DataFrame:
     """Read the errors of every pair and every tracker in a results folder; a failure has infinite errors.
 
-    The columns are those of ``errors.csv``: translation in metres, rotation in degrees.
+    The columns are those of ``errors.csv``: translation in metres, rotation in degrees. Datasets are as for
+    :func:`read_leaderboard`.
 
     Raises:
-        PredictionError, ConfigError: as :func:`read_leaderboard`.
+        PredictionError, ConfigError, DatasetError: as :func:`read_leaderboard`.
     """
     import pandas as pd
 
@@ -162,7 +174,7 @@ def read_errors(results: Path | str, *, split: str | None = None) -> pd.DataFram
     from relocbench.leaderboard.tracking.load import load_results
 
     frames = []
-    for entry in load_results(Path(results), split):
+    for entry in load_results(Path(results), split, datasets=[Path(folder) for folder in datasets]):
         for name in entry.pair_sets:
             for method in (method for method in entry.methods if name in method.errors):
                 table = method.errors[name]

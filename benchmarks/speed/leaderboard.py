@@ -42,7 +42,14 @@ from relocbench.evaluation.common.results import (
     write_answers,
     write_record,
 )
-from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows
+from relocbench.evaluation.tracking.score import (
+    FORMULAS,
+    errors_hash,
+    groups_of,
+    predictions_hash,
+    run_hash,
+    summarize_rows,
+)
 from relocbench.geometry import Camera, make_transform, so3_exp
 
 Array = NDArray[np.float64]
@@ -89,15 +96,24 @@ def _write_method(folder: MethodResults, names: list[str], pairs: int, rng: np.r
     )
     write_record(folder.run_yaml, run)
     pose = make_transform(so3_exp([0.0, 0.01, 0.0]), [0.1, 0.2, 0.3])
-    hashes, scores = {}, {}
+    hashes, errors, scores = {}, {}, {}
     for name in names:
         rows = _rows(rng, pairs, scale)
         write_pose_lines(folder.predictions(name), [PoseLine(*row.key, pose) for row in rows if row.status == "ok"])
         write_answers(folder.answers(name), [Answer(row.key, row.status, row.seconds) for row in rows])
         write_errors(folder.errors(name), rows)
-        hashes[name] = predictions_hash(folder, name)
+        hashes[name], errors[name] = predictions_hash(folder, name), errors_hash(folder, name)
         scores[name] = {group: summarize_rows(rows, group).to_dict() for group in groups_of(rows)}
-    write_record(folder.scores_yaml, ScoreRecord(relocbench="0", predictions=hashes, pair_sets=scores))
+    record = ScoreRecord(
+        relocbench="0",
+        formulas=FORMULAS,
+        fingerprint=FINGERPRINT,
+        run=run_hash(folder),
+        predictions=hashes,
+        errors=errors,
+        pair_sets=scores,
+    )
+    write_record(folder.scores_yaml, record)
 
 
 def _rows(rng: np.random.Generator, pairs: int, scale: float) -> list[PairErrors]:

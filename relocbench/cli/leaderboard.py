@@ -29,6 +29,17 @@ def leaderboard(
         Path, typer.Argument(metavar="RESULTS", help="Results folder of the evaluate commands.", show_default=False)
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FOLDER", help="Folder to write.")],
+    dataset: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--dataset",
+            "-d",
+            metavar="FOLDER",
+            help="Dataset of the results, or a folder with datasets in it: all errors are computed anew from "
+            "predictions and truth. Repeatable; datasets beside RESULTS need not be named.",
+            show_default=False,
+        ),
+    ] = None,
     metric: Annotated[
         str | None,
         typer.Option(
@@ -63,11 +74,14 @@ def leaderboard(
 ) -> None:
     """Compare methods: CSV, Markdown and error curves; retrievers, and retrievers with trackers, have their own pages.
 
-    Needs the results folder alone, not the dataset. The same results give the same bytes.
+    Needs the results folder alone. Where the dataset is at hand too, no error is believed that does not follow from it.
+    The same results give the same bytes.
 
     Example: relocbench leaderboard results --out leaderboard
     """
     from relocbench.cli.console import print_json, reporter
+    from relocbench.errors import ConfigError
+    from relocbench.evaluation.common.results import folders_with
     from relocbench.files import alone_writing_to
     from relocbench.leaderboard import write_leaderboard
     from relocbench.leaderboard.relocalization.write import chain_rows, write_relocalization_leaderboard
@@ -80,12 +94,17 @@ def leaderboard(
     _check_metrics_apply(results, given)
     ranked_by = {option: name or _USUAL[option] for option, name in given.items()}
     asked: dict[str, Any] = {"split": split, "seed": seed, "reporter": reporter(quiet)}
+    truth = tuple(dataset or ())
+    if truth and not (holds_tracking(results) or folders_with("relocalization.yaml", results)):
+        raise ConfigError("--dataset is for results of trackers, alone or after a retriever; there are none", results)
     with alone_writing_to(out):
         found = write_retrieval_leaderboard(results, out, metric=ranked_by["--retrieval-metric"], **asked)
-        chains = write_relocalization_leaderboard(results, out, metric=ranked_by["--relocalization-metric"], **asked)
+        chains = write_relocalization_leaderboard(
+            results, out, metric=ranked_by["--relocalization-metric"], datasets=truth, **asked
+        )
         board = None
         if (found is None and chains is None) or holds_tracking(results):
-            board = write_leaderboard(results, out, metric=ranked_by["--metric"], plots=plots, **asked)
+            board = write_leaderboard(results, out, metric=ranked_by["--metric"], plots=plots, datasets=truth, **asked)
     if json:
         retrieval = {} if found is None else {"retrieval_metric": found.metric, "retrieval": retrieval_rows(found)}
         if chains is not None:
@@ -177,7 +196,7 @@ def _print_table(board: Board, dataset: DatasetBoard, table: Table) -> None:
     from relocbench.leaderboard.tracking.page import shown_metrics
 
     metrics = [m for m in shown_metrics(board) if m in (*board.with_interval, *shown_metrics(board)[:3])]
-    of_split = f" {table.split}" if table.pair_set == "total" and table.split else ""
+    of_split = f" {table.split}" if table.is_total and table.split else ""
     rejected = f", {table.rejected} rejected" if table.rejected else ""
     title = f"{dataset.entry.title}: {table.pair_set}{of_split} ({table.pairs} pairs{rejected})"
     columns = ["method", "rank", *(_short(m) for m in metrics), "s a pair"]

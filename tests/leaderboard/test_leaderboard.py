@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from forgery import reseal
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
@@ -26,7 +27,14 @@ from relocbench.evaluation.common.results import (
     ScoreRecord,
     write_answers,
 )
-from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows
+from relocbench.evaluation.tracking.score import (
+    FORMULAS,
+    errors_hash,
+    groups_of,
+    predictions_hash,
+    run_hash,
+    summarize_rows,
+)
 from relocbench.files import dump_yaml, write_text
 from relocbench.leaderboard import Board, Row, Table, load_results, make_board, write_leaderboard
 from relocbench.leaderboard.tracking.load import merge_copies
@@ -79,6 +87,7 @@ class MadeResults:
             **{
                 "seed": 0,
                 "workers": 2,
+                "isolated": True,
                 "versions": {"relocbench": "0.1.0", "method": "relocbench 0.1.0"},
                 "machine": {"cpu": "Test CPU", "cores": 2},
                 "start": "2024-01-01T00:00:00+00:00",
@@ -86,16 +95,24 @@ class MadeResults:
             | run,
         )
         write_text(folder.run_yaml, dump_yaml(record.model_dump(mode="json")))
-        hashes, scores = {}, {}
+        hashes, errors, scores = {}, {}, {}
         for name, made in answers.items():
             rows = [self._row(i, made) for i in range(self.pair_sets[name])]
             lines = [PoseLine(*r.key, np.eye(4)) for r in rows if r.status == "ok"]
             write_pose_lines(folder.predictions(name), lines)
             write_answers(folder.answers(name), [Answer(r.key, r.status, r.seconds) for r in rows])
             write_errors(folder.errors(name), rows)
-            hashes[name] = predictions_hash(folder, name)
+            hashes[name], errors[name] = predictions_hash(folder, name), errors_hash(folder, name)
             scores[name] = {g: summarize_rows(rows, g).to_dict() for g in groups_of(rows)}
-        score = ScoreRecord(relocbench="0.1.0", predictions=hashes, pair_sets=scores)
+        score = ScoreRecord(
+            relocbench="0.1.0",
+            formulas=FORMULAS,
+            fingerprint=FINGERPRINT,
+            run=run_hash(folder),
+            predictions=hashes,
+            errors=errors,
+            pair_sets=scores,
+        )
         write_text(folder.scores_yaml, dump_yaml(score.model_dump(mode="json")))
         return folder
 
@@ -147,7 +164,7 @@ def made(seed: int, pairs: int, metres: float, *, degrees: float | None = None, 
     return Made(translation, rotation)
 
 
-WINTER, NIGHT = "summer__winter__cam0", "summer__night__cam0"
+WINTER, NIGHT, SAME = "summer__winter__cam0", "summer__night__cam0", "summer__summer__cam0"
 
 
 @pytest.fixture
@@ -211,11 +228,38 @@ def test_the_csv_holds_the_formulas_of_the_metrics_in_full(tmp_path: Path) -> No
 
 def test_a_total_is_the_mean_over_pair_sets_each_counting_the_same(two_sets: MadeResults) -> None:
     board = two_sets.board()
-    for name in ("t_auc@0.5m", "recall@(0.25m,2deg)", "median_rotation_error_deg"):
+    for name in ("t_auc@0.5m", "recall@(0.25m,2deg)", "coverage"):
         one, two = (row(board, s, "good").values[name] for s in (WINTER, NIGHT))
         assert one is not None
         assert two is not None
         assert row(board, "total", "good").values[name] == pytest.approx((one + two) / 2, rel=1e-12)
+
+
+def test_medians_of_a_total_are_those_of_all_pairs_together(tmp_path: Path) -> None:
+    results = MadeResults(tmp_path / "results", {WINTER: 5, NIGHT: 2})
+    results.write_dataset()
+    fails = Made([0.9, np.inf], [0.9, np.inf], seconds=4.0)
+    results.add("mine", {WINTER: Made([0.1, 0.2, 0.3, 0.4, 0.5], [1.0] * 5, seconds=1.0), NIGHT: fails})
+    board = results.board()
+    assert row(board, NIGHT, "mine").values["median_translation_error_m"] == np.inf
+    values = row(board, "total", "mine").values
+    # Of 0.1 0.2 0.3 0.4 0.5 0.9 inf the fourth; of five times 1 s and two times 4 s the fourth.
+    assert (values["median_translation_error_m"], values["median_seconds"]) == (0.4, 1.0)
+    assert values["coverage"] == 0.75
+
+
+def test_pair_sets_of_one_drive_have_totals_of_their_own(tmp_path: Path) -> None:
+    splits: dict[str, tuple[str, ...]] = {"test": (SAME, WINTER, NIGHT)}
+    results = MadeResults(tmp_path / "results", {SAME: 30, WINTER: 20, NIGHT: 10}, splits=splits)
+    results.write_dataset()
+    results.add("mine", {SAME: made(1, 30, 0.01), WINTER: made(2, 20, 0.4)})
+    board = write_leaderboard(results.root, tmp_path / "out", plots=False)
+    totals = {t.pair_set: t.pair_sets for t in board.datasets[0].totals}
+    assert totals == {"total": (WINTER, NIGHT), "total_same_drive": (SAME,)}
+    assert row(board, "total", "mine").missing == (NIGHT,)
+    assert row(board, "total_same_drive", "mine").values == row(board, SAME, "mine").values
+    rows = read_csv(tmp_path / "out" / "leaderboard.csv")
+    assert [r["pair_set"] for r in rows if r["pair_set"].startswith("total")] == ["total", "total_same_drive"]
 
 
 def test_a_method_that_misses_a_pair_set_has_blank_totals_and_no_rank(two_sets: MadeResults, tmp_path: Path) -> None:
@@ -229,7 +273,7 @@ def test_a_method_that_misses_a_pair_set_has_blank_totals_and_no_rank(two_sets: 
     last = next(r for r in found if r["pair_set"] == "total" and r["group"] == "all")
     assert (last["rank"], last["t_auc@0.5m"], last["coverage"], last["missing"]) == ("", "", "", NIGHT)
     page = (tmp_path / "out" / "leaderboard.md").read_text()
-    assert set(cells(page, "### Total", "partial (missing)")) == {"", "partial (missing)"}
+    assert set(cells(page, "### Total", "partial (missing)")) == {"", "partial (missing) ³"}
     assert f"`partial` on `{NIGHT}`: not run" in page
 
 
@@ -277,6 +321,10 @@ def test_errors_that_disagree_with_the_scores_are_refused(two_sets: MadeResults)
     fields = lines[1].split(",")
     lines[1] = ",".join([*fields[:5], "0.000001", *fields[6:]])
     path.write_text("".join(lines))
+    with pytest.raises(PredictionError, match="changed since the predictions were scored; score again") as bad:
+        load_results(two_sets.root)
+    assert bad.value.path == path
+    reseal(MethodResults(path.parent))
     with pytest.raises(PredictionError, match=r"here and .* in scores\.yaml") as bad:
         load_results(two_sets.root)
     assert bad.value.path == path
@@ -285,6 +333,7 @@ def test_errors_that_disagree_with_the_scores_are_refused(two_sets: MadeResults)
 def test_errors_that_lost_a_pair_are_refused(two_sets: MadeResults) -> None:
     path = two_sets.folder / "good" / f"{NIGHT}.errors.csv"
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:-1]))
+    reseal(MethodResults(path.parent))
     with pytest.raises(PredictionError, match="79 rows, expected one for each of the 80 pairs"):
         load_results(two_sets.root)
 

@@ -52,7 +52,7 @@ def test_the_floor_is_known_by_what_ran_not_by_its_label(one_set: MadeResults, t
 
 @pytest.mark.parametrize(
     ("target", "ranked"),
-    [("identity", False), ("predictions:clock", False), ("baselines.identity:Identity", False), ("dso", True)],
+    [("identity", False), ("floor:clock", False), ("baselines.identity:Identity", False), ("dso", True)],
 )
 def test_floors_have_no_rank_and_move_nobody(one_set: MadeResults, target: str, ranked: bool) -> None:
     one_set.add("other", {WINTER: made(2, 100, 0.001)}, target=target)

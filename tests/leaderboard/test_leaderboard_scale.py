@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from forgery import reseal
 from test_leaderboard import TITLE, WINTER, MadeResults, made
 
 import relocbench.evaluation.common.results as results_module
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.error_table import ErrorTable, PairErrors, read_errors, write_errors
+from relocbench.evaluation.common.results import MethodResults
 from relocbench.files import load_yaml, write_text
 from relocbench.leaderboard import load_results, make_board, write_leaderboard
 from relocbench.leaderboard.tracking import tables as tables_module
@@ -131,6 +133,16 @@ def _replaced(name: str, old: str, new: str) -> Attack:
     return attack
 
 
+def _sealed(attack: Attack) -> Attack:
+    """The attack of somebody who computes the digests again."""
+
+    def sealed(folder: Path) -> None:
+        attack(folder)
+        reseal(MethodResults(folder / "m0"))
+
+    return sealed
+
+
 def _outward_link(folder: Path) -> None:
     (folder.parent.parent / "secret.txt").write_text("secret", encoding="utf-8")
     path = folder / "m0" / f"{WINTER}.errors.csv"
@@ -173,9 +185,9 @@ ATTACKS: dict[str, tuple[Attack, str]] = {
     ),
     "an infinite score": (_replaced("m0/scores.yaml", "t_auc@0.5m: ", "t_auc@0.5m: .inf, was: "), "inf in scores.yaml"),
     "a missing score": (_replaced("m0/scores.yaml", "t_auc@0.5m:", "other:"), "no t_auc@0.5m"),
-    "an error below 0": (_replaced(ERRORS, ",ok,", ",ok,-"), "at least 0"),
-    "an unknown status": (_replaced(ERRORS, ",ok,", ",fine,"), "status is 'fine'"),
-    "an endless field": (_replaced(ERRORS, ",ok,", f",{'o' * 200_000},"), "a field has more than"),
+    "an error below 0": (_sealed(_replaced(ERRORS, ",ok,", ",ok,-")), "at least 0"),
+    "an unknown status": (_sealed(_replaced(ERRORS, ",ok,", ",fine,")), "status is 'fine'"),
+    "an endless field": (_sealed(_replaced(ERRORS, ",ok,", f",{'o' * 200_000},")), "a field has more than"),
     "one dataset twice": (_twice, "is the same dataset as"),
 }
 

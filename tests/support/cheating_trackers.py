@@ -84,8 +84,13 @@ class Order:
 class StackWalker:
     """Looks for a dataset, its truth or its path in frames, in all objects, and in what the system tells of itself."""
 
+    def __init__(self) -> None:
+        self._objects: list[str] | None = None
+
     def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
-        found = sorted({*_in_frames(), *_in_objects(), *_in_process()})
+        if self._objects is None:  # it takes seconds in a process that holds many
+            self._objects = _in_objects()
+        found = sorted({*_in_frames(), *self._objects, *_in_process()})
         return TrackResult(np.eye(4), info={"found": found})
 
 

@@ -115,6 +115,8 @@ class RunRecord(Strict):
     """whether the method ran in a process without dataset and truth; None where that is not known"""
     uses_times: bool = False
     """whether the method was shown the times of images, as it declared to need"""
+    made_elsewhere: bool = False
+    """whether the predictions were made elsewhere and imported; all that the record says of them is hearsay"""
     start: str = ""
     end: str = ""
 
@@ -123,11 +125,23 @@ Run = TypeVar("Run", bound=RunRecord)
 
 
 class ScoreRecord(Strict):
-    """``scores.yaml``: the summary of each pair set (and group), and the hashes of the scored predictions."""
+    """``scores.yaml``: the summary of each pair set (and group), and digests of all that it was computed from."""
 
     relocbench: str
+    formulas: Count = 0
+    """version of the formulas of the scores; 0 where an earlier version did not record it"""
+    fingerprint: str = ""
+    """of the dataset whose truth the predictions were compared with"""
+    question: str = ""
+    """of the same dataset: a digest of what it asks, equal on all processors"""
+    run: str = ""
+    """SHA-256 of ``run.yaml``"""
     predictions: dict[JoinedName, str]
     """pair set -> SHA-256 of the prediction file and its table"""
+    errors: dict[JoinedName, str] = Field(default_factory=dict)
+    """pair set -> SHA-256 of ``PAIRSET.errors.csv``"""
+    truth: dict[JoinedName, str] = Field(default_factory=dict)
+    """pair set -> SHA-256 of the dataset's pair file and its table"""
     pair_sets: dict[JoinedName, dict[str, dict[str, float | int | None]]]
     """pair set -> group ('all' for the whole) -> metric -> value"""
     matching: dict[JoinedName, dict[str, dict[str, dict[str, float | int | None]]]] = Field(default_factory=dict)
@@ -231,7 +245,7 @@ def dataset_results(results: Path, dataset: Dataset) -> DatasetResults:
 
 def write_dataset_record(folder: DatasetResults, dataset: Dataset) -> None:
     """Write ``dataset.yaml``, which describes the dataset to leaderboards."""
-    write_record(folder.root / "dataset.yaml", _dataset_record(dataset))
+    write_record(folder.root / "dataset.yaml", dataset_record(dataset))
 
 
 def write_record(path: Path, record: Strict) -> None:
@@ -270,9 +284,9 @@ def adopted_run(theirs: Path, run: Run, what: str) -> Run:
         PredictionError: the record is bad, or of another dataset than this one or a copy of it.
     """
     if not theirs.is_file():
-        return run
+        return run.model_copy(update={"made_elsewhere": True})
     record = load_yaml(theirs, type(run), what, PredictionError)
-    told = {"method": run.method}
+    told: dict[str, Any] = {"method": run.method, "made_elsewhere": True}
     if record.fingerprint != run.fingerprint and run.question and record.question == run.question:
         # Another machine's copy: the question is the same, and images differ in last digits only.
         told |= {"fingerprint": run.fingerprint, "answered_on": record.fingerprint}
@@ -334,7 +348,8 @@ def _named(asked: str) -> str:
         raise PredictionError(str(bad)) from None
 
 
-def _dataset_record(dataset: Dataset) -> DatasetRecord:
+def dataset_record(dataset: Dataset) -> DatasetRecord:
+    """What leaderboards are told of a dataset. Raises DatasetError for a bad file of it."""
     return DatasetRecord(
         name=dataset.name,
         fingerprint=dataset.fingerprint,

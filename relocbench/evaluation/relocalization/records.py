@@ -95,6 +95,8 @@ class ChainScores(Strict):
     """``scores.yaml`` of a chain."""
 
     relocbench: str
+    run: str = ""
+    """SHA-256 of ``run.yaml``; empty in results of versions that did not record it"""
     answers: dict[JoinedName, str]
     """task -> SHA-256 of its table"""
     basins: dict[str, ChainBasin]

@@ -57,6 +57,7 @@ def write_chain_results(
     write_record(folder.run_yaml, run)
     record_of_scores = ChainScores(
         relocbench=version.__version__,
+        run=sha256_file(folder.run_yaml),
         answers=dict(sorted(hashes.items())),
         basins=dict(sorted(used.items())),
         tasks=dict(sorted(scores.items())),

@@ -107,8 +107,9 @@ def run_method(
     with stage as advance, kept_workers():
         for pair_set in pair_sets:
             _run_pair_set(dataset, pair_set, spec, folder, todo[pair_set.name], lost, run, shown, seed, advance)
-    started = folder.run_record().start
-    write_record(folder.run_yaml, record.model_copy(update={"start": started, "end": now()}))
+    begun = folder.run_record()
+    of_all = {"start": begun.start, "end": now(), "isolated": bool(begun.isolated and record.isolated)}
+    write_record(folder.run_yaml, record.model_copy(update=of_all))
     return folder
 
 

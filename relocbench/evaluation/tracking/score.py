@@ -36,6 +36,8 @@ from relocbench.files import plain_file, remove_parts
 from relocbench.metrics import PairSetSummary, align_predictions, pose_errors
 
 Array = NDArray[np.float64]
+FORMULAS = 1
+"""Version of the formulas: a change by which the same predictions and truth get other scores increases it."""
 
 
 def read_predictions(path: Path, pair_set: PairSet) -> dict[PairKey, Array]:
@@ -55,7 +57,8 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
     """Score every complete pair set of a method, and write ``PAIRSET.errors.csv`` and ``scores.yaml``.
 
     ``scores.yaml`` also summarizes matching quality where there is a ``PAIRSET.matching.csv``. Pair sets without
-    ground truth are skipped: their predictions can be exported but not scored.
+    ground truth are skipped: their predictions can be exported but not scored. Pair sets that earlier formulas scored
+    are scored again, whether they are among ``pair_sets`` or not.
 
     Raises:
         PredictionError: the predictions are for another dataset, or a file is bad.
@@ -63,7 +66,11 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
     check_made_for(folder.run_record(), dataset.name, dataset.fingerprint, folder.run_yaml)
     remove_parts(folder.root)
     before = folder.score_record() if folder.scores_yaml.exists() else None
+    if before is not None and (before.formulas, before.fingerprint) != (FORMULAS, dataset.fingerprint):
+        before, pair_sets = None, dataset.pair_sets()
     hashes = dict(before.predictions) if before else {}
+    errors = dict(before.errors) if before else {}
+    truth = dict(before.truth) if before else {}
     scores = dict(before.pair_sets) if before else {}
     matching = dict(before.matching) if before else {}
     for pair_set in pair_sets:
@@ -72,13 +79,21 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
         rows = score_pair_set(pair_set, folder)
         write_errors(folder.errors(pair_set.name), rows)
         hashes[pair_set.name] = predictions_hash(folder, pair_set.name)
+        errors[pair_set.name] = errors_hash(folder, pair_set.name)
+        truth[pair_set.name] = truth_hash(pair_set)
         scores[pair_set.name] = {g: summarize_rows(rows, g).to_dict() for g in groups_of(rows)}
         if folder.matching(pair_set.name).exists():
             matching[pair_set.name] = matching_scores(pair_set, folder)
     known = {s for s in dataset.pair_set_names if folder.predictions(s).exists()}
     score_record = ScoreRecord(
         relocbench=version.__version__,
+        formulas=FORMULAS,
+        fingerprint=dataset.fingerprint,
+        question=dataset.question,
+        run=run_hash(folder),
         predictions={k: v for k, v in sorted(hashes.items()) if k in known},
+        errors={k: v for k, v in sorted(errors.items()) if k in known},
+        truth={k: v for k, v in sorted(truth.items()) if k in known},
         pair_sets={k: v for k, v in sorted(scores.items()) if k in known},
         matching={k: v for k, v in sorted(matching.items()) if k in known and folder.matching(k).exists()},
     )
@@ -143,17 +158,41 @@ def groups_of(rows: Sequence[PairErrors] | Sequence[MatchingRow]) -> list[str]:
 
 def predictions_hash(folder: MethodResults, pair_set: str) -> str:
     """The SHA-256 of predictions and table, by which stale scores are recognized."""
+    return _hash_of(folder.predictions(pair_set), folder.answers(pair_set))
+
+
+def errors_hash(folder: MethodResults, pair_set: str) -> str:
+    """The SHA-256 of a table of errors, by which one that was changed after scoring is recognized."""
+    return _hash_of(folder.errors(pair_set))
+
+
+def truth_hash(pair_set: PairSet) -> str:
+    """The SHA-256 of the pair file and its table, which hold the truth that predictions are compared with."""
+    return _hash_of(pair_set.layout.pair_file(pair_set.name), pair_set.layout.pair_table(pair_set.name))
+
+
+def run_hash(folder: MethodResults) -> str:
+    """The SHA-256 of ``run.yaml``, which says how the predictions were made."""
+    return _hash_of(folder.run_yaml)
+
+
+def _hash_of(path: Path, *others: Path) -> str:
+    """The SHA-256 of files with a line end between them; of the files but the first, those that do not exist are empty.
+
+    Raises:
+        PredictionError: no such file, or none that can be read.
+    """
     digest = hashlib.sha256()
-    _add_file(digest, folder.predictions(pair_set))
-    digest.update(b"\n")
-    answers = folder.answers(pair_set)
-    if answers.exists():
-        _add_file(digest, answers)
+    _add_file(digest, path)
+    for other in others:
+        digest.update(b"\n")
+        if other.exists():
+            _add_file(digest, other)
     return digest.hexdigest()
 
 
 def _add_file(digest: hashlib._Hash, path: Path) -> None:
     """Add a file in blocks, since it may be large."""
-    with plain_file(path, "a table of answers", PredictionError).open("rb") as stream:
+    with plain_file(path, "a file", PredictionError).open("rb") as stream:
         while block := stream.read(2**20):
             digest.update(block)

@@ -11,7 +11,8 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.error_table import ERROR_COLUMNS
+from relocbench.evaluation.common.datasets_at_hand import check_record
+from relocbench.evaluation.common.error_table import ERROR_COLUMNS, read_errors
 from relocbench.evaluation.common.matching_table import read_matching
 from relocbench.evaluation.common.results import (
     ANSWER_COLUMNS,
@@ -22,9 +23,17 @@ from relocbench.evaluation.common.results import (
     ScoreRecord,
 )
 from relocbench.evaluation.common.tables import KEY_COLUMNS, TableRow
-from relocbench.evaluation.tracking.score import predictions_hash
+from relocbench.evaluation.tracking.score import FORMULAS
+from relocbench.evaluation.tracking.verification import (
+    faults_of_pair_set,
+    faults_of_record,
+    faults_of_summary,
+    rescored,
+)
 from relocbench.files import read_csv, read_journal
 from relocbench.progress import Reporter
+
+_AGAIN = "run `relocbench evaluate` again to score"
 
 
 @dataclass(frozen=True)
@@ -60,8 +69,8 @@ def is_results_folder(path: Path) -> bool:
 def validate_results(root: Path, dataset: Dataset | None, reporter: Reporter) -> Findings:
     """Check a results folder, one ``DATASET@FINGERPRINT`` folder of it, or one method's folder.
 
-    Predictions are compared with ``dataset`` if it is given; another dataset's results in the folder are noted and
-    checked on their own.
+    If ``dataset`` is given, predictions are compared with it and scored again; another dataset's results in the folder
+    are noted and checked on their own.
     """
     found = Findings()
     if (root / "run.yaml").exists():
@@ -72,6 +81,9 @@ def validate_results(root: Path, dataset: Dataset | None, reporter: Reporter) ->
         folders = []
         for top in tops:
             record = _dataset_record(top, found)
+            if record is not None and dataset is not None and record.fingerprint == dataset.fingerprint:
+                with found.catching():
+                    check_record(record, dataset, top / "dataset.yaml")
             folders += [(MethodResults(p), record) for p in sorted(top.iterdir()) if p.is_dir() and p.name[0] != "."]
         if not folders:
             found.note("holds no method's results yet", root)
@@ -124,7 +136,7 @@ def _check_method(folder: MethodResults, asked: _Expected, found: Findings) -> N
     for name in sorted(present - running):
         _check_pair_set(folder, name, asked, found)
     _note_unfinished(folder, run, running, present, asked, found)
-    _check_scores(folder, present - running, asked, found)
+    _check_scores(folder, run, present - running, asked, found)
 
 
 def _check_pair_set(folder: MethodResults, name: str, asked: _Expected, found: Findings) -> None:
@@ -233,25 +245,27 @@ def _resume(folder: MethodResults, run: RunRecord | None, asked: _Expected) -> s
     return f"; to go on: {shlex.join(words)}"
 
 
-def _check_scores(folder: MethodResults, complete: set[str], asked: _Expected, found: Findings) -> None:
-    """Check that scores belong to the predictions beside them."""
+def _check_scores(
+    folder: MethodResults, run: RunRecord | None, complete: set[str], asked: _Expected, found: Findings
+) -> None:
+    """Check that scores belong to the files beside them and, with the dataset at hand, that its truth confirms them."""
     if not folder.scores_yaml.exists():
         if complete:
             found.note("not scored yet: `relocbench evaluate` scores it", folder.root)
         return
     scores = read_yaml(folder.scores_yaml, ScoreRecord, "the scores of a method", found)
-    if scores is None:
+    if scores is None or run is None:
         return
-    for name, digest in scores.predictions.items():
+    for fault in faults_of_record(folder, run, scores, _AGAIN):
+        found.fault(fault.expected, fault.path)
+    for name in scores.predictions:
         if not folder.predictions(name).exists():
             if name not in complete:
                 found.fault(f"scores pair set '{name}', whose predictions are not there", folder.scores_yaml)
-        elif predictions_hash(folder, name) != digest:
-            found.fault(
-                f"the scores of {name} are stale: its predictions were changed since; run `relocbench evaluate` again",
-                folder.scores_yaml,
-            )
-        _check_errors(folder.errors(name), found)
+        elif scores.formulas == FORMULAS:
+            _check_scored(folder, name, scores, asked.dataset, found)
+        else:
+            _check_errors(folder.errors(name), found)
         if folder.matching(name).exists():
             with found.catching():
                 read_matching(folder.matching(name))
@@ -259,6 +273,25 @@ def _check_scores(folder: MethodResults, complete: set[str], asked: _Expected, f
     truth = {n for n, p in asked.record.pair_sets.items() if p.has_truth} if asked.record else set(unscored)
     if truth & set(unscored):
         found.note(f"not scored yet: {', '.join(sorted(truth & set(unscored)))}", folder.root)
+
+
+def _check_scored(
+    folder: MethodResults, name: str, scores: ScoreRecord, dataset: Dataset | None, found: Findings
+) -> None:
+    """Check the table of errors of a pair set, its summary and, with the dataset at hand, each of its errors."""
+    before = len(found.faults)
+    for fault in faults_of_pair_set(folder, name, scores, _AGAIN):
+        found.fault(fault.expected, fault.path)
+    if folder.errors(name).exists():
+        _check_errors(folder.errors(name), found)
+    if len(found.faults) > before:
+        return  # the file that was changed is named; what else no longer fits follows from it
+    with found.catching():
+        rows = read_errors(folder.errors(name)).by_time()
+        for fault in faults_of_summary(folder, name, rows, scores, _AGAIN):
+            found.fault(fault.expected, fault.path)
+        if dataset is not None and name in dataset.pair_set_names and dataset.fingerprint == scores.fingerprint:
+            rescored(folder, dataset.pair_set(name), rows, scores, _AGAIN)
 
 
 def _check_errors(path: Path, found: Findings) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from relocbench.evaluation.common.results import PREDICTIONS, RunRecord
+from relocbench.evaluation.tracking.clock import CLOCK
+from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
 from relocbench.leaderboard.common.text import json_text
 
 
@@ -10,6 +12,8 @@ def method_words(run: RunRecord) -> list[str]:
     """The options of ``relocbench evaluate`` for a method as it was run, or for the predictions that were imported."""
     if run.target.startswith(PREDICTIONS):
         return ["--method", run.method, "--predictions", run.target.removeprefix(PREDICTIONS)]
+    if run.target == CLOCK_TARGET:
+        return ["--method", CLOCK]
     words = ["--method", labelled_target(run.method, run)]
     words += [word for setting in settings_of(run.method, run) for word in ("--set", setting)]
     return [*words, "--seed", str(run.seed)] if run.seed else words

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
 from relocbench.evaluation.relocalization.answers import ChainAnswer, errors_of, read_chain
 from relocbench.evaluation.relocalization.records import (
     ORACLE,
@@ -22,6 +23,7 @@ from relocbench.evaluation.relocalization.records import (
     ChainTask,
     all_chain_sets,
 )
+from relocbench.evaluation.relocalization.rescoring import AGAIN, ChainTruth
 from relocbench.evaluation.relocalization.score import (
     FAILURES,
     HIT,
@@ -35,6 +37,7 @@ from relocbench.files import sha256_file
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder, check_same_queries
 from relocbench.leaderboard.retrieval.board import holds_tracking
 from relocbench.metrics import Interval, generator, mean_interval, rank_with_ties
+from relocbench.progress import Reporter
 
 Array = NDArray[np.float64]
 SHARES = (basin_recall(1), HIT, "right_and_hit", "right_without_hit", "right_among_K", *FAILURES)
@@ -50,10 +53,22 @@ class Chain:
     basins: Mapping[str, ChainBasin]
     answers: Mapping[str, Sequence[ChainAnswer]]
     """by task; tasks without results are absent"""
+    rescored: frozenset[str] = frozenset()
+    """the tasks whose rows were computed anew from rankings, trackers' answers and truth"""
 
     @property
     def knows_truth(self) -> bool:
         return self.run.retriever == ORACLE
+
+    @property
+    def uses_times(self) -> bool:
+        """Whether the tracker was shown times."""
+        return self.run.tracker_run is not None and self.run.tracker_run.uses_times
+
+    @property
+    def is_ranked(self) -> bool:
+        """Whether the chain takes part in ranks: neither does one that knows the truth nor one that is shown times."""
+        return not (self.knows_truth or self.uses_times)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +80,12 @@ class ChainRow:
     """means over the tasks of means over queries; medians are over all queries together"""
     intervals: Mapping[str, Interval | None]
     rank: int | None
-    """None if a task is missing, and for a chain that uses the truth"""
+    """None if a task is missing, and for a chain that uses the truth or times"""
     failed: int | None = None
     broke: int | None = None
     missing: tuple[str, ...] = ()
+    rescored: bool = False
+    """whether all tasks were scored again"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,17 +126,30 @@ class ChainBoard:
     split: str | None = None
 
 
-def load_chains(results: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0) -> ChainBoard | None:
+def load_chains(
+    results: Path,
+    *,
+    metric: str = RANKING,
+    split: str | None = None,
+    seed: int = 0,
+    datasets: Sequence[Path] = (),
+    reporter: Reporter | None = None,
+) -> ChainBoard | None:
     """Load the results of all chains in a results folder; None where there is nothing of theirs to show.
 
     Args:
         metric: the metric that ranks chains, a mean over queries.
         split: only the tasks of this split; sets without such a split are left out.
         seed: of the draws that decide ranks.
+        datasets: datasets of the results, or folders with datasets in them; those in folders beside ``RESULTS`` need
+            not be named. Where one is at hand, all rows are computed anew.
+        reporter: receives a note on a dataset beside the results that is damaged.
 
     Raises:
-        PredictionError: with file and line: a bad file, or scores that are missing or stale.
-        ConfigError: a metric that chains do not have, or a split that no set has.
+        PredictionError: with file and line: a bad file, scores that are missing or stale, or rows that do not follow
+            from rankings, answers and truth.
+        ConfigError: a metric that chains do not have, a split that no set has, or a dataset that no result is of.
+        DatasetError: a folder in ``datasets`` that holds no dataset, or a damaged one.
     """
     if metric not in (*POSE_METRICS, *SHARES):
         raise ConfigError(f"chains cannot be ranked by '{metric}'; expected one of {', '.join(POSE_METRICS)}")
@@ -132,14 +162,21 @@ def load_chains(results: Path, *, metric: str = RANKING, split: str | None = Non
     if there and not found and not holds_tracking(results):
         known = sorted({name for s in there for name in s.record.splits})
         raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    boards = [board for s in found if (board := _set(s, metric, split, seed)) is not None]
+    at_hand = DatasetsAtHand(results, datasets if there else (), reporter)
+    boards = [board for s in found if (board := _set(s, metric, split, seed, at_hand)) is not None]
+    if not holds_tracking(results):
+        at_hand.check_used()
     return ChainBoard(tuple(boards), metric, seed, split) if boards else None
 
 
-def _set(folder: ChainSetResults, metric: str, split: str | None, seed: int) -> ChainSetBoard | None:
+def _set(
+    folder: ChainSetResults, metric: str, split: str | None, seed: int, at_hand: DatasetsAtHand
+) -> ChainSetBoard | None:
     record = folder.record
+    dataset = at_hand.with_fingerprint(record.dataset, record.dataset_fingerprint)
+    truth = None if dataset is None else ChainTruth(dataset, folder)
     tasks = {n: r for n, r in record.tasks.items() if split is None or n in record.splits[split]}
-    chains = tuple(_chain(each, record, tasks) for each in folder.chains())
+    chains = tuple(_chain(each, record, tasks, truth) for each in folder.chains())
     used = {n: r for n, r in tasks.items() if any(n in chain.answers for chain in chains)}
     if not used:
         return None
@@ -166,7 +203,7 @@ def _means(tasks: Mapping[str, ChainTask]) -> dict[str, tuple[str, ...]]:
     return {name: of for name, of in kept.items() if name == "mean over all tasks" or of != whole}
 
 
-def _chain(folder: ChainResults, asked: ChainSet, tasks: Mapping[str, ChainTask]) -> Chain:
+def _chain(folder: ChainResults, asked: ChainSet, tasks: Mapping[str, ChainTask], truth: ChainTruth | None) -> Chain:
     run = folder.run_record()
     if run.fingerprint != asked.fingerprint:
         raise PredictionError(
@@ -175,20 +212,24 @@ def _chain(folder: ChainResults, asked: ChainSet, tasks: Mapping[str, ChainTask]
             folder.run_yaml,
         )
     answers: dict[str, Sequence[ChainAnswer]] = {}
+    rescored: set[str] = set()
     scores = folder.scores() if folder.scores_yaml.exists() else None
+    if scores is not None and scores.run != sha256_file(folder.run_yaml):
+        raise PredictionError(f"is not the record that was scored; {AGAIN}", folder.run_yaml)
     for name, record in tasks.items():
         path = folder.answers(name)
         if not path.exists():
             continue
-        again = "run `relocbench evaluate-relocalization` again to score"
-        if scores is None or name not in scores.answers:
-            raise PredictionError(f"is not scored; {again}", path)
+        if scores is None or name not in scores.answers or name not in scores.basins:
+            raise PredictionError(f"is not scored; {AGAIN}", path)
         if scores.answers[name] != sha256_file(path):
-            raise PredictionError(f"changed since it was scored; {again}", path)
+            raise PredictionError(f"changed since it was scored; {AGAIN}", path)
         answers[name] = read_chain(path)
         if len(answers[name]) != record.queries:
             raise PredictionError(f"{len(answers[name])} rows, expected one for each of {record.queries} queries", path)
-    return Chain(folder.label, run, scores.basins if scores else {}, answers)
+        if truth is not None and truth.rescored(run, name, scores.basins[name], answers[name], path):
+            rescored.add(name)
+    return Chain(folder.label, run, scores.basins if scores else {}, answers, frozenset(rescored))
 
 
 def _table(
@@ -198,7 +239,7 @@ def _table(
     ranked = {
         c.label: [per_query(c.answers[t], metric) if t in c.answers else None for t in tasks]
         for c in chains
-        if not c.knows_truth
+        if c.is_ranked
     }
     better = not metric.startswith("failed_")
     errors = {
@@ -232,4 +273,12 @@ def _row(chain: Chain, tasks: tuple[str, ...], metric: str, rank: int | None) ->
     of_tasks = [pose_errors_of(chain.answers[task]) for task in tasks]
     intervals = {m: mean_interval(means[m], of_tasks) for m in dict.fromkeys((*WITH_INTERVAL, metric))}
     statuses = [a.status for a in given]
-    return ChainRow(chain, values, intervals, rank, statuses.count("failed"), statuses.count("error"))
+    return ChainRow(
+        chain,
+        values,
+        intervals,
+        rank,
+        statuses.count("failed"),
+        statuses.count("error"),
+        rescored=chain.rescored.issuperset(tasks),
+    )

@@ -15,6 +15,7 @@ from relocbench.leaderboard.common.commands import labelled_target, settings_of
 from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.relocalization.board import Chain, ChainBoard, ChainRow, ChainSetBoard, ChainTable
 from relocbench.leaderboard.tracking.load import machine_words
+from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere, not_isolated
 from relocbench.metrics import LEVEL, MIN_EFFECTIVE
 from relocbench.metrics.pose.registry import SIGMA_FACTOR
 from relocbench.pages import render
@@ -34,6 +35,8 @@ def relocalization_page(board: ChainBoard) -> str:
     """The whole page."""
     metres, degrees = RIGHT
     split = f" --split {shlex.quote(board.split)}" if board.split else ""
+    rescored = any(chain.rescored for asked in board.sets for chain in asked.chains)
+    dataset = " --dataset DATASET" if rescored else ""
     return render(
         __name__,
         "page.md.j2",
@@ -44,9 +47,10 @@ def relocalization_page(board: ChainBoard) -> str:
         keyframe=KEYFRAME,
         right=f"{metres:g} m and {degrees:g}°",
         number=number,
+        marks=MARKS,
         sets=[_set(board, asked) for asked in board.sets],
         commands=[(asked.title, evaluate_commands(asked.chains)) for asked in board.sets],
-        page_command=f"relocbench leaderboard RESULTS --out DIR --relocalization-metric '{board.metric}' "
+        page_command=f"relocbench leaderboard RESULTS --out DIR{dataset} --relocalization-metric '{board.metric}' "
         f"--seed {board.seed}{split}",
     )
 
@@ -172,7 +176,21 @@ def _loss_table(table: ChainTable) -> str:
 def _head(row: ChainRow) -> list[str]:
     run = row.chain.run
     names = [f"*{name}*" if name in (ORACLE, KEYFRAME) else escaped(name) for name in (run.retriever, run.tracker)]
-    return ["" if row.rank is None else str(row.rank), *names, str(run.top)]
+    times = ["(uses times)"] if row.chain.uses_times else []
+    told = " ".join([names[1], *times, *_signs(row)])
+    return ["" if row.rank is None else str(row.rank), names[0], told, str(run.top)]
+
+
+def _signs(row: ChainRow) -> list[str]:
+    """The signs of the marks that apply to a row."""
+    halves = [half for half in (row.chain.run.retriever_run, row.chain.run.tracker_run) if half is not None]
+    tracker = row.chain.run.tracker_run
+    signs = {
+        "not isolated": tracker is not None and not_isolated(tracker),
+        "made elsewhere": any(map(made_elsewhere, halves)),
+        "not rescored": not row.missing and not row.rescored,
+    }
+    return [mark.sign for mark in MARKS if signs[mark.name]]
 
 
 def _cell(row: ChainRow, metric: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from relocbench.evaluation.relocalization.score import POSE_METRICS, RANKING
@@ -21,15 +22,26 @@ from relocbench.progress import Reporter
 
 
 def write_relocalization_leaderboard(
-    results: Path, out: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0, reporter: Reporter
+    results: Path,
+    out: Path,
+    *,
+    metric: str = RANKING,
+    split: str | None = None,
+    seed: int = 0,
+    datasets: Sequence[Path] = (),
+    reporter: Reporter,
 ) -> ChainBoard | None:
     """Compare chains and write both files; None where a results folder has no chains to show.
 
+    Args:
+        datasets: datasets of the results, as :func:`load_chains` takes them.
+
     Raises:
-        PredictionError: a bad file, or scores that are missing or stale.
-        ConfigError: an unknown metric or split.
+        PredictionError: a bad file, scores that are missing or stale, or rows that do not follow from the answers.
+        ConfigError: an unknown metric or split, or a dataset that no result is of.
+        DatasetError: a folder in ``datasets`` that holds no dataset, or a damaged one.
     """
-    board = load_chains(results, metric=metric, split=split, seed=seed)
+    board = load_chains(results, metric=metric, split=split, seed=seed, datasets=datasets, reporter=reporter)
     if board is None:
         return None
     for asked in board.sets:
@@ -61,6 +73,7 @@ def _row(board: ChainBoard, asked: ChainSetBoard, table: ChainTable, row: ChainR
         "top": run.top,
         "rank": row.rank,
         "missing": " ".join(row.missing),
+        "rescored": "yes" if row.rescored else "no",
         "failed": row.failed,
         "broke": row.broke,
         "basin_m": None if basin is None else basin.metres,

@@ -71,6 +71,7 @@ def _row(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable, row: Ret
         "target": None if row is None else row.method.run.target,
         "rank": None if row is None else row.rank,
         "missing": "" if row is None else " ".join(row.missing),
+        "rescored": None if row is None else "no",
         "failed": None if row is None else row.failed,
         "broke": None if row is None else row.broke,
         "median_seconds": None if row is None else row.seconds,

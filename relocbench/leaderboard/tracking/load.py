@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import shlex
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ import numpy as np
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand, Truth
 from relocbench.evaluation.common.error_table import ErrorTable, read_errors
 from relocbench.evaluation.common.matching_table import MatchingRow, check_complete, read_matching, summarize_matching
 from relocbench.evaluation.common.results import (
@@ -27,17 +27,24 @@ from relocbench.evaluation.common.results import (
     RunRecord,
     ScoreRecord,
     all_results,
+    folders_with,
 )
-from relocbench.evaluation.tracking.score import groups_of, predictions_hash, summarize_rows
+from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
+from relocbench.evaluation.tracking.score import groups_of
+from relocbench.evaluation.tracking.verification import (
+    faults_of_pair_set,
+    faults_of_record,
+    faults_of_summary,
+    rescored,
+)
 from relocbench.files import read_journal
 from relocbench.leaderboard.common.commands import method_words
 from relocbench.leaderboard.common.copies import distinct_label
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder
+from relocbench.progress import Reporter
 
 FLOOR = "identity"
 """the method that every other one is compared with"""
-FLOORS = (FLOOR, "clock")
-"""the methods that do not look at an image: what they score is given away by the pairs, and they have no rank"""
 SEED = "seed"
 
 
@@ -55,6 +62,10 @@ class Method:
     """the missing pair sets on which a run was begun"""
     matching: dict[str, tuple[MatchingRow, ...]] = field(default_factory=dict)
     """matching quality by pair set, where it was measured"""
+    rescored: bool = False
+    """whether all errors were computed anew from the predictions and the dataset's truth"""
+    ran_as: str = ""
+    """the label in the run's record, which the name of the folder replaces"""
 
     @property
     def is_floor(self) -> bool:
@@ -62,9 +73,9 @@ class Method:
         return self.run.target.removeprefix(PREDICTIONS) == FLOOR or self.run.target.endswith(":Identity")
 
     @property
-    def ranked(self) -> bool:
-        """Whether the method is ranked: it is none of the floors, whatever its label."""
-        return not self.is_floor and self.run.target.removeprefix(PREDICTIONS) not in FLOORS
+    def is_clock(self) -> bool:
+        """Whether the method is the floor of times, whatever its label."""
+        return self.run.target.removeprefix(PREDICTIONS) == CLOCK_TARGET
 
     @property
     def seed(self) -> int | None:
@@ -112,6 +123,11 @@ class DatasetEntry:
         return next((m for m in self.methods if m.is_floor), None)
 
     @cached_property
+    def clock(self) -> Method | None:
+        """The floor of times, if it was run."""
+        return next((m for m in self.methods if m.is_clock), None)
+
+    @cached_property
     def used(self) -> tuple[str, ...]:
         """The pair sets on which at least one method was run, completely or not."""
         return tuple(n for n in self.pair_sets if any(n in m.errors or n in m.stopped for m in self.methods))
@@ -121,16 +137,26 @@ class DatasetEntry:
         return sorted(self.pair_sets[pair_set].groups, key=natural) if len(self.pair_sets[pair_set].groups) > 1 else []
 
 
-def load_results(results: Path, split: str | None = None) -> list[DatasetEntry]:
+def load_results(
+    results: Path, split: str | None = None, *, datasets: Sequence[Path] = (), reporter: Reporter | None = None
+) -> list[DatasetEntry]:
     """Read all results of trackers in a results folder.
+
+    Where a dataset is at hand, all errors on it are computed anew from predictions and truth; elsewhere the results are
+    believed as far as their digests agree.
 
     Args:
         results: ``RESULTS``, or one of its ``DATASET@FINGERPRINT`` folders.
         split: only the pair sets of this split; datasets without such a split are left out.
+        datasets: datasets of the results, or folders with datasets in them; those in folders beside ``RESULTS`` need
+            not be named.
+        reporter: receives a note on a dataset beside the results that is damaged.
 
     Raises:
-        PredictionError: with file and line: no results, a bad file, or scores that are missing or stale.
-        ConfigError: a split that no dataset has.
+        PredictionError: with file and line: no results, a bad file, scores that are missing or stale, or errors that
+            are not those of the predictions.
+        ConfigError: a split that no dataset has, or a dataset that no result is of.
+        DatasetError: a folder in ``datasets`` that holds no dataset, or a damaged one.
     """
     check_folder(results)
     folders = all_results(results)
@@ -140,7 +166,11 @@ def load_results(results: Path, split: str | None = None) -> list[DatasetEntry]:
         folders = [folder for folder in folders if split in folder.record.splits]
         if not folders:
             raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    entries = merge_copies([_dataset(folder, split) for folder in folders])
+    at_hand = DatasetsAtHand(results, datasets, reporter)
+    truths = [at_hand.of(folder.record, _yaml(folder)) for folder in folders]
+    if not folders_with("relocalization.yaml", results):  # whose records name datasets too
+        at_hand.check_used()
+    entries = merge_copies([_dataset(folder, split, truth) for folder, truth in zip(folders, truths, strict=True)])
     if not any(entry.methods for entry in entries):
         raise PredictionError("holds no method's predictions; expected results of `relocbench evaluate`", results)
     return entries
@@ -197,7 +227,7 @@ def evaluate_command(
     return shlex.join([*words, "--matching"] if matching and not method.target.startswith(PREDICTIONS) else words)
 
 
-def _dataset(folder: DatasetResults, split: str | None) -> DatasetEntry:
+def _dataset(folder: DatasetResults, split: str | None, truth: Truth | None) -> DatasetEntry:
     record = folder.record
     check_file_names(record.pair_sets, "the pair set", _yaml(folder))
     chosen = list(record.pair_sets) if split is None else list(record.splits[split])
@@ -207,7 +237,7 @@ def _dataset(folder: DatasetResults, split: str | None) -> DatasetEntry:
     pair_sets = {n: s for n in chosen if (s := record.pair_sets[n]).has_truth and s.pairs > 0}
     there = folder.methods()
     check_file_names((m.label for m in there), "the method", folder.root)
-    methods = tuple(_method(m, record, pair_sets) for m in there)
+    methods = tuple(_method(m, record, pair_sets, truth) for m in there)
     _check_same_pairs(folder, methods)
     splits = {name: names for name, names in record.splits.items() if split in (None, name)} or {"": tuple(chosen)}
     return DatasetEntry(
@@ -219,7 +249,9 @@ def _dataset(folder: DatasetResults, split: str | None) -> DatasetEntry:
     )
 
 
-def _method(folder: MethodResults, dataset: DatasetRecord, pair_sets: dict[str, PairSetRecord]) -> Method:
+def _method(
+    folder: MethodResults, dataset: DatasetRecord, pair_sets: dict[str, PairSetRecord], truth: Truth | None
+) -> Method:
     run = folder.run_record()
     if run.fingerprint != dataset.fingerprint:
         raise PredictionError(
@@ -227,6 +259,7 @@ def _method(folder: MethodResults, dataset: DatasetRecord, pair_sets: dict[str, 
             f"{dataset.name}@{dataset.fingerprint[:SHORT]}",
             folder.run_yaml,
         )
+    ran_as = run.method
     run = run.model_copy(update={"method": folder.label})
     errors: dict[str, ErrorTable] = {}
     missing: dict[str, str] = {}
@@ -234,7 +267,7 @@ def _method(folder: MethodResults, dataset: DatasetRecord, pair_sets: dict[str, 
     scores = _scores(folder, run) if done else None  # read once: it holds every pair set
     for name, record in pair_sets.items():
         if scores is not None and name in done:
-            errors[name] = _errors(folder, run, name, record, scores)
+            errors[name] = _errors(folder, run, name, record, scores, truth)
         else:
             missing[name] = _why_missing(folder, name, record)
     stopped = frozenset(name for name in missing if folder.journal(name).is_dir())
@@ -243,7 +276,7 @@ def _method(folder: MethodResults, dataset: DatasetRecord, pair_sets: dict[str, 
         for name, rows in errors.items()
         if scores is not None and folder.matching(name).exists()
     }
-    return Method(folder.label, run, errors, missing, stopped, matching)
+    return Method(folder.label, run, errors, missing, stopped, matching, truth is not None and bool(errors), ran_as)
 
 
 def _complete(folder: MethodResults, pair_set: str) -> bool:
@@ -269,20 +302,32 @@ def _why_missing(folder: MethodResults, pair_set: str, record: PairSetRecord) ->
 def _scores(folder: MethodResults, run: RunRecord) -> ScoreRecord:
     if not folder.scores_yaml.exists():
         raise PredictionError(f"missing: the predictions are not scored; {_again(folder, run)}", folder.scores_yaml)
-    return folder.score_record()
+    scores = folder.score_record()
+    for fault in faults_of_record(folder, run, scores, _again(folder, run)):
+        raise fault
+    return scores
 
 
 def _again(folder: MethodResults, run: RunRecord, *, matching: bool = False) -> str:
     return f"score again: {evaluate_command(run, results=str(folder.root.parent.parent), matching=matching)}"
 
 
-def _errors(folder: MethodResults, run: RunRecord, name: str, record: PairSetRecord, scores: ScoreRecord) -> ErrorTable:
-    """The errors of one pair set by reference time. Raises PredictionError unless they fit predictions and scores."""
+def _errors(
+    folder: MethodResults,
+    run: RunRecord,
+    name: str,
+    record: PairSetRecord,
+    scores: ScoreRecord,
+    truth: Truth | None,
+) -> ErrorTable:
+    """The errors of one pair set by reference time, computed anew where the truth is at hand.
+
+    Raises:
+        PredictionError: they do not fit predictions, scores and truth.
+    """
     again = _again(folder, run)
-    if name not in scores.predictions or name not in scores.pair_sets:
-        raise PredictionError(f"holds no scores of '{name}', which was predicted; {again}", folder.scores_yaml)
-    if scores.predictions[name] != predictions_hash(folder, name):
-        raise PredictionError(f"changed since it was scored; {again}", folder.predictions(name))
+    for fault in faults_of_pair_set(folder, name, scores, again):
+        raise fault
     path = folder.errors(name)
     rows = read_errors(path).by_time()
     twice = bool((np.diff(rows.keys, axis=0) == 0).all(axis=1).any())
@@ -291,8 +336,11 @@ def _errors(folder: MethodResults, run: RunRecord, name: str, record: PairSetRec
     absent = [group for group in record.groups if group not in rows.group_names]
     if absent and len(record.groups) > 1:
         raise PredictionError(f"no pair of the group '{absent[0]}', which the dataset's record names; {again}", path)
-    _check_scores(rows, scores, name, folder, again)
-    return rows
+    for fault in faults_of_summary(folder, name, rows, scores, again):
+        raise fault
+    if truth is None:
+        return rows
+    return rescored(folder, truth.dataset.pair_set(name), rows, scores, again, copy=truth.copy)
 
 
 def _matching(
@@ -307,22 +355,6 @@ def _matching(
         again = _again(folder, run, matching=True)
         raise PredictionError(f"is not what {folder.scores_yaml.name} summarises; {again}", path)
     return tuple(rows)
-
-
-def _check_scores(rows: ErrorTable, scores: ScoreRecord, name: str, folder: MethodResults, again: str) -> None:
-    """Check that ``scores.yaml`` holds the summary of the table of errors, which is not covered by a hash."""
-    for group in groups_of(rows):
-        recorded = scores.pair_sets[name].get(group, {})
-        for metric, value in summarize_rows(rows, group).to_dict().items():
-            if metric not in recorded:
-                raise PredictionError(f"no {metric} of '{name}' ({group}); {again}", folder.scores_yaml)
-            if not _same(value, recorded[metric]):
-                told = f"{metric} ({group}) is {value} here and {recorded[metric]} in {folder.scores_yaml.name}"
-                raise PredictionError(f"{told}; {again}", folder.errors(name))
-
-
-def _same(a: float | None, b: float | None) -> bool:
-    return a is b if a is None or b is None else math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-12)
 
 
 def _check_same_pairs(folder: DatasetResults, methods: Sequence[Method]) -> None:

@@ -10,7 +10,8 @@ from typing import Any
 from relocbench.evaluation.common.error_table import ERROR_COLUMNS, ErrorTable
 from relocbench.evaluation.common.tables import CHUNK_ROWS
 from relocbench.leaderboard.common.text import Value, cell, json_text
-from relocbench.leaderboard.tracking.model import TOTAL, Board, DatasetBoard, Row, Table
+from relocbench.leaderboard.tracking.marks import made_elsewhere
+from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
 from relocbench.metrics import METRICS
 
 ERRORS_HEAD = ("dataset", "fingerprint", "pair_set", "method")
@@ -75,6 +76,10 @@ def _row(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[st
         "failed": row.failed,
         "broke": row.broke,
         "missing": " ".join(row.missing),
+        "rescored": _yes(row.method.rescored),
+        "isolated": None if made_elsewhere(run) else _yes(run.isolated),
+        "uses_times": _yes(run.uses_times),
+        "made_elsewhere": _yes(made_elsewhere(run)),
     }
     finer = [m.name for m in METRICS if m.name in table.finer]
     for metric in METRICS:
@@ -105,7 +110,7 @@ def _row(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[st
 
 def _place(dataset: DatasetBoard, table: Table) -> dict[str, Value]:
     entry = dataset.entry
-    only = entry.pair_sets[table.pair_sets[0]] if table.pair_set != TOTAL else None
+    only = entry.pair_sets[table.pair_sets[0]] if not table.is_total else None
     return {
         "dataset": entry.record.name,
         "fingerprint": entry.record.fingerprint,
@@ -116,6 +121,11 @@ def _place(dataset: DatasetBoard, table: Table) -> dict[str, Value]:
         "reference_condition": only.reference_condition if only else None,
         "query_condition": only.query_condition if only else None,
     }
+
+
+def _yes(known: bool | None) -> Value:
+    """``yes`` or ``no``; blank where it is not known."""
+    return None if known is None else "yes" if known else "no"
 
 
 def _plain(value: Any) -> Value:

@@ -10,6 +10,10 @@ from relocbench.leaderboard.tracking.load import DatasetEntry, Method
 from relocbench.metrics import METRICS, Difference, Interval, Metric, Spread
 
 TOTAL = "total"
+"""the total over pair sets of two drives"""
+SAME_DRIVE_TOTAL = "total_same_drive"
+"""the total over pair sets whose keyframes and queries are of one drive"""
+TOTALS = (TOTAL, SAME_DRIVE_TOTAL)
 MEDIANS = ("median_translation_error_m", "median_rotation_error_deg")
 """the medians that tables of one pair set show with an interval"""
 INTERVALS = ("pose_auc@(0.5m,4deg)", "t_auc@0.5m", "r_auc@0.5deg", "recall@(0.25m,2deg)", "recall@(0.5m,5deg)")
@@ -58,7 +62,7 @@ class Table:
     """A row for each method: on a pair set, on one group of it, or in total."""
 
     pair_set: str
-    """name, or ``total`` over ``pair_sets``"""
+    """name, or one of :data:`TOTALS` over ``pair_sets``"""
     pair_sets: tuple[str, ...]
     split: str
     group: str
@@ -71,8 +75,13 @@ class Table:
     finer: frozenset[str]
     """metrics with a threshold finer than the ground truth allows"""
     rows: tuple[Row, ...]
-    """best first; methods without a value come last"""
+    """best first, then methods without a value, those that use times, and the floors"""
     seeds: tuple[SeedRow, ...]
+
+    @property
+    def is_total(self) -> bool:
+        """Whether the table is a total, be it over a single pair set."""
+        return self.pair_set in TOTALS
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,17 +90,17 @@ class DatasetBoard:
 
     entry: DatasetEntry
     tables: tuple[Table, ...]
-    """each pair set followed by its groups, then each split's total followed by the groups that all its sets share"""
+    """each pair set followed by its groups, then each split's totals followed by the groups that all sets share"""
 
     @property
     def pair_sets(self) -> list[Table]:
         """The tables of pair sets, over all their pairs."""
-        return [t for t in self.tables if t.pair_set != TOTAL and t.group == ALL]
+        return [t for t in self.tables if not t.is_total and t.group == ALL]
 
     @property
     def totals(self) -> list[Table]:
         """The tables of the splits' totals, over all pairs."""
-        return [t for t in self.tables if t.pair_set == TOTAL and t.group == ALL]
+        return [t for t in self.tables if t.is_total and t.group == ALL]
 
     def groups_of(self, table: Table) -> list[Table]:
         """The tables of the groups of a pair set or total."""

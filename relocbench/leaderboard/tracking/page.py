@@ -7,12 +7,12 @@ from collections.abc import Iterator, Sequence
 from urllib.parse import quote
 
 from relocbench.datasets.core.fingerprint import SHORT
-from relocbench.evaluation.common.results import PREDICTIONS
 from relocbench.leaderboard.common.copies import answers_on_copies
 from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.tracking.load import Method, evaluate_command
+from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere, signs
 from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_numbers
-from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, SeedRow, Table
+from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, SeedRow, Table
 from relocbench.metrics import LEVEL, MIN_EFFECTIVE, Metric, Spread, metric_named
 from relocbench.pages import render
 from relocbench.pages.markdown import code, escaped, table_text
@@ -29,6 +29,8 @@ SHOWN = (
     "recall@(1m,5deg)",
     "recall@(5m,10deg)",
 )
+_SUMMARISED = ("coverage", *(name for name in SHOWN if "auc" in name or "recall" in name))
+"""the metrics of the summary, besides the ranking metric"""
 _HEADINGS = {
     "median_translation_error_m": "median, m",
     "median_rotation_error_deg": "median, °",
@@ -40,6 +42,8 @@ DAGGER = "†"
 def markdown(board: Board, *, plots: bool) -> str:
     """The whole page; with ``plots``, it links the pictures of the curves."""
     split = f" --split {shlex.quote(board.split)}" if board.split else ""
+    at_hand = [d for d in board.datasets if any(m.rescored for m in d.entry.methods)]
+    datasets = {0: "", 1: " --dataset DATASET"}.get(len(at_hand), " --dataset DATASETS")
     return render(
         __name__,
         "page.md.j2",
@@ -49,12 +53,15 @@ def markdown(board: Board, *, plots: bool) -> str:
         dagger=DAGGER,
         number=number,
         plots=plots,
+        marks=MARKS,
+        summary=_summary(board),
+        several=len(at_hand) > 1,
         datasets=[_dataset(board, dataset, plots) for dataset in board.datasets],
         commands=[
             (d.entry.title, [evaluate_command(m.run, matching=bool(m.matching)) for m in d.entry.methods])
             for d in board.datasets
         ],
-        page_command=f"relocbench leaderboard RESULTS --out DIR --metric '{board.metric.name}' "
+        page_command=f"relocbench leaderboard RESULTS --out DIR{datasets} --metric '{board.metric.name}' "
         f"--seed {board.seed}{split}",
     )
 
@@ -89,22 +96,49 @@ def _dataset(board: Board, dataset: DatasetBoard, plots: bool) -> dict[str, obje
         "unused": [name for name in entry.pair_sets if name not in entry.used],
         "level_with_floor": list(_level_with_floor(dataset)),
         "missing": list(_missing(dataset)),
+        "marked": [(mark, labels) for mark in MARKS if (labels := [m.label for m in methods if mark.applies(m)])],
+        "renamed": [(m.label, m.ran_as) for m in methods if _renamed(m)],
         "sections": [
             *(_section(board, dataset, t) | {"total": True} for t in dataset.totals if len(t.pair_sets) > 1),
             *(_section(board, dataset, t) | _pictures(dataset, t, plots) for t in dataset.pair_sets),
         ],
-        "imported": any(m.run.target.startswith(PREDICTIONS) for m in methods),
+        "imported": any(made_elsewhere(m.run) for m in methods),
         "machines_differ": len({m.machine for m in methods if m.machine}) > 1,
         "settings": [(m.label, json_text(m.settings)) for m in methods if m.settings],
         "differences": list(_differences(methods)),
     }
 
 
+def _renamed(method: Method) -> bool:
+    """Whether the folder has another name than the run, other than that of a copy of the dataset."""
+    return method.ran_as not in ("", method.label, method.label.rpartition("@")[0])
+
+
+def _summary(board: Board) -> str:
+    """The page's first table: a row for each total and method; empty where nothing was run."""
+    metrics = [m for m in shown_metrics(board) if m.name in (*_SUMMARISED, board.metric.name)]
+    rows = []
+    for dataset in board.datasets:
+        for table in dataset.totals:
+            place = [escaped(dataset.entry.title), _total_name(table), str(len(table.pair_sets)), str(table.pairs)]
+            for row in table.rows:
+                rank = "" if row.rank is None else str(row.rank)
+                rows.append([*place, rank, _name(row), *(_cell(m, row, table, interval=False) for m in metrics)])
+    columns = ["dataset", "total", "pair sets", "pairs", "rank", "method", *(_plain_heading(m) for m in metrics)]
+    return table_text(columns, rows, left=6) if rows else ""
+
+
+def _total_name(table: Table) -> str:
+    kind = "same drive" if table.pair_set == SAME_DRIVE_TOTAL else "two drives"
+    return f"{kind}, split {code(table.split)}" if table.split else kind
+
+
 def _level_with_floor(dataset: DatasetBoard) -> Iterator[tuple[str, list[str]]]:
     """The pair sets with methods that are not shown to be better than the floor, and these methods."""
     for table in dataset.pair_sets:
         if any(r.method is dataset.entry.floor and not r.missing for r in table.rows):
-            level = [r.method.label for r in table.rows if r.above_floor is not None and not _beats(r)]
+            compared = [r for r in table.rows if r.above_floor is not None and not r.method.is_clock]
+            level = [r.method.label for r in compared if not _beats(r)]
             if level:
                 yield table.pair_set, level
 
@@ -127,6 +161,7 @@ def _section(board: Board, dataset: DatasetBoard, table: Table) -> dict[str, obj
     return {
         "table": table,
         "total": False,
+        "same_drive": table.pair_set == SAME_DRIVE_TOTAL,
         "numbers": _method_table(board, table),
         "ranks_shared": all(row.rank in (1, None) for row in table.rows),
         "without_intervals": any(row.rank is not None for row in table.rows)
@@ -191,22 +226,33 @@ def _method_table(board: Board, table: Table, *, ranks: bool = True) -> str:
     return table_text(columns, rows, left=2 if ranks else 1)
 
 
+def _plain_heading(metric: Metric) -> str:
+    return _HEADINGS.get(metric.name, f"{metric.name}, {'%' if metric.unit == 'share' else metric.unit}")
+
+
 def _heading(metric: Metric, table: Table) -> str:
-    text = _HEADINGS.get(metric.name, f"{metric.name}, {'%' if metric.unit == 'share' else metric.unit}")
+    text = _plain_heading(metric)
     return f"{text} {DAGGER}" if metric.name in table.finer else text
 
 
 def _name(row: Row) -> str:
+    label = escaped(row.method.label)
+    told = [f"*{label}*" if row.method.is_floor or row.method.is_clock else label]
     if row.method.is_floor:
-        return f"*{escaped(row.method.label)}* (the floor)"
-    return escaped(row.method.label) + (" (missing)" if row.missing else "")
+        told.append("(the floor)")
+    elif row.method.is_clock:
+        told.append("(the floor of times)")
+    elif row.method.run.uses_times:
+        told.append("(uses times)")
+    return " ".join([*told, *(["(missing)"] if row.missing else []), *signs(row.method).split()])
 
 
-def _cell(metric: Metric, row: Row, table: Table) -> str:
+def _cell(metric: Metric, row: Row, table: Table, *, interval: bool = True) -> str:
     value = row.values[metric.name]
     if value is None:
         return ""
-    return _marked(with_bounds(value, row.intervals.get(metric.name), metric.unit), metric, table)
+    bounds = row.intervals.get(metric.name) if interval else None
+    return _marked(with_bounds(value, bounds, metric.unit), metric, table)
 
 
 def _spread_cell(metric: Metric, row: SeedRow, table: Table) -> str:

@@ -16,11 +16,24 @@ from relocbench.evaluation.common.error_table import ErrorTable
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.evaluation.common.tables import STATUSES
 from relocbench.leaderboard.tracking.load import DatasetEntry, Method
-from relocbench.leaderboard.tracking.model import INTERVALS, MEDIANS, TOTAL, Board, DatasetBoard, Row, SeedRow, Table
+from relocbench.leaderboard.tracking.marks import is_ranked
+from relocbench.leaderboard.tracking.model import (
+    INTERVALS,
+    MEDIANS,
+    SAME_DRIVE_TOTAL,
+    TOTAL,
+    Board,
+    DatasetBoard,
+    Row,
+    SeedRow,
+    Table,
+)
 from relocbench.metrics import (
     METRICS,
     Interval,
     Metric,
+    PairScores,
+    PoseErrors,
     Spread,
     generator,
     mean_interval,
@@ -88,21 +101,31 @@ class _Planned:
     group: str = ALL
     split: str | None = None
     """None for the table of one pair set"""
+    total: str = ""
+    """which of the totals, empty for the table of one pair set"""
 
 
 def _plan(entry: DatasetEntry) -> list[_Planned]:
-    """The tables of each used pair set and its groups, and of each split and the groups that all its sets share."""
+    """The tables of each used pair set and its groups, and of each split's totals and the groups that all sets share.
+
+    Pair sets of one drive, whose keyframes and queries saw the same light and weather, have totals of their own.
+    """
     plan = [_Planned((name,), group) for name in entry.used for group in (ALL, *entry.groups(name))]
-    for split, names in entry.splits.items():
-        if any(name in entry.used for name in names):
-            shared = [g for g in entry.groups(names[0]) if all(g in entry.groups(n) for n in names)]
-            plan += [_Planned(names, group, split) for group in (ALL, *shared)]
+    for split, of_split in entry.splits.items():
+        same = {name for name in of_split if entry.pair_sets[name].reference == entry.pair_sets[name].query}
+        for total, names in (
+            (TOTAL, tuple(n for n in of_split if n not in same)),
+            (SAME_DRIVE_TOTAL, tuple(n for n in of_split if n in same)),
+        ):
+            if any(name in entry.used for name in names):
+                shared = [g for g in entry.groups(names[0]) if all(g in entry.groups(n) for n in names)]
+                plan += [_Planned(names, group, split, total) for group in (ALL, *shared)]
     return plan
 
 
 def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) -> Table:
     names, group, split = planned.names, planned.group, planned.split
-    shown = names[0] if split is None else TOTAL
+    shown = planned.total or names[0]
     place = f"{entry.record.compared_by} {shown} {split or ''} {group}"
     sets = {m.label: [_of_group(m, name, group) for name in names] for m in entry.methods}
     ranks: dict[str, int | None] = dict.fromkeys(sets)
@@ -111,7 +134,7 @@ def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) ->
             {
                 m.label: [None if rows is None else _per_pair(metric, rows) for rows in sets[m.label]]
                 for m in entry.methods
-                if m.ranked
+                if is_ranked(m)
             },
             generator(seed, place, metric.name),
             {label: [None if rows is None else _errors(rows) for rows in own] for label, own in sets.items()},
@@ -145,6 +168,8 @@ def _row(
     missing = tuple(name for name, rows in zip(names, sets, strict=True) if rows is None)
     there = [rows for rows in sets if rows is not None]
     values = totals([None if rows is None else rows.summary for rows in sets])
+    if len(sets) > 1 and not missing:
+        values |= _pooled(there)
     if missing:
         return Row(method, sum(map(len, there)), None, None, None, values, {}, rank, None, missing)
     counts = {status: sum(rows.with_status(status) for rows in there) for status in STATUSES}
@@ -180,6 +205,17 @@ def _errors(rows: ErrorTable) -> Array:
     return np.stack([rows.errors.translation_error_m, rows.errors.rotation_error_deg])
 
 
+def _pooled(sets: Sequence[ErrorTable]) -> dict[str, float | None]:
+    """Medians and percentiles over the pairs of all sets together.
+
+    A mean of medians would be infinite as soon as a method fails on half of the pairs of one set.
+    """
+    names = ("rotation_error_deg", "translation_error_m", "mlad_translation_error_m")
+    errors = PoseErrors(*(np.concatenate([rows.column(name) for rows in sets]) for name in names))
+    scores = PairScores(errors, np.concatenate([rows.column("seconds") for rows in sets]))
+    return {m.name: m.compute(scores) for m in METRICS if m.per_pair is None and m.unit != "share"}
+
+
 def _of_group(method: Method, pair_set: str, group: str) -> ErrorTable | None:
     rows = method.errors.get(pair_set)
     return None if rows is None else rows.of_group(group)
@@ -195,9 +231,11 @@ def _sign(metric: Metric) -> float:
     return 1.0 if metric.higher_is_better else -1.0
 
 
-def _order(row: Row, metric: Metric) -> tuple[bool, float, str]:
-    value = row.values[metric.name]
-    return value is None, 0.0 if value is None else -_sign(metric) * value, row.method.label
+def _order(row: Row, metric: Metric) -> tuple[bool, bool, bool, float, str]:
+    value, method = row.values[metric.name], row.method
+    floor = method.is_floor or method.is_clock
+    place = 0.0 if value is None else -_sign(metric) * value
+    return floor, not is_ranked(method), value is None, place, method.label
 
 
 def _pairs_asked(sets: Mapping[str, Sequence[ErrorTable | None]]) -> list[ErrorTable]:

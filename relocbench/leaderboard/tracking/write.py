@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from relocbench.evaluation.common.tables import write_rows
@@ -10,6 +11,7 @@ from relocbench.files import remove_parts, write_bytes, write_text
 from relocbench.leaderboard.common.text import write_records
 from relocbench.leaderboard.tracking.load import load_results
 from relocbench.leaderboard.tracking.long_form import error_rows, leaderboard_rows, seed_rows
+from relocbench.leaderboard.tracking.marks import not_rescored
 from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_rows
 from relocbench.leaderboard.tracking.model import Board
 from relocbench.leaderboard.tracking.page import curve_file, has_curves, markdown
@@ -28,6 +30,7 @@ def write_leaderboard(
     split: str | None = None,
     seed: int = 0,
     plots: bool = True,
+    datasets: Sequence[Path] = (),
     reporter: Reporter | None = None,
 ) -> Board:
     """Compare the methods in a results folder, and write the leaderboard.
@@ -39,16 +42,22 @@ def write_leaderboard(
         split: only the pair sets of this split.
         seed: of the draws that decide ranks.
         plots: whether to draw the curves.
+        datasets: datasets of the results, as :func:`relocbench.leaderboard.tracking.load.load_results` takes them.
         reporter: receives progress and notes on missing results.
 
     Raises:
-        PredictionError: no results, a bad file, or scores that are missing or stale.
-        ConfigError: an unknown metric or split.
+        PredictionError: no results, a bad file, scores that are missing or stale, or errors that are not those of the
+            predictions.
+        ConfigError: an unknown metric or split, or a dataset that no result is of.
+        DatasetError: a folder in ``datasets`` that holds no dataset, or a damaged one.
     """
     ranking_metric(metric)  # a mistyped metric is reported before the bootstrap runs
     report = Silent() if reporter is None else reporter
-    entries = load_results(results, split)
+    entries = load_results(results, split, datasets=datasets, reporter=report)
     for entry in entries:
+        claimed = [method.label for method in entry.methods if not_rescored(method)]
+        if claimed:
+            report.note(f"{entry.title}: not rescored, as the dataset is not at hand (--dataset): {', '.join(claimed)}")
         for method in entry.methods:
             for pair_set in (name for name in entry.used if name in method.missing):
                 report.note(f"{entry.title}: {method.label} has no result on {pair_set}: {method.missing[pair_set]}")

@@ -190,11 +190,11 @@ def summarize_retrieval(
 
 
 def per_group(values: ArrayLike, groups: ArrayLike) -> Array:
-    """One value for each group of queries, whose plain mean is the mean over all queries, for the bootstrap.
+    """One value for each group of queries, whose plain mean is the mean over all queries, for intervals.
 
-    Queries of one building or one place are not independent, so that whole groups are resampled:
-    ``bootstrap_interval([per_group(scores.per_query("AP"), labels)], rng, block_length=1)``. Queries along a drive
-    need no groups: the bootstrap resamples blocks of neighbours.
+    Queries of one building or one place are not independent, but groups are:
+    ``mean_interval([per_group(scores.per_query("AP"), labels)], independent=True)``. Queries along a drive need no
+    groups: intervals count how many independent ones they are worth.
 
     Args:
         values: (Q,) a metric's values.

@@ -249,7 +249,7 @@ def test_stale_scores_are_a_fault(results: Path) -> None:
     path = results / f"{ACROSS}.txt"
     path.write_text("".join(path.read_text().splitlines(keepends=True)[:-1]))
     found = validate_results(results, None, Silent())
-    assert any("stale" in f.message and f.path == results / "scores.yaml" for f in found.faults)
+    assert any("changed since it was scored" in f.message and f.path == results / f"{ACROSS}.txt" for f in found.faults)
     assert any("'ok' but has no pose" in f.message for f in found.faults)
 
 

@@ -168,13 +168,15 @@ def test_results_on_two_copies_of_one_question_stand_in_one_table(original: Data
 
 def test_results_that_claim_a_question_and_hold_other_pairs_are_refused(original: Dataset, tmp_path: Path) -> None:
     other = changed(original, tmp_path / "there", less_pairs)
-    results = tmp_path / "results"
+    results = tmp_path / "far" / "results"  # without a dataset beside them
     for dataset in (original, other):
         evaluate_methods(EvaluateOptions(dataset=dataset.root, methods=("identity",), out=results, workers=0), Silent())
     for path in results.glob("*/dataset.yaml"):
         write_text(path, path.read_text().replace(other.question, original.question))
     with pytest.raises(PredictionError, match="answered other pairs of 'summer__winter__cam0'"):
         load_results(results)
+    with pytest.raises(PredictionError, match="the entry 'question' is not that of the dataset"):
+        load_results(results, datasets=[other.root])
 
 
 def test_predictions_of_another_question_are_refused(original: Dataset, tmp_path: Path) -> None:

@@ -60,6 +60,13 @@ def test_a_run_in_the_evaluators_process_says_so(dataset: Dataset, tmp_path: Pat
     assert cheat.run_record().isolated is False
 
 
+def test_a_run_of_which_a_part_was_not_isolated_says_so(dataset: Dataset, tmp_path: Path) -> None:
+    everything = {"pair_sets": (), "set": ("raises_at=0", f"log={tmp_path / 'log'}")}
+    evaluate(dataset, tmp_path, "mixed=trackers_for_tests:Logging", workers=0, **{**everything, "pair_sets": (ACROSS,)})
+    (mixed,) = evaluate(dataset, tmp_path, "mixed=trackers_for_tests:Logging", workers=1, **everything)
+    assert mixed.run_record().isolated is False
+
+
 def test_who_declares_that_it_uses_times_gets_them_and_is_marked(dataset: Dataset, tmp_path: Path) -> None:
     clock, floor = evaluate(dataset, tmp_path, f"clock={HERE}:DeclaredClock", "identity")
     assert max(errors(clock)) < 0.13 < max(errors(floor))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import multiprocessing
 import os
@@ -28,6 +27,7 @@ from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import ConfigError
 from relocbench.evaluation.common.results import Answer, read_answers
 from relocbench.evaluation.retrieval.answers import read_answers as retrieved
+from relocbench.evaluation.retrieval.describe import anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
 from relocbench.execution import MANY_TIMES, Run, parse_size, run_limited, worker_process
@@ -219,8 +219,9 @@ def test_an_image_on_which_a_retriever_ends_its_process_costs_itself_alone(
     tmp_path: Path, deed: str, words: str, more: dict[str, object], few_times: None
 ) -> None:
     views = make_small_views(tmp_path / "views", places=3)
-    query = open_cross_view(views).tasks()[0].queries[2].key
-    name = hashlib.blake2s(query.encode(), digest_size=8).hexdigest()
+    opened = open_cross_view(views)
+    asked = opened.tasks()[0].queries[2]
+    query, name = asked.key, next(anonymous([asked], opened.fingerprint)).key
     settings = (f"bad.deed={deed}", f"bad.at='{name}'")
     options = RetrievalOptions(
         dataset=views,

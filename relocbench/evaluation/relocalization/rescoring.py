@@ -1,0 +1,111 @@
+"""Computing the rows of chains anew from rankings, trackers' answers and the dataset's truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.errors import PredictionError
+from relocbench.evaluation.relocalization.answers import ChainAnswer
+from relocbench.evaluation.relocalization.basin import Basin
+from relocbench.evaluation.relocalization.candidates import read_tracked
+from relocbench.evaluation.relocalization.chain import Retrieved, Tracked, chain_answers, keyframe_poses
+from relocbench.evaluation.relocalization.rankings import Oracle, StoredRankings
+from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE, ChainBasin, ChainRun, ChainSetResults
+from relocbench.evaluation.relocalization.tasks import ChainTasks, chain_tasks
+from relocbench.evaluation.retrieval.opening import SetOptions, open_set
+from relocbench.evaluation.retrieval.records import set_results
+from relocbench.progress import Silent
+
+AGAIN = "run `relocbench evaluate-relocalization` again to score"
+
+
+class ChainTruth:
+    """The truth of a dataset's chains, with the rankings and answers that their results folder holds."""
+
+    def __init__(self, dataset: Dataset, folder: ChainSetResults) -> None:
+        """Open the tasks of the dataset.
+
+        Raises:
+            PredictionError: the results folder says otherwise of a task than the dataset does.
+            RelocbenchError: the dataset has no task with truth, or lies around the results.
+        """
+        results = folder.root.parent
+        asked = open_set(dataset.root, results, SetOptions(positives="pairs"), Silent())
+        self._dataset, self._folder = dataset, folder
+        self._tasks: ChainTasks = chain_tasks(dataset, asked, Silent())
+        self._rankings = set_results(results, self._tasks.asked)
+        self._check_record()
+
+    def rescored(self, run: ChainRun, name: str, basin: ChainBasin, claimed: Sequence[ChainAnswer], path: Path) -> bool:
+        """Whether the rows of a chain on a task follow from rankings, answers and truth.
+
+        Args:
+            basin: the basin that the rows were judged by; where it is given or measured it is believed.
+            claimed: the rows.
+            path: their file, for messages.
+
+        Returns:
+            False where the ranking or the tracker's answers are not in the results folder.
+
+        Raises:
+            PredictionError: the rows are others.
+        """
+        truth = self._tasks.truth[name]
+        if basin.source == "pairs" and not _close((basin.metres, basin.degrees), truth.reach):
+            raise PredictionError(f"the basin on '{name}' is not the reach of the dataset's pairs; {AGAIN}", path)
+        found = self._found(run, name)
+        tracked = None if found is None else self._tracked(run, name, found)
+        if found is None or tracked is None:
+            return False
+        try:
+            rows, _ = chain_answers(truth, found, tracked, run.top, Basin(basin.metres, basin.degrees, basin.source))
+        except KeyError:
+            raise PredictionError(f"the tracker was not asked what '{name}' ranks; {AGAIN}", path) from None
+        by_query = {row.query_timestamp_ns: row for row in rows}
+        for row in claimed:
+            expected = by_query.get(row.query_timestamp_ns)
+            if expected is None or not _same(row, expected):
+                told = f"query {row.query_timestamp_ns} is not what rankings, answers and truth give"
+                raise PredictionError(f"{told}; {AGAIN}", path)
+        return True
+
+    def _found(self, run: ChainRun, name: str) -> list[Retrieved] | None:
+        task = next(task for task in self._tasks.asked.chosen if task.name == name)
+        truth = self._tasks.truth[name]
+        if run.retriever == ORACLE:
+            return Oracle().of(task, truth, run.top)
+        folder = self._rankings.method(run.retriever)
+        return StoredRankings(folder).of(task, truth, run.top) if folder.complete(name) else None
+
+    def _tracked(self, run: ChainRun, name: str, found: Sequence[Retrieved]) -> Tracked | None:
+        if run.tracker == KEYFRAME:
+            return keyframe_poses(self._tasks.truth[name], found)
+        folder = self._folder.trackers.method(run.tracker)
+        return read_tracked(self._dataset, folder, name) if folder.complete(name) else None
+
+    def _check_record(self) -> None:
+        record, expected = self._folder.record, self._tasks.record
+        for name, task in record.tasks.items():
+            if task != expected.tasks.get(name) or record.fingerprint != expected.fingerprint:
+                raise PredictionError(
+                    f"the entry of the task '{name}' is not that of the dataset; {AGAIN}",
+                    self._folder.root / "relocalization.yaml",
+                )
+
+
+def _same(claimed: ChainAnswer, expected: ChainAnswer) -> bool:
+    """Whether two rows agree, their errors to the last digits that another processor explains."""
+    errors = [(r.rotation_error_deg, r.translation_error_m, r.mlad_translation_error_m) for r in (claimed, expected)]
+    rotation, translation, mlad = errors[0]
+    others = replace(
+        expected, rotation_error_deg=rotation, translation_error_m=translation, mlad_translation_error_m=mlad
+    )
+    return _close(*errors) and claimed == others
+
+
+def _close(a: Sequence[float], b: Sequence[float]) -> bool:
+    return all(math.isclose(x, y, rel_tol=1e-9, abs_tol=1e-6) for x, y in zip(a, b, strict=True))

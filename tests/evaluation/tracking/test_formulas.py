@@ -1,0 +1,52 @@
+"""Scores say by which formulas they were computed: whoever changes a formula increases its version."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from relocbench.evaluation.tracking.score import FORMULAS
+from relocbench.geometry import make_transform, so3_exp
+from relocbench.metrics import pose_errors, summarize
+
+SCORES = {
+    1: {
+        "pairs": 10,
+        "answered": 9,
+        "t_auc@0.5m": 0.48017146357113843,
+        "t_auc@1m": 0.6900857317855691,
+        "r_auc@0.5deg": 0.16249012916860242,
+        "r_auc@1deg": 0.27081688194767073,
+        "recall@(0.1m,1deg)": 0.2,
+        "recall@(0.25m,2deg)": 0.5,
+        "recall@(0.5m,5deg)": 0.9,
+        "recall@(1m,5deg)": 0.9,
+        "recall@(5m,10deg)": 0.9,
+        "mlad_recall@0.1m": 0.2,
+        "mlad_recall@0.2m": 0.4,
+        "mlad_recall@0.5m": 0.9,
+        "median_translation_error_m": 0.26239283526803847,
+        "median_rotation_error_deg": 1.0313240312354817,
+        "median_mlad_translation_error_m": 0.24704284182491676,
+        "coverage": 0.9,
+        "confidence_auc_pr@(0.25m,2deg)": 0.2984126984126984,
+        "median_seconds": 0.55,
+        "p95_seconds": 0.9549999999999998,
+    },
+}
+"""version of the formulas -> scores of :func:`scores`, as that version computes them"""
+
+
+def scores() -> dict[str, float | int | None]:
+    """Nine pairs whose errors grow from zero, and a tenth without an answer."""
+    steps = np.arange(10)
+    truth = np.array([make_transform(so3_exp([0.0, 0.1 * i, 0.0]), [0.2 * i, 0.0, 1.0]) for i in steps])
+    off = np.array([make_transform(so3_exp([0.004 * i, 0.0, 0.0]), [0.0, 0.05 * i, 0.03 * i]) for i in steps])
+    errors = pose_errors(off @ truth, truth, answered=steps < 9)
+    seconds, confidence = 0.1 + 0.1 * steps.astype(np.float64), np.cos(steps.astype(np.float64))
+    return summarize(errors, seconds, confidence).to_dict()
+
+
+def test_a_changed_formula_has_another_version() -> None:
+    assert max(SCORES) == FORMULAS, "add what the new version computes; scores of earlier ones are refused"
+    assert scores() == pytest.approx(SCORES[FORMULAS], rel=1e-9), "increase FORMULAS: these formulas are not the same"
