@@ -9,7 +9,7 @@ import typer
 
 from relocbench.cli.options import Quiet, Workers
 
-_METHODS = ("identity", "orb-pnp", "dso")
+_METHODS = ("identity", "clock", "orb-pnp", "dso")
 
 
 def demo(
