@@ -22,7 +22,7 @@ relocbench build-dataset synthetic --preset demo --name town_demo --out "$scratc
 for dataset in kitti_06 fr1_xyz fr1_xyz_to_desk town_demo; do
   relocbench evaluate -d "$scratch/$dataset" --out "$scratch/results" --workers 1 --overwrite always --matching -q \
     -m identity -m orb-pnp -m sift-pnp -m dso -m dso-full-cutoff=dso --set dso-full-cutoff.cutoff_levels=16 \
-    -m dso-multistart -m gn-net -m gn-net-from-prior=gn-net --set gn-net-from-prior.matched_start=false \
+    -m dso-multistart -m gn-net -m gn-net-from-prior -m gn-net-pnp -m clock \
     -m gn-net-contrastive -m lm-net
 done
 rm -rf leaderboard/curves leaderboard/*.csv leaderboard/leaderboard.md

@@ -17,6 +17,9 @@ _ROUNDS = 5  # largest number of selections of inliers
 _STEPS = 20  # largest number of Levenberg-Marquardt steps in each round
 _STEP = 1e-6  # relative step of the numerical derivative of the projection
 _CONVERGED = 1e-9  # metres and radians
+_RIVAL_REACH = 3.0  # in units of the inlier threshold
+_RIVAL_ITERATIONS = 1000
+_RIVAL_CONFIDENCE = 0.999
 _UNCONSTRAINED = np.diag(np.full(6, np.inf))
 
 
@@ -124,6 +127,24 @@ def refine_pose(T_query_ref: Array, matches: Matches2D3D, camera: Camera, thresh
     normal, _, _ = _normal_equations(error, whitening, jacobian)
     scaled = np.linalg.norm(error, axis=-1) / kept.scale
     return Refined(pose, inliers, float(np.sqrt(np.mean(scaled**2))), _covariance(normal))
+
+
+def rival_inliers(T_query_ref: Array, matches: Matches2D3D, camera: Camera, threshold_px: float, seed: int) -> int:
+    """The number of matches that agree with the best other pose: the one found from those that are far from this pose.
+
+    Where a street repeats itself, a wrong pose may have many inliers, but then others have as many. Errors are in units
+    of the keypoints' scales; matches within three thresholds of the pose are left out, since they would give it again.
+    """
+    far = _take(matches, np.flatnonzero(~(_scaled_errors(T_query_ref, matches, camera) <= _RIVAL_REACH * threshold_px)))
+    other = ransac_pose(far, camera, threshold_px, _RIVAL_ITERATIONS, _RIVAL_CONFIDENCE, seed)
+    return 0 if other is None else int(np.count_nonzero(_scaled_errors(other, far, camera) <= threshold_px))
+
+
+def _scaled_errors(T_query_ref: Array, matches: Matches2D3D, camera: Camera) -> Array:
+    """Reprojection errors (N,), each divided by its keypoint's scale; NaN where a point is not visible."""
+    pixels, _ = camera.project(apply(T_query_ref, matches.points))
+    out: Array = np.linalg.norm(pixels - matches.pixels, axis=-1) / matches.scale
+    return out
 
 
 def _take(matches: Matches2D3D, index: NDArray[np.intp]) -> Matches2D3D:

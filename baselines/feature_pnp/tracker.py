@@ -8,11 +8,13 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
+from baselines.calibration import ORB_PNP, SIFT_PNP, Calibration
 from baselines.feature_pnp.features import FeatureKind, Features, detect, match, spread_evenly
 from baselines.feature_pnp.keyframe_depth import inverse_depth_at
-from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose
+from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose, rival_inliers
 from relocbench.tracking import Array, Query, Reference, TrackResult
 
+_SMALLEST_SIGMA = 0.03  # metres; a smaller standard deviation says no more about errors of 0.25 m
 _MINIMAL = 4  # three points leave up to four solutions, a fourth one decides
 
 
@@ -30,6 +32,10 @@ class PreparedReference:
 class _FeaturePnp:
     """Keypoints, ratio test, MAGSAC perspective-n-point, robust refinement.
 
+    The confidence is the probability that the answer is within 0.25 m and 2 degrees, from a calibration of the answer's
+    lead, the logarithm of its inliers over those of the best other pose, and of its precision, the negative logarithm
+    of the translation's standard deviation in metres.
+
     Args:
         features: largest number of keypoints in each image.
         ratio: of Lowe's test; a match is accepted below this ratio of the nearest to the second nearest distance.
@@ -44,6 +50,7 @@ class _FeaturePnp:
     """
 
     kind: ClassVar[FeatureKind]
+    calibration: ClassVar[Calibration]
 
     def __init__(
         self,
@@ -112,7 +119,13 @@ class _FeaturePnp:
         distance = float(np.median(np.linalg.norm(matches.points[refined.inliers], axis=-1)))
         if not translation_sigma < distance:
             return TrackResult.failure("degenerate: the inliers do not hold the pose", **info)
-        return TrackResult(refined.T_query_ref, confidence=float(inliers), info=info)
+        rival = rival_inliers(refined.T_query_ref, matches, query.camera, threshold, self.seed)
+        evidence = {
+            "lead": float(np.log((inliers + 1) / (rival + 1))),
+            "precision": float(-np.log(max(translation_sigma, _SMALLEST_SIGMA))),
+        }
+        info |= {"rival_inliers": rival, **evidence}
+        return TrackResult(refined.T_query_ref, confidence=self.calibration.confidence(evidence), info=info)
 
     def _match(self, reference: PreparedReference, query: Query) -> Matches2D3D:
         found = detect(query.image, self.kind, self.features)
@@ -134,8 +147,10 @@ def _finite_or_none(value: float) -> float | None:
 class OrbPnp(_FeaturePnp):
     __doc__ = "ORB (Rublee et al., ICCV 2011). " + (_FeaturePnp.__doc__ or "")
     kind: ClassVar[FeatureKind] = "orb"
+    calibration: ClassVar[Calibration] = ORB_PNP
 
 
 class SiftPnp(_FeaturePnp):
     __doc__ = "SIFT (Lowe, IJCV 2004). " + (_FeaturePnp.__doc__ or "")
     kind: ClassVar[FeatureKind] = "sift"
+    calibration: ClassVar[Calibration] = SIFT_PNP

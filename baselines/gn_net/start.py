@@ -37,7 +37,7 @@ class StartSettings:
     windows: tuple[int, ...] = (3, 2)
     """half-widths, in pixels of the level, of the windows on the finer levels, coarser ones first"""
     threshold: float = 2.0
-    """pixels of the finest map; the inlier threshold of RANSAC and of an answer's confidence"""
+    """pixels of the finest map; the inlier threshold of RANSAC and of an answer's agreement"""
     iterations: int = 2000
     """largest number of RANSAC iterations"""
     confidence: float = 0.999

@@ -34,6 +34,7 @@ from baselines.alignment import (
     small_rotations,
 )
 from baselines.alignment.features.pyramid import level_coordinates
+from baselines.calibration import GN_NET, GN_NET_CONTRASTIVE, GN_NET_FROM_PRIOR, GN_NET_PNP, LM_NET, Calibration
 from baselines.device import to_device
 from baselines.gn_net.correspondence import Landmarks
 from baselines.gn_net.network import FeatureNet, image_tensor
@@ -61,16 +62,16 @@ class GnNetReference:
     """feature maps, for the matching of single pixels"""
     selected: int
     """number of points with depth that were chosen"""
-    landmarks: Landmarks | None
-    """for the matched start; None without it"""
+    landmarks: Landmarks
+    """for the matched start and for the evidence of an answer"""
 
 
 class GnNet:
     """Direct alignment of learned features from the prior, or from the identity without one.
 
-    The confidence, 0 to 1, is the share of the landmarks of the matched start that the query shows within two pixels
-    (of the finest map) of where the answer projects them. Without ``matched_start`` it is the share of the reference's
-    points that are in view and within the cutoff, which cannot be compared between keyframes.
+    The landmarks of the keyframe, at most 400 points, are matched in the query. Their agreement is the share of them
+    that are matched within two pixels (of the finest map) of where the answer projects them. The confidence is the
+    probability that the answer is within 0.25 m and 2 degrees, from a calibration of the agreement.
 
     Args:
         weights: a file of ``relocbench train``; by default the weights that come with the package.
@@ -81,9 +82,12 @@ class GnNet:
         per_channel: apply the robust loss to each channel instead of the norm over all channels.
         damping: the Levenberg-Marquardt schedule, that of DSO's tracker or one for features trained by LM-Reloc's loss;
             by default the one that the weights of this method are trained for.
-        matched_start: also start from a pose found by matching features, coarse to fine; the lowest final energy wins.
+        matched_start: also start from the pose that the matched landmarks give; the lowest final energy wins. The
+            default is that of the method.
         multistart: also start from 26 small rotations; the lowest final energy wins.
         min_points: with fewer points that have depth, tracking fails.
+        min_agreement: with a smaller agreement, tracking fails; by default the largest one below which no answer was
+            right on validation districts.
         device: where the network runs; the alignment runs on the CPU.
         seed: of the random choices.
 
@@ -93,7 +97,12 @@ class GnNet:
 
     uses_prior = True
     name: ClassVar[str] = "gn-net"
+    trainer: ClassVar[str] = "gn-net"
+    """the trainer whose weights are used"""
     usual_damping: ClassVar[Literal["dso", "lm-reloc"]] = "dso"
+    usual_matched_start: ClassVar[bool] = True
+    usual_min_agreement: ClassVar[float] = 0.025
+    calibration: ClassVar[Calibration] = GN_NET
 
     def __init__(
         self,
@@ -104,9 +113,10 @@ class GnNet:
         cutoff_levels: Annotated[int, Field(ge=1)] = 1,
         per_channel: bool = False,
         damping: Literal["dso", "lm-reloc"] | None = None,
-        matched_start: bool = True,
+        matched_start: bool | None = None,
         multistart: bool = False,
         min_points: Annotated[int, Field(ge=8)] = 30,
+        min_agreement: Annotated[float, Field(ge=0, le=1)] | None = None,
         device: str = "cpu",
         seed: int = 0,
     ) -> None:
@@ -118,9 +128,11 @@ class GnNet:
             damping=LM_RELOC_DAMPING if (damping or self.usual_damping) == "lm-reloc" else DSO_DAMPING,
         )
         self.points = points
-        self.start = StartSettings() if matched_start else None
+        self.start = StartSettings()
+        self.matched_start = self.usual_matched_start if matched_start is None else matched_start
         self.multistart = multistart
         self.min_points = min_points
+        self.min_agreement = self.usual_min_agreement if min_agreement is None else min_agreement
         self.device = device
         self.seed = seed
         self._last: tuple[Query, FeaturePyramid] | None = None
@@ -142,9 +154,7 @@ class GnNet:
         chosen = choose_points(reference, intensities, self.points, np.random.default_rng(self.seed))
         pyramid = self.features(reference.image, reference.camera)
         on_finest = replace(chosen, uv=self._on_finest(chosen.uv))
-        landmarks = None
-        if self.start is not None:
-            landmarks = Landmarks.at(on_finest, pyramid, self.start.points, np.random.default_rng(self.seed))
+        landmarks = Landmarks.at(on_finest, pyramid, self.start.points, np.random.default_rng(self.seed))
         return GnNetReference(ReferenceFeatures.at_points(on_finest, pyramid), pyramid, len(chosen), landmarks)
 
     def track(self, reference: GnNetReference, query: Query, prior: Array | None = None) -> TrackResult:
@@ -157,18 +167,9 @@ class GnNet:
             return TrackResult.failure(
                 f"{reference.selected} reference points with depth, at least {self.min_points} are needed"
             )
-        first = np.eye(4) if prior is None else np.asarray(prior, dtype=np.float64)
         features = self._query_features(query)
-        starts = [Start(first)]
-        if self.multistart:
-            starts += [Start(turn @ first) for turn in small_rotations()]
-        matched = None
-        if self.start is not None and reference.landmarks is not None:
-            matched = find_landmarks(reference.landmarks, features, self.start)
-            pose = matched.pose(self.seed)
-            # This start goes first, as it usually wins; the others are then given up early.
-            starts = starts if pose is None else [Start(pose, self.start.level), *starts]
-        return self._answer(align_features_best(reference.features, features, starts, self.settings), matched)
+        matched = find_landmarks(reference.landmarks, features, self.start)
+        return self._find(reference, features, matched, np.eye(4) if prior is None else np.asarray(prior, np.float64))
 
     def match(self, reference: GnNetReference, query: Query, uv_ref: Array, uv_start: Array) -> Array:
         """Find single pixels of the keyframe in the query, by Gauss-Newton on features from given starts.
@@ -210,6 +211,27 @@ class GnNet:
         of_finest = level_camera(camera, self.net.options.finest)
         return FeaturePyramid.from_maps([m[0].permute(1, 2, 0).float().cpu().numpy() for m in maps], of_finest)
 
+    def _find(
+        self, reference: GnNetReference, features: FeaturePyramid, matched: MatchedLandmarks, first: Array
+    ) -> TrackResult:
+        """Align from every start, of which ``first`` is the prior or the identity."""
+        starts = [Start(first)]
+        if self.multistart:
+            starts += [Start(turn @ first) for turn in small_rotations()]
+        pose = matched.pose(self.seed) if self.matched_start else None
+        if pose is not None:
+            # This start goes first, as it usually wins; the others are then given up early.
+            starts = [Start(pose, self.start.level), *starts]
+        found = align_features_best(reference.features, features, starts, self.settings)
+        info = self._info(found)
+        if found.failure:
+            return TrackResult.failure(found.failure, **info)
+        if found.final.valid < max(self.min_points, MIN_VALID_SHARE * found.residuals):
+            return TrackResult.failure(
+                f"only {found.final.valid} of {found.residuals} residuals project into the query", **info
+            )
+        return self._answer(found.T_query_ref, matched, info)
+
     def _query_features(self, query: Query) -> FeaturePyramid:
         """The features of a query, of which the last are kept: a query often comes with several priors or keyframes."""
         if self._last is None or self._last[0] is not query:
@@ -224,18 +246,17 @@ class GnNet:
         """The inverse of :meth:`_on_finest`."""
         return (uv + 0.5) * float(1 << self.net.options.finest) - 0.5
 
-    def _answer(self, found: FeatureAlignment, matched: MatchedLandmarks | None) -> TrackResult:
-        info = self._info(found)
-        if found.failure:
-            return TrackResult.failure(found.failure, **info)
-        if found.final.valid < max(self.min_points, MIN_VALID_SHARE * found.residuals):
+    def _answer(self, T_query_ref: Array, matched: MatchedLandmarks, info: dict[str, Any]) -> TrackResult:
+        """The pose with its confidence, or a failure if too few landmarks agree with it."""
+        agreement = matched.agreement(T_query_ref)
+        info |= {"matches": len(matched.matches), "agreement": agreement}
+        if agreement < self.min_agreement:
             return TrackResult.failure(
-                f"only {found.final.valid} of {found.residuals} residuals project into the query", **info
+                f"{agreement:.1%} of {matched.sought} landmarks agree with the pose, at least "
+                f"{self.min_agreement:.1%} are needed",
+                **info,
             )
-        if matched is None:
-            return TrackResult(found.T_query_ref, confidence=float(found.inlier_share), info=info)
-        info["matches"] = len(matched.matches)
-        return TrackResult(found.T_query_ref, confidence=matched.agreement(found.T_query_ref), info=info)
+        return TrackResult(T_query_ref, confidence=self.calibration.confidence(info), info=info)
 
     def _info(self, found: FeatureAlignment) -> dict[str, Any]:
         return {
@@ -249,26 +270,57 @@ class GnNet:
 
     @classmethod
     def _shipped_path(cls) -> Path:
-        return SHIPPED / f"{cls.name}.safetensors"
+        return SHIPPED / f"{cls.trainer}.safetensors"
 
     def _shipped(self) -> Path:
         path = self._shipped_path()
         if not path.is_file():
             raise MethodError(
-                f"no weights of {self.name} come with this version; train some (relocbench train {self.name} "
+                f"no weights of {self.trainer} come with this version; train some (relocbench train {self.trainer} "
                 f"--dataset DIR --out OUT) and give --set {self.name}.weights=OUT/weights.safetensors"
             )
         return path
 
 
+class GnNetFromPrior(GnNet):
+    """As :class:`GnNet`, started from the prior or the identity alone: the tracker of the paper."""
+
+    name = "gn-net-from-prior"
+    usual_matched_start = False
+    calibration = GN_NET_FROM_PRIOR
+
+
+class GnNetPnp(GnNet):
+    """The pose that matched landmarks give, without alignment: what the start of :class:`GnNet` is worth by itself.
+
+    The parameters of the alignment and of its starts change nothing.
+    """
+
+    name = "gn-net-pnp"
+    calibration = GN_NET_PNP
+    uses_prior = False
+
+    def _find(
+        self, reference: GnNetReference, features: FeaturePyramid, matched: MatchedLandmarks, first: Array
+    ) -> TrackResult:
+        pose = matched.pose(self.seed)
+        if pose is None:
+            count = len(matched.matches)
+            return TrackResult.failure(f"no pose agrees with the {count} matched landmarks", matches=count)
+        return self._answer(pose, matched, {})
+
+
 class GnNetContrastive(GnNet):
     """As :class:`GnNet`, with weights trained without the Gauss-Newton loss, to show what that loss contributes."""
 
-    name = "gn-net-contrastive"
+    name = trainer = "gn-net-contrastive"
+    usual_min_agreement = 0.005
+    calibration = GN_NET_CONTRASTIVE
 
 
 class LmNet(GnNet):
     """As :class:`GnNet`, with weights trained by LM-Reloc's descent loss, and its damping."""
 
-    name = "lm-net"
+    name = trainer = "lm-net"
+    calibration = LM_NET
     usual_damping = "lm-reloc"

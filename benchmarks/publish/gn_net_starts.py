@@ -102,7 +102,6 @@ def tally_pairs(dataset: Dataset, pairs: list[tuple[PairSet, Pair]], weights: Pa
         reference = tracker.prepare(dataset.reference(pair_set, pair))
         features = tracker.features(query.image, query.camera)
         assert truth is not None
-        assert reference.landmarks is not None
         align = partial(align_features, reference.features, features, settings=tracker.settings)
         from_identity = align(T_start=np.eye(4))
         tallies["identity"].found.append(right(from_identity, truth))

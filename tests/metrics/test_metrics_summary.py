@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from relocbench.metrics import (
     metric_named,
     pose_errors,
     precision_recall,
+    risk_coverage_area,
     spread_over_seeds,
     summarize,
 )
@@ -57,6 +59,10 @@ def test_metric_names_are_stable() -> None:
         "median_mlad_translation_error_m",
         "coverage",
         "confidence_auc_pr@(0.25m,2deg)",
+        "aurc@(0.25m,2deg)",
+        "wrong_of_answered@(0.25m,2deg)",
+        "coverage_at_precision_95@(0.25m,2deg)",
+        "coverage_at_precision_99@(0.25m,2deg)",
         "median_seconds",
         "p95_seconds",
     ]
@@ -257,6 +263,76 @@ def test_summary_judges_confidence_at_a_quarter_metre_and_two_degrees() -> None:
     assert summarize(errors, confidence=np.array([1.0, 2.0, np.nan]))[name] == pytest.approx(1 / 6)
     assert summarize(errors)[name] is None
     assert summarize(errors, confidence=np.full(3, np.nan))[name] is None
+
+
+def test_risk_coverage_area_hand_value() -> None:
+    # Surest first: right, wrong, right, (no answer): risks 0, 1/2, 1/3, 2/4 at coverages of 1, 2, 3 and 4 pairs.
+    area = risk_coverage_area([True, False, True, False], [True, True, True, False], [0.9, 0.8, 0.7, 0.99])
+    assert area == pytest.approx((0 + 1 / 2 + 1 / 3 + 2 / 4) / 4)
+
+
+def test_equal_confidences_have_the_mean_area_of_all_their_orders() -> None:
+    correct = np.array([True, False, False, True])
+    orders = [np.array(order) for order in permutations(range(4))]
+    areas = [risk_coverage_area(correct[order], np.ones(4, bool), -np.arange(4.0)) for order in orders]
+    assert risk_coverage_area(correct, np.ones(4, bool), np.ones(4)) == pytest.approx(np.mean(areas))
+    assert risk_coverage_area(correct, np.ones(4, bool), np.full(4, np.nan)) == pytest.approx(np.mean(areas))
+
+
+@given(st.integers(1, 30), st.integers(0, 2**32 - 1))
+def test_the_risk_is_least_where_the_right_ones_are_surest(n: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    correct, answered = rng.random(n) < 0.5, rng.random(n) < 0.8
+    correct &= answered
+    confidence = rng.integers(0, 5, n).astype(float)
+    area = risk_coverage_area(correct, answered, confidence)
+    assert area == pytest.approx(risk_coverage_area(correct, answered, 100 * np.exp(confidence)), abs=1e-15)
+    best = risk_coverage_area(correct, answered, correct.astype(float))
+    worst = risk_coverage_area(correct, answered, -correct.astype(float))
+    assert -1e-12 <= best - 1e-12 <= area <= worst + 1e-12 <= 1 + 2e-12
+    # With w wrong ones last, the risk is 0 until they come.
+    wrong = n - int(correct.sum())
+    assert best == pytest.approx(sum((k - (n - wrong)) / k for k in range(n - wrong + 1, n + 1)) / n)
+
+
+@given(st.integers(1, 30), st.integers(0, 2**32 - 1), st.sampled_from([0.5, 0.95, 0.99, 1.0]))
+def test_coverage_at_a_precision_is_the_best_threshold(n: int, seed: int, precision: float) -> None:
+    rng = np.random.default_rng(seed)
+    correct, answered = rng.random(n) < 0.8, rng.random(n) < 0.8
+    confidence = rng.integers(0, 5, n).astype(float)
+    kept = [answered & (confidence >= threshold) for threshold in range(5)]
+    shares = [keep.mean() for keep in kept if keep.any() and correct[keep].mean() >= precision]
+    assert precision_recall(correct, answered, confidence).coverage_at(precision) == pytest.approx(
+        max(shares, default=0)
+    )
+
+
+def test_coverage_at_a_precision_hand_values_in_the_summary() -> None:
+    # The 20 surest of 41 pairs are right; then come a wrong one, 19 right ones and one without an answer. 39 of 40
+    # answers are 97.5 %, and 99 % hold only until the wrong one comes.
+    errors = np.full(41, 0.1)
+    errors[20], errors[40] = 3.0, np.inf
+    confidence = np.append(np.arange(40.0, 0, -1), np.nan)
+    summary = summarize(errors_of(errors, np.where(np.isinf(errors), np.inf, 0.0)), confidence=confidence)
+    assert summary["coverage_at_precision_95@(0.25m,2deg)"] == pytest.approx(40 / 41)
+    assert summary["coverage_at_precision_99@(0.25m,2deg)"] == pytest.approx(20 / 41)
+    assert summary["wrong_of_answered@(0.25m,2deg)"] == pytest.approx(1 / 40)
+
+
+def test_a_method_without_confidences_has_one_threshold() -> None:
+    names = [f"coverage_at_precision_{percent}@(0.25m,2deg)" for percent in (95, 99)]
+    right = summarize(errors_of([0.1, 0.1, np.inf], [0.0, 0.0, np.inf]))
+    assert [right[name] for name in names] == pytest.approx([2 / 3, 2 / 3])
+    some = summarize(errors_of([0.1, 0.3]))
+    assert [some[name] for name in names] == [0.0, 0.0]
+    assert some["aurc@(0.25m,2deg)"] == pytest.approx((0.5 + 0.5) / 2)
+
+
+def test_a_method_that_answers_nothing_has_no_share_of_wrong_answers() -> None:
+    summary = summarize(errors_of([np.inf, np.inf], [np.inf, np.inf]))
+    assert summary["wrong_of_answered@(0.25m,2deg)"] is None
+    assert summary["aurc@(0.25m,2deg)"] == 1.0
+    assert summary["coverage_at_precision_95@(0.25m,2deg)"] == 0.0
 
 
 def test_columns_of_another_length_are_refused() -> None:

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError
-from relocbench.metrics.pose.confidence import precision_recall
+from relocbench.metrics.pose.confidence import precision_recall, risk_coverage_area
 from relocbench.metrics.pose.curves import area_shares
 from relocbench.metrics.pose.errors import PoseErrors
 
 Array = NDArray[np.float64]
+_Judged = tuple[NDArray[np.bool_], NDArray[np.bool_], Array]
+"""(N,) whether each pair is correct, whether it is answered, and how confidently"""
 
 RECALL_THRESHOLDS: tuple[tuple[float, float], ...] = ((0.1, 1), (0.25, 2), (0.5, 5), (1, 5), (5, 10))
 """(metres, degrees)"""
@@ -24,6 +26,8 @@ POSE_AUC_THRESHOLDS: tuple[tuple[float, float], ...] = ((0.5, 4),)
 """(metres, degrees): twice those within which an answer counts as correct"""
 CORRECT: tuple[float, float] = (0.25, 2)
 """(metres, degrees) within which an answer counts as correct where confidence is assessed"""
+PRECISIONS_PERCENT: tuple[int, ...] = (95, 99)
+"""the precision of the answers that are kept, where the share that can be kept is measured"""
 SIGMA_FACTOR = 2.0
 """a threshold below this many ground-truth sigmas measures the errors of the ground truth rather than the method's"""
 
@@ -190,6 +194,59 @@ def _confidence_area(metres: float, degrees: float) -> Metric:
     )
 
 
+def _of_confidence(
+    name: str, higher_is_better: bool, description: str, value: Callable[[_Judged], float | None]
+) -> Metric:
+    """A metric of how confidences fit what is correct; without any confidence all answers count as equally sure."""
+    metres, degrees = CORRECT
+
+    def compute(scores: PairScores) -> float | None:
+        pairs = len(scores.errors)
+        confidence = np.full(pairs, np.nan) if scores.confidence is None else scores.confidence
+        return value((within(scores.errors, metres, degrees), scores.errors.answered, confidence))
+
+    return Metric(
+        name=f"{name}@({metres:g}m,{degrees:g}deg)",
+        unit="share",
+        higher_is_better=higher_is_better,
+        description=f"{description}; correct is translation_error_m <= {metres:g} and rotation_error_deg <= "
+        f"{degrees:g}",
+        compute=compute,
+        translation_threshold_m=metres,
+        rotation_threshold_deg=degrees,
+    )
+
+
+def _wrong_of_answered() -> Metric:
+    def value(judged: _Judged) -> float | None:
+        correct, answered, _ = judged
+        return float(1.0 - np.mean(correct[answered])) if np.any(answered) else None
+
+    description = "share of the answers that are not correct; nothing where there is no answer"
+    return _of_confidence("wrong_of_answered", False, description, value)
+
+
+def _risk_coverage_area() -> Metric:
+    description = (
+        "area under the risk-coverage curve, 1/N sum over k of the share of wrong ones among the k surest pairs; pairs "
+        "without an answer come last and are wrong"
+    )
+    return _of_confidence("aurc", False, description, lambda judged: risk_coverage_area(*judged))
+
+
+def _coverage_at(percent: int) -> Metric:
+    description = (
+        f"largest share of all pairs that a threshold on the confidence keeps with at least {percent} % of them "
+        "correct; 0 where there is no such threshold"
+    )
+    return _of_confidence(
+        f"coverage_at_precision_{percent}",
+        True,
+        description,
+        lambda judged: precision_recall(*judged).coverage_at(percent / 100),
+    )
+
+
 METRICS: tuple[Metric, ...] = (
     *(_translation_auc(metres) for metres in TRANSLATION_AUC_THRESHOLDS_M),
     *(_rotation_auc(degrees) for degrees in ROTATION_AUC_THRESHOLDS_DEG),
@@ -201,6 +258,9 @@ METRICS: tuple[Metric, ...] = (
     _median("mlad_translation_error_m", "m"),
     _mean_metric("coverage", "share of all pairs with an answer", lambda errors: errors.answered.astype(np.float64)),
     _confidence_area(*CORRECT),
+    _risk_coverage_area(),
+    _wrong_of_answered(),
+    *(_coverage_at(percent) for percent in PRECISIONS_PERCENT),
     _seconds("median_seconds", 50, "median"),
     _seconds("p95_seconds", 95, "95th percentile"),
 )

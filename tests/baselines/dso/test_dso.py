@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import inspect
+import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,9 @@ from alignment_scene import CAMERA, motion, render, to_image
 from answer_contract import fault_of
 from numpy.typing import NDArray
 
+from baselines.alignment import Level, image_pyramid
 from baselines.dso import Dso, DsoMultiStart, small_rotations
+from baselines.dso.evidence import evidence_for
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera, compose, invert, rotation_angle
 from relocbench.tracking import KeyframePoints, Query, Reference, SupportsPrepare, Tracker, TrackResult
@@ -67,7 +71,8 @@ def test_a_dense_keyframe_is_aligned_from_the_identity(tracker_class: type[Dso])
     result = track(tracker_class(), dense_reference(), query())
     assert_right(result)
     assert result.confidence is not None
-    assert 0.7 < result.confidence <= 1
+    assert 0.9 < result.confidence <= 1
+    assert result.info["correlation"] > 0.8
     assert result.info["dso_would_reject"] is False
     assert len(result.info["iterations"]) == len(result.info["levels"]) == 4
     assert result.info["saturated_share"] < 0.05
@@ -173,6 +178,48 @@ def test_hardly_any_overlap_is_a_stated_failure() -> None:
     result = track(Dso(max_levels=1), dense_reference(), query(aside), aside)
     assert not result.answered
     assert "project into the query" in result.message
+
+
+def test_keyframe_and_query_that_look_different_are_a_stated_failure() -> None:
+    noise = np.random.default_rng(5).integers(0, 256, (CAMERA.height // 8, CAMERA.width // 8), dtype=np.uint8)
+    elsewhere = Query("q", 2, np.ascontiguousarray(np.kron(noise, np.ones((8, 8), np.uint8))), CAMERA)
+    tracker, lenient = Dso(affine=False, min_correlation=0.3), Dso(affine=False, min_correlation=-1.0)
+    reference = dense_reference(image=to_image(GREY))
+    refused = track(tracker, reference, elsewhere)
+    assert not refused.answered
+    assert re.fullmatch(
+        r"keyframe and query have a correlation of -?0\.\d\d around the points, at least 0\.\d\d is needed",
+        refused.message,
+    )
+    answered = track(lenient, reference, elsewhere)
+    assert answered.confidence is not None
+    assert answered.confidence < 0.1
+    assert refused.info == answered.info
+
+
+def test_evidence_does_not_depend_on_the_exposure_and_falls_with_the_error() -> None:
+    prepared = Dso().prepare(dense_reference())
+    level = image_pyramid(query().image, CAMERA, 1)[0]
+    darker = image_pyramid(query(gain=0.5, offset=40).image, CAMERA, 1)[0]
+    shifts = [motion((x, 0, 0), (0, 0, 0)) @ MOTION for x in (0.0, 0.2, 0.8)]
+    found = [evidence_for(pose, prepared.levels[0], prepared.maps[0], level) for pose in shifts]
+    assert found[0].correlation > found[1].correlation + 0.05 > found[2].correlation + 0.3
+    assert found[0].correlation == pytest.approx(
+        evidence_for(MOTION, prepared.levels[0], prepared.maps[0], darker).correlation, abs=0.03
+    )
+
+
+def test_points_out_of_view_count_as_points_that_look_different() -> None:
+    prepared = Dso().prepare(dense_reference())
+    level = prepared.maps[0]
+    own = evidence_for(np.eye(4), prepared.levels[0], level, level)
+    assert own.correlation > 0.99
+    half = replace(CAMERA, width=CAMERA.width // 2)
+    part = Level(np.ascontiguousarray(level.map[:, : half.width]), half)
+    share = np.mean(prepared.levels[0].uv[:, 0] < half.width)
+    assert evidence_for(np.eye(4), prepared.levels[0], level, part).correlation == pytest.approx(share, abs=0.05)
+    behind = motion((0, 0, -100), (0, 0, 0))
+    assert evidence_for(behind, prepared.levels[0], level, level).correlation == 0.0
 
 
 def test_dso_s_own_failure_test_is_recorded_and_off_unless_asked_for() -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from baselines.feature_pnp import OrbPnp, SiftPnp
 from baselines.feature_pnp.features import Features, detect, match, spread_evenly
 from baselines.feature_pnp.keyframe_depth import inverse_depth_at
-from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose
+from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose, rival_inliers
 from relocbench.geometry import Camera, apply, invert, rotation_angle, se3_exp
 from relocbench.tracking import KeyframePoints, Query, Reference, TrackResult
 
@@ -89,7 +89,8 @@ def test_pose_is_right_for_every_pair_of_camera_models(
     metres_limit, degrees_limit = (0.02, 0.2) if isinstance(tracker, OrbPnp) else (0.003, 0.05)
     assert metres < min(metres_limit, 3 * result.info["translation_sigma_m"])
     assert degrees < min(degrees_limit, 3 * result.info["rotation_sigma_deg"])
-    assert result.confidence == result.info["inliers"]
+    assert result.confidence is not None
+    assert 0.5 < result.confidence <= 1
     assert result.info["inliers"] <= result.info["matches"]
     assert result.info["reprojection_rms_px"] < 1.5
 
@@ -174,6 +175,33 @@ def test_a_keyframe_without_depth_is_a_stated_failure(tracker: OrbPnp) -> None:
         result = tracker.track(tracker.prepare(bare), query())
         assert not result.answered
         assert result.message.startswith("0 matches")
+
+
+def test_another_pose_that_as_many_matches_hold_is_a_rival() -> None:
+    """Of 120 points 70 are seen from one place and 50, or 5, from another: the lead over it is what counts."""
+    rng = np.random.default_rng(4)
+    points = rng.uniform([-1.5, -1.0, 4.0], [1.5, 1.0, 9.0], (120, 3))
+    here, there = (
+        matches_of(points, PINHOLE, pose) for pose in (T_QUERY_REF, se3_exp([0.4, 0, 0, 0, 0, 0]) @ T_QUERY_REF)
+    )
+    for count in (50, 5):
+        pixels = np.concatenate([here.pixels[:70], there.pixels[70 : 70 + count]])
+        both = Matches2D3D(points[: len(pixels)], pixels, np.ones(len(pixels)), np.zeros((len(pixels), 3)))
+        assert rival_inliers(T_QUERY_REF, both, PINHOLE, 2.0, seed=0) == count
+    assert rival_inliers(T_QUERY_REF, here, PINHOLE, 2.0, seed=0) == 0
+
+
+def test_a_query_that_shows_two_places_is_answered_with_less_confidence() -> None:
+    tracker = OrbPnp()
+    other = render(PINHOLE, se3_exp([0.6, 0.0, -0.4, 0.0, 0.05, 0.0]))[0]
+    torn = np.concatenate([query().image[:200], other[200:]])
+    prepared = tracker.prepare(reference())
+    whole, part = (tracker.track(prepared, Query("q", 1, image, PINHOLE)) for image in (query().image, torn))
+    assert part.answered
+    assert part.info["rival_inliers"] > 10 * (whole.info["rival_inliers"] + 1) / 4
+    assert whole.confidence is not None
+    assert part.confidence is not None
+    assert part.confidence < whole.confidence - 0.1
 
 
 def test_too_few_inliers_is_a_stated_failure() -> None:

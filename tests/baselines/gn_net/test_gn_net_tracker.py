@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,18 +11,20 @@ import pytest
 import torch
 from answer_contract import fault_of
 from numpy.typing import NDArray
+from repository import ROOT
 from small_dataset import WITHIN, make_small_dataset, render, small_camera, small_pose
 
 from baselines.alignment.features.pyramid import FeaturePyramid
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
-from baselines.gn_net.tracker import GnNet, GnNetContrastive, LmNet
+from baselines.gn_net.start import find_landmarks
+from baselines.gn_net.tracker import GnNet, GnNetContrastive, GnNetFromPrior, GnNetPnp, LmNet
 from baselines.gn_net.weights import save_weights
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera, make_transform, rotation_angle, so3_exp
 from relocbench.methods import parse_method
-from relocbench.tracking import KeyframePoints, Query, Reference, SupportsMatching, SupportsPrepare
+from relocbench.tracking import KeyframePoints, Query, Reference, SupportsMatching, SupportsPrepare, TrackResult
 
 SMALL = NetworkOptions(widths=(8, 12, 16), dim=8, levels=3)
 
@@ -75,14 +78,15 @@ def test_the_tracker_finds_small_motions(weights: Path, dataset: Dataset) -> Non
 
 def test_another_place_is_answered_with_less_confidence(weights: Path, dataset: Dataset) -> None:
     """Confidence must compare between queries and keyframes; turned upside down, a query shows none of the keyframe."""
-    tracker = GnNet(weights=weights)
+    tracker = GnNet(weights=weights, min_agreement=0.0)
     pair_set = dataset.pair_set(WITHIN)
     pair = pair_set.pairs[0]
     reference, query = tracker.prepare(dataset.reference(pair_set, pair)), dataset.query(pair_set, pair)
     right = tracker.track(reference, query)
     other = tracker.track(reference, replace(query, image=np.ascontiguousarray(query.image[::-1])))
     assert right.confidence is not None
-    assert (other.confidence or 0.0) < 0.5 * right.confidence
+    assert other.confidence is not None
+    assert other.confidence < 0.5 * right.confidence
 
 
 def test_one_prepared_reference_serves_all_queries_and_the_network_sees_it_once(
@@ -153,6 +157,62 @@ def test_an_image_that_the_network_cannot_take_is_one_line(weights: Path) -> Non
         GnNet(weights=weights).features(np.zeros((2, 2), np.uint8), small_camera(2, 2))
 
 
+def test_the_variants_are_parts_of_the_method(weights: Path) -> None:
+    """From the prior it is the method without the matched start; with PnP alone, its matched start."""
+    usual = GnNet(weights=weights, matched_start=False, min_agreement=0.0)
+    from_prior, pnp = GnNetFromPrior(weights=weights), GnNetPnp(weights=weights)
+    reference, query = usual.prepare(a_reference()), a_query(small_pose(1))
+    aligned, same = usual.track(reference, query), from_prior.track(reference, query)
+    assert np.array_equal(_pose(aligned), _pose(same))
+    assert aligned.info == same.info
+    matched = find_landmarks(reference.landmarks, pnp.features(query.image, query.camera), pnp.start)
+    start = matched.pose(pnp.seed)
+    assert start is not None
+    found = pnp.track(pnp.prepare(a_reference()), query, make_transform(so3_exp([0.0, 0.3, 0.0]), [5.0, 0.0, 0.0]))
+    assert np.array_equal(_pose(found), start)
+    assert found.info["agreement"] == matched.agreement(start) > 0.1
+    assert not np.array_equal(_pose(found), _pose(aligned))
+    assert (from_prior.uses_prior, pnp.uses_prior) == (True, False)
+
+
+def _pose(result: TrackResult) -> NDArray[np.float64]:
+    assert result.T_query_ref is not None, result.message
+    return result.T_query_ref
+
+
+@pytest.mark.parametrize("kind", [GnNetFromPrior, GnNetPnp])
+def test_the_variants_use_and_name_the_weights_of_the_method(kind: type[GnNet]) -> None:
+    assert kind.files() == GnNet.files()
+    assert kind.files()["weights"].name == "gn-net.safetensors"
+    described = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["relocbench.methods"]
+    assert described[kind.name] == f"baselines.gn_net.tracker:{kind.__name__}"
+
+
+@pytest.mark.parametrize("kind", [GnNet, GnNetFromPrior, GnNetPnp])
+def test_an_answer_that_nothing_speaks_for_is_a_stated_failure(kind: type[GnNet], weights: Path) -> None:
+    """Turned upside down, a query shows none of the keyframe; the limit is a parameter."""
+    upright = a_query(small_pose(1))
+    turned = replace(upright, image=np.ascontiguousarray(upright.image[::-1]))
+    strict, lenient = kind(weights=weights, min_agreement=0.1), kind(weights=weights, min_agreement=0.0)
+    reference = strict.prepare(a_reference())
+    answered, refused = lenient.track(reference, turned), strict.track(reference, turned)
+    assert answered.answered
+    assert not refused.answered
+    count = len(reference.landmarks)
+    assert refused.message == (
+        f"{answered.info['agreement']:.1%} of {count} landmarks agree with the pose, at least 10.0% are needed"
+    )
+    assert refused.info == answered.info
+
+
+def test_pnp_without_matches_is_a_stated_failure(weights: Path) -> None:
+    blank = replace(a_query(small_pose(0)), image=np.full((144, 192), 90, np.uint8))
+    tracker = GnNetPnp(weights=weights)
+    found = tracker.track(tracker.prepare(a_reference()), blank)
+    assert not found.answered
+    assert "agree" in found.message
+
+
 def test_variants_share_everything_but_weights_and_damping(weights: Path) -> None:
     usual, ablation, descent = (kind(weights=weights).settings for kind in (GnNet, GnNetContrastive, LmNet))
     assert usual == ablation
@@ -161,13 +221,14 @@ def test_variants_share_everything_but_weights_and_damping(weights: Path) -> Non
     assert LmNet(weights=weights, damping="dso").settings == usual
 
 
-@pytest.mark.parametrize("name", ["gn-net", "gn-net-contrastive", "lm-net"])
+@pytest.mark.parametrize("kind", [GnNet, GnNetFromPrior, GnNetPnp, GnNetContrastive, LmNet])
 def test_a_method_without_weights_says_how_to_get_them(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: type[GnNet], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("baselines.gn_net.tracker.SHIPPED", tmp_path)
-    with pytest.raises(MethodError, match=f"no weights of {name} come with this version; train some") as told:
-        parse_method(name).create()
+    with pytest.raises(MethodError, match=f"no weights of {kind.trainer} come with this version; train some") as told:
+        parse_method(f"baselines.gn_net.tracker:{kind.__name__}").create()
+    assert f"--set {kind.name}.weights=OUT/weights.safetensors" in str(told.value)
     assert "\n" not in str(told.value)
 
 

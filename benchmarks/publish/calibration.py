@@ -1,0 +1,308 @@
+"""Fit the confidences of the trackers on some validation districts, and see on others what they are worth.
+
+In each district drives in three conditions are rendered. Pairs are drawn from all images of the district that are at
+most 14 m and 45 degrees apart (``--pairs``), and between its keyframes and images of another district
+(``--different``), where nothing can be answered and every answer is wrong. Every method answers them, however little
+speaks for its answer. On the districts of ``--fit`` a logistic regression, never falling in the evidence, predicts
+which answers are within 0.25 m and 2 degrees. Printed are its coefficients, to be written into
+``baselines/calibration.py``; how many right and wrong answers each limit on the evidence would refuse; and, for the
+districts of ``--report``, how often answers of each confidence are right, how precise those of at least 0.5 are, and
+how many pairs of different places have one.
+
+Datasets and answers are kept in ``--scratch``; when it is run again, only what is missing is made.
+
+    python benchmarks/publish/calibration.py --scratch S [--fit 51,52,53] [--report 100,101,102] [-m METHOD ...]
+
+The last line is JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from baselines.calibration import Calibration
+from baselines.dso import Dso, DsoMultiStart
+from baselines.feature_pnp import OrbPnp, SiftPnp
+from baselines.gn_net.tracker import GnNet, GnNetContrastive, GnNetFromPrior, GnNetPnp, LmNet
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.geometry import invert, rotation_angle
+from relocbench.metrics import pose_errors
+from relocbench.tracking import Query, TrackResult
+
+Array = NDArray[np.float64]
+Frame = tuple[str, int]
+"""traversal and timestamp of an image"""
+
+VALIDATION = {
+    51: ("Sunny", "Night", "Rain"),
+    52: ("WetNoon", "Snow", "Overcast"),
+    53: ("WetNoon", "Night", "Fog"),
+    100: ("WetNoon", "Night", "Snow"),
+    101: ("Sunny", "WetCloudySunset", "Fog"),
+    102: ("Overcast", "Night", "Rain"),
+}
+"""the conditions of each district; none of them is a test district"""
+FORMER_TESTS = (100, 101, 102)
+"""validation districts that lie in the split ``test`` of the procedural town"""
+CAMERA = "front"
+FARTHEST_M, WIDEST_DEG = 14.0, 45.0
+METHODS: Mapping[str, Callable[[], Any]] = {
+    "gn-net": lambda: GnNet(min_agreement=0.0),
+    "gn-net-pnp": lambda: GnNetPnp(min_agreement=0.0),
+    "gn-net-from-prior": lambda: GnNetFromPrior(min_agreement=0.0),
+    "gn-net-contrastive": lambda: GnNetContrastive(min_agreement=0.0),
+    "lm-net": lambda: LmNet(min_agreement=0.0),
+    "dso": lambda: Dso(min_correlation=-1.0),
+    "dso-multistart": lambda: DsoMultiStart(min_correlation=-1.0),
+    "orb-pnp": OrbPnp,
+    "sift-pnp": SiftPnp,
+}
+"""each without a limit on the evidence of its answers"""
+EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+"""of the confidences that are counted together"""
+CAUTION = 2.0
+"""how often a wrong answer counts in the fit, so that confidences are lower estimates of the probability: in districts
+whose streets repeat themselves more answers are wrong that look right"""
+RIDGE = 1e-3
+"""weight of the squared coefficients beside the mean log loss, evidence in units of its standard deviation"""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A pair to be answered."""
+
+    reference: Frame
+    query: Frame
+    truth: Array | None
+    """(4, 4) T_query_ref; None for different places"""
+
+
+@dataclass(frozen=True)
+class Answered:
+    """What a method made of a pair."""
+
+    different: bool
+    """whether the pair shows different places"""
+    answered: bool
+    right: bool
+    info: dict[str, Any]
+
+
+def main() -> None:
+    options = _options()
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
+    with tempfile.TemporaryDirectory() as temporary:
+        scratch = options.scratch or Path(temporary)
+        seeds = {"fit": _seeds(options.fit), "report": _seeds(options.report)}
+        answers: dict[str, dict[str, list[Answered]]] = {"fit": {}, "report": {}}
+        for role, districts in seeds.items():
+            for seed in districts:
+                _build(scratch, seed, options.workers)
+            for method, seed in itertools.product(options.methods, districts):
+                of_method = answers[role].setdefault(method, [])
+                of_method += _answers(scratch, method, seed, neighbour(seed, districts), options)
+    told = {}
+    for method in options.methods:
+        told[method] = _told(method, METHODS[method]().calibration, answers["fit"][method], answers["report"][method])
+    print(json.dumps({"benchmark": "calibration", **told}))
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scratch", type=Path, help="folder that keeps datasets and answers; default: a temporary one")
+    parser.add_argument("--fit", default="51,52,53", help="seeds of the districts that are fitted")
+    parser.add_argument("--report", default="100,101,102", help="seeds of the districts that are reported")
+    parser.add_argument("--pairs", type=int, default=110, help="pairs of a district")
+    parser.add_argument("--different", type=int, default=50, help="pairs of different places of a district")
+    parser.add_argument("--workers", "-j", type=int, default=2, help="processes that render")
+    parser.add_argument("-m", dest="methods", action="append", choices=METHODS, help="default: all")
+    options = parser.parse_args()
+    options.methods = options.methods or list(METHODS)
+    return options
+
+
+def _seeds(text: str) -> list[int]:
+    seeds = [int(part) for part in text.split(",")]
+    unknown = [seed for seed in seeds if seed not in VALIDATION]
+    if unknown or len(seeds) < 2:
+        sys.exit(f"two or more districts of {', '.join(map(str, VALIDATION))} are needed, not {text}")
+    return seeds
+
+
+def neighbour(seed: int, seeds: Sequence[int]) -> int:
+    """The district whose images are shown as a different place: the one before, for the first one the one after."""
+    at = seeds.index(seed)
+    return seeds[at - 1] if at else seeds[1]
+
+
+def _build(scratch: Path, seed: int, workers: int) -> None:
+    split = "test" if seed in FORMER_TESTS else "validation"
+    words = (
+        "build-dataset", "synthetic", "--name", f"d{seed}", "--conditions", ",".join(VALIDATION[seed]),
+        "--cameras", CAMERA, "--size", "512x512", "--steps", 26, "--speed", 40, "--reference", "all",
+        "--split", split, "--seed", seed, "--correspondences", 0, "--out", _data(scratch, seed), "-j", workers, "-q",
+    )  # fmt: skip
+    subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True)
+
+
+def _data(scratch: Path, seed: int) -> Path:
+    return scratch / "data" / f"d{seed}"
+
+
+def _answers(scratch: Path, method: str, seed: int, other: int, options: argparse.Namespace) -> list[Answered]:
+    """The answers of a method to the pairs of a district, kept in a file of JSON lines."""
+    path = scratch / "answers" / f"{method}-{seed}-{options.pairs}-{options.different}.jsonl"
+    if not path.exists():
+        dataset, elsewhere = Dataset(_data(scratch, seed)), Dataset(_data(scratch, other))
+        tracker = METHODS[method]()
+        found = [
+            *ask(tracker, dataset, dataset, same_place(dataset, options.pairs, seed)),
+            *ask(tracker, dataset, elsewhere, different_places(dataset, elsewhere, options.different, seed)),
+        ]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(".part")
+        part.write_text("".join(f"{json.dumps(asdict(each))}\n" for each in found))
+        part.rename(path)
+    return [Answered(**json.loads(line)) for line in path.read_text().splitlines()]
+
+
+def same_place(dataset: Dataset, count: int, seed: int) -> list[Asked]:
+    """Pairs of near images of one district, drawn at random, nearer ones with larger probability."""
+    frames = _frames(dataset)
+    poses = {frame: dataset.traversal(frame[0]).T_world_cam(CAMERA, frame[1]) for frame in frames}
+    near, weights = [], []
+    for reference, query in itertools.permutations(frames, 2):
+        T_query_ref = invert(poses[query]) @ poses[reference]
+        metres = np.linalg.norm(poses[query][:3, 3] - poses[reference][:3, 3])
+        if metres <= FARTHEST_M and np.degrees(rotation_angle(T_query_ref[:3, :3])) <= WIDEST_DEG:
+            near.append(Asked(reference, query, T_query_ref))
+            weights.append(3.0 if metres < 2.0 else 1.0 if metres < 6.0 else 0.5)
+    share = np.array(weights) / np.sum(weights)
+    drawn = np.random.default_rng(seed).choice(len(near), min(count, len(near)), replace=False, p=share)
+    return sorted((near[i] for i in drawn), key=lambda pair: (pair.reference, pair.query))
+
+
+def different_places(dataset: Dataset, other: Dataset, count: int, seed: int) -> list[Asked]:
+    """Keyframes of one district with images of another, drawn at random."""
+    rng, keyframes, queries = np.random.default_rng(seed), _frames(dataset), _frames(other)
+    drawn = [(keyframes[rng.integers(len(keyframes))], queries[rng.integers(len(queries))]) for _ in range(count)]
+    return [Asked(reference, query, None) for reference, query in sorted(drawn)]
+
+
+def _frames(dataset: Dataset) -> list[Frame]:
+    return [(name, time) for name in dataset.traversal_names for time in dataset.traversal(name).timestamps(CAMERA)]
+
+
+def ask(tracker: Any, dataset: Dataset, queries: Dataset, pairs: Iterable[Asked]) -> Iterator[Answered]:
+    """The answers of a tracker to pairs of keyframes of one dataset and images of another."""
+    for reference, of_reference in itertools.groupby(pairs, lambda pair: pair.reference):
+        prepared = tracker.prepare(dataset.traversal(reference[0]).reference(CAMERA, reference[1]))
+        for pair in of_reference:
+            query: Query = queries.traversal(pair.query[0]).query(CAMERA, pair.query[1])
+            result: TrackResult = tracker.track(prepared, query)
+            numbers = {name: value for name, value in result.info.items() if isinstance(value, int | float)}
+            yield Answered(pair.truth is None, result.answered, _right(result, pair.truth), numbers)
+
+
+def _right(result: TrackResult, truth: Array | None) -> bool:
+    if result.T_query_ref is None or truth is None:
+        return False
+    errors = pose_errors(result.T_query_ref[None], truth[None])
+    return bool(errors.translation_error_m[0] <= 0.25 and errors.rotation_error_deg[0] <= 2.0)
+
+
+def fit(evidence: Array, right: NDArray[np.bool_], names: Sequence[str], caution: float = 1.0) -> Calibration:
+    """Fit a logistic regression whose weights are not negative to evidence (N, D) of answers that are right or wrong.
+
+    Minimised is the mean log loss, in which a wrong answer counts ``caution`` times, with a little of the squared
+    weights so that evidence that separates right from wrong without any exception has finite ones.
+    """
+    middle, spread = evidence.mean(axis=0), np.maximum(evidence.std(axis=0), 1e-12)
+    scaled, sign = (evidence - middle) / spread, np.where(right, 1.0, -1.0)
+    share = np.where(right, 1.0, caution)
+    share /= share.sum()
+
+    def loss(free: Array) -> tuple[float, Array]:
+        margin = sign * (free[0] + scaled @ free[1:])
+        slope = -sign * expit(-margin) * share
+        value = float(share @ np.logaddexp(0.0, -margin) + RIDGE * np.sum(free[1:] ** 2))
+        return value, np.concatenate([[slope.sum()], scaled.T @ slope + 2.0 * RIDGE * free[1:]])
+
+    bounds = [(None, None), *[(0.0, None)] * len(names)]
+    found = minimize(loss, np.zeros(1 + len(names)), jac=True, method="L-BFGS-B", bounds=bounds).x
+    weights = found[1:] / spread
+    return Calibration(float(found[0] - weights @ middle), dict(zip(names, weights.tolist(), strict=True)))
+
+
+def _told(method: str, kept: Calibration, fitted: list[Answered], reported: list[Answered]) -> dict[str, Any]:
+    """Print what was fitted for a method and what it is worth; the same as a mapping."""
+    names = list(kept.weights)
+    given = [each for each in fitted if each.answered]
+    evidence = np.array([[each.info[name] for name in names] for each in given]).reshape(-1, len(names))
+    right = np.array([each.right for each in given], dtype=bool)
+    found = fit(evidence, right, names, CAUTION)
+    weights = ", ".join(f'"{name}": {weight:.4g}' for name, weight in found.weights.items())
+    print(f"\n## {method}\n\nfitted to {len(given)} answers: Calibration({found.offset:.4g}, {{{weights}}})\n")
+    print(f"| {names[0]} at least | right refused, % | wrong refused, % |\n|---|---|---|")
+    for limit in np.quantile(evidence[~right, 0], (0.25, 0.5, 0.75, 0.9, 1.0)) if np.any(~right) else ():
+        refused = evidence[:, 0] < limit
+        print(f"| {limit:.4g} | {_percent(refused[right])} | {_percent(refused[~right])} |")
+    worth = {"found": {"offset": found.offset, **found.weights}}
+    for role, answers in (("fit", fitted), ("report", reported)):
+        worth[role] = reliability(answers, kept)
+        print(f"\n{role}: {json.dumps({key: value for key, value in worth[role].items() if key != 'bins'})}\n")
+        print("| confidence | answers | mean confidence | right, % |\n|---|---|---|---|")
+        for row in worth[role]["bins"]:
+            cells = f"{row['from']:g} to {row['to']:g}", str(row["answers"]), f"{row['mean']:.2f}"
+            print(f"| {' | '.join(cells)} | {100 * row['right']:.0f} |")
+    return worth
+
+
+def _percent(chosen: NDArray[np.bool_]) -> str:
+    return f"{100 * np.mean(chosen):.1f}" if len(chosen) else "-"
+
+
+def reliability(answers: Sequence[Answered], calibration: Calibration) -> dict[str, Any]:
+    """How often answers of each confidence are right, and what is wrong among those of at least 0.5."""
+    confidence = np.array([calibration.confidence(a.info) if a.answered else 0.0 for a in answers])
+    answered, right, different = (
+        np.array([getattr(a, name) for a in answers], dtype=bool) for name in ("answered", "right", "different")
+    )
+    sure = answered & (confidence >= 0.5)
+    rows = []
+    for low, high in itertools.pairwise(EDGES):
+        within = answered & (confidence >= low) & ((confidence < high) | (high == EDGES[-1]))
+        if np.any(within):
+            mean, share = float(confidence[within].mean()), float(right[within].mean())
+            rows.append({"from": low, "to": high, "answers": int(within.sum()), "mean": mean, "right": share})
+    return {
+        "pairs of one place": int(np.sum(~different)),
+        "right": int(right.sum()),
+        "sure": int(sure.sum()),
+        "precision of sure ones": float(right[sure].mean()) if np.any(sure) else None,
+        "right ones that are sure": float(sure[right].mean()) if np.any(right) else None,
+        "pairs of different places": int(different.sum()),
+        "sure of different places": float(sure[different].mean()) if np.any(different) else None,
+        "bins": rows,
+    }
+
+
+if __name__ == "__main__":
+    main()
