@@ -31,6 +31,13 @@ SHOWN = (
 )
 _SUMMARISED = ("coverage", *(name for name in SHOWN if "auc" in name or "recall" in name))
 """the metrics of the summary, besides the ranking metric"""
+_OF_CONFIDENCE = (
+    "coverage",
+    "wrong_of_answered@(0.25m,2deg)",
+    "aurc@(0.25m,2deg)",
+    "coverage_at_precision_95@(0.25m,2deg)",
+    "coverage_at_precision_99@(0.25m,2deg)",
+)
 _HEADINGS = {
     "median_translation_error_m": "median, m",
     "median_rotation_error_deg": "median, °",
@@ -55,6 +62,7 @@ def markdown(board: Board, *, plots: bool) -> str:
         plots=plots,
         marks=MARKS,
         summary=_summary(board),
+        confidence=_totals(board, [metric_named(name) for name in _OF_CONFIDENCE]),
         several=len(at_hand) > 1,
         datasets=[_dataset(board, dataset, plots) for dataset in board.datasets],
         commands=[
@@ -116,7 +124,11 @@ def _renamed(method: Method) -> bool:
 
 def _summary(board: Board) -> str:
     """The page's first table: a row for each total and method; empty where nothing was run."""
-    metrics = [m for m in shown_metrics(board) if m.name in (*_SUMMARISED, board.metric.name)]
+    return _totals(board, [m for m in shown_metrics(board) if m.name in (*_SUMMARISED, board.metric.name)])
+
+
+def _totals(board: Board, metrics: Sequence[Metric]) -> str:
+    """A table with a row for each total and method; empty where nothing was run."""
     rows = []
     for dataset in board.datasets:
         for table in dataset.totals:
