@@ -103,7 +103,7 @@ class _Asked:
         return {"broke": self._tracker.prepare(keyframe)}, []
 
     def show(self, views: list[Query]) -> tuple[Any, Arrays]:
-        """Receive the queries that the next question is about, so that its time does not contain their transfer."""
+        """Receive the queries that the next question is about."""
         self._shown = views
         return {}, []
 

@@ -104,7 +104,9 @@ def show_keyframe(unit: Unit, tracker: TrackerHandle) -> str | None:
     if tracker.declared.neighbours_fault:
         return tracker.declared.neighbours_fault
     traversal = traversal_of(unit.dataset, unit.reference)
-    keyframe = traversal.reference(unit.camera, unit.keys[0][0], tracker.declared.neighbours)
+    # Where queries are of the keyframe's own drive, its posed neighbours are queries, or stand around one.
+    neighbours = 0 if unit.reference == unit.query else tracker.declared.neighbours
+    keyframe = traversal.reference(unit.camera, unit.keys[0][0], neighbours)
     with step(PREPARE, unit.keys, MANY_TIMES):
         return tracker.prepare(shown_reference(keyframe, unit.shown.times))
 

@@ -58,7 +58,7 @@ class Describer:
     Args:
         retriever: constructed, and fitted if it can be; or a handle that calls one in another process.
         shared: identities of the images whose descriptors are cached.
-        salt: of the digests that the retriever sees in place of keys.
+        salt: of the digests that the retriever sees in place of keys, and of the order of images.
     """
 
     def __init__(
@@ -80,14 +80,15 @@ class Describer:
             DatasetError: an image cannot be read.
             MethodError: the method reports that it cannot go on.
         """
+        order = mixed(len(images), self._salt)
         out: list[_One] = []
-        for batch in chunks(images, BATCH):
+        for batch in chunks([images[index] for index in order], BATCH):
             new = list({identity(image): image for image in batch if identity(image) not in self._known}.values())
             fresh = dict(zip(map(identity, new), self._batch(new), strict=True))
             self._known |= {key: one for key, one in fresh.items() if key in self._shared}
             out += [fresh.get(identity(image)) or self._known[identity(image)] for image in batch]
             advance(len(batch))
-        return _stacked(out)
+        return _stacked([out[index] for index in np.argsort(order)])
 
     def knows(self, images: Iterable[ImageView]) -> bool:
         """Whether the descriptors of all these images are cached."""
@@ -122,6 +123,13 @@ def _local_handle(retriever: Any) -> RetrieverHandle:
     return LocalRetriever(retriever)
 
 
+def mixed(count: int, salt: str) -> NDArray[np.intp]:
+    """The order in which a method sees images, which otherwise are in the order of a drive; as given without a salt."""
+    if not salt:
+        return np.arange(count)
+    return np.random.default_rng(list(hashlib.sha256(salt.encode()).digest())).permutation(count)
+
+
 def anonymous(images: Iterable[ImageView], salt: str = "") -> Iterator[ImageView]:
     """Yield the views that a method gets, whose keys are digests: a path may name the place, a digest does not.
 
@@ -140,11 +148,12 @@ def _read_only(read: Callable[[], Image]) -> Image:
 class AnonymousViews(Sequence[ImageView]):
     """A gallery for ``fit`` that can be indexed in any order; it keeps no image in memory."""
 
-    def __init__(self, images: Sequence[ImageView], salt: str = "") -> None:
+    def __init__(self, images: Sequence[ImageView], salt: str = "", order: NDArray[np.intp] | None = None) -> None:
         self._images, self._salt = images, salt
+        self._order = mixed(len(images), salt) if order is None else order
 
     def __len__(self) -> int:
-        return len(self._images)
+        return len(self._order)
 
     @overload
     def __getitem__(self, index: int) -> ImageView: ...
@@ -152,8 +161,8 @@ class AnonymousViews(Sequence[ImageView]):
     def __getitem__(self, index: slice) -> Sequence[ImageView]: ...
     def __getitem__(self, index: int | slice) -> ImageView | Sequence[ImageView]:
         if isinstance(index, slice):
-            return AnonymousViews(self._images[index], self._salt)
-        return next(anonymous([self._images[index]], self._salt))
+            return AnonymousViews(self._images, self._salt, self._order[index])
+        return next(anonymous([self._images[self._order[index]]], self._salt))
 
 
 def identity(image: ImageView) -> str:

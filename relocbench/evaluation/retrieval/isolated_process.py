@@ -57,7 +57,7 @@ class _Asked:
         return _answer(lambda: (None, *self._retriever.fit(_Gallery(gallery, self._connection), seed)[1:]))
 
     def show(self, images: list[tuple[str, str, Image]]) -> tuple[Any, Arrays]:
-        """Receive the images that the next question is about, so that its time does not contain their transfer."""
+        """Receive the images that the next question is about."""
         self._shown = [ImageView(key, view, partial(read_only, image)) for key, view, image in images]
         for each in self._shown:
             each.image  # noqa: B018  kept in the view

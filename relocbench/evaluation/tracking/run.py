@@ -95,6 +95,12 @@ def run_method(
             reporter.note(f"{spec.label} keeps its earlier answers: {fault}")
             return folder
         _clear(folder, pair_sets)
+    if overwrite == "failed" and (matched := [s.name for s in pair_sets if folder.matching(s.name).exists()]):
+        raise PredictionError(
+            "matching quality was measured after these answers, with starts around the true pixels; asking again where "
+            "the method failed would mix answers from before and after: use --overwrite always",
+            folder.matching(matched[0]),
+        )
     todo = {s.name: _open_pairs(folder, s, overwrite) for s in pair_sets}
     refuse_mixture(folder, record, work_left=any(todo.values()))
     if not any(todo.values()) and all(folder.complete(s.name) for s in pair_sets):

@@ -173,9 +173,8 @@ def paired_difference(
     adjusted, variance = with_two_pairs(mean, _variance_of_one(difference), largest, size)
     half = float(stdtrit(size - 1, (1 + level) / 2)) * math.sqrt(variance)
     half_between = _between_sets(difference, level)
-    return Difference(
-        mean, Interval(min(adjusted - half, mean - half_between), max(adjusted + half, mean + half_between), level)
-    )
+    low, high = min(adjusted - half, mean - half_between), max(adjusted + half, mean + half_between)
+    return Difference(mean, Interval(max(low, -1.0), min(high, 1.0), level))
 
 
 def with_two_pairs(mean: float, variance: float, largest: float, size: float) -> tuple[float, float]:

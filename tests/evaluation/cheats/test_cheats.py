@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cheating_retrievers import KeyGuesser
+from cheating_retrievers import KeyGuesser, MeanGrey
 from cheating_trackers import FRAMES
-from small_dataset import ACROSS, make_small_dataset
+from small_dataset import ACROSS, WITHIN, make_small_dataset
 from small_views import make_small_views
 
 from relocbench.datasets.core.dataset import Dataset
@@ -18,7 +18,7 @@ from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import MethodError, RelocbenchError
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.results import Answer, MethodResults, read_answers
-from relocbench.evaluation.retrieval.describe import anonymous
+from relocbench.evaluation.retrieval.describe import AnonymousViews, Describer, anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.progress import Silent
@@ -147,3 +147,23 @@ def test_keys_without_a_salt_would_be_guessed(tmp_path: Path) -> None:
     guesser = KeyGuesser()
     guesser.describe(list(anonymous(queries)))
     assert guesser.info["found"] == sorted(view.key for view in queries)
+
+
+def test_frames_of_the_querys_own_drive_are_not_shown_as_neighbours(dataset: Dataset, tmp_path: Path) -> None:
+    for name, shown in ((ACROSS, True), (WITHIN, False)):
+        (cheat,) = evaluate(dataset, tmp_path / name, f"cheat={HERE}:Neighbours", pair_sets=(name,))
+        found = [json.loads(answer.info)["found"] for answer in read_answers(cheat.answers(name)).values()]
+        assert any(found) is shown
+
+
+def test_retrievers_see_images_in_an_order_that_says_nothing(tmp_path: Path) -> None:
+    opened = open_cross_view(make_small_views(tmp_path / "views"))
+    gallery = opened.tasks()[0].gallery
+    names = {next(anonymous([view], "salt")).key: index for index, view in enumerate(gallery)}
+    seen = [names[view.key] for view in AnonymousViews(gallery, "salt")]
+    assert seen != sorted(seen)
+    assert sorted(seen) == list(range(len(gallery)))
+    assert [names[view.key] for view in AnonymousViews(gallery, "salt")[2:5]] == seen[2:5]
+    described = Describer(MeanGrey(), salt="salt")(gallery, lambda count: None)
+    given = Describer(MeanGrey())(gallery, lambda count: None)
+    np.testing.assert_array_equal(described.values, given.values)
