@@ -335,7 +335,7 @@ def read_answers(path: Path) -> dict[PairKey, Answer]:
         key = row.key()
         if key in out:
             raise row.fault(f"pair {key[0]} {key[1]} occurs again")
-        seconds, confidence = map(row.number_or_none, ("seconds", "confidence"))
+        seconds, confidence = row.seconds_or_none(), row.number_or_none("confidence")
         out[key] = Answer(key, row.status(), seconds, confidence, row["message"], row["info"])
     return out
 

@@ -16,6 +16,7 @@ from relocbench.files import atomic_write, parse_count, parse_floats, parse_time
 
 STATUSES = ("ok", "failed", "error")
 """the method answered; it reported a failure; it raised, crashed or broke the contract"""
+_YEAR_S = 366 * 86400.0
 KEY_COLUMNS = ("ref_timestamp_ns", "query_timestamp_ns")
 CHUNK_ROWS = 8192
 """rows that are converted at a time: their text takes some 10 MB, however long the table is"""
@@ -57,6 +58,13 @@ class TableRow:
     def number_or_none(self, name: str) -> float | None:
         """A finite number, or None for a blank field."""
         return self.number(name) if self[name] else None
+
+    def seconds_or_none(self) -> float | None:
+        """The seconds of an answer, from 0 to a year, or None for a blank field."""
+        seconds = self.number_or_none("seconds")
+        if seconds is not None and not 0 <= seconds <= _YEAR_S:
+            raise self.fault(f"seconds is {self['seconds'][:60]}, expected a time of at least 0 and at most a year")
+        return seconds
 
     def error(self, name: str) -> float:
         """An error: a number of at least 0, or ``inf``."""

@@ -119,6 +119,6 @@ def _answer(row: TableRow) -> ChainAnswer:
         translation_error_m=row.error("translation_error_m"),
         mlad_translation_error_m=row.error("mlad_translation_error_m"),
         confidence=row.number_or_none("confidence"),
-        seconds=row.number_or_none("seconds"),
+        seconds=row.seconds_or_none(),
         message=row["message"],
     )

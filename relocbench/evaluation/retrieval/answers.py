@@ -58,7 +58,7 @@ def read_answers(path: Path) -> list[QueryAnswer]:
         status, ranks, count = row.status(), _ranks(row), row.count("positives")
         if count < len(ranks):
             raise row.fault(f"{len(ranks)} ranks of {count} positives")
-        seconds = row.number_or_none("seconds")
+        seconds = row.seconds_or_none()
         out[query] = QueryAnswer(query, row["group"], status, count, ranks, seconds, row["message"])
     return list(out.values())
 

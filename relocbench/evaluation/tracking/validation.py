@@ -188,9 +188,10 @@ def _read_answers(path: Path, found: Findings) -> dict[PairKey, tuple[str, int]]
             out[key] = row["status"], row.line
             with found.catching():
                 row.status()
-            for name in ("seconds", "confidence"):
-                with found.catching():
-                    row.number_or_none(name)
+            with found.catching():
+                row.seconds_or_none()
+            with found.catching():
+                row.number_or_none("confidence")
     return out
 
 

@@ -45,6 +45,7 @@ from relocbench.progress import Reporter
 
 FLOOR = "identity"
 """the method that every other one is compared with"""
+_FLOOR_CLASS = "baselines.identity:Identity"
 SEED = "seed"
 
 
@@ -70,7 +71,7 @@ class Method:
     @property
     def is_floor(self) -> bool:
         """Whether the method is the identity pose, whatever its label."""
-        return self.run.target.removeprefix(PREDICTIONS) == FLOOR or self.run.target.endswith(":Identity")
+        return self.run.target.removeprefix(PREDICTIONS) in (FLOOR, _FLOOR_CLASS)
 
     @property
     def is_clock(self) -> bool:

@@ -20,7 +20,7 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
 from relocbench.errors import ConfigError, DatasetError, PredictionError
 from relocbench.evaluation.common.error_table import PairErrors
-from relocbench.evaluation.common.results import MethodResults
+from relocbench.evaluation.common.results import ANSWER_COLUMNS, MethodResults, read_answers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.evaluation.tracking.score import predictions_hash
 from relocbench.evaluation.tracking.validation import validate_results
@@ -326,3 +326,11 @@ def test_predictions_hash_covers_the_table_of_answers(results: Path) -> None:
     folder.answers(ACROSS).write_text(folder.answers(ACROSS).read_text().replace("ok", "failed", 1))
     assert predictions_hash(folder, ACROSS) != before
     assert refused(results, "changed since it was scored") == folder.predictions(ACROSS)
+
+
+@pytest.mark.parametrize("seconds", ["-1.0", "1e300", "nan"])
+def test_times_that_cannot_be_are_refused(tmp_path: Path, seconds: str) -> None:
+    path = tmp_path / "answers.csv"
+    path.write_text(f"{','.join(ANSWER_COLUMNS)}\n1,2,ok,{seconds},,,{{}}\n")
+    with pytest.raises(PredictionError, match="seconds"):
+        read_answers(path)
