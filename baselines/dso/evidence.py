@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.alignment import DSO_PATTERN, Level, LevelPoints
+from baselines.alignment.features.pyramid import sample
+from relocbench.arrays import Array, Mask
 from relocbench.geometry import apply
-
-Array = NDArray[np.float64]
 
 LARGEST_COUNT = 1000
 """points that are looked at, spread evenly over all"""
@@ -65,14 +65,9 @@ def correlations(
     return np.where(whole, alike, np.nan)
 
 
-def _read(level: Level, uv: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Intensities (N,) at pixels (N, 2), bilinear, 0 outside; and (N,) which pixels lie inside."""
+def _read(level: Level, uv: Array) -> tuple[Array, Mask]:
+    """Intensities (N,) at pixels (N, 2), and (N,) which pixels lie inside; the others have values of the border."""
     height, width = level.map.shape[:2]
     inside = np.all((uv >= 0) & (uv < [width - 1, height - 1]), axis=1)
-    u, v = np.where(inside[:, None], uv, 0.0).T
-    x, y = u.astype(np.intp), v.astype(np.intp)
-    right, down = u - x, v - y
-    grey = level.map[..., 0]
-    above = (1.0 - right) * grey[y, x] + right * grey[y, x + 1]
-    below = (1.0 - right) * grey[y + 1, x] + right * grey[y + 1, x + 1]
-    return np.where(inside, (1.0 - down) * above + down * below, 0.0), inside
+    within = np.clip(uv, 0, [width - 1, height - 1])
+    return sample(level.map[..., :1], within)[:, 0].astype(np.float64), inside

@@ -40,12 +40,12 @@ from baselines.calibration import Calibration
 from baselines.dso import Dso, DsoMultiStart
 from baselines.feature_pnp import OrbPnp, SiftPnp
 from baselines.gn_net.tracker import GnNet, GnNetContrastive, GnNetFromPrior, GnNetPnp, LmNet
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.geometry import invert, rotation_angle
 from relocbench.metrics import pose_errors
 from relocbench.tracking import Query, TrackResult
 
-Array = NDArray[np.float64]
 Frame = tuple[str, int]
 """traversal and timestamp of an image"""
 

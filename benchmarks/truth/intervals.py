@@ -28,14 +28,12 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.special import ndtr, ndtri
 
+from relocbench.arrays import Array
 from relocbench.metrics.statistics.intervals import Interval, mean_interval, median_interval, paired_difference
 from relocbench.metrics.statistics.ranks import different_methods, rank_with_ties
-
-Array = NDArray[np.float64]
 
 PAIRS = (16, 40, 64, 128, 360, 1000, 5000)
 CORRELATIONS = (0.0, 0.5, 0.8, 0.9, 0.95)

@@ -99,10 +99,10 @@ class MethodSpec:
 
         A program asks by the parameter of that name. Raises MethodError.
         """
-        if self.target.startswith(SUBPROCESS):
-            return bool(self.parameters.get("uses_times", False))
         if self.start is not None and self.start.uses_times():
             return True
+        if self.target.startswith(SUBPROCESS):
+            return bool(self.parameters.get("uses_times", False))
         return _declares(self.target, self.kind, "uses_times")
 
     def files(self) -> dict[str, str]:

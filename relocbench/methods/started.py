@@ -10,13 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relocbench.arrays import Array
 from relocbench.errors import raised
 from relocbench.tracking import Query, Reference, SupportsPrepare, TrackResult
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

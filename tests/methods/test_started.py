@@ -88,6 +88,12 @@ def test_a_start_of_a_start_and_files_of_both() -> None:
     assert set(parse_method("a=dso", ("start=gn-net",)).files()) == {"start.weights"}
 
 
+def test_a_program_that_starts_from_what_uses_times_uses_them() -> None:
+    program = "p=subprocess:python3 -c pass"
+    assert not parse_method(program, ("start=identity",)).uses_times()
+    assert parse_method(program, (f"start={HERE}:Shift",)).uses_times()
+
+
 @pytest.mark.parametrize(
     ("method", "settings", "message"),
     [

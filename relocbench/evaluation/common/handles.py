@@ -11,15 +11,11 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relocbench.arrays import Array
 from relocbench.evaluation.common.answers import CheckedAnswer, ask, checked_pixels
 from relocbench.evaluation.common.guard import guarded, implements, neighbours_of
 from relocbench.evaluation.common.views import read_only
 from relocbench.tracking import Query, Reference, SupportsBatch, SupportsLevelMatching, SupportsPrepare
-
-Array = NDArray[np.float64]
 
 _MOST_LEVELS = 32
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.errors import RelocbenchError, raised
 from relocbench.evaluation.common.answers import CheckedAnswer
 from relocbench.evaluation.common.framing import receive_question, send_answer
@@ -25,7 +26,6 @@ from relocbench.execution import pin_threads
 from relocbench.methods import MethodSpec
 from relocbench.tracking import Query, Reference
 
-Array = NDArray[np.float64]
 Arrays = Sequence[NDArray[np.floating]]
 
 _SET_PDEATHSIG = 1
@@ -97,27 +97,22 @@ class _Asked:
 
     def __init__(self, tracker: LocalTracker) -> None:
         self._tracker = tracker
-        self._shown: list[Query] = []
 
     def prepare(self, keyframe: Reference) -> tuple[Any, Arrays]:
         return {"broke": self._tracker.prepare(keyframe)}, []
 
-    def show(self, views: list[Query]) -> tuple[Any, Arrays]:
-        """Receive the queries that the next question is about."""
-        self._shown = views
-        return {}, []
-
-    def ask(self, order: list[int], priors: list[Array | None] | None) -> tuple[Any, Arrays]:
-        answers, _ = self._tracker.ask([self._shown[index] for index in order], priors)
+    def ask(self, different: list[Query], order: list[int], priors: list[Array | None] | None) -> tuple[Any, Arrays]:
+        """Answer one query for each place in ``order``, which may name a query several times, with several priors."""
+        answers, _ = self._tracker.ask([different[index] for index in order], priors)
         poses = [answer.T_query_ref for answer in answers if answer.T_query_ref is not None]
         return [_words(answer) for answer in answers], poses
 
-    def match(self, uv_ref: Array, uv_start: Array) -> tuple[Any, Arrays]:
-        ends, broke = self._tracker.match(self._shown[0], uv_ref, uv_start)
+    def match(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Any, Arrays]:
+        ends, broke = self._tracker.match(query, uv_ref, uv_start)
         return {"broke": broke}, [] if ends is None else [ends]
 
-    def match_levels(self, uv_ref: Array, uv_start: Array) -> tuple[Any, Arrays]:
-        levels, broke = self._tracker.match_levels(self._shown[0], uv_ref, uv_start)
+    def match_levels(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Any, Arrays]:
+        levels, broke = self._tracker.match_levels(query, uv_ref, uv_start)
         return {"broke": broke}, levels
 
 

@@ -7,17 +7,13 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relocbench.arrays import Array
 from relocbench.errors import MethodError, one_line
 from relocbench.evaluation.common.answers import CheckedAnswer, checked_answer, checked_pixels, error_answer
 from relocbench.evaluation.common.handles import Declared
 from relocbench.evaluation.common.method_process import FORGED, MethodProcess, broke_of
 from relocbench.methods import MethodSpec
 from relocbench.tracking import Query, Reference, TrackResult
-
-Array = NDArray[np.float64]
 
 _MODULE = "relocbench.evaluation.common.isolated_process"
 
@@ -42,20 +38,18 @@ class IsolatedTracker:
         different = list({id(view): view for view in views}.values())
         places = {id(view): place for place, view in enumerate(different)}
         order = [places[id(view)] for view in views]
+        question = ("ask", (different, order, None if priors is None else list(priors)))
         start = time.perf_counter()  # before the method's process gets the images, where it might begin to work
-        self._process.ask(("show", (different,)))
-        told, poses = self._process.ask(("ask", (order, None if priors is None else list(priors))))
+        told, poses = self._process.ask(question)
         seconds = time.perf_counter() - start
         return _answers(told, poses, len(views)), seconds
 
     def match(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[Array | None, str | None]:
-        self._process.ask(("show", ([query],)))
-        told, ends = self._process.ask(("match", (uv_ref, uv_start)))
+        told, ends = self._process.ask(("match", (query, uv_ref, uv_start)))
         return checked_pixels(ends[0] if ends else None, broke_of(told), len(uv_ref))
 
     def match_levels(self, query: Query, uv_ref: Array, uv_start: Array) -> tuple[list[Array], str | None]:
-        self._process.ask(("show", ([query],)))
-        told, levels = self._process.ask(("match_levels", (uv_ref, uv_start)))
+        told, levels = self._process.ask(("match_levels", (query, uv_ref, uv_start)))
         found = []
         for ends in levels:
             pixels, fault = checked_pixels(ends, None, len(uv_ref))

@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.evaluation.common.answers import error_answer
 from relocbench.evaluation.common.handles import TrackerHandle
@@ -23,7 +24,6 @@ from relocbench.geometry import invert, make_transform, rotation_angle, so3_exp
 from relocbench.metrics import Difference, paired_difference, pose_errors, within
 from relocbench.tracking import Query
 
-Array = NDArray[np.float64]
 Kind = Literal["keyframe", "mirrored", "random"]
 
 KINDS: tuple[Kind, ...] = ("keyframe", "mirrored", "random")

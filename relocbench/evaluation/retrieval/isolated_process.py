@@ -20,6 +20,8 @@ from relocbench.retrieval import Descriptors, Image, ImageView
 
 Named = tuple[str, str]
 """key and view of an image"""
+Shown = tuple[str, str, Image]
+"""key and view of an image, and the image"""
 
 
 def main(descriptor: int, parent: int) -> None:
@@ -48,7 +50,6 @@ class _Asked:
     def __init__(self, retriever: LocalRetriever, connection: Connection) -> None:
         self._retriever = retriever
         self._connection = connection
-        self._shown: list[ImageView] = []
 
     def info(self) -> tuple[Any, Arrays]:
         return {"info": self._retriever.info}, []
@@ -56,18 +57,11 @@ class _Asked:
     def fit(self, gallery: list[Named], seed: int) -> tuple[Any, Arrays]:
         return _answer(lambda: (None, *self._retriever.fit(_Gallery(gallery, self._connection), seed)[1:]))
 
-    def show(self, images: list[tuple[str, str, Image]]) -> tuple[Any, Arrays]:
-        """Receive the images that the next question is about."""
-        self._shown = [ImageView(key, view, partial(read_only, image)) for key, view, image in images]
-        for each in self._shown:
-            each.image  # noqa: B018  kept in the view
-        return {}, []
+    def warm_up(self, images: list[Shown]) -> tuple[Any, Arrays]:
+        return _answer(lambda: self._retriever.warm_up(_views(images)))
 
-    def warm_up(self) -> tuple[Any, Arrays]:
-        return _answer(lambda: self._retriever.warm_up(self._shown))
-
-    def describe(self) -> tuple[Any, Arrays]:
-        return _answer(lambda: self._retriever.describe(self._shown))
+    def describe(self, images: list[Shown]) -> tuple[Any, Arrays]:
+        return _answer(lambda: self._retriever.describe(_views(images)))
 
     def rerank(self, query: Descriptors, candidates: Descriptors) -> tuple[Any, Arrays]:
         return _answer(lambda: self._retriever.rerank(query, candidates))
@@ -100,6 +94,10 @@ class _Gallery(Sequence[ImageView]):
             self._connection.answer({NEEDS: index})
             image: NDArray[np.uint8] = self._connection.question()
         return read_only(image)
+
+
+def _views(images: Sequence[Shown]) -> list[ImageView]:
+    return [ImageView(key, view, partial(read_only, image)) for key, view, image in images]
 
 
 def _answer(call: Callable[[], CallResult]) -> tuple[Any, Arrays]:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PoseLine, write_pose_lines
@@ -26,8 +27,6 @@ from relocbench.evaluation.common.results import (
     write_record,
 )
 from relocbench.geometry import se3_exp, se3_log
-
-Array = NDArray[np.float64]
 
 CLOCK = "clock"
 TARGET = "floor:clock"

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from relocbench.arrays import Array
 
 MIN_EFFECTIVE = 10.0
 """effective pairs below which nothing is said"""

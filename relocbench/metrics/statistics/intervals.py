@@ -25,11 +25,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relocbench.arrays import Array
 from relocbench.metrics.statistics.effective_size import inflation_of
-
-Array = NDArray[np.float64]
 
 LEVEL = 0.95
 MANY_SETS = 8

@@ -18,8 +18,9 @@ import zlib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relocbench.arrays import Array, Mask
 from relocbench.metrics.statistics.effective_size import (
     Inflation,
     difference_inflation,
@@ -27,9 +28,6 @@ from relocbench.metrics.statistics.effective_size import (
     or_prior,
 )
 from relocbench.metrics.statistics.intervals import LEVEL, mean_of_means, pairs_in_equal_sets
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 DRAWS = 10_000
 """random draws for a critical value"""

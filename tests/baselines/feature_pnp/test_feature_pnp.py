@@ -178,7 +178,10 @@ def test_a_keyframe_without_depth_is_a_stated_failure(tracker: OrbPnp) -> None:
 
 
 def test_another_pose_that_as_many_matches_hold_is_a_rival() -> None:
-    """Of 120 points 70 are seen from one place and 50, or 5, from another: the lead over it is what counts."""
+    """Matches of 70 points fit one pose, and those of 50 (or 5) other points a pose 0.4 m beside it.
+
+    ``rival_inliers`` counts the matches of the second pose; where all matches fit the first, there is no rival.
+    """
     rng = np.random.default_rng(4)
     points = rng.uniform([-1.5, -1.0, 4.0], [1.5, 1.0, 9.0], (120, 3))
     here, there = (
