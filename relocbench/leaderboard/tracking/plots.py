@@ -160,11 +160,12 @@ def _curve(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> Curve
     value = row.values[board.metric.name]
     name = _shown(method.label)
     label = f"{name}  {100 * value:.1f} %" if value is not None else name
-    label = f"{label} (floor)" if method.is_floor else label
+    floor = method.is_floor or method.is_clock
+    label = f"{label} (floor)" if floor else label
     metres = _steps(errors.translation_error_m, LIMIT_M)
     degrees = _steps(errors.rotation_error_deg, LIMIT_DEG)
     look = _look(dataset, method)
-    return Curve(label, metres[0], degrees[0], metres[1], degrees[1], *look, 1.6 if method.is_floor else 1.8)
+    return Curve(label, metres[0], degrees[0], metres[1], degrees[1], *look, 1.6 if floor else 1.8)
 
 
 def _steps(error: Array, limit: float) -> tuple[Array, Array]:
@@ -183,9 +184,10 @@ def _shown(name: str, times: int = 1) -> str:
 
 def _look(dataset: DatasetBoard, method: Method) -> tuple[str, Style]:
     """The colour and line style of a method, the same in all pictures of a dataset."""
-    if method.is_floor:
-        return FLOOR_COLOUR, (0, (4, 2))
-    place = [m.label for m in dataset.entry.methods if not m.is_floor].index(method.label)
+    if method.is_floor or method.is_clock:
+        return FLOOR_COLOUR, (0, (4, 2)) if method.is_floor else (0, (1, 1.5))
+    methods = [m.label for m in dataset.entry.methods if not (m.is_floor or m.is_clock)]
+    place = methods.index(method.label)
     return COLOURS[place % len(COLOURS)], STYLES[place // len(COLOURS) % len(STYLES)]
 
 
