@@ -1,6 +1,12 @@
 """Metrics of poses and of retrieval, with curves, summaries and significance. They use geometry alone and do no I/O."""
 
-from relocbench.metrics.pose.confidence import PrecisionRecall, precision_recall, risk_coverage_area
+from relocbench.metrics.pose.confidence import (
+    PrecisionRecall,
+    RiskCoverage,
+    precision_recall,
+    risk_coverage,
+    risk_coverage_area,
+)
 from relocbench.metrics.pose.curves import CumulativeCurve, area_shares, cumulative_curve
 from relocbench.metrics.pose.errors import PoseErrors, pose_errors
 from relocbench.metrics.pose.failure_policy import (
@@ -82,6 +88,7 @@ __all__ = [
     "Relevance",
     "RetrievalScores",
     "RetrievalSummary",
+    "RiskCoverage",
     "Spread",
     "TableCheck",
     "TableFault",
@@ -115,6 +122,7 @@ __all__ = [
     "relevance_from_labels",
     "relevance_from_lists",
     "relevance_within",
+    "risk_coverage",
     "risk_coverage_area",
     "score_retrieval",
     "single_positive_fault",

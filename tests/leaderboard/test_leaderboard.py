@@ -248,6 +248,16 @@ def test_medians_of_a_total_are_those_of_all_pairs_together(tmp_path: Path) -> N
     assert values["coverage"] == 0.75
 
 
+def test_what_confidences_are_worth_in_total_is_that_of_all_pairs_together(tmp_path: Path) -> None:
+    results = MadeResults(tmp_path / "results", {WINTER: 9, NIGHT: 3})
+    results.write_dataset()
+    one_wrong = Made([0.9, np.inf, np.inf], [0.9, np.inf, np.inf])
+    results.add("mine", {WINTER: Made([0.1] * 9, [1.0] * 9), NIGHT: one_wrong})
+    values = row(results.board(), "total", "mine").values
+    assert row(results.board(), NIGHT, "mine").values["wrong_of_answered@(0.25m,2deg)"] == 1.0
+    assert values["wrong_of_answered@(0.25m,2deg)"] == pytest.approx(1 / 10)
+
+
 def test_pair_sets_of_one_drive_have_totals_of_their_own(tmp_path: Path) -> None:
     splits: dict[str, tuple[str, ...]] = {"test": (SAME, WINTER, NIGHT)}
     results = MadeResults(tmp_path / "results", {SAME: 30, WINTER: 20, NIGHT: 10}, splits=splits)

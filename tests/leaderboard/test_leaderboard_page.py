@@ -20,6 +20,7 @@ from relocbench.evaluation.common.results import RunRecord
 from relocbench.files import dump_yaml, load_yaml_values, write_text
 from relocbench.leaderboard import write_leaderboard
 from relocbench.leaderboard.tracking.load import evaluate_command
+from relocbench.leaderboard.tracking.plots import risk_picture
 
 
 def page_of(results: MadeResults, out: Path, *, plots: bool = False) -> str:
@@ -189,6 +190,31 @@ def test_each_pair_set_has_a_picture_in_which_curves_rise(one_set: MadeResults, 
     heights = [np.median(np.nonzero(np.all(left[:, end - 30 : end] == c, axis=-1))[0]) for c in (blue, grey)]
     assert heights[0] < heights[1]  # image rows count downwards: the better method's curve ends higher
     assert b"Software" not in (tmp_path / "out" / name).read_bytes()
+
+
+def test_each_total_has_a_picture_of_what_confidences_are_worth(one_set: MadeResults, tmp_path: Path) -> None:
+    one_set.add("identity", {WINTER: made(2, 100, 0.8)})
+    one_set.add("silent", {WINTER: Made([np.inf] * 100, [np.inf] * 100)})
+    page = page_of(one_set, tmp_path / "out", plots=True)
+    name = f"curves/{TITLE}__total.confidence.png"
+    assert f"({name.replace('@', '%40')})" in page
+    assert cv2.imread(str(tmp_path / "out" / name)) is not None
+    board = one_set.board()
+    picture = risk_picture(board.datasets[0], board.datasets[0].totals[0])
+    assert [line[0] for line in picture.lines] == ["good"]
+    _, coverage, risk, _, _ = picture.lines[0]
+    # Answers without confidences are kept all or none.
+    assert coverage.tolist() == [100.0]
+    assert risk[0] == pytest.approx(100 - 100 * (row(board, WINTER, "good").values["recall@(0.25m,2deg)"] or 0))
+
+
+def test_without_an_answer_there_is_no_picture_of_confidences(tmp_path: Path) -> None:
+    results = MadeResults(tmp_path / "results", {WINTER: 20})
+    results.write_dataset()
+    results.add("silent", {WINTER: Made([np.inf] * 20, [np.inf] * 20)})
+    page = page_of(results, tmp_path / "out", plots=True)
+    assert "confidence.png" not in page
+    assert not list((tmp_path / "out" / "curves").glob("*.confidence.png"))
 
 
 def run_command(*arguments: str) -> tuple[int, str, BaseException | None]:

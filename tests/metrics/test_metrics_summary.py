@@ -23,6 +23,7 @@ from relocbench.metrics import (
     metric_named,
     pose_errors,
     precision_recall,
+    risk_coverage,
     risk_coverage_area,
     spread_over_seeds,
     summarize,
@@ -269,6 +270,20 @@ def test_risk_coverage_area_hand_value() -> None:
     # Surest first: right, wrong, right, (no answer): risks 0, 1/2, 1/3, 2/4 at coverages of 1, 2, 3 and 4 pairs.
     area = risk_coverage_area([True, False, True, False], [True, True, True, False], [0.9, 0.8, 0.7, 0.99])
     assert area == pytest.approx((0 + 1 / 2 + 1 / 3 + 2 / 4) / 4)
+
+
+@given(st.integers(1, 30), st.integers(0, 2**32 - 1))
+def test_the_risk_coverage_curve_ends_at_all_answers(n: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    correct, answered = rng.random(n) < 0.5, rng.random(n) < 0.8
+    correct &= answered
+    curve = risk_coverage(correct, answered, rng.integers(0, 5, n).astype(float))
+    assert np.all(np.diff(curve.coverage) > 0)
+    if answered.any():
+        assert curve.coverage[-1] == pytest.approx(answered.mean())
+        assert curve.risk[-1] == pytest.approx(1 - correct.sum() / answered.sum())
+    else:
+        assert len(curve.coverage) == 0
 
 
 def test_equal_confidences_have_the_mean_area_of_all_their_orders() -> None:

@@ -63,6 +63,12 @@ def markdown(board: Board, *, plots: bool) -> str:
         marks=MARKS,
         summary=_summary(board),
         confidence=_totals(board, [metric_named(name) for name in _OF_CONFIDENCE]),
+        risks=[
+            (f"{dataset.entry.title}, {_total_name(table)}", quote(risk_file(dataset, table)))
+            for dataset in board.datasets
+            for table in dataset.totals
+            if plots and has_risks(table)
+        ],
         several=len(at_hand) > 1,
         datasets=[_dataset(board, dataset, plots) for dataset in board.datasets],
         commands=[
@@ -82,6 +88,19 @@ def curve_file(dataset: DatasetBoard, table: Table) -> str:
 def has_curves(table: Table) -> bool:
     """Whether any method has a curve on the pair set."""
     return any(not row.missing for row in table.rows)
+
+
+def risk_file(dataset: DatasetBoard, table: Table) -> str:
+    """The path of the picture of a total's risk-coverage curves, relative to the page."""
+    split = f"__{table.split}" if table.split else ""
+    return f"curves/{dataset.entry.title}__{table.pair_set}{split}.confidence.png"
+
+
+def has_risks(table: Table) -> bool:
+    """Whether any method but the floors has answered a pair of the total."""
+    return any(
+        not row.missing and row.answered and not (row.method.is_floor or row.method.is_clock) for row in table.rows
+    )
 
 
 def shown_metrics(board: Board) -> list[Metric]:

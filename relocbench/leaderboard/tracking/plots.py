@@ -1,4 +1,5 @@
-"""Plots of cumulative error curves (the share of all pairs against the error) and of matching quality."""
+"""Plots of cumulative error curves (the share of all pairs against the error), of what confidences are worth, and of
+matching quality."""
 
 from __future__ import annotations
 
@@ -18,9 +19,9 @@ from numpy.typing import NDArray
 from relocbench.evaluation.common.matching_table import OFFSETS_PX
 from relocbench.leaderboard.tracking.load import Method
 from relocbench.leaderboard.tracking.matching import matching_lines
-from relocbench.leaderboard.tracking.model import Board, DatasetBoard, Row, Table
-from relocbench.metrics import cumulative_curve
-from relocbench.metrics.pose.registry import SIGMA_FACTOR
+from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
+from relocbench.metrics import cumulative_curve, risk_coverage, within
+from relocbench.metrics.pose.registry import CORRECT, SIGMA_FACTOR
 
 Array = NDArray[np.float64]
 LIMIT_M = 1.0
@@ -77,6 +78,19 @@ class MatchingPicture:
     lines: tuple[tuple[str, tuple[float, ...], str, Style], ...]
 
 
+@dataclass(frozen=True, eq=False)
+class RiskPicture:
+    """The content of the picture of a total's risk-coverage curves."""
+
+    title: str
+    pairs: int
+    lines: tuple[tuple[str, Array, Array, str, Style], ...]
+    """label, coverage (K,) and risk (K,) in percent, colour and style"""
+
+
+Picture = CurvePicture | MatchingPicture | RiskPicture
+
+
 def curve_picture(board: Board, dataset: DatasetBoard, table: Table) -> CurvePicture:
     """The picture of a pair set's curves; a method has the same colour on all pair sets of a dataset."""
     record = dataset.entry.pair_sets[table.pair_set]
@@ -101,7 +115,28 @@ def matching_picture(dataset: DatasetBoard, pair_set: str) -> MatchingPicture:
     return MatchingPicture(_shown(f"{dataset.entry.record.name}: {pair_set}", 2), tuple(lines))
 
 
-def draw(picture: CurvePicture | MatchingPicture) -> bytes:
+def risk_picture(dataset: DatasetBoard, table: Table) -> RiskPicture:
+    """The share of wrong answers against the share of all pairs that are answered, as the required confidence falls.
+
+    The pairs of all sets of a total are taken together, so that a confidence must mean the same on each of them. Floors
+    and methods that answer nothing are left out.
+    """
+    lines = []
+    for row in table.rows:
+        method = row.method
+        if row.missing or not row.answered or method.is_floor or method.is_clock:
+            continue
+        of_sets = [method.errors[name] for name in table.pair_sets]
+        right = np.concatenate([within(of_set.errors, *CORRECT) for of_set in of_sets])
+        answered = np.concatenate([of_set.errors.answered for of_set in of_sets])
+        curve = risk_coverage(right, answered, np.concatenate([of_set.column("confidence") for of_set in of_sets]))
+        lines.append((_shown(method.label), 100 * curve.coverage, 100 * curve.risk, *_look(dataset, method)))
+    kind = "one drive" if table.pair_set == SAME_DRIVE_TOTAL else "two drives"
+    where = f"{dataset.entry.record.name}: {kind}{f', split {table.split}' if table.split else ''}"
+    return RiskPicture(_shown(where, 2), table.pairs, tuple(lines))
+
+
+def draw(picture: Picture) -> bytes:
     """Draw a picture as PNG, with the same bytes in any process."""
     with mpl.rc_context(), warnings.catch_warnings():
         # Names may contain letters that the font lacks.
@@ -109,7 +144,13 @@ def draw(picture: CurvePicture | MatchingPicture) -> bytes:
         mpl.rcdefaults()  # the user's own settings must not change the picture
         mpl.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False})
         mpl.rcParams["text.parse_math"] = False  # a $ in a name is not a formula
-        return _png(_curves(picture) if isinstance(picture, CurvePicture) else _matching(picture))
+        return _png(_figure(picture))
+
+
+def _figure(picture: Picture) -> Figure:
+    if isinstance(picture, CurvePicture):
+        return _curves(picture)
+    return _risks(picture) if isinstance(picture, RiskPicture) else _matching(picture)
 
 
 def _png(figure: Figure) -> bytes:
@@ -207,6 +248,36 @@ def _matching(picture: MatchingPicture) -> Figure:
     axes.grid(True, color="#dddddd", linewidth=0.6)
     axes.set_title(picture.title, fontsize=11)
     axes.legend(handles, [label for label, *_ in picture.lines], frameon=False, handlelength=3.2)
+    return figure
+
+
+def _risks(picture: RiskPicture) -> Figure:
+    figure = Figure(figsize=(7.5, 4.2), dpi=130, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    handles = []
+    for order, (_, coverage, risk, colour, style) in enumerate(picture.lines):
+        # A single answer is a point; the best method is drawn last, so that it stays visible where curves meet.
+        handles += axes.plot(
+            coverage,
+            risk,
+            color=colour,
+            linestyle=style,
+            linewidth=1.8,
+            marker="o" if len(coverage) == 1 else None,
+            markersize=4,
+            zorder=3 + len(picture.lines) - order,
+        )
+    axes.set_xlabel(f"answers with the highest confidence, share of all {picture.pairs} pairs")
+    axes.set_ylabel(f"wrong by more than {CORRECT[0]:g} m or {CORRECT[1]:g}°")
+    axes.set_xlim(0, 101.5)
+    axes.set_ylim(-1.5, 101.5)
+    axes.xaxis.set_major_formatter("{x:.0f} %")
+    axes.yaxis.set_major_formatter("{x:.0f} %")
+    axes.grid(True, color="#dddddd", linewidth=0.6)
+    axes.set_title(picture.title, fontsize=11, loc="left")
+    labels = [label for label, *_ in picture.lines]
+    figure.legend(handles, labels, loc="outside right upper", frameon=False, handlelength=3.2)
     return figure
 
 

@@ -206,14 +206,16 @@ def _errors(rows: ErrorTable) -> Array:
 
 
 def _pooled(sets: Sequence[ErrorTable]) -> dict[str, float | None]:
-    """Medians and percentiles over the pairs of all sets together.
+    """Medians, percentiles and what confidences are worth, over the pairs of all sets together.
 
-    A mean of medians would be infinite as soon as a method fails on half of the pairs of one set.
+    A mean of medians would be infinite as soon as a method fails on half of the pairs of one set. In a mean over sets,
+    the only answer to one of them would weigh as much as all the answers to another.
     """
     names = ("rotation_error_deg", "translation_error_m", "mlad_translation_error_m")
     errors = PoseErrors(*(np.concatenate([rows.column(name) for rows in sets]) for name in names))
-    scores = PairScores(errors, np.concatenate([rows.column("seconds") for rows in sets]))
-    return {m.name: m.compute(scores) for m in METRICS if m.per_pair is None and m.unit != "share"}
+    seconds, confidence = (np.concatenate([rows.column(name) for rows in sets]) for name in ("seconds", "confidence"))
+    scores = PairScores(errors, seconds, None if np.isnan(confidence).all() else confidence)
+    return {m.name: m.compute(scores) for m in METRICS if m.per_pair is None}
 
 
 def _of_group(method: Method, pair_set: str, group: str) -> ErrorTable | None:

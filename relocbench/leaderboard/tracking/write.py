@@ -14,7 +14,7 @@ from relocbench.leaderboard.tracking.long_form import error_rows, leaderboard_ro
 from relocbench.leaderboard.tracking.marks import not_rescored
 from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_rows
 from relocbench.leaderboard.tracking.model import Board
-from relocbench.leaderboard.tracking.page import curve_file, has_curves, markdown
+from relocbench.leaderboard.tracking.page import curve_file, has_curves, has_risks, markdown, risk_file
 from relocbench.leaderboard.tracking.tables import RANKING, make_board, ranking_metric
 from relocbench.progress import Reporter, Silent
 
@@ -90,22 +90,27 @@ def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Report
 
 def _write_plots(board: Board, out: Path, reporter: Reporter) -> list[Path]:
     from relocbench.leaderboard.tracking.plots import (
-        CurvePicture,
-        MatchingPicture,
+        Picture,
         curve_picture,
         draw,
         matching_picture,
+        risk_picture,
     )
 
     tables = [(dataset, table) for dataset in board.datasets for table in dataset.pair_sets if has_curves(table)]
     paths: list[Path] = []
-    pictures: list[CurvePicture | MatchingPicture] = []
+    pictures: list[Picture] = []
     for dataset, table in tables:
         paths.append(out / curve_file(dataset, table))
         pictures.append(curve_picture(board, dataset, table))
         if matching_lines(dataset, table.pair_set):
             paths.append(out / matching_file(dataset, table.pair_set))
             pictures.append(matching_picture(dataset, table.pair_set))
+    for dataset in board.datasets:
+        for table in dataset.totals:
+            if has_risks(table):
+                paths.append(out / risk_file(dataset, table))
+                pictures.append(risk_picture(dataset, table))
     workers = default_workers() if len(pictures) >= _MANY_PICTURES else 1
     with reporter.stage("curves", len(pictures)) as advance:
         for index, drawing in run_units(draw, pictures, Run(workers)):

@@ -53,6 +53,25 @@ def precision_recall(correct: ArrayLike, answered: ArrayLike, confidence: ArrayL
     return PrecisionRecall(precision=found / submitted, recall=found / pairs, coverage=submitted / pairs)
 
 
+@dataclass(frozen=True, eq=False)
+class RiskCoverage:
+    """A risk-coverage curve with one point for each distinct confidence, highest confidence first."""
+
+    coverage: Array
+    """(K,) answers whose confidence is at least that high, as a share of all pairs of the set, ascending"""
+    risk: Array
+    """(K,) share of wrong ones among these answers"""
+
+
+def risk_coverage(correct: ArrayLike, answered: ArrayLike, confidence: ArrayLike) -> RiskCoverage:
+    """The risk-coverage curve of the answers (Geifman and El-Yaniv, NIPS 2017), which ends at the share of answers.
+
+    Arguments and errors are those of :func:`precision_recall`; without any answer the curve has no points.
+    """
+    curve = precision_recall(correct, answered, confidence)
+    return RiskCoverage(coverage=curve.coverage, risk=1.0 - curve.precision)
+
+
 def risk_coverage_area(correct: ArrayLike, answered: ArrayLike, confidence: ArrayLike) -> float:
     """The area under the risk-coverage curve, ``1/N sum_k w_k / k``, in 0..1; 0 is best.
 
