@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from baselines.calibration import ORB_PNP, SIFT_PNP, Calibration
+from baselines.correlation import GreyImage, correlations, strong_pixels
 from baselines.feature_pnp.features import FeatureKind, Features, detect, match, spread_evenly
 from baselines.feature_pnp.keyframe_depth import inverse_depth_at
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose, rival_inliers
@@ -27,14 +28,21 @@ class PreparedReference:
     """(N, 3) metres, reference camera frame"""
     depth_direction: Array
     """(N, 3) metres; the displacement of the point by one standard deviation of its depth"""
+    half: GreyImage
+    """the image at half its size"""
+    strong_uv: Array
+    """(M, 2) pixels of large gradient of ``half`` that have a depth"""
+    strong_depth: Array
+    """(M,) their depths, metres"""
 
 
 class _FeaturePnp:
     """Keypoints, ratio test, MAGSAC perspective-n-point, robust refinement.
 
     The confidence is the probability that the answer is within 0.25 m and 2 degrees, from a calibration of the answer's
-    lead, the logarithm of its inliers over those of the best other pose, and of its precision, the negative logarithm
-    of the translation's standard deviation in metres.
+    lead, the logarithm of its inliers over those of the best other pose, of its precision, the negative logarithm of
+    the translation's standard deviation in metres, and of the correlation of keyframe and query around pixels of large
+    gradient.
 
     Args:
         features: largest number of keypoints in each image.
@@ -89,7 +97,13 @@ class _FeaturePnp:
         points = rays / inverse_depth[:, None]
         # z = 1/rho, and therefore |dz| = z sigma_rho / rho.
         depth_direction = points * (sigma / inverse_depth)[:, None]
-        return PreparedReference(found.take(kept), points, depth_direction)
+        half = GreyImage.half_of(reference.image, reference.camera)
+        strong = strong_pixels(half)
+        strong_inverse_depth, _ = inverse_depth_at(reference, 2 * strong + 0.5, self.depth_radius_px)
+        known = strong_inverse_depth > 0
+        return PreparedReference(
+            found.take(kept), points, depth_direction, half, strong[known], 1.0 / strong_inverse_depth[known]
+        )
 
     def track(self, reference: PreparedReference, query: Query, prior: Array | None = None) -> TrackResult:
         """Find the pose of a query; the prior is not used."""
@@ -123,6 +137,7 @@ class _FeaturePnp:
         evidence = {
             "lead": float(np.log((inliers + 1) / (rival + 1))),
             "precision": float(-np.log(max(translation_sigma, _SMALLEST_SIGMA))),
+            "correlation": _correlation(refined.T_query_ref, reference, query),
         }
         info |= {"rival_inliers": rival, **evidence}
         return TrackResult(refined.T_query_ref, confidence=self.calibration.confidence(evidence), info=info)
@@ -138,6 +153,13 @@ class _FeaturePnp:
             scale=np.maximum(reference.features.scale[of_reference], found.scale[of_query]),
             depth_direction=reference.depth_direction[of_reference],
         )
+
+
+def _correlation(T_query_ref: Array, reference: PreparedReference, query: Query) -> float:
+    """The mean of the correlation of both images, at half their size, around pixels of large gradient."""
+    half = GreyImage.half_of(query.image, query.camera)
+    found = correlations(T_query_ref, reference.strong_uv, reference.strong_depth, reference.half, half)
+    return float(np.mean(found)) if len(found) else 0.0
 
 
 def _finite_or_none(value: float) -> float | None:

@@ -76,7 +76,7 @@ METHODS: Mapping[str, Callable[[], Any]] = {
 """each without a limit on the evidence of its answers"""
 EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 """of the confidences that are counted together"""
-CAUTION = 2.0
+CAUTION = 4.0
 """how often a wrong answer counts in the fit, so that confidences are lower estimates of the probability: in districts
 whose streets repeat themselves more answers are wrong that look right"""
 RIDGE = 1e-3

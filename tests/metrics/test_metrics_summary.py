@@ -64,6 +64,8 @@ def test_metric_names_are_stable() -> None:
         "wrong_of_answered@(0.25m,2deg)",
         "coverage_at_precision_95@(0.25m,2deg)",
         "coverage_at_precision_99@(0.25m,2deg)",
+        "precision_at_confidence_50@(0.25m,2deg)",
+        "coverage_at_confidence_50",
         "median_seconds",
         "p95_seconds",
     ]
@@ -332,6 +334,16 @@ def test_coverage_at_a_precision_hand_values_in_the_summary() -> None:
     assert summary["coverage_at_precision_95@(0.25m,2deg)"] == pytest.approx(40 / 41)
     assert summary["coverage_at_precision_99@(0.25m,2deg)"] == pytest.approx(20 / 41)
     assert summary["wrong_of_answered@(0.25m,2deg)"] == pytest.approx(1 / 40)
+
+
+def test_sure_answers_are_those_of_confidence_one_half_or_more() -> None:
+    errors = errors_of([0.1, 0.1, 3.0, 0.1, np.inf], [0.0, 0.0, 0.0, 0.0, np.inf])
+    summary = summarize(errors, confidence=np.array([0.9, 0.5, 0.7, 0.49, 0.99]))
+    assert summary["precision_at_confidence_50@(0.25m,2deg)"] == pytest.approx(2 / 3)
+    assert summary["coverage_at_confidence_50"] == pytest.approx(3 / 5)
+    none = summarize(errors, confidence=np.full(5, 0.4))
+    assert none["precision_at_confidence_50@(0.25m,2deg)"] is None
+    assert none["coverage_at_confidence_50"] == summarize(errors)["coverage_at_confidence_50"] == 0.0
 
 
 def test_a_method_without_confidences_has_one_threshold() -> None:

@@ -37,6 +37,8 @@ _OF_CONFIDENCE = (
     "aurc@(0.25m,2deg)",
     "coverage_at_precision_95@(0.25m,2deg)",
     "coverage_at_precision_99@(0.25m,2deg)",
+    "precision_at_confidence_50@(0.25m,2deg)",
+    "coverage_at_confidence_50",
 )
 _HEADINGS = {
     "median_translation_error_m": "median, m",

@@ -27,6 +27,8 @@ POSE_AUC_THRESHOLDS: tuple[tuple[float, float], ...] = ((0.5, 4),)
 CORRECT: tuple[float, float] = (0.25, 2)
 """(metres, degrees) within which an answer counts as correct where confidence is assessed"""
 PRECISIONS_PERCENT: tuple[int, ...] = (95, 99)
+SURE_PERCENT = 50
+"""confidence, as a probability in percent, from which an answer counts as sure"""
 """the precision of the answers that are kept, where the share that can be kept is measured"""
 SIGMA_FACTOR = 2.0
 """a threshold below this many ground-truth sigmas measures the errors of the ground truth rather than the method's"""
@@ -247,6 +249,39 @@ def _coverage_at(percent: int) -> Metric:
     )
 
 
+def _precision_of_sure() -> Metric:
+    def value(judged: _Judged) -> float | None:
+        correct, answered, confidence = judged
+        sure = answered & _at_least_sure(confidence)
+        return float(np.mean(correct[sure])) if np.any(sure) else None
+
+    description = (
+        f"share of correct ones among the answers with a confidence of {SURE_PERCENT / 100:g} or more, which means "
+        "something where confidences are probabilities; nothing where there is no such answer"
+    )
+    return _of_confidence(f"precision_at_confidence_{SURE_PERCENT}", True, description, value)
+
+
+def _coverage_of_sure() -> Metric:
+    def compute(scores: PairScores) -> float:
+        if scores.confidence is None:
+            return 0.0
+        return float(np.mean(scores.errors.answered & _at_least_sure(scores.confidence)))
+
+    return Metric(
+        name=f"coverage_at_confidence_{SURE_PERCENT}",
+        unit="share",
+        higher_is_better=True,
+        description=f"share of all pairs with an answer of confidence {SURE_PERCENT / 100:g} or more",
+        compute=compute,
+    )
+
+
+def _at_least_sure(confidence: Array) -> NDArray[np.bool_]:
+    out: NDArray[np.bool_] = confidence >= SURE_PERCENT / 100  # NaN is not
+    return out
+
+
 METRICS: tuple[Metric, ...] = (
     *(_translation_auc(metres) for metres in TRANSLATION_AUC_THRESHOLDS_M),
     *(_rotation_auc(degrees) for degrees in ROTATION_AUC_THRESHOLDS_DEG),
@@ -261,6 +296,8 @@ METRICS: tuple[Metric, ...] = (
     _risk_coverage_area(),
     _wrong_of_answered(),
     *(_coverage_at(percent) for percent in PRECISIONS_PERCENT),
+    _precision_of_sure(),
+    _coverage_of_sure(),
     _seconds("median_seconds", 50, "median"),
     _seconds("p95_seconds", 95, "95th percentile"),
 )

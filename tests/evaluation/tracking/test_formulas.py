@@ -35,6 +35,8 @@ SCORES = {
         "wrong_of_answered@(0.25m,2deg)": 0.4444444444444444,
         "coverage_at_precision_95@(0.25m,2deg)": 0.1,
         "coverage_at_precision_99@(0.25m,2deg)": 0.1,
+        "precision_at_confidence_50@(0.25m,2deg)": 0.5,
+        "coverage_at_confidence_50": 0.4,
         "median_seconds": 0.55,
         "p95_seconds": 0.9549999999999998,
     },
