@@ -162,7 +162,8 @@ def read_leaderboard(
 def read_errors(results: Path | str, *, split: str | None = None, datasets: Sequence[Path | str] = ()) -> pd.DataFrame:
     """Read the errors of every pair and every tracker in a results folder; a failure has infinite errors.
 
-    The columns are those of ``errors.csv``: translation in metres, rotation in degrees. Datasets are as for
+    The columns are those of ``errors.csv``: translation in metres, rotation in degrees. Pairs of different places have
+    the group ``elsewhere``; shares, areas and medians of leaderboards are without them. Datasets are as for
     :func:`read_leaderboard`.
 
     Raises:
@@ -177,18 +178,18 @@ def read_errors(results: Path | str, *, split: str | None = None, datasets: Sequ
     for entry in load_results(Path(results), split, datasets=[Path(folder) for folder in datasets]):
         for name in entry.pair_sets:
             for method in (method for method in entry.methods if name in method.errors):
-                table = method.errors[name]
-                columns = {
-                    "dataset": entry.record.name,
-                    "pair_set": name,
-                    "method": method.label,
-                    "ref_timestamp_ns": table.keys[:, 0],
-                    "query_timestamp_ns": table.keys[:, 1],
-                    "group": table.groups,
-                    "status": table.statuses,
-                    **{column: table.column(column) for column in ERROR_COLUMNS[4:]},
-                }
-                frames.append(pd.DataFrame(columns))
+                for table in method.tables(name):
+                    columns = {
+                        "dataset": entry.record.name,
+                        "pair_set": name,
+                        "method": method.label,
+                        "ref_timestamp_ns": table.keys[:, 0],
+                        "query_timestamp_ns": table.keys[:, 1],
+                        "group": table.groups,
+                        "status": table.statuses,
+                        **{column: table.column(column) for column in ERROR_COLUMNS[4:]},
+                    }
+                    frames.append(pd.DataFrame(columns))
     return pd.concat(frames, ignore_index=True)
 
 

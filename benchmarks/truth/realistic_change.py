@@ -50,7 +50,7 @@ from relocbench.datasets.core.layout import pair_set_name
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.pairs.pairing import PosedFrames, posed_frames, relative_pose
+from relocbench.datasets.pairs.posed_frames import PosedFrames, posed_frames, relative_pose
 from relocbench.datasets.pairs.visibility import warp
 from relocbench.datasets.synthetic.conditions.condition import CONDITIONS, Factors, condition_named
 from relocbench.datasets.synthetic.conditions.presets import conditions_of

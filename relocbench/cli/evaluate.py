@@ -97,6 +97,8 @@ COLUMNS = {
     "coverage": "coverage",
     "median_seconds": "s a pair",
 }
+ELSEWHERE_COLUMNS = ("answered_share", "confident_share", "confident_high")
+"""of the numbers about pairs of different places, in ``scores.yaml``"""
 
 
 def _print_report(dataset: Dataset, pair_sets: list[PairSet], folders: list[MethodResults], *, matching: bool) -> None:
@@ -104,7 +106,8 @@ def _print_report(dataset: Dataset, pair_sets: list[PairSet], folders: list[Meth
 
     for pair_set in pair_sets:
         rejected = f", {len(pair_set.rejected)} rejected" if pair_set.rejected else ""
-        title = f"{dataset.name}: {pair_set.name} ({len(pair_set.pairs)} pairs{rejected})"
+        elsewhere = f", {len(pair_set.elsewhere)} of different places" if pair_set.elsewhere else ""
+        title = f"{dataset.name}: {pair_set.name} ({len(pair_set.pairs)} pairs{elsewhere}{rejected})"
         rows = []
         for folder in folders:
             groups = folder.score_record().pair_sets.get(pair_set.name, {})
@@ -113,8 +116,25 @@ def _print_report(dataset: Dataset, pair_sets: list[PairSet], folders: list[Meth
             print_table(title, ["method", "pairs of", *COLUMNS.values()], rows)
         elif not pair_set.has_truth:
             typer.echo(f"{pair_set.name}: ground truth is withheld; predictions are kept, not scored", err=True)
+        if pair_set.elsewhere:
+            _print_elsewhere(f"{dataset.name}: {pair_set.name}", pair_set.name, folders)
         if matching:
             _print_matching(f"{dataset.name}: {pair_set.name}", pair_set.name, folders)
+
+
+def _print_elsewhere(title: str, pair_set: str, folders: list[MethodResults]) -> None:
+    from relocbench.cli.console import print_table
+    from relocbench.metrics import CONFIDENT
+
+    scores = {f.label: f.score_record().elsewhere.get(pair_set) for f in folders}
+    rows = [
+        [label, str(of["pairs"]), *(cell(of[name], "share") for name in ELSEWHERE_COLUMNS)]
+        for label, of in scores.items()
+        if of
+    ]
+    if rows:
+        columns = ["method", "pairs", "answered", f"wrong, confidence {CONFIDENT:g} or more", "at most"]
+        print_table(f"{title}, pairs of different places", columns, rows)
 
 
 def _print_matching(title: str, pair_set: str, folders: list[MethodResults]) -> None:

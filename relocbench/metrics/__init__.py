@@ -8,6 +8,7 @@ from relocbench.metrics.pose.confidence import (
     risk_coverage_area,
 )
 from relocbench.metrics.pose.curves import CumulativeCurve, area_shares, cumulative_curve
+from relocbench.metrics.pose.different_places import CONFIDENT, DifferentPlaces
 from relocbench.metrics.pose.errors import PoseErrors, pose_errors
 from relocbench.metrics.pose.failure_policy import (
     align_predictions,
@@ -18,7 +19,7 @@ from relocbench.metrics.pose.failure_policy import (
 )
 from relocbench.metrics.pose.matching import MatchingQuality, OffsetShare, matching_quality
 from relocbench.metrics.pose.radius import Radius, Ratio, radius_of, radius_ratio, success_radius
-from relocbench.metrics.pose.registry import METRICS, Metric, PairScores, metric_named, within
+from relocbench.metrics.pose.registry import CORRECT, METRICS, Metric, PairScores, metric_named, within
 from relocbench.metrics.pose.summary import PairSetSummary, Spread, spread_over_seeds, summarize, totals
 from relocbench.metrics.retrieval.chance import chance_level
 from relocbench.metrics.retrieval.descriptors import exact_scores, rank_descriptors
@@ -61,10 +62,13 @@ from relocbench.metrics.statistics.intervals import (
     mean_interval,
     median_interval,
     paired_difference,
+    share_interval,
 )
 from relocbench.metrics.statistics.ranks import generator, rank_with_ties
 
 __all__ = [
+    "CONFIDENT",
+    "CORRECT",
     "LEVEL",
     "METRICS",
     "MIN_EFFECTIVE",
@@ -74,6 +78,7 @@ __all__ = [
     "CumulativeCurve",
     "Denominator",
     "Difference",
+    "DifferentPlaces",
     "Interval",
     "MatchingQuality",
     "Metric",
@@ -125,6 +130,7 @@ __all__ = [
     "risk_coverage",
     "risk_coverage_area",
     "score_retrieval",
+    "share_interval",
     "single_positive_fault",
     "sorted_finite",
     "spread_over_seeds",

@@ -81,6 +81,31 @@ class Order:
         return TrackResult(np.eye(4), info={"keyframe": len(self._keyframes) - 1, "query": at, "key": query.key})
 
 
+class Sorter:
+    """Says of each pair what it is shown besides pixels, and how often it has seen the images, to sort pairs by."""
+
+    def __init__(self) -> None:
+        self._keyframes: list[str] = []
+        self._queries: list[str] = []
+
+    def prepare(self, reference: Reference) -> Reference:
+        self._keyframes.append(reference.key)
+        return reference
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        told = {
+            "prior": None if prior is None else np.asarray(prior).tolist(),
+            "times": [reference.timestamp_ns, query.timestamp_ns],
+            "cameras": [repr(reference.camera), repr(query.camera)],
+            "keys": [len(reference.key), len(query.key)],
+            "neighbours": len(reference.neighbours),
+            "fields": [sorted(vars(reference)), sorted(vars(query))],
+        }
+        seen = [self._keyframes.count(reference.key), self._queries.count(query.key)]
+        self._queries.append(query.key)
+        return TrackResult(np.eye(4), info={"told": told, "seen": seen})
+
+
 class StackWalker:
     """Looks for a dataset, its truth or its path in frames, in all objects, and in what the system tells of itself."""
 

@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.build import Build
-from relocbench.datasets.core.build_options import ImportOptions
+from relocbench.datasets.core.build_options import ImportOptions, RuleOptions
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import CameraEntry, Condition, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.pairs.different_places import with_different_places
+from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.execution import Run
 from relocbench.geometry import Camera, invert, make_transform, so3_exp
@@ -90,6 +92,7 @@ def make_small_dataset(
     sparse: bool = False,
     query_depth: bool = True,
     truth: bool = True,
+    elsewhere: int = 0,
     rejected: int = 0,
     correspondences: int = 0,
     pose_fault: Array | None = None,
@@ -106,6 +109,7 @@ def make_small_dataset(
         sparse: keyframe points instead of dense depth.
         query_depth: whether ``winter`` has depth too.
         truth: False withholds the poses of the pairs, as a challenge does.
+        elsewhere: so many pairs of different places across, whose cameras are 0.3 m apart or more.
         rejected: so many pairs of the set across are kept as rejected.
         correspondences: ground-truth correspondences a pair; 0 writes no file.
         pose_fault: (4, 4) put in front of every true ``T_query_ref`` across: a deliberately wrong truth.
@@ -126,13 +130,19 @@ def make_small_dataset(
     across = _across(poses["summer"], poses["winter"], sigma_translation_m)
     if pose_fault is not None:
         across = [_with_pose(p, pose_fault @ p.T_query_ref) for p in across if p.T_query_ref is not None]
+    kept_across = across[rejected:][:pairs]
+    apart: list[Pair] = []
+    if elsewhere:
+        summer, winter = (PosedFrames(tuple(p), np.array(list(p.values())), frozenset(p)) for p in poses.values())
+        chosen = RuleOptions(elsewhere=elsewhere, elsewhere_distance=0.3, max_distance=0.25, seed=seed)
+        apart = with_different_places(kept_across, summer, winter, chosen, root)[len(kept_across) :]
     within = _within(poses["summer"])
     lost = [
         Pair(*p.key, None, group=p.group, source=p.source, accepted=False, reason="too few points agree")
         for p in across[:rejected]
     ]
     for sequence, extra, query in ((across[rejected:], lost, "winter"), (within, [], "summer")):
-        kept = sequence[:pairs]
+        kept = [*sequence[:pairs], *(apart if query == "winter" else [])]
         if not truth:
             kept = [_with_pose(p, None) for p in kept]
         options = ImportOptions(correspondences=correspondences, seed=seed)

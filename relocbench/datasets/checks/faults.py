@@ -88,6 +88,7 @@ class TableRow:
 
     key: PairKey
     accepted: bool
+    group: str
     source: str
     distance_m: float | None
     angle_deg: float | None
@@ -182,6 +183,7 @@ def read_pair_table(path: Path, found: Findings) -> dict[PairKey, TableRow]:
             rows[ref, query] = TableRow(
                 (ref, query),
                 values["accepted"] != "false",
+                values["group"],
                 values["source"],
                 numbers["distance_m"],
                 numbers["angle_deg"],

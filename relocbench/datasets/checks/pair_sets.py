@@ -11,8 +11,8 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.datasets.checks.faults import Findings, TableRow, read_pair_lines, read_pair_table
 from relocbench.datasets.core.layout import DatasetLayout, TraversalLayout
-from relocbench.datasets.core.pairfile import PairKey, PoseLine
-from relocbench.datasets.core.schema import TraversalFile
+from relocbench.datasets.core.pairfile import ELSEWHERE, PairKey, PoseLine
+from relocbench.datasets.core.schema import ELSEWHERE_VERSION, TraversalFile
 from relocbench.geometry import invert, rotation_angle
 from relocbench.progress import Reporter
 
@@ -37,9 +37,17 @@ class CheckedTraversal:
 
 
 def check_pair_sets(
-    layout: DatasetLayout, drives: dict[str, CheckedTraversal], found: Findings, reporter: Reporter
+    layout: DatasetLayout,
+    drives: dict[str, CheckedTraversal],
+    found: Findings,
+    reporter: Reporter,
+    version: int | None = None,
 ) -> dict[str, dict[PairKey, PoseLine]]:
-    """Check every pair set and return the valid lines of each."""
+    """Check every pair set and return the valid lines of each.
+
+    Args:
+        version: ``format_version`` of the dataset, if it is known; pairs of different places need the second.
+    """
     names = sorted({p.stem for p in layout.pairs.glob("*") if p.suffix in (".txt", ".csv") and p.name[0] != "."})
     if not names:
         found.fault("holds no pair set (REF__QUERY__CAM.txt)", layout.pairs)
@@ -51,6 +59,7 @@ def check_pair_sets(
             if layout.pair_table(name).exists():
                 rows = read_pair_table(layout.pair_table(name), found)
                 _check_table(layout, name, lines, rows, found)
+                _check_elsewhere(layout, name, lines, rows, version, found)
             _check_frames(layout, name, lines, rows, drives, found)
             out[name] = lines
             advance(1)
@@ -84,6 +93,31 @@ def _check_table(
     for key, line in lines.items():
         if key not in rows:
             found.fault(f"pair {key[0]} {key[1]} is missing from {table.name}", pair_file, line.line)
+
+
+def _check_elsewhere(
+    layout: DatasetLayout,
+    name: str,
+    lines: dict[PairKey, PoseLine],
+    rows: dict[PairKey, TableRow],
+    version: int | None,
+    found: Findings,
+) -> None:
+    """Check that the dataset may have pairs of different places, and that they are not told where truth is withheld."""
+    table = layout.pair_table(name)
+    elsewhere = [row for row in rows.values() if row.group == ELSEWHERE]
+    if elsewhere and version not in (None, ELSEWHERE_VERSION):
+        found.fault(
+            f"the group '{ELSEWHERE}' is that of pairs of different places, which format_version {ELSEWHERE_VERSION} "
+            f"has; this dataset's is {version}",
+            table,
+            elsewhere[0].line,
+        )
+    for row in elsewhere:
+        if (line := lines.get(row.key)) is not None and line.T_query_ref is None:
+            found.fault(
+                "the truth is withheld, but the group tells that the pair is of different places", table, row.line
+            )
 
 
 def _check_frames(

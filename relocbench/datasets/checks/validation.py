@@ -50,7 +50,8 @@ def validate_dataset(root: Path, reporter: Reporter, *, quick: bool = False) -> 
             digests = {name: digest for name, (_, digest) in fingerprint.read_manifest(layout).items()}
     drives = _check_traversals(layout, found)
     _check_content(layout, drives, digests, found, reporter, quick)
-    pair_sets = check_pair_sets(layout, drives, found, reporter)
+    version = None if file is None else file.format_version
+    pair_sets = check_pair_sets(layout, drives, found, reporter, version)
     _check_correspondences(layout, pair_sets, digests, found, reporter, quick)
     if file is not None:
         _check_splits(layout, file, pair_sets, found)

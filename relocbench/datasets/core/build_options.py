@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -26,6 +26,10 @@ class ImportOptions(Strict):
         {}, description="condition of each traversal (weather, season, time_of_day, tags); YAML only"
     )
     seed: int = Field(0, ge=0, description="seed of every random choice")
+
+    def recorded(self) -> dict[str, Any]:
+        """The options as ``build.yaml`` and ``dataset.yaml`` keep them; the question digest covers these."""
+        return self.model_dump(mode="json")
 
     def condition_of(self, traversal: str) -> Condition:
         """The condition that is given for a traversal; unknown by default."""
@@ -66,6 +70,32 @@ class RuleOptions(ImportOptions):
     pair_step: tuple[int, ...] = Field(
         (1,), description="frames between reference and query, such as 1,2,4 (step rule)"
     )
+
+    elsewhere: int = Field(
+        0,
+        ge=0,
+        le=1_000_000,
+        description="pairs of different places added to each pair set, which only confidences are judged by",
+    )
+    elsewhere_distance: float = Field(
+        50.0, gt=0, description="least distance in metres between the cameras of a pair of different places"
+    )
+
+    def recorded(self) -> dict[str, Any]:
+        """The options, without those of pairs of different places where there are none: as earlier versions had it."""
+        unused = set() if self.elsewhere else {"elsewhere", "elsewhere_distance"}
+        return self.model_dump(mode="json", exclude=unused)
+
+    @model_validator(mode="after")
+    def _elsewhere_is_farther(self) -> Self:
+        if not self.elsewhere and "elsewhere_distance" in self.model_fields_set:
+            raise ValueError("elsewhere_distance has no effect without elsewhere, the number of such pairs")
+        if self.elsewhere and self.elsewhere_distance <= self.max_distance:
+            raise ValueError(
+                f"elsewhere_distance is {self.elsewhere_distance:g} m, expected more than max_distance, "
+                f"{self.max_distance:g} m"
+            )
+        return self
 
     @model_validator(mode="after")
     def _steps_not_zero(self) -> Self:

@@ -27,9 +27,19 @@ class PairSet:
         return pairfile.read_pairs(self.layout.pair_file(self.name), self.layout.pair_table(self.name))
 
     @cached_property
-    def pairs(self) -> list[Pair]:
-        """The accepted pairs: those that methods answer and are scored on."""
+    def asked(self) -> list[Pair]:
+        """The accepted pairs, those of different places among them: what methods are asked and answer."""
         return [p for p in self.all_pairs if p.accepted]
+
+    @cached_property
+    def pairs(self) -> list[Pair]:
+        """The accepted pairs of one place: those that errors are scored on, that have correspondences and train."""
+        return [p for p in self.asked if not p.is_elsewhere]
+
+    @cached_property
+    def elsewhere(self) -> list[Pair]:
+        """The accepted pairs of different places, which only confidences are judged by."""
+        return [p for p in self.asked if p.is_elsewhere]
 
     @property
     def rejected(self) -> list[Pair]:
@@ -38,9 +48,10 @@ class PairSet:
 
     @property
     def has_truth(self) -> bool:
-        """Whether every pair has its true pose, which challenges withhold."""
-        return all(p.T_query_ref is not None for p in self.pairs)
+        """Whether every pair that is asked has its true pose, which challenges withhold."""
+        return all(p.T_query_ref is not None for p in self.asked)
 
     @cached_property
     def by_key(self) -> dict[PairKey, Pair]:
-        return {p.key: p for p in self.pairs}
+        """What methods are asked, by the pair's times."""
+        return {p.key: p for p in self.asked}

@@ -43,6 +43,8 @@ TABLE_COLUMNS = (
 )
 AXIS_COLUMNS = ("sigma_along_m", "sigma_across_m", "sigma_height_m")
 """further columns, present if known for any pair"""
+ELSEWHERE = "elsewhere"
+"""the group of pairs whose keyframe and query show different places; reserved for them"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +72,7 @@ class Pair:
     T_query_ref: Array | None
     """(4, 4) ground truth, None where it is withheld"""
     group: str = ""
-    """part of the pair set that tables report separately, such as ``step_4``"""
+    """part of the pair set that tables report separately, such as ``step_4``, or :data:`ELSEWHERE`"""
     overlap: float | None = None
     """share of the reference's pixels with depth that the query sees"""
     sigma_translation_m: float | None = None
@@ -95,6 +97,11 @@ class Pair:
     @property
     def key(self) -> PairKey:
         return self.ref_timestamp_ns, self.query_timestamp_ns
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """Whether keyframe and query show different places: nothing in the images tells the pose."""
+        return self.group == ELSEWHERE
 
     @cached_property
     def distance_m(self) -> float | None:
@@ -200,7 +207,12 @@ def pose_line_fields(line: PoseLine) -> list[str]:
 
 
 def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> None:
-    """Write the accepted pairs to the nine-column file and all pairs, with everything known, to the table."""
+    """Write the accepted pairs to the nine-column file and all pairs, with everything known, to the table.
+
+    Where the truth of a pair of different places is withheld, groups and overlaps of the whole set are left blank: they
+    would tell which pairs these are.
+    """
+    hidden = any(p.is_elsewhere and p.T_query_ref is None for p in pairs)
     by_axis = any(s is not None for p in pairs for s in p.axis_sigmas)
     with atomic_write(pair_table) as stream:
         table = csv.writer(stream, lineterminator="\n")
@@ -210,10 +222,10 @@ def write_pairs(pair_file: Path, pair_table: Path, pairs: Sequence[Pair]) -> Non
                 [
                     p.ref_timestamp_ns,
                     p.query_timestamp_ns,
-                    p.group,
+                    "" if hidden else p.group,
                     _number(distance_m),
                     _number(angle_deg),
-                    _number(p.overlap),
+                    "" if hidden else _number(p.overlap),
                     _number(p.sigma_translation_m),
                     _number(p.sigma_rotation_deg),
                     p.source,

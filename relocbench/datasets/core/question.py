@@ -31,8 +31,8 @@ def question_of(file: DatasetFile, traversals: Mapping[str, Traversal], pair_set
     """SHA-256 of what a dataset asks of methods, the same on every processor.
 
     It covers the format's version, the splits, the recipe (without folders and versions), each traversal's condition,
-    rig, poses and image times, and each pair with its ``T_query_ref`` and whether it was accepted. It does not cover
-    pixels, depths and correspondences, whose last digits depend on the processor.
+    rig, poses and image times, and each pair with its ``T_query_ref``, whether it was accepted, and whether it is of
+    different places. It does not cover pixels, depths and correspondences, whose last digits depend on the processor.
 
     Raises:
         DatasetError: a file of the dataset is bad.
@@ -78,7 +78,10 @@ def _pairs(pair_set: PairSet) -> list[Any]:
     pairs = pair_set.all_pairs
     poses = np.zeros((len(pairs), 7))  # withheld ones stay so
     poses[[p.T_query_ref is not None for p in pairs]] = _signed(pose_numbers([p.T_query_ref for p in pairs]))
-    return [[[*p.key, p.accepted, p.T_query_ref is not None] for p in pairs], _digest(poses)]
+    asked = [[[*p.key, p.accepted, p.T_query_ref is not None] for p in pairs], _digest(poses)]
+    # Which pairs are of different places changes what is scored. Sets without any keep the digest of earlier versions.
+    elsewhere = [[*p.key] for p in pairs if p.is_elsewhere]
+    return [*asked, elsewhere] if elsewhere else asked
 
 
 def _signed(fields: Array) -> Array:

@@ -12,6 +12,8 @@ from relocbench.files import MAX_FOLDER_BYTES, check_distinct, check_joined_name
 from relocbench.geometry import Camera, camera_from_dict, transform_from_tq, transform_to_tq
 
 FORMAT_VERSION = 1
+ELSEWHERE_VERSION = 2
+"""format of datasets with pairs of different places, which programs that know only the first would score like others"""
 
 Name = Annotated[str, AfterValidator(lambda name: check_name(name, "name"))]
 """name of a traversal, a camera, a method or a split, which becomes part of a path"""
@@ -145,6 +147,8 @@ class DatasetFile(Strict):
     @field_validator("format_version")
     @classmethod
     def _known_version(cls, version: int) -> int:
-        if version != FORMAT_VERSION:
-            raise ValueError(f"format_version {version} is not supported, expected {FORMAT_VERSION}")
+        if version not in (FORMAT_VERSION, ELSEWHERE_VERSION):
+            raise ValueError(
+                f"format_version {version} is not supported, expected {FORMAT_VERSION} or {ELSEWHERE_VERSION}"
+            )
         return version

@@ -17,8 +17,9 @@ from relocbench.arrays import Array
 from relocbench.datasets.core import fingerprint, images, pairfile
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
+from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
-from relocbench.datasets.core.schema import FORMAT_VERSION, DatasetFile, TraversalFile
+from relocbench.datasets.core.schema import ELSEWHERE_VERSION, FORMAT_VERSION, DatasetFile, TraversalFile
 from relocbench.datasets.core.traversal import POSE_COLUMNS
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.files import (
@@ -137,13 +138,15 @@ class DatasetWriter:
         splits = splits if splits is not None else {"test": everything} if everything else {}
         plain = {split: tuple(names) for split, names in splits.items()}
         fingerprint.write_manifest(self.layout)
+        elsewhere = any(PairSet(self.layout, name).elsewhere for name in everything)
+        version = ELSEWHERE_VERSION if elsewhere else FORMAT_VERSION
         file = DatasetFile(
-            format_version=FORMAT_VERSION,
+            format_version=version,
             name=self.name,
             licence=self.licence,
             made_by={**self.configuration, "versions": versions()},
             splits=plain,
-            fingerprint=fingerprint.compute(self.layout, FORMAT_VERSION, plain),
+            fingerprint=fingerprint.compute(self.layout, version, plain),
         )
         write_text(self.layout.dataset_yaml, dump_yaml(file.model_dump(mode="json")))
         return Dataset(self.layout.root)

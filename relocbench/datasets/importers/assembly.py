@@ -10,7 +10,8 @@ from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions, RuleOptions
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.core.writer import DatasetWriter
-from relocbench.datasets.pairs.pairing import make_pairs, posed_frames
+from relocbench.datasets.pairs.pairing import make_pairs
+from relocbench.datasets.pairs.posed_frames import posed_frames
 from relocbench.datasets.pairs.writing import write_pair_set
 from relocbench.errors import DatasetError
 
@@ -20,7 +21,7 @@ def configuration(kind: str, sources: Sequence[Path], options: ImportOptions) ->
     return {
         "kind": kind,
         "sources": [str(source.resolve()) for source in sources],
-        "options": options.model_dump(mode="json"),
+        "options": options.recorded(),
     }
 
 

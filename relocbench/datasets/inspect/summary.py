@@ -60,6 +60,8 @@ class PairSetInventory:
     """reason -> number of rejected pairs"""
     groups: dict[str, int]
     """group -> number of accepted pairs"""
+    elsewhere: int
+    """number of pairs of different places, which nothing else here counts"""
     has_truth: bool
     sources: dict[str, int]
     distance_m: Spread | None
@@ -132,6 +134,7 @@ def summarize_pair_set(dataset: Dataset, pair_set: PairSet) -> PairSetInventory:
         pairs=len(pairs),
         rejected=dict(Counter(p.reason or "no reason given" for p in pair_set.rejected)),
         groups=dict(Counter(p.group for p in pairs if p.group)),
+        elsewhere=len(pair_set.elsewhere),
         has_truth=pair_set.has_truth,
         sources=dict(Counter(p.source for p in pairs if p.source)),
         distance_m=Spread.of([p.distance_m for p in pairs]),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,53 +10,10 @@ import numpy as np
 from relocbench.arrays import Array, Indices
 from relocbench.datasets.core.build_options import RuleOptions
 from relocbench.datasets.core.pairfile import Pair
-from relocbench.datasets.core.traversal import Traversal
+from relocbench.datasets.pairs.different_places import with_different_places
+from relocbench.datasets.pairs.posed_frames import PosedFrames, relative_pose
 from relocbench.errors import ConfigError, DatasetError
-from relocbench.geometry import invert, rotation_angle
-
-
-@dataclass(frozen=True, eq=False)
-class PosedFrames:
-    """The posed frames of one camera of one traversal, in time order."""
-
-    timestamps: tuple[int, ...]
-    """nanoseconds, increasing"""
-    T_world_cam: Array
-    """(N, 4, 4)"""
-    keyframes: frozenset[int]
-    """times of the frames with depth or points"""
-    numbers: tuple[int, ...] = ()
-    """the recording's frame numbers, which may have gaps; default: 0, 1, 2, ..."""
-
-    def __post_init__(self) -> None:
-        if not self.numbers:
-            object.__setattr__(self, "numbers", tuple(range(len(self.timestamps))))
-        if not len(self.timestamps) == len(self.numbers) == len(self.T_world_cam):
-            raise ValueError(
-                f"posed frames need as many times ({len(self.timestamps)}) as poses ({len(self.T_world_cam)}) "
-                f"and numbers ({len(self.numbers)})"
-            )
-
-    @property
-    def keyframe_rows(self) -> list[int]:
-        """Positions of the keyframes in :attr:`timestamps`."""
-        return [i for i, t in enumerate(self.timestamps) if t in self.keyframes]
-
-
-def posed_frames(traversal: Traversal, camera: str, numbers: dict[int, int] | None = None) -> PosedFrames:
-    """The frames of a traversal on disk that have an image and a pose.
-
-    Args:
-        numbers: timestamp_ns -> frame number, if the recording's frame numbers have gaps.
-    """
-    times = [t for t in traversal.timestamps(camera) if t in traversal.poses]
-    poses = [traversal.T_world_cam(camera, t) for t in times]
-    return PosedFrames(
-        tuple(times),
-        np.array(poses, dtype=np.float64).reshape(-1, 4, 4),
-        frozenset(traversal.keyframe_timestamps(camera)),
-        tuple(numbers[t] for t in times) if numbers is not None else (),
-    )
+from relocbench.geometry import rotation_angle
 
 
 def make_pairs(
@@ -71,7 +27,9 @@ def make_pairs(
     sigma_translation_m: float | None = None,
     sigma_rotation_deg: float | None = None,
 ) -> list[Pair]:
-    """Pairs by the rule of the options; by default ``step`` within one traversal and ``nearest`` across two.
+    """Pairs by the rule of the options, by default ``step`` within one traversal and ``nearest`` across two.
+
+    Pairs of different places follow them if the options want any.
 
     Args:
         source: how the poses were obtained, stored with each pair.
@@ -79,7 +37,8 @@ def make_pairs(
         sigma_translation_m, sigma_rotation_deg: one standard deviation of ``T_query_ref``, if known.
 
     Raises:
-        DatasetError: there is no pair; the message says how near the nearest candidates were.
+        DatasetError: there is no pair, and the message says how near the nearest candidates were; or the road is too
+            short for pairs of different places.
         ConfigError: the step rule is used across two traversals.
     """
     rule = options.pair_rule or ("step" if same_traversal else "nearest")
@@ -101,7 +60,7 @@ def make_pairs(
             else _why_none_near(reference, query, options, same_traversal)
         )
         raise DatasetError(why, where)
-    return [
+    pairs = [
         Pair(
             reference.timestamps[r],
             query.timestamps[q],
@@ -113,11 +72,7 @@ def make_pairs(
         )
         for r, q, group in found
     ]
-
-
-def relative_pose(T_world_query: Array, T_world_ref: Array) -> Array:
-    """``T_query_ref = T_query_world @ T_world_ref``, (4, 4)."""
-    return invert(T_world_query) @ T_world_ref
+    return with_different_places(pairs, reference, query, options, where) if options.elsewhere else pairs
 
 
 def step_matches(frames: PosedFrames, steps: Sequence[int]) -> list[tuple[int, int, str]]:

@@ -13,11 +13,11 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.datasets.core.pairfile import PairKey
+from relocbench.datasets.core.pairfile import ELSEWHERE, PairKey
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.evaluation.common.tables import KEY_COLUMNS, STATUSES, TableRow, read_chunks, write_rows
-from relocbench.metrics import PairSetSummary, PoseErrors, summarize
+from relocbench.metrics import CORRECT, DifferentPlaces, PairSetSummary, PoseErrors, summarize, within
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -133,12 +133,12 @@ class ErrorTable(Sequence[PairErrors]):
         return int(np.count_nonzero(self.status_index == STATUSES.index(status)))
 
     def of_group(self, group: str) -> ErrorTable:
-        """The rows of one group; all rows for the group ``all``."""
-        if group == ALL:
+        """The rows of one group; those of all pairs of one place for the group ``all``."""
+        if group == ALL and ELSEWHERE not in self.group_names:
             return self
         if group not in self._of_groups:
-            index = self.group_names.index(group) if group in self.group_names else -1
-            self._of_groups[group] = self.take(np.flatnonzero(self.group_index == index))
+            wanted = [name != ELSEWHERE if group == ALL else name == group for name in self.group_names]
+            self._of_groups[group] = self.take(np.flatnonzero(np.array(wanted, dtype=bool)[self.group_index]))
         return self._of_groups[group]
 
     @cached_property
@@ -150,6 +150,12 @@ class ErrorTable(Sequence[PairErrors]):
     def summary(self) -> PairSetSummary:
         """Every metric over the rows. Raises DatasetError where there is none."""
         return summarize(self.errors, seconds=self.column("seconds"), confidence=self.column("confidence"))
+
+    @property
+    def different_places(self) -> DifferentPlaces:
+        """What the method did with the pairs of different places among the rows."""
+        rows = self.of_group(ELSEWHERE)
+        return DifferentPlaces.of(within(rows.errors, *CORRECT), rows.errors.answered, rows.column("confidence"))
 
     def take(self, rows: Indices) -> ErrorTable:
         """The rows at these indices, in this order."""
@@ -174,8 +180,11 @@ class ErrorTable(Sequence[PairErrors]):
 
 
 def groups_in(group_names: Sequence[str]) -> list[str]:
-    """The groups that are scored: ``all``, then the named groups unless there is only one, which would be all pairs."""
-    named = [name for name in group_names if name]
+    """The groups whose errors are scored: ``all``, then the named groups unless there is only one, which would be all.
+
+    Pairs of different places are not among them.
+    """
+    named = [name for name in group_names if name and name != ELSEWHERE]
     return [ALL, *named] if len(named) > 1 else [ALL]
 
 

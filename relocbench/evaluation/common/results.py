@@ -67,6 +67,9 @@ class PairSetRecord(Strict):
     reference_condition: str
     query_condition: str
     pairs: Count
+    """of one place"""
+    elsewhere: Count = 0
+    """pairs of different places"""
     rejected: Count
     has_truth: bool
     groups: tuple[str, ...] = ()
@@ -74,6 +77,11 @@ class PairSetRecord(Strict):
     median_angle_deg: float | None = None
     median_sigma_translation_m: float | None = None
     median_sigma_rotation_deg: float | None = None
+
+    @property
+    def asked(self) -> int:
+        """The number of pairs that methods answer."""
+        return self.pairs + self.elsewhere
 
 
 class DatasetRecord(Strict):
@@ -144,6 +152,8 @@ class ScoreRecord(Strict):
     """pair set -> SHA-256 of the dataset's pair file and its table"""
     pair_sets: dict[JoinedName, dict[str, dict[str, float | int | None]]]
     """pair set -> group ('all' for the whole) -> metric -> value"""
+    elsewhere: dict[JoinedName, dict[str, float | int | None]] = Field(default_factory=dict)
+    """of pair sets with pairs of different places: how many there are, and how many are answered, and confidently"""
     matching: dict[JoinedName, dict[str, dict[str, dict[str, float | int | None]]]] = Field(default_factory=dict)
     """where it was measured, pair set -> group -> start offset ('all', '1px', ...) -> matching quality"""
 
@@ -370,6 +380,7 @@ def _pair_set_record(dataset: Dataset, pair_set: PairSet) -> PairSetRecord:
         reference_condition=str(dataset.traversal(pair_set.reference).condition),
         query_condition=str(dataset.traversal(pair_set.query).condition),
         pairs=len(pairs),
+        elsewhere=len(pair_set.elsewhere),
         rejected=len(pair_set.rejected),
         has_truth=pair_set.has_truth,
         groups=tuple(dict.fromkeys(p.group for p in pairs if p.group)),

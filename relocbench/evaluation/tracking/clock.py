@@ -35,7 +35,12 @@ _RIDGE = 1e-3
 _WITHHELD = "the truth is withheld, to which the floor is fitted"
 
 
-def clock_poses(ref_ns: Sequence[int], query_ns: Sequence[int], T_query_ref: Array) -> Array:
+def clock_poses(
+    ref_ns: Sequence[int],
+    query_ns: Sequence[int],
+    T_query_ref: Array,
+    fitted: NDArray[np.bool_] | None = None,
+) -> Array:
     """Poses from times alone, by cross-validation: each pair is predicted from the pairs of other parts of the drive.
 
     The six coordinates of ``log T_query_ref`` are regressed (ridge regression) on the time since the start of each
@@ -46,18 +51,21 @@ def clock_poses(ref_ns: Sequence[int], query_ns: Sequence[int], T_query_ref: Arr
         ref_ns: (N,) times of the keyframes.
         query_ns: (N,) times of the queries.
         T_query_ref: (N, 4, 4) the truth.
+        fitted: (N,) the pairs that are fitted; the others are predicted from all of these. Default: all.
 
     Returns:
         (N, 4, 4); the identity where there are too few pairs to fit.
     """
-    count = len(T_query_ref)
-    out = np.tile(np.eye(4), (count, 1, 1))
+    out = np.tile(np.eye(4), (len(T_query_ref), 1, 1))
+    known = np.ones(len(out), dtype=bool) if fitted is None else fitted
     features = _features(np.asarray(ref_ns, dtype=np.int64), np.asarray(query_ns, dtype=np.int64))
-    if count <= 2 * features.shape[1]:
+    if known.sum() <= 2 * features.shape[1]:
         return out
     logs = np.array([se3_log(T) for T in T_query_ref])
     order = np.lexsort((np.asarray(ref_ns), np.asarray(query_ns)))
-    for part in np.array_split(order, FOLDS):
+    order = order[known[order]]
+    others = [np.flatnonzero(~known)] if not known.all() else []
+    for part in (*np.array_split(order, FOLDS), *others):
         rest = np.setdiff1d(order, part)
         mean, weights = _ridge(features[rest], logs[rest])
         out[part] = [se3_exp(log) for log in mean + features[part] @ weights]
@@ -96,13 +104,15 @@ def run_clock(dataset: Dataset, pair_sets: Sequence[PairSet], results: DatasetRe
     if folder.run_yaml.exists() and (target := folder.run_record().target) != TARGET:
         raise PredictionError(f"holds predictions of '{target}'; the label '{CLOCK}' is the floor's", folder.run_yaml)
     for pair_set in pair_sets:
-        pairs = pair_set.pairs
+        pairs = pair_set.asked
         truth = [pair.T_query_ref for pair in pairs if pair.T_query_ref is not None]
         lines: list[PoseLine] = []
         answers = [Answer(pair.key, "failed", message=_WITHHELD) for pair in pairs]
         if pairs and len(truth) == len(pairs):
             ref, query = zip(*(pair.key for pair in pairs), strict=True)
-            poses = clock_poses(ref, query, np.array(truth))
+            # Pairs of different places are drawn at random, so that fitting them would only spoil the floor.
+            fitted = np.array([not pair.is_elsewhere for pair in pairs])
+            poses = clock_poses(ref, query, np.array(truth), fitted)
             lines = [PoseLine(*pair.key, pose) for pair, pose in zip(pairs, poses, strict=True)]
             answers = [Answer(pair.key, "ok") for pair in pairs]
         folder.root.mkdir(parents=True, exist_ok=True)

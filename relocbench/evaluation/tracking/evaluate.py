@@ -83,6 +83,7 @@ class Report:
             "results": str(self.results),
             "rejected_pairs": {s.name: len(s.rejected) for s in self.pair_sets},
             "methods": {label: scores.pair_sets for label, scores in scored.items()},
+            "elsewhere": {label: scores.elsewhere for label, scores in scored.items() if scores.elsewhere},
             "matching": {label: scores.matching for label, scores in scored.items() if scores.matching},
             "broken": [{"method": label, "message": message} for label, message in self.broken],
         }

@@ -52,7 +52,7 @@ def export_poses(
     method: str | None,
     relocalization_files: Sequence[Path] = (),
 ) -> list[Path]:
-    """Export pair sets of a dataset; returns the files or folders that were written.
+    """Export pair sets of a dataset, without pairs of different places; returns the files or folders written.
 
     Args:
         out: folder for ``PAIRSET.txt`` (tum, kitti) or ``PAIRSET/`` (colmap); for mlad, the zip file itself.
@@ -86,7 +86,7 @@ def _lines_of(dataset: Dataset, pair_set: str, results: Path, method: str | None
     if method not in known:
         raise PredictionError(f"no predictions of '{method}'; there are {', '.join(known) or 'none'}", folder.root)
     poses = read_predictions(folder.method(method).predictions(pair_set), dataset.pair_set(pair_set))
-    return [PoseLine(*key, pose) for key, pose in poses.items()]
+    return [PoseLine(*pair.key, poses[pair.key]) for pair in dataset.pair_set(pair_set).pairs if pair.key in poses]
 
 
 def truth_lines(dataset: Dataset, pair_set: str) -> list[PoseLine]:
@@ -281,7 +281,7 @@ def _answered(pair_set: PairSet, predictions: Sequence[PoseLine]) -> list[PoseLi
     for line in predictions:
         if line.key not in pair_set.by_key:
             raise PredictionError(f"pair {line.key[0]} {line.key[1]} is not in the pair set '{pair_set.name}'")
-    return [line for line in predictions if line.T_query_ref is not None]
+    return [line for line in predictions if line.T_query_ref is not None and not pair_set.by_key[line.key].is_elsewhere]
 
 
 def _pose(line: PoseLine) -> Array:

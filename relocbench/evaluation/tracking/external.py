@@ -90,10 +90,10 @@ def _checked(theirs: MethodResults, path: Path, pair_set: PairSet) -> tuple[list
     for key in given:
         if key not in pair_set.by_key:
             raise PredictionError(f"unknown pair {key[0]} {key[1]}", table)
-    lines = [PoseLine(*p.key, poses[p.key]) for p in pair_set.pairs if p.key in poses]
+    lines = [PoseLine(*p.key, poses[p.key]) for p in pair_set.asked if p.key in poses]
     answers = [
         given.get(p.key) or Answer(p.key, "ok" if p.key in poses else "failed", message=_missing(p.key in poses))
-        for p in pair_set.pairs
+        for p in pair_set.asked
     ]
     return lines, answers
 

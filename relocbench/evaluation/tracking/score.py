@@ -48,7 +48,7 @@ def read_predictions(path: Path, pair_set: PairSet) -> dict[PairKey, Array]:
     """
     lines = read_pose_lines(path, PredictionError, allow_non_finite=True)
     align_predictions(
-        [p.key for p in pair_set.pairs], [line.key for line in lines], path=path, lines=[line.line for line in lines]
+        [p.key for p in pair_set.asked], [line.key for line in lines], path=path, lines=[line.line for line in lines]
     )
     return {line.key: line.T_query_ref for line in lines if line.T_query_ref is not None}
 
@@ -72,6 +72,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
     errors = dict(before.errors) if before else {}
     truth = dict(before.truth) if before else {}
     scores = dict(before.pair_sets) if before else {}
+    elsewhere = dict(before.elsewhere) if before else {}
     matching = dict(before.matching) if before else {}
     for pair_set in pair_sets:
         if not pair_set.has_truth or not folder.predictions(pair_set.name).exists():
@@ -82,6 +83,8 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
         errors[pair_set.name] = errors_hash(folder, pair_set.name)
         truth[pair_set.name] = truth_hash(pair_set)
         scores[pair_set.name] = {g: summarize_rows(rows, g).to_dict() for g in groups_of(rows)}
+        if pair_set.elsewhere:
+            elsewhere[pair_set.name] = rows.different_places.to_dict()
         if folder.matching(pair_set.name).exists():
             matching[pair_set.name] = matching_scores(pair_set, folder)
     known = {s for s in dataset.pair_set_names if folder.predictions(s).exists()}
@@ -95,6 +98,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
         errors={k: v for k, v in sorted(errors.items()) if k in known},
         truth={k: v for k, v in sorted(truth.items()) if k in known},
         pair_sets={k: v for k, v in sorted(scores.items()) if k in known},
+        elsewhere={k: v for k, v in sorted(elsewhere.items()) if k in known},
         matching={k: v for k, v in sorted(matching.items()) if k in known and folder.matching(k).exists()},
     )
     write_record(folder.scores_yaml, score_record)
@@ -102,12 +106,12 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
 
 
 def score_pair_set(pair_set: PairSet, folder: MethodResults) -> ErrorTable:
-    """The errors of every accepted pair, in the pair set's order. Raises PredictionError."""
+    """The errors of every pair that is asked, in the pair set's order. Raises PredictionError."""
     poses = read_predictions(folder.predictions(pair_set.name), pair_set)
     path = folder.answers(pair_set.name)
     answers = read_answers(path) if path.exists() else {}
-    align_predictions([p.key for p in pair_set.pairs], list(answers), path=path)
-    pairs = pair_set.pairs
+    pairs = pair_set.asked
+    align_predictions([p.key for p in pairs], list(answers), path=path)
     T_pred = np.array([poses.get(p.key, np.full((4, 4), np.nan)) for p in pairs]).reshape(-1, 4, 4)
     T_gt = np.array([p.T_query_ref for p in pairs], dtype=np.float64).reshape(-1, 4, 4)
     errors = pose_errors(T_pred, T_gt, answered=[p.key in poses for p in pairs])

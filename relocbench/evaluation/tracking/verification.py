@@ -87,6 +87,22 @@ def faults_of_summary(
                 told = f"{metric} ({group}) is {value} here and {recorded[metric]} in {folder.scores_yaml.name}"
                 yield PredictionError(f"{told}; {again}", folder.errors(name))
                 break
+    yield from _faults_of_different_places(folder, name, rows, scores, again)
+
+
+def _faults_of_different_places(
+    folder: MethodResults, name: str, rows: ErrorTable, scores: ScoreRecord, again: str
+) -> Iterator[PredictionError]:
+    """The first number of the pairs of different places that is not that of the table of errors."""
+    found = rows.different_places
+    if not found.pairs and name not in scores.elsewhere:
+        return
+    recorded = scores.elsewhere.get(name, {})
+    for key, value in found.to_dict().items():
+        if key not in recorded or not _same(value, recorded[key]):
+            told = f"{key} of different places is {value} here and {recorded.get(key)} in {folder.scores_yaml.name}"
+            yield PredictionError(f"{told}; {again}", folder.errors(name))
+            return
 
 
 def rescored(

@@ -13,11 +13,17 @@ from typing import Any
 import numpy as np
 
 from relocbench.datasets.core.fingerprint import SHORT
-from relocbench.datasets.core.pairfile import PairKey
+from relocbench.datasets.core.pairfile import ELSEWHERE, PairKey
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand, Truth
 from relocbench.evaluation.common.error_table import ErrorTable, read_errors
-from relocbench.evaluation.common.matching_table import MatchingRow, check_complete, read_matching, summarize_matching
+from relocbench.evaluation.common.matching_table import (
+    ALL,
+    MatchingRow,
+    check_complete,
+    read_matching,
+    summarize_matching,
+)
 from relocbench.evaluation.common.results import (
     PREDICTIONS,
     DatasetRecord,
@@ -56,7 +62,7 @@ class Method:
     label: str
     run: RunRecord
     errors: dict[str, ErrorTable]
-    """by pair set, ordered by reference time; pair sets without results are absent"""
+    """by pair set, of pairs of one place, ordered by reference time; pair sets without results are absent"""
     missing: dict[str, str]
     """pair set -> why its results are absent"""
     stopped: frozenset[str] = frozenset()
@@ -65,8 +71,23 @@ class Method:
     """matching quality by pair set, where it was measured"""
     rescored: bool = False
     """whether all errors were computed anew from the predictions and the dataset's truth"""
+    elsewhere: dict[str, ErrorTable] = field(default_factory=dict)
+    """the errors of pairs of different places, by pair set that has any; ``errors`` is without them"""
     ran_as: str = ""
     """the label in the run's record, which the name of the folder replaces"""
+
+    def tables(self, pair_set: str) -> list[ErrorTable]:
+        """The errors of the pairs of one place, and those of different places where there are any."""
+        return [self.errors[pair_set], *([self.elsewhere[pair_set]] if pair_set in self.elsewhere else [])]
+
+    def has_pairs_of(self, other: Method, pair_set: str) -> bool:
+        """Whether both have errors of the same pairs."""
+        ours, theirs = ([table.keys for table in m.tables(pair_set)] for m in (self, other))
+        return len(ours) == len(theirs) and all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
+
+    def has_groups_of(self, other: Method, pair_set: str) -> bool:
+        """Whether both name the same groups of these pairs."""
+        return [table.groups for table in self.tables(pair_set)] == [table.groups for table in other.tables(pair_set)]
 
     @property
     def is_floor(self) -> bool:
@@ -195,9 +216,9 @@ def merge_copies(entries: Sequence[DatasetEntry]) -> list[DatasetEntry]:
 def _merged(first: DatasetEntry, other: DatasetEntry) -> DatasetEntry:
     known = {method.label: method for method in first.methods}
     for method in other.methods:
-        for name, rows in method.errors.items():
-            same = next((m.errors[name] for m in first.methods if name in m.errors), rows)
-            if not np.array_equal(rows.keys, same.keys) or rows.groups != same.groups:
+        for name in method.errors:
+            same = next((m for m in first.methods if name in m.errors), method)
+            if not method.has_pairs_of(same, name) or not method.has_groups_of(same, name):
                 raise PredictionError(
                     f"{other.title}: '{method.label}' answered other pairs of '{name}' than methods on {first.title}, "
                     "although both are marked as results of the same dataset; evaluate one of them again"
@@ -263,12 +284,16 @@ def _method(
     ran_as = run.method
     run = run.model_copy(update={"method": folder.label})
     errors: dict[str, ErrorTable] = {}
+    elsewhere: dict[str, ErrorTable] = {}
     missing: dict[str, str] = {}
     done = {name for name in pair_sets if _complete(folder, name)}
     scores = _scores(folder, run) if done else None  # read once: it holds every pair set
     for name, record in pair_sets.items():
         if scores is not None and name in done:
-            errors[name] = _errors(folder, run, name, record, scores, truth)
+            rows = _errors(folder, run, name, record, scores, truth)
+            errors[name] = rows.of_group(ALL)
+            if record.elsewhere:
+                elsewhere[name] = rows.of_group(ELSEWHERE)
         else:
             missing[name] = _why_missing(folder, name, record)
     stopped = frozenset(name for name in missing if folder.journal(name).is_dir())
@@ -277,7 +302,8 @@ def _method(
         for name, rows in errors.items()
         if scores is not None and folder.matching(name).exists()
     }
-    return Method(folder.label, run, errors, missing, stopped, matching, truth is not None and bool(errors), ran_as)
+    confirmed = truth is not None and bool(errors)
+    return Method(folder.label, run, errors, missing, stopped, matching, confirmed, elsewhere, ran_as)
 
 
 def _complete(folder: MethodResults, pair_set: str) -> bool:
@@ -297,7 +323,7 @@ def _why_missing(folder: MethodResults, pair_set: str, record: PairSetRecord) ->
         for entry in read_journal(path)
         if isinstance(entry, dict) and "key" in entry
     }
-    return f"the run was stopped after {len(keys)} of {record.pairs} pairs"
+    return f"the run was stopped after {len(keys)} of {record.asked} pairs"
 
 
 def _scores(folder: MethodResults, run: RunRecord) -> ScoreRecord:
@@ -332,8 +358,11 @@ def _errors(
     path = folder.errors(name)
     rows = read_errors(path).by_time()
     twice = bool((np.diff(rows.keys, axis=0) == 0).all(axis=1).any())
-    if twice or len(rows) != record.pairs:
-        raise PredictionError(f"{len(rows)} rows, expected one for each of the {record.pairs} pairs; {again}", path)
+    if twice or len(rows) != record.asked:
+        raise PredictionError(f"{len(rows)} rows, expected one for each of the {record.asked} pairs; {again}", path)
+    if rows.different_places.pairs != record.elsewhere:
+        told = f"{rows.different_places.pairs} pairs of different places, expected {record.elsewhere}"
+        raise PredictionError(f"{told}; {again}", path)
     absent = [group for group in record.groups if group not in rows.group_names]
     if absent and len(record.groups) > 1:
         raise PredictionError(f"no pair of the group '{absent[0]}', which the dataset's record names; {again}", path)
@@ -359,15 +388,15 @@ def _matching(
 
 
 def _check_same_pairs(folder: DatasetResults, methods: Sequence[Method]) -> None:
-    first: dict[str, tuple[str, ErrorTable]] = {}
+    first: dict[str, Method] = {}
     for method in methods:
-        for name, rows in method.errors.items():
-            label, expected = first.setdefault(name, (method.label, rows))
+        for name in method.errors:
+            other = first.setdefault(name, method)
             path = folder.method(method.label).errors(name)
-            if not np.array_equal(rows.keys, expected.keys):
-                raise PredictionError(f"holds other pairs than the errors of '{label}'; score both again", path)
-            if rows is not expected and rows.groups != expected.groups:
-                raise PredictionError(f"holds other groups than the errors of '{label}'; score both again", path)
+            if not method.has_pairs_of(other, name):
+                raise PredictionError(f"holds other pairs than the errors of '{other.label}'; score both again", path)
+            if method is not other and not method.has_groups_of(other, name):
+                raise PredictionError(f"holds other groups than the errors of '{other.label}'; score both again", path)
 
 
 def _check_apart(folders: Sequence[DatasetResults]) -> None:

@@ -44,15 +44,18 @@ def seed_rows(board: Board) -> list[dict[str, Value]]:
 
 
 def error_rows(board: Board) -> Iterator[Sequence[Value]]:
-    """The rows of ``errors.csv``, with its header: the errors of every pair and every method, as safe texts."""
+    """The rows of ``errors.csv``, with its header: the errors of every pair and every method, as safe texts.
+
+    In each pair set, pairs of different places follow those of one place.
+    """
     yield [*ERRORS_HEAD, *ERROR_COLUMNS]
     for dataset in board.datasets:
         record = dataset.entry.record
         for name in dataset.entry.pair_sets:
             for method in dataset.entry.methods:
-                if name in method.errors:
+                for table in method.tables(name) if name in method.errors else ():
                     place = (record.name, method.run.fingerprint, name, method.label)
-                    yield from _error_rows(place, method.errors[name])
+                    yield from _error_rows(place, table)
 
 
 def _error_rows(place: tuple[str, ...], rows: ErrorTable) -> Iterator[Sequence[Value]]:
@@ -88,6 +91,11 @@ def _row(board: Board, dataset: DatasetBoard, table: Table, row: Row) -> dict[st
             interval = row.intervals.get(metric.name)
             out[f"{metric.name}_low"] = interval.low if interval else None
             out[f"{metric.name}_high"] = interval.high if interval else None
+    elsewhere = row.elsewhere
+    out["elsewhere"] = elsewhere.pairs if elsewhere else None
+    out["elsewhere_answered"] = elsewhere.answered_share if elsewhere else None
+    out["elsewhere_confident"] = elsewhere.confident_share if elsewhere else None
+    out["elsewhere_confident_high"] = elsewhere.confident_high if elsewhere else None
     above = row.above_floor
     out["above_identity"] = above.mean if above else None
     out["above_identity_low"] = above.interval.low if above and above.interval else None

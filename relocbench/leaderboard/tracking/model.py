@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.leaderboard.tracking.load import DatasetEntry, Method
-from relocbench.metrics import METRICS, Difference, Interval, Metric, Spread
+from relocbench.metrics import METRICS, Difference, DifferentPlaces, Interval, Metric, Spread
 
 TOTAL = "total"
 """the total over pair sets of two drives"""
@@ -40,6 +40,9 @@ class Row:
     """difference of the ranking metric to the identity pose on the same pairs; positive is better"""
     missing: tuple[str, ...] = ()
     """the pair sets that are missing"""
+    elsewhere: DifferentPlaces | None = None
+    """what became of the pairs of different places; None where there are none, in tables of groups, and where a pair
+    set is missing"""
 
 
 @dataclass(frozen=True, eq=False)

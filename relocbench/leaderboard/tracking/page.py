@@ -13,7 +13,7 @@ from relocbench.leaderboard.tracking.load import Method, evaluate_command
 from relocbench.leaderboard.tracking.marks import MARKS, made_elsewhere, signs
 from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_numbers
 from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, SeedRow, Table
-from relocbench.metrics import LEVEL, MIN_EFFECTIVE, Metric, Spread, metric_named
+from relocbench.metrics import CONFIDENT, LEVEL, MIN_EFFECTIVE, Metric, Spread, metric_named
 from relocbench.pages import render
 from relocbench.pages.markdown import code, escaped, table_text
 
@@ -64,7 +64,9 @@ def markdown(board: Board, *, plots: bool) -> str:
         plots=plots,
         marks=MARKS,
         summary=_summary(board),
-        confidence=_totals(board, [metric_named(name) for name in _OF_CONFIDENCE]),
+        confidence=_totals(board, [metric_named(name) for name in _OF_CONFIDENCE], elsewhere=_asks_elsewhere(board)),
+        elsewhere=_asks_elsewhere(board),
+        confident=f"{CONFIDENT:g}",
         risks=[
             (f"{dataset.entry.title}, {_total_name(table)}", quote(risk_file(dataset, table)))
             for dataset in board.datasets
@@ -148,17 +150,37 @@ def _summary(board: Board) -> str:
     return _totals(board, [m for m in shown_metrics(board) if m.name in (*_SUMMARISED, board.metric.name)])
 
 
-def _totals(board: Board, metrics: Sequence[Metric]) -> str:
-    """A table with a row for each total and method; empty where nothing was run."""
+def _asks_elsewhere(board: Board) -> bool:
+    """Whether any method was asked about pairs of different places."""
+    return any(m.elsewhere for dataset in board.datasets for m in dataset.entry.methods)
+
+
+def _totals(board: Board, metrics: Sequence[Metric], *, elsewhere: bool = False) -> str:
+    """A table with a row for each total and method, with pairs of different places if wanted; empty without rows."""
     rows = []
     for dataset in board.datasets:
         for table in dataset.totals:
             place = [escaped(dataset.entry.title), _total_name(table), str(len(table.pair_sets)), str(table.pairs)]
             for row in table.rows:
                 rank = "" if row.rank is None else str(row.rank)
-                rows.append([*place, rank, _name(row), *(_cell(m, row, table, interval=False) for m in metrics)])
+                cells = [_cell(m, row, table, interval=False) for m in metrics]
+                rows.append([*place, rank, _name(row), *cells, *(_elsewhere_cells(row) if elsewhere else ())])
     columns = ["dataset", "total", "pair sets", "pairs", "rank", "method", *(_plain_heading(m) for m in metrics)]
+    columns += ["different places", "answered of these, %", "confidently wrong, %"] if elsewhere else []
     return table_text(columns, rows, left=6) if rows else ""
+
+
+def _elsewhere_cells(row: Row) -> list[str]:
+    """The number of pairs of different places, and the shares answered and confidently answered, with the bound."""
+    found = row.elsewhere
+    if found is None or found.answered_share is None:
+        return ["", "", ""]
+    high = number(found.confident_high, "share")
+    return [
+        str(found.pairs),
+        number(found.answered_share, "share"),
+        f"{number(found.confident_share, 'share')} (at most {high})",
+    ]
 
 
 def _total_name(table: Table) -> str:

@@ -6,7 +6,7 @@ A pair set is a total over one set, and a group is a set of fewer pairs: one fun
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from relocbench.leaderboard.tracking.model import (
 )
 from relocbench.metrics import (
     METRICS,
+    DifferentPlaces,
     Interval,
     Metric,
     PairScores,
@@ -142,6 +143,8 @@ def _table(entry: DatasetEntry, planned: _Planned, metric: Metric, seed: int) ->
         )
     floor = sets[entry.floor.label] if entry.floor else None
     rows = [_row(m, sets[m.label], names, ranks[m.label], floor, metric) for m in entry.methods]
+    if group == ALL:
+        rows = [row if row.missing else replace(row, elsewhere=_elsewhere(row.method, names)) for row in rows]
     asked = _pairs_asked(sets)
     return Table(
         pair_set=shown,
@@ -191,6 +194,12 @@ def _row(
         rank=rank,
         above_floor=above,
     )
+
+
+def _elsewhere(method: Method, names: Sequence[str]) -> DifferentPlaces | None:
+    """The pairs of different places of the pair sets together; None where there are none."""
+    tables = [method.elsewhere[name] for name in names if name in method.elsewhere]
+    return DifferentPlaces.total(table.different_places for table in tables) if tables else None
 
 
 def _interval(metric: Metric, sets: Sequence[ErrorTable]) -> Interval | None:

@@ -107,6 +107,17 @@ def mean_interval(
     return Interval(max(0.0, min(low, p - between)), min(1.0, max(high, p + between)), level)
 
 
+def share_interval(successes: int, draws: int, *, level: float = LEVEL) -> Interval:
+    """Clopper and Pearson's interval of a share seen in independent draws.
+
+    Raises:
+        ValueError: no draws, or more successes than draws.
+    """
+    if not 0 <= successes <= draws or draws == 0:
+        raise ValueError(f"a share needs draws, and no more successes than these, got {successes} of {draws}")
+    return Interval(*_clopper_pearson(successes / draws, draws, level), level)
+
+
 def median_interval(
     values: ArrayLike, errors: ArrayLike | None = None, *, independent: bool = False, level: float = LEVEL
 ) -> Interval | None:

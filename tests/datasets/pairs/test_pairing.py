@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relocbench.datasets.core.build_options import RuleOptions
-from relocbench.datasets.pairs.pairing import PosedFrames, make_pairs, nearest_matches, step_matches
+from relocbench.datasets.pairs.pairing import make_pairs, nearest_matches, step_matches
+from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.geometry import make_transform, rotation_angle, se3_exp, so3_exp
 

@@ -17,7 +17,7 @@ from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.rendered import dataset as synthetic
 from relocbench.datasets.pairs.correspondence_file import read_correspondences
-from relocbench.datasets.pairs.pairing import PosedFrames
+from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.pairs.visibility import warp
 from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.conditions.presets import conditions_of
@@ -428,3 +428,29 @@ def test_drives_of_one_route_differ() -> None:
     assert isinstance(one, Drive)
     assert np.abs(one.T_world_rig[:, 1, 3] - two.T_world_rig[:, 1, 3]).max() > 0.05
     assert np.abs(one.along - two.along).max() > 0.05
+
+
+def test_pairs_of_different_places_change_nothing_else(tmp_path: Path) -> None:
+    size = ("--size", "32", "--steps", 8, "--speed", 40, "--conditions", "Sunny", "--correspondences", 10, "-j", 1)
+    apart = ("--elsewhere", 4, "--elsewhere-distance", 12)
+    for name, words in (("plain", ()), ("with", apart)):
+        outcome = relocbench("build-dataset", "synthetic", *size, *words, "--out", tmp_path / name, "-q")
+        assert outcome.status == 0, outcome.err
+    plain, made = Dataset(tmp_path / "plain"), Dataset(tmp_path / "with")
+    assert (plain.file.format_version, made.file.format_version) == (1, 2)
+    assert "elsewhere" not in plain.file.made_by["options"]
+    (name,) = made.pair_set_names
+    assert len(made.pair_set(name).elsewhere) == 4
+    assert all((p.distance_m or 0) >= 12 for p in made.pair_set(name).elsewhere)
+    files = {p.relative_to(plain.root): p.read_bytes() for p in plain.root.rglob("*") if p.is_file()}
+    changed = {str(path) for path, content in files.items() if (made.root / path).read_bytes() != content}
+    assert changed == {"build.yaml", "dataset.yaml", "manifest.csv", f"pairs/{name}.csv", f"pairs/{name}.txt"}
+    table = (
+        made.layout.pair_table(name).read_text().splitlines(),
+        plain.layout.pair_table(name).read_text().splitlines(),
+    )
+    assert [line for line in table[0] if ",elsewhere," not in line] == table[1]
+    assert relocbench("validate", made.root).status == 0
+    outcome = relocbench("build-dataset", "synthetic", *size, "--elsewhere", 4, "--out", tmp_path / "short", "-q")
+    assert outcome.status == 2
+    assert "--elsewhere 4 pairs of different places: only 0 pairs can exchange queries" in outcome.err

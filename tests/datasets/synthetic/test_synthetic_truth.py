@@ -11,7 +11,7 @@ from repository import TRUTH
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.importers.rendered import dataset as synthetic
-from relocbench.datasets.pairs.pairing import PosedFrames
+from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.synthetic.conditions.condition import condition_named
 from relocbench.datasets.synthetic.jobs import scenes
 from relocbench.datasets.synthetic.jobs.exact_correspondences import View

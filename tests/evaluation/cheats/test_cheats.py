@@ -18,9 +18,11 @@ from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import MethodError, RelocbenchError
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.results import Answer, MethodResults, read_answers
+from relocbench.evaluation.common.worker import Shown, units_of
 from relocbench.evaluation.retrieval.describe import AnonymousViews, Describer, anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
+from relocbench.methods import MethodSpec
 from relocbench.progress import Silent
 
 pytestmark = pytest.mark.usefixtures("workers_kept")
@@ -167,3 +169,32 @@ def test_retrievers_see_images_in_an_order_that_says_nothing(tmp_path: Path) -> 
     described = Describer(MeanGrey(), salt="salt")(gallery, lambda count: None)
     given = Describer(MeanGrey())(gallery, lambda count: None)
     np.testing.assert_array_equal(described.values, given.values)
+
+
+def test_nothing_but_pixels_tells_pairs_of_different_places_from_others(tmp_path: Path) -> None:
+    apart = make_small_dataset(tmp_path / "small", frames=8, elsewhere=6)
+    (cheat,) = evaluate(apart, tmp_path / "out", f"cheat={HERE}:Sorter")
+    told = {answer.key: json.loads(answer.info)["told"] for answer in answers(cheat)}
+    pair_set = apart.pair_set(ACROSS)
+    assert told.keys() == {pair.key for pair in pair_set.asked}
+    assert all(words == told[pair_set.pairs[0].key] for words in told.values())
+
+
+def test_whoever_remembers_images_fails_as_many_pairs_of_one_place(tmp_path: Path) -> None:
+    """A method that calls pairs different whose two images it has seen before is right half of the time."""
+    apart = make_small_dataset(tmp_path / "small", frames=12, size=(32, 24), elsewhere=6)
+    pair_set = apart.pair_set(ACROSS)
+    keys = [pair.key for pair in pair_set.asked]
+    exchanged = {time for pair in pair_set.elsewhere for time in pair.key}
+    called = {True: 0, False: 0}
+    for seed in range(400):
+        keyframes: set[int] = set()
+        queries: set[int] = set()
+        units = units_of(apart, pair_set, MethodSpec("m", "identity"), tmp_path, keys, Shown(), seed)
+        for ref, query in (key for unit in units for key in unit.keys):
+            if ref in keyframes and query in queries and {ref, query} <= exchanged:
+                called[pair_set.by_key[ref, query].is_elsewhere] += 1
+            keyframes.add(ref)
+            queries.add(query)
+    assert called[True] > 300, "some are called different"
+    assert called[True] < 0.55 * sum(called.values())

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from relocbench.arrays import Array
 from relocbench.datasets.core import images
@@ -70,6 +70,12 @@ class Options(PosedRecordingOptions):
     point_filter: Literal["usual", "none"] = Field(
         "usual", description="'usual': only points of low variance and sufficient baseline; 'none': all points"
     )
+
+    @model_validator(mode="after")
+    def _files_name_all_pairs(self) -> Self:
+        if self.relocalization_files and self.elsewhere:
+            raise ValueError("elsewhere has no effect with relocalization_files, which name all pairs")
+        return self
 
 
 def build(sources: list[Path], options: ImportOptions, out: Path, reporter: Reporter, run: Run) -> Dataset:

@@ -11,7 +11,7 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair, PairKey, PoseLine, read_pose_lines
 from relocbench.datasets.importers.four_seasons.recording import CAMERAS, Recording
-from relocbench.datasets.pairs.pairing import relative_pose
+from relocbench.datasets.pairs.posed_frames import relative_pose
 from relocbench.errors import DatasetError
 from relocbench.geometry import invert, rotation_angle
 from relocbench.progress import Reporter

@@ -22,7 +22,8 @@ from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.assembly import check_folder, open_writer, write_pairs
 from relocbench.datasets.importers.kitti.files import KittiSequence
-from relocbench.datasets.pairs.pairing import PosedFrames, make_pairs
+from relocbench.datasets.pairs.pairing import make_pairs
+from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.sensors.stereo import StereoGeometry, stereo_depth
 from relocbench.datasets.sensors.velodyne import LIDAR_SIGMA, project_scan, read_scan
 from relocbench.errors import ConfigError, DatasetError

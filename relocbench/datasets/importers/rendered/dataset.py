@@ -33,7 +33,7 @@ _RECORDING_OPTIONS = ("route", "recording_cameras", "image_scale", "rings", "azi
 _KITTI_OPTIONS = ("rings", "azimuths", "motion_distorted")
 _DATASET_OPTIONS = (
     "name", "licence", "pair_rule", "pair_step", "max_distance", "max_angle", "correspondences",
-    "cameras", "size", "distance", "reference", "extras",
+    "cameras", "size", "distance", "reference", "extras", "elsewhere", "elsewhere_distance",
 )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pairfile import Pair, PairKey
 from relocbench.datasets.pairs.correspondences import PairCorrespondences
+from relocbench.datasets.pairs.different_places import with_different_places
 from relocbench.datasets.pairs.pairing import make_pairs
 from relocbench.datasets.pairs.writing import is_finished, write_measured
 from relocbench.datasets.synthetic.jobs.exact_correspondences import View, exact_correspondences
@@ -63,7 +64,7 @@ def write_pair_sets(
         split -> names of its pair sets.
 
     Raises:
-        DatasetError: a pair set would be empty.
+        DatasetError: a pair set would be empty, or the road is too short for pairs of different places.
     """
     splits: dict[str, list[str]] = {}
     units = []
@@ -97,6 +98,8 @@ def _unit(
         # All cameras of a rig use the same seed, so that their pairs are of the same moments wherever possible.
         rng = np.random.default_rng([options.seed, 6, reference.number, query.number])
         pairs = drawn_pairs(*frames, spread, rng, same_traversal=same)
+        if pairs and options.elsewhere:
+            pairs = with_different_places(pairs, *frames, options, layout.root)
     else:
         pairs = make_pairs(
             *frames,
@@ -114,7 +117,9 @@ def _unit(
             layout.root,
         )
     if len({p.query_timestamp_ns for p in pairs}) < len(query.times) and options.pair_rule is None:
-        reporter.note(f"{name}: {len(query.times) - len(pairs)} of {len(query.times)} queries are in no pair")
+        reporter.note(
+            f"{name}: {len(query.times) - len(pairs) + options.elsewhere} of {len(query.times)} queries are in no pair"
+        )
     ordered = tuple(sorted(pairs, key=lambda p: p.key))
     keyframes, asking = {p.ref_timestamp_ns for p in ordered}, {p.query_timestamp_ns for p in ordered}
     return PairSetUnit(
@@ -141,6 +146,8 @@ def write_set(unit: PairSetUnit) -> None:
 
     def measured() -> Iterator[tuple[PairKey, PairCorrespondences]]:
         for pair in unit.pairs:
+            if pair.is_elsewhere:
+                continue
             assert pair.T_query_ref is not None
             rng = np.random.default_rng([unit.seed, 8, *pair.key])
             views = unit.references[pair.ref_timestamp_ns], unit.queries[pair.query_timestamp_ns]

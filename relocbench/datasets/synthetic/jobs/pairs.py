@@ -9,7 +9,7 @@ from scipy.stats import gamma
 
 from relocbench.arrays import Array
 from relocbench.datasets.core.pairfile import Pair
-from relocbench.datasets.pairs.pairing import PosedFrames, relative_pose
+from relocbench.datasets.pairs.posed_frames import PosedFrames, relative_pose
 from relocbench.geometry import rotation_angle
 
 _SHAPE = 4.0

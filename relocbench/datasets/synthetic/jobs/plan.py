@@ -10,7 +10,7 @@ import numpy as np
 from relocbench.arrays import Array
 from relocbench.datasets.core.images import DEPTH_SCALE
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
-from relocbench.datasets.pairs.pairing import PosedFrames
+from relocbench.datasets.pairs.posed_frames import PosedFrames
 from relocbench.datasets.synthetic.conditions.condition import NamedCondition
 from relocbench.datasets.synthetic.conditions.presets import SPLITS
 from relocbench.datasets.synthetic.drives.drive import RATE_HZ, STEP_NS, Drive, DriveStyle, drive, route_length

@@ -1,0 +1,60 @@
+"""The posed frames of a camera, which pairs are made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from relocbench.arrays import Array
+from relocbench.datasets.core.traversal import Traversal
+from relocbench.geometry import invert
+
+
+@dataclass(frozen=True, eq=False)
+class PosedFrames:
+    """The posed frames of one camera of one traversal, in time order."""
+
+    timestamps: tuple[int, ...]
+    """nanoseconds, increasing"""
+    T_world_cam: Array
+    """(N, 4, 4)"""
+    keyframes: frozenset[int]
+    """times of the frames with depth or points"""
+    numbers: tuple[int, ...] = ()
+    """the recording's frame numbers, which may have gaps; default: 0, 1, 2, ..."""
+
+    def __post_init__(self) -> None:
+        if not self.numbers:
+            object.__setattr__(self, "numbers", tuple(range(len(self.timestamps))))
+        if not len(self.timestamps) == len(self.numbers) == len(self.T_world_cam):
+            raise ValueError(
+                f"posed frames need as many times ({len(self.timestamps)}) as poses ({len(self.T_world_cam)}) "
+                f"and numbers ({len(self.numbers)})"
+            )
+
+    @property
+    def keyframe_rows(self) -> list[int]:
+        """Positions of the keyframes in :attr:`timestamps`."""
+        return [i for i, t in enumerate(self.timestamps) if t in self.keyframes]
+
+
+def posed_frames(traversal: Traversal, camera: str, numbers: dict[int, int] | None = None) -> PosedFrames:
+    """The frames of a traversal on disk that have an image and a pose.
+
+    Args:
+        numbers: timestamp_ns -> frame number, if the recording's frame numbers have gaps.
+    """
+    times = [t for t in traversal.timestamps(camera) if t in traversal.poses]
+    poses = [traversal.T_world_cam(camera, t) for t in times]
+    return PosedFrames(
+        tuple(times),
+        np.array(poses, dtype=np.float64).reshape(-1, 4, 4),
+        frozenset(traversal.keyframe_timestamps(camera)),
+        tuple(numbers[t] for t in times) if numbers is not None else (),
+    )
+
+
+def relative_pose(T_world_query: Array, T_world_ref: Array) -> Array:
+    """``T_query_ref = T_query_world @ T_world_ref``, (4, 4)."""
+    return invert(T_world_query) @ T_world_ref
