@@ -2,12 +2,13 @@
 
 In each district drives in three conditions are rendered. Pairs are drawn from all images of the district that are at
 most 14 m and 45 degrees apart (``--pairs``), and between its keyframes and images of another district
-(``--different``), where nothing can be answered and every answer is wrong. Every method answers them, however little
-speaks for its answer. On the districts of ``--fit`` a logistic regression, never falling in the evidence, predicts
-which answers are within 0.25 m and 2 degrees. Printed are its coefficients, to be written into
-``baselines/calibration.py``; how many right and wrong answers each limit on the evidence would refuse; and, for the
-districts of ``--report``, how often answers of each confidence are right, how precise those of at least 0.5 are, and
-how many pairs of different places have one.
+(``--different``), where nothing can be answered and every answer is wrong. These are fitted to; a dataset's own pairs
+of different places (``build-dataset --elsewhere``), which lie in one district, test what came of it. Every method
+answers all pairs, however little speaks for its answer. On the districts of ``--fit`` a logistic regression, never
+falling in the evidence, predicts which answers are within 0.25 m and 2 degrees. Printed are its coefficients, to be
+written into ``baselines/calibration.py``; how many right and wrong answers each limit on the evidence would refuse;
+and, for the districts of ``--report``, how often answers of each confidence are right, how precise those of at least
+0.5 are, and how many pairs of different places have one.
 
 Datasets and answers are kept in ``--scratch``; when it is run again, only what is missing is made.
 

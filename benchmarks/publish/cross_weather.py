@@ -2,13 +2,14 @@
 
 Each of the twelve districts of ``docs/test-districts.md`` has 200 m of road and three conditions, each of which is the
 map for queries of all three: six changes and three pair sets within a condition. Images have 512x512 pixels; queries
-are about 1.6 m from their keyframe. ``relocbench evaluate`` runs every method, which is asked once (see
-``leaderboard/LEDGER.md``). ``--split validation`` renders districts of other seeds, to try the whole line out.
+are about 1.6 m from their keyframe, and 8 pairs of each set show different places. ``relocbench evaluate`` runs every
+method, which is asked once (see ``leaderboard/LEDGER.md``). ``--split validation`` renders districts of other seeds, to
+try the whole line out.
 
 The page has the scores of every method across conditions, within a condition, and of all changes with a condition at
-one end; and the differences of one method to every other with their 95 % intervals. A district counts as one series,
-ordered by time; districts count alike, and intervals are at least as wide as their spread demands
-(``docs/statistics.md``).
+one end; the differences of one method to every other with their 95 % intervals; and how many pairs of different places
+each answered, which nothing else counts. A district counts as one series, ordered by time; districts count alike, and
+intervals are at least as wide as their spread demands (``docs/statistics.md``).
 
 Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made.
 
@@ -24,7 +25,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,8 +36,9 @@ from districts import COUNT, PHRASE, District, districts
 from numpy.typing import NDArray
 
 from relocbench.evaluation.common.error_table import read_errors
+from relocbench.evaluation.common.matching_table import ALL
 from relocbench.evaluation.common.results import all_results
-from relocbench.metrics import Difference, PoseErrors, metric_named, paired_difference
+from relocbench.metrics import Difference, DifferentPlaces, PoseErrors, metric_named, paired_difference
 
 Array = NDArray[np.float64]
 
@@ -63,6 +65,8 @@ RIVALS = ("dso", "orb-pnp")
 VALIDATION_PHRASE = "validation of the page across weathers"
 STEPS, SPEED_MPS = 52, 40
 """images of a drive and its speed: at 10 images a second, 204 m of road"""
+ELSEWHERE = 8
+"""pairs of different places in each pair set"""
 _HEAD = """# Across weathers
 
 Printed by `python benchmarks/publish/cross_weather.py`; what is asked stands there, and how intervals are made in
@@ -110,13 +114,15 @@ def main() -> None:
             _run("evaluate", "-d", dataset, *results, *methods, *settings)
         methods = list(dict.fromkeys(method.split("=")[0] for method in options.methods))
         rows = _scored(_errors(scratch / "results", methods))
+        elsewhere = _different_places(scratch / "results", methods)
     together, single = _groups(rows)
-    tables = "\n".join(_tables(together, single, methods))
+    tables = "\n".join([*_tables(together, single, methods), *_elsewhere_table(elsewhere)])
     print(tables)
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
         (options.out / "cross_weather.md").write_text(f"{_HEAD.format(commit=_commit())}{tables}\n")
-    print(json.dumps({"benchmark": "cross_weather", **_claims(together, single, methods)}))
+    places = {method: found.to_dict() for method, found in elsewhere.items()}
+    print(json.dumps({"benchmark": "cross_weather", **_claims(together, single, methods), "different places": places}))
 
 
 def _options() -> argparse.Namespace:
@@ -126,6 +132,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--split", default="test", choices=("test", "validation"))
     parser.add_argument("--districts", type=int, default=COUNT, help="number of districts")
     parser.add_argument("--steps", type=int, default=STEPS, help="images of each drive")
+    parser.add_argument("--elsewhere", type=int, default=ELSEWHERE, help="pairs of different places a pair set")
     parser.add_argument("--workers", "-j", type=int, default=2)
     parser.add_argument("-m", dest="methods", action="append", help=f"default: {', '.join(METHODS)}")
     parser.add_argument("--set", dest="settings", action="append", help="method.key=value")
@@ -141,7 +148,8 @@ def _build(scratch: Path, district: District, options: argparse.Namespace) -> Pa
     out: Path = scratch / name
     drive = "--cameras", "front", "--size", "512x512", "--steps", options.steps, "--speed", SPEED_MPS
     asked = "--split", options.split, "--seed", district.seed, "--reference", "all", "--correspondences", 0
-    words = "--name", name, "--conditions", ",".join(district.conditions), *drive, *asked
+    apart = "--elsewhere", options.elsewhere
+    words = "--name", name, "--conditions", ",".join(district.conditions), *drive, *asked, *apart
     _run("build-dataset", "synthetic", *words, "--out", out, "-j", options.workers, "-q")
     return out
 
@@ -158,7 +166,7 @@ def _run(*words: object) -> None:
 
 
 def _errors(results: Path, methods: Sequence[str]) -> pd.DataFrame:
-    """One row for each dataset, pair set, method and pair."""
+    """One row for each dataset, pair set, method and pair of one place."""
     rows = []
     for folder in all_results(results):
         for method in folder.methods():
@@ -166,7 +174,7 @@ def _errors(results: Path, methods: Sequence[str]) -> pd.DataFrame:
                 continue
             for pair_set in folder.record.pair_sets:
                 about = {"dataset": folder.record.name, "pair_set": pair_set, "method": method.label}
-                for pair in read_errors(method.errors(pair_set)):
+                for pair in read_errors(method.errors(pair_set)).of_group(ALL):
                     ref_timestamp_ns, query_timestamp_ns = pair.key
                     rows.append(
                         {
@@ -179,6 +187,16 @@ def _errors(results: Path, methods: Sequence[str]) -> pd.DataFrame:
                         }
                     )
     return pd.DataFrame(rows)
+
+
+def _different_places(results: Path, methods: Sequence[str]) -> dict[str, DifferentPlaces]:
+    """What each method did with the pairs of different places of all pair sets."""
+    found: dict[str, list[DifferentPlaces]] = {method: [] for method in methods}
+    for folder in all_results(results):
+        for method in (method for method in folder.methods() if method.label in found):
+            tables = (read_errors(method.errors(name)) for name in folder.record.pair_sets)
+            found[method.label] += [table.different_places for table in tables]
+    return {method: DifferentPlaces.total(parts) for method, parts in found.items()}
 
 
 def _scored(errors: pd.DataFrame) -> pd.DataFrame:
@@ -227,6 +245,20 @@ def _tables(together: list[Group], single: list[Group], methods: Sequence[str]) 
         for metric in METRICS:
             cells = [_told(group.ahead(SUBJECT, other, metric)) for other in others]
             lines.append(f"| {group.name} | {metric} | {' | '.join(cells)} |")
+    return lines
+
+
+def _elsewhere_table(elsewhere: Mapping[str, DifferentPlaces]) -> list[str]:
+    """How many pairs of different places each method answered, and how many wrongly and confidently."""
+    lines = [
+        "\n## Pairs of different places\n",
+        "| method | pairs | answered | confidently wrong | share, % [at most] |",
+    ]
+    lines.append("|---|---|---|---|---|")
+    for method, found in elsewhere.items():
+        if found.confident_share is not None and found.confident_high is not None:
+            share = f"{100 * found.confident_share:.1f} [{100 * found.confident_high:.1f}]"
+            lines.append(f"| {method} | {found.pairs} | {found.answered} | {found.confident} | {share} |")
     return lines
 
 
