@@ -46,7 +46,7 @@ def probe(
     ] = None,
     per_pair: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="Pixels of a pair, each started from every offset [default: 100]."),
+        typer.Option(min=1, metavar="N", help="Most pixels of a pair, each started once [default: 600]."),
     ] = None,
     structured: Annotated[
         float | None,

@@ -16,6 +16,7 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ import numpy as np
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pair_set import PairSet
+from relocbench.evaluation.common.matching_table import OFFSETS_PX
 from relocbench.tracking import Query, Reference, TrackResult
 
 SPACING_M = 0.15
@@ -201,6 +203,38 @@ class Forger:
             for connection in _sockets():
                 connection.sendall(_FRAMES[self.how])
         return TrackResult(np.eye(4))
+
+
+class Trilaterator:
+    """Remembers from where it is started for each pixel, and intersects the circles on which the truth then lies."""
+
+    def __init__(self) -> None:
+        self.seen: dict[tuple[Any, ...], list[Any]] = {}
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        return TrackResult(np.eye(4), info={"found": []})
+
+    def match(self, reference: Reference, query: Query, uv_ref: Any, uv_start: Any) -> Any:
+        pixels = [(reference.key, query.key, *uv) for uv in np.asarray(uv_ref).tolist()]
+        for pixel, start in zip(pixels, uv_start, strict=True):
+            self.seen.setdefault(pixel, []).append(start)
+        return np.array([_on_circles(self.seen[p], start) for p, start in zip(pixels, uv_start, strict=True)])
+
+
+def _on_circles(starts: list[Any], start: Any) -> Any:
+    """The point with the offsets of matching quality from the starts, in some order; the start where they are few."""
+    if len(starts) < 3:
+        return start
+    at = np.array(starts[:5])
+    best, point = np.inf, start
+    for radii in permutations(OFFSETS_PX, len(at)):
+        r = np.array(radii, dtype=float)
+        right = (at[1:] ** 2).sum(axis=1) - (at[0] ** 2).sum() - r[1:] ** 2 + r[0] ** 2
+        found = np.linalg.lstsq(2 * (at[1:] - at[0]), right, rcond=None)[0]
+        off = np.abs(np.linalg.norm(at - found, axis=1) - r).max()
+        if off < best:
+            best, point = off, found
+    return point
 
 
 def _frame(text: bytes) -> bytes:

@@ -8,7 +8,14 @@ from typing import Any
 
 from relocbench.evaluation.common.error_table import ErrorTable, PairErrors, read_errors, write_errors
 from relocbench.evaluation.common.results import MethodResults
-from relocbench.evaluation.tracking.score import errors_hash, groups_of, predictions_hash, run_hash, summarize_rows
+from relocbench.evaluation.tracking.score import (
+    errors_hash,
+    groups_of,
+    matching_hash,
+    predictions_hash,
+    run_hash,
+    summarize_rows,
+)
 from relocbench.files import dump_yaml, load_yaml_values, write_text
 
 
@@ -27,6 +34,8 @@ def reseal(folder: MethodResults) -> None:
         for name in scores["predictions"]:
             scores["predictions"][name] = predictions_hash(folder, name)
             scores["errors"][name] = errors_hash(folder, name)
+        for name in scores["matching_tables"]:
+            scores["matching_tables"][name] = matching_hash(folder, name)
 
     change_yaml(folder.scores_yaml, digests)
 

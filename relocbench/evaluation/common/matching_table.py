@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
-from relocbench.evaluation.common.tables import KEY_COLUMNS, read_rows, write_rows
+from relocbench.evaluation.common.tables import KEY_COLUMNS, TableRow, read_rows, write_rows
 from relocbench.metrics.pose.matching import OFFSET_EDGES_PX
 
 ALL = "all"
@@ -22,10 +22,11 @@ Summary = dict[str, dict[str, float | int | None]]
 
 @dataclass(frozen=True)
 class Found:
-    """How many correspondences of a pair, started at one offset, the method brought near the truth."""
+    """How many pixels of a pair, those that were started at one offset, the method brought near the truth."""
 
     offset_px: int
-    count: int
+    pixels: int
+    """number of pixels that were asked from this offset; every pixel is asked from one offset only"""
     answered: int
     within_1px: int
     within_3px: int
@@ -57,12 +58,22 @@ def write_matching(path: Path, rows: Sequence[MatchingRow]) -> None:
 def read_matching(path: Path) -> list[MatchingRow]:
     """Read ``PAIRSET.matching.csv``. Raises PredictionError with file and line."""
     out = []
-    for row in read_rows(path, MATCHING_COLUMNS):
+    for row in _rows(path):
         key, found = row.key(), Found(*map(row.count, _COUNTS))
-        if not found.within_1px <= found.within_3px <= found.answered <= found.count:
-            raise row.fault("expected within_1px <= within_3px <= answered <= count")
+        if not found.within_1px <= found.within_3px <= found.answered <= found.pixels:
+            raise row.fault("expected within_1px <= within_3px <= answered <= pixels")
         out.append(MatchingRow(key, row["group"], found, row["message"]))
     return out
+
+
+def _rows(path: Path) -> Iterator[TableRow]:
+    """The rows of the table; one of earlier versions, which asked each pixel from every offset, is told apart."""
+    try:
+        yield from read_rows(path, MATCHING_COLUMNS)
+    except PredictionError as bad:
+        if bad.line != 1:
+            raise
+        raise PredictionError(f"{bad.expected}; remove the file and measure again (--matching)", path, 1) from None
 
 
 def check_complete(rows: Sequence[MatchingRow], keys: Sequence[PairKey], path: Path) -> None:
@@ -86,7 +97,7 @@ def summarize_matching(rows: Sequence[MatchingRow], group: str = ALL) -> Summary
 
 
 def _shares(rows: Sequence[Found]) -> dict[str, float | int | None]:
-    count = sum(row.count for row in rows)
+    count = sum(row.pixels for row in rows)
 
     def share(name: str) -> float | None:
         return sum(getattr(row, name) for row in rows) / count if count else None

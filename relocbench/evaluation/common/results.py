@@ -156,6 +156,8 @@ class ScoreRecord(Strict):
     """of pair sets with pairs of different places: how many there are, and how many are answered, and confidently"""
     matching: dict[JoinedName, dict[str, dict[str, dict[str, float | int | None]]]] = Field(default_factory=dict)
     """where it was measured, pair set -> group -> start offset ('all', '1px', ...) -> matching quality"""
+    matching_tables: dict[JoinedName, str] = Field(default_factory=dict)
+    """where it was measured, pair set -> SHA-256 of ``PAIRSET.matching.csv``"""
 
 
 @dataclass(frozen=True)

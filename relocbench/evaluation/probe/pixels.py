@@ -1,8 +1,8 @@
 """Probing single pixels: whether the method's per-pixel Gauss-Newton converges to the true pixel, and from how far.
 
-Starts lie 0 to 16 px from the true pixel of a ground-truth correspondence, in a random direction. A method that uses
-an image pyramid is asked again for each level alone. A coarse level cannot locate a pixel of the image to 1 px, so
-that ends within 1 px *of the level* are counted there as well.
+Each pixel is started once, 0 to 16 px from the true pixel of a ground-truth correspondence, in a random direction. A
+method that uses an image pyramid is asked again for each level alone, from the same starts. A coarse level cannot
+locate a pixel of the image to 1 px, so that ends within 1 px *of the level* are counted there as well.
 
 Most pixels of a street are road, wall and sky, while trackers select pixels with structure. ``with_structure`` keeps
 those alone: they depend on the keyframe's image, so that they are the same for every method.
@@ -43,11 +43,11 @@ def probe_pixels(
         tracker: prepared for the keyframe; None if it broke on it, in which case nothing is asked.
 
     Returns:
-        the tallies, none without visible correspondences; and how the method broke, empty if it did not. A method that
-        breaks has found nothing.
+        the tallies, none with fewer visible correspondences than there are offsets; and how the method broke, empty if
+        it did not. A method that breaks has found nothing.
     """
     starts = draw_starts(known, query.camera, key, per_pair, OFFSETS_PX, seed)
-    if not len(starts):
+    if len(starts) < len(OFFSETS_PX):
         return [], ""
     if tracker is None:
         return [_tally(None, starts, None)], ""

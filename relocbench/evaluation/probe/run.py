@@ -49,8 +49,8 @@ class ProbeOptions(ExecutionOptions):
     """``identity``: whole poses start at the keyframe's pose, and beside it equally far off in other directions"""
     pairs: int = Field(50, ge=1)
     """the largest number of pairs of each pair set, spread along the drive"""
-    per_pair: int = Field(100, ge=1)
-    """correspondences of a pair, each started from every offset"""
+    per_pair: int = Field(600, ge=1)
+    """the largest number of correspondences of a pair, each started from one offset"""
     structured: float = Field(1.0, gt=0, le=1)
     """share of a pair's correspondences that is probed, those whose pixel has the most structure; 1 for all"""
     directions: int = Field(2, ge=1)

@@ -51,7 +51,8 @@ class Task:
 
     pixels: bool
     poses: bool
-    per_pair: int
+    most_pixels: int
+    """of a pair, each started from one offset"""
     structured: float
     directions: int
     seed: int
@@ -177,8 +178,8 @@ def _ask(unit: ProbeUnit, key: PairKey, tracker: TrackerHandle | None) -> tuple[
 
         image = traversal_of(unit.dataset, unit.reference).image(unit.camera, key[0])
         known = with_structure(read_correspondences(correspondences, key), image, task.structured)
-        with step("", (key,), MANY_TIMES):  # one call for the pixels of all offsets, and one for each level
-            found, message = probe_pixels(tracker, query, known, key, task.per_pair, task.seed)
+        with step("", (key,), MANY_TIMES):  # one call for the pixels, and one for each level
+            found, message = probe_pixels(tracker, query, known, key, task.most_pixels, task.seed)
         tallies, messages = tallies + found, [*messages, message]
     truth = _pair_set(unit.dataset, name).by_key[key].T_query_ref
     if task.keyframe:

@@ -1,5 +1,6 @@
-"""Measuring matching quality: how often a method finds a pixel from starts at known distances from it.
+"""Measuring matching quality: how often a method finds a pixel from a start at a known distance from it.
 
+Each pixel is asked once, from one start: from several starts around one pixel the pixel itself could be worked out.
 The starts depend on the pair alone, so that they are the same for every method and every run. As with answers to pairs,
 results go to a journal at once, and the table of a complete pair set is written whole.
 """
@@ -58,17 +59,17 @@ from relocbench.progress import Reporter
 
 Array = NDArray[np.float64]
 
-PER_PAIR = 200
-"""the largest number of visible correspondences of a pair that are used, each from every offset"""
+PER_PAIR = 1000
+"""the largest number of visible correspondences of a pair that are used, each from one offset"""
 _SEED = 1
 
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """The starts of one pair, and the true pixels, which the method does not see."""
+    """The starts of one pair, one for each pixel, and the true pixels, which the method does not see."""
 
     uv_ref: Array
-    """(N, 2) pixels of the reference"""
+    """(N, 2) pixels of the reference, no two of them the same"""
     uv_query: Array
     """(N, 2) the true pixels of the query"""
     offset_px: NDArray[np.int64]
@@ -88,18 +89,20 @@ def draw_starts(
     offsets_px: Sequence[int] = OFFSETS_PX,
     seed: int = _SEED,
 ) -> Starts:
-    """Draw up to ``per_pair`` of a pair's visible correspondences, each with a start at every offset, in any direction.
+    """Draw up to ``per_pair`` of a pair's visible correspondences, each with a start at one offset, in any direction.
 
-    A start outside the query's image is rotated about the true pixel in quarter turns until it lies inside, so that
-    pixels near the border are not lost.
+    The offsets are drawn as well, so that each of them is asked of as many pixels, give or take one. A pixel of the
+    reference that occurs several times is used once. A start outside the query's image is rotated about the true pixel
+    in quarter turns until it lies inside, so that pixels near the border are not lost.
     """
     rng = np.random.default_rng([seed, *(time % 2**64 for time in key)])
     visible = np.nonzero(known.visible)[0]
-    rows = np.sort(rng.choice(visible, min(per_pair, len(visible)), replace=False))
-    n, k = len(rows), len(offsets_px)
-    offset = np.repeat(np.asarray(offsets_px, dtype=np.int64), n)
-    uv_ref, uv_query = np.tile(known.uv_ref[rows], (k, 1)), np.tile(known.uv_query[rows], (k, 1))
-    angle = rng.uniform(0.0, 2 * np.pi, k * n)
+    _, first = np.unique(known.uv_ref[visible], axis=0, return_index=True)
+    rows = np.sort(rng.choice(visible[first], min(per_pair, len(first)), replace=False))
+    uv_ref, uv_query = known.uv_ref[rows], known.uv_query[rows]
+    in_turn = np.resize(rng.permutation(np.asarray(offsets_px, dtype=np.int64)), len(rows))
+    offset = rng.permutation(in_turn)
+    angle = rng.uniform(0.0, 2 * np.pi, len(rows))
     step = offset[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     limit = np.array([query.width - 1, query.height - 1])
     for _ in range(3):

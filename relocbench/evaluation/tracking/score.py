@@ -74,6 +74,7 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
     scores = dict(before.pair_sets) if before else {}
     elsewhere = dict(before.elsewhere) if before else {}
     matching = dict(before.matching) if before else {}
+    tables = dict(before.matching_tables) if before else {}
     for pair_set in pair_sets:
         if not pair_set.has_truth or not folder.predictions(pair_set.name).exists():
             continue
@@ -87,7 +88,9 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
             elsewhere[pair_set.name] = rows.different_places.to_dict()
         if folder.matching(pair_set.name).exists():
             matching[pair_set.name] = matching_scores(pair_set, folder)
+            tables[pair_set.name] = matching_hash(folder, pair_set.name)
     known = {s for s in dataset.pair_set_names if folder.predictions(s).exists()}
+    matched = {s for s in known if folder.matching(s).exists()}
     score_record = ScoreRecord(
         relocbench=version.__version__,
         formulas=FORMULAS,
@@ -99,7 +102,8 @@ def score_method(dataset: Dataset, pair_sets: Sequence[PairSet], folder: MethodR
         truth={k: v for k, v in sorted(truth.items()) if k in known},
         pair_sets={k: v for k, v in sorted(scores.items()) if k in known},
         elsewhere={k: v for k, v in sorted(elsewhere.items()) if k in known},
-        matching={k: v for k, v in sorted(matching.items()) if k in known and folder.matching(k).exists()},
+        matching={k: v for k, v in sorted(matching.items()) if k in matched},
+        matching_tables={k: v for k, v in sorted(tables.items()) if k in matched},
     )
     write_record(folder.scores_yaml, score_record)
     return score_record
@@ -168,6 +172,11 @@ def predictions_hash(folder: MethodResults, pair_set: str) -> str:
 def errors_hash(folder: MethodResults, pair_set: str) -> str:
     """The SHA-256 of a table of errors, by which one that was changed after scoring is recognized."""
     return _hash_of(folder.errors(pair_set))
+
+
+def matching_hash(folder: MethodResults, pair_set: str) -> str:
+    """The SHA-256 of a table of matching quality, by which one that was changed after scoring is recognized."""
+    return _hash_of(folder.matching(pair_set))
 
 
 def truth_hash(pair_set: PairSet) -> str:

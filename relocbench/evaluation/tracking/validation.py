@@ -13,7 +13,6 @@ from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.datasets_at_hand import check_record
 from relocbench.evaluation.common.error_table import ERROR_COLUMNS, read_errors
-from relocbench.evaluation.common.matching_table import read_matching
 from relocbench.evaluation.common.results import (
     ANSWER_COLUMNS,
     PREDICTIONS,
@@ -28,6 +27,7 @@ from relocbench.evaluation.tracking.verification import (
     faults_of_pair_set,
     faults_of_record,
     faults_of_summary,
+    matching_of_pair_set,
     rescored,
 )
 from relocbench.files import read_csv, read_journal
@@ -267,9 +267,6 @@ def _check_scores(
             _check_scored(folder, name, scores, asked.dataset, found)
         else:
             _check_errors(folder.errors(name), found)
-        if folder.matching(name).exists():
-            with found.catching():
-                read_matching(folder.matching(name))
     unscored = sorted(complete - scores.predictions.keys())
     truth = {n for n, p in asked.record.pair_sets.items() if p.has_truth} if asked.record else set(unscored)
     if truth & set(unscored):
@@ -279,7 +276,7 @@ def _check_scores(
 def _check_scored(
     folder: MethodResults, name: str, scores: ScoreRecord, dataset: Dataset | None, found: Findings
 ) -> None:
-    """Check the table of errors of a pair set, its summary and, with the dataset at hand, each of its errors."""
+    """Check errors and matching quality of a pair set, their summaries and, with the dataset at hand, each error."""
     before = len(found.faults)
     for fault in faults_of_pair_set(folder, name, scores, _AGAIN):
         found.fault(fault.expected, fault.path)
@@ -293,6 +290,10 @@ def _check_scored(
             found.fault(fault.expected, fault.path)
         if dataset is not None and name in dataset.pair_set_names and dataset.fingerprint == scores.fingerprint:
             rescored(folder, dataset.pair_set(name), rows, scores, _AGAIN)
+    if name in scores.matching or folder.matching(name).exists():
+        with found.catching():
+            keys = list(map(tuple, read_errors(folder.errors(name)).keys.tolist()))
+            matching_of_pair_set(folder, name, keys, scores, f"{_AGAIN}, with --matching")
 
 
 def _check_errors(path: Path, found: Findings) -> None:

@@ -7,19 +7,27 @@ only scoring again, with the truth at hand, shows that errors are those of the p
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pair_set import PairSet
+from relocbench.datasets.core.pairfile import PairKey
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.error_table import ERROR_COLUMNS, ErrorTable
+from relocbench.evaluation.common.matching_table import (
+    MatchingRow,
+    check_complete,
+    read_matching,
+    summarize_matching,
+)
 from relocbench.evaluation.common.results import MethodResults, RunRecord, ScoreRecord
 from relocbench.evaluation.tracking.score import (
     FORMULAS,
     errors_hash,
     groups_of,
+    matching_hash,
     predictions_hash,
     run_hash,
     score_pair_set,
@@ -71,6 +79,29 @@ def faults_of_pair_set(folder: MethodResults, name: str, scores: ScoreRecord, ag
         yield PredictionError(f"missing, but {folder.scores_yaml.name} summarises it; {again}", folder.errors(name))
     elif scores.errors.get(name) != errors_hash(folder, name):
         yield PredictionError(f"changed since the predictions were scored; {again}", folder.errors(name))
+
+
+def matching_of_pair_set(
+    folder: MethodResults, name: str, keys: Sequence[PairKey], scores: ScoreRecord, again: str
+) -> list[MatchingRow]:
+    """Read the matching quality of a pair set, which was measured according to the folder or to ``scores.yaml``.
+
+    It cannot be computed anew: where a method's matches ended is not kept.
+
+    Raises:
+        PredictionError: the table is not the one that was scored, or not what ``scores.yaml`` summarises.
+    """
+    path = folder.matching(name)
+    if not path.exists():
+        raise PredictionError(f"missing, but {folder.scores_yaml.name} summarises it; {again}", path)
+    rows = read_matching(path)
+    check_complete(rows, keys, path)
+    if scores.matching_tables.get(name) != matching_hash(folder, name):
+        raise PredictionError(f"changed since it was scored; {again}", path)
+    recorded = scores.matching.get(name, {})
+    if any(recorded.get(group) != summarize_matching(rows, group) for group in groups_of(rows)):
+        raise PredictionError(f"is not what {folder.scores_yaml.name} summarises; {again}", path)
+    return rows
 
 
 def faults_of_summary(

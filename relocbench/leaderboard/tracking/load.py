@@ -13,17 +13,11 @@ from typing import Any
 import numpy as np
 
 from relocbench.datasets.core.fingerprint import SHORT
-from relocbench.datasets.core.pairfile import ELSEWHERE, PairKey
+from relocbench.datasets.core.pairfile import ELSEWHERE
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand, Truth
 from relocbench.evaluation.common.error_table import ErrorTable, read_errors
-from relocbench.evaluation.common.matching_table import (
-    ALL,
-    MatchingRow,
-    check_complete,
-    read_matching,
-    summarize_matching,
-)
+from relocbench.evaluation.common.matching_table import ALL, MatchingRow
 from relocbench.evaluation.common.results import (
     PREDICTIONS,
     DatasetRecord,
@@ -36,11 +30,11 @@ from relocbench.evaluation.common.results import (
     folders_with,
 )
 from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
-from relocbench.evaluation.tracking.score import groups_of
 from relocbench.evaluation.tracking.verification import (
     faults_of_pair_set,
     faults_of_record,
     faults_of_summary,
+    matching_of_pair_set,
     rescored,
 )
 from relocbench.files import read_journal
@@ -297,10 +291,11 @@ def _method(
         else:
             missing[name] = _why_missing(folder, name, record)
     stopped = frozenset(name for name in missing if folder.journal(name).is_dir())
+    again = _again(folder, run, matching=True)
     matching = {
-        name: _matching(folder, run, name, list(map(tuple, rows.keys.tolist())), scores)
+        name: tuple(matching_of_pair_set(folder, name, list(map(tuple, rows.keys.tolist())), scores, again))
         for name, rows in errors.items()
-        if scores is not None and folder.matching(name).exists()
+        if scores is not None and (name in scores.matching or folder.matching(name).exists())
     }
     confirmed = truth is not None and bool(errors)
     return Method(folder.label, run, errors, missing, stopped, matching, confirmed, elsewhere, ran_as)
@@ -371,20 +366,6 @@ def _errors(
     if truth is None:
         return rows
     return rescored(folder, truth.dataset.pair_set(name), rows, scores, again, copy=truth.copy)
-
-
-def _matching(
-    folder: MethodResults, run: RunRecord, name: str, keys: Sequence[PairKey], scores: ScoreRecord
-) -> tuple[MatchingRow, ...]:
-    """The matching quality of one pair set. Raises PredictionError unless ``scores.yaml`` holds its summary."""
-    path = folder.matching(name)
-    rows = read_matching(path)
-    check_complete(rows, keys, path)
-    recorded = scores.matching.get(name, {})
-    if any(recorded.get(group) != summarize_matching(rows, group) for group in groups_of(rows)):
-        again = _again(folder, run, matching=True)
-        raise PredictionError(f"is not what {folder.scores_yaml.name} summarises; {again}", path)
-    return tuple(rows)
 
 
 def _check_same_pairs(folder: DatasetResults, methods: Sequence[Method]) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from urllib.parse import quote
 
 from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.evaluation.common.matching_table import ALL
 from relocbench.leaderboard.common.copies import answers_on_copies
 from relocbench.leaderboard.common.text import json_text, number, with_bounds
 from relocbench.leaderboard.tracking.load import Method, evaluate_command
@@ -241,7 +242,7 @@ def _pictures(dataset: DatasetBoard, table: Table, plots: bool) -> dict[str, obj
     return {
         "curves": quote(curve_file(dataset, table)) if plots and has_curves(table) else "",
         "matching": {
-            "count": lines[0][1]["1px"]["count"],
+            "count": lines[0][1][ALL]["count"],
             "numbers": matching_numbers(lines),
             "picture": quote(matching_file(dataset, table.pair_set)),
         }

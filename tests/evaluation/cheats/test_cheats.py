@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cheating_retrievers import KeyGuesser, MeanGrey
-from cheating_trackers import FRAMES
+from cheating_trackers import FRAMES, Trilaterator
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 from small_views import make_small_views
 
@@ -17,13 +17,16 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import MethodError, RelocbenchError
 from relocbench.evaluation.common.error_table import read_errors
+from relocbench.evaluation.common.matching_table import OFFSETS_PX, read_matching
 from relocbench.evaluation.common.results import Answer, MethodResults, read_answers
 from relocbench.evaluation.common.worker import Shown, units_of
 from relocbench.evaluation.retrieval.describe import AnonymousViews, Describer, anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
+from relocbench.geometry import Camera
 from relocbench.methods import MethodSpec
 from relocbench.progress import Silent
+from relocbench.tracking import Query, Reference
 
 pytestmark = pytest.mark.usefixtures("workers_kept")
 HERE = "cheating_trackers"
@@ -156,6 +159,25 @@ def test_frames_of_the_querys_own_drive_are_not_shown_as_neighbours(dataset: Dat
         (cheat,) = evaluate(dataset, tmp_path / name, f"cheat={HERE}:Neighbours", pair_sets=(name,))
         found = [json.loads(answer.info)["found"] for answer in read_answers(cheat.answers(name)).values()]
         assert any(found) is shown
+
+
+def test_who_intersects_circles_around_its_starts_finds_what_the_starts_find(tmp_path: Path) -> None:
+    matched = make_small_dataset(tmp_path / "small", frames=8, correspondences=60, size=(160, 120))
+    (cheat,) = evaluate(matched, tmp_path / "r", f"cheat={HERE}:Trilaterator", matching=True)
+    rows = [row.found for row in read_matching(cheat.matching(ACROSS))]
+    assert sum(found.pixels for found in rows) > 100
+    for found in rows:
+        assert (found.within_1px, found.within_3px) == (found.start_within_1px, found.start_within_3px)
+
+
+def test_from_several_starts_of_one_pixel_the_pixel_would_be_found() -> None:
+    image, camera = np.zeros((4, 4), np.uint8), Camera("pinhole", 160, 120, 100, 100, 79.5, 59.5)
+    reference, query = Reference("r", None, image, camera), Query("q", None, image, camera)
+    truth, angles = np.array([70.0, 41.0]), np.arange(len(OFFSETS_PX)) * 1.1
+    starts = truth + np.array(OFFSETS_PX)[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    cheat = Trilaterator()
+    ends = cheat.match(reference, query, np.tile([3.0, 4.0], (len(starts), 1)), starts)
+    np.testing.assert_allclose(ends, np.tile(truth, (len(starts), 1)), atol=1e-6)
 
 
 def test_retrievers_see_images_in_an_order_that_says_nothing(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forgery import reseal
 from small_dataset import ACROSS, WITHIN, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
@@ -26,7 +27,7 @@ from relocbench.evaluation.common.matching_table import (
 from relocbench.evaluation.common.results import MethodResults
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
-from relocbench.evaluation.tracking.matching import draw_starts
+from relocbench.evaluation.tracking.matching import PER_PAIR, draw_starts
 from relocbench.evaluation.tracking.validation import validate_results
 from relocbench.geometry import Camera
 from relocbench.leaderboard import write_leaderboard
@@ -82,25 +83,46 @@ def correspondences(visible: int, hidden: int, width: int = 160, height: int = 1
     )
 
 
-def test_starts_are_off_the_visible_truth_by_each_offset_and_on_the_image() -> None:
-    known, camera = correspondences(50, 30), Camera("pinhole", 160, 120, 100, 100, 79.5, 59.5)
-    starts = draw_starts(known, camera, (1, 2))
-    assert len(starts) == 50 * len(OFFSETS_PX)
+CAMERA = Camera("pinhole", 160, 120, 100, 100, 79.5, 59.5)
+
+
+def test_each_visible_pixel_starts_once_off_the_truth_by_one_offset_and_on_the_image() -> None:
+    known = correspondences(50, 30)
+    starts = draw_starts(known, CAMERA, (1, 2))
+    assert len(starts) == 50
+    assert np.unique(starts.offset_px, return_counts=True)[1].tolist() == [10] * len(OFFSETS_PX)
     np.testing.assert_allclose(np.linalg.norm(starts.uv_start - starts.uv_query, axis=1), starts.offset_px, atol=1e-9)
     assert np.all((starts.uv_start >= 0) & (starts.uv_start <= [159, 119]))
     rows = {tuple(row) for row in np.column_stack([known.uv_ref, known.uv_query])[:50]}
     assert {tuple(row) for row in np.column_stack([starts.uv_ref, starts.uv_query])} == rows
 
 
+def test_offsets_differ_by_one_pixel_at_most_and_say_nothing_of_the_place() -> None:
+    counts = [len(draw_starts(correspondences(n, 2), CAMERA, (1, n)).offset_px) for n in (3, 4, 7)]
+    assert counts == [3, 4, 7]
+    of_each = [draw_starts(correspondences(7, 2), CAMERA, (1, key)).offset_px for key in range(40)]
+    for offsets in of_each:
+        per_offset = [int(np.sum(offsets == offset)) for offset in OFFSETS_PX]
+        assert max(per_offset) - min(per_offset) == 1
+    assert {int(offsets[0]) for offsets in of_each} == set(OFFSETS_PX), "the first pixel gets any offset"
+
+
+def test_a_pixel_that_several_correspondences_have_is_asked_once() -> None:
+    known = correspondences(50, 5)
+    known.uv_ref[10:20] = known.uv_ref[10]
+    starts = draw_starts(known, CAMERA, (1, 2))
+    assert len(starts) == len(np.unique(starts.uv_ref, axis=0)) == 41
+
+
 def test_starts_depend_on_the_pair_alone_and_are_bounded() -> None:
-    known, camera = correspondences(300, 5), Camera("pinhole", 160, 120, 100, 100, 79.5, 59.5)
+    known, camera = correspondences(1300, 5), CAMERA
     first, again, other = (draw_starts(known, camera, key) for key in ((1, 2), (1, 2), (1, 3)))
-    assert len(first) == 200 * len(OFFSETS_PX)
+    assert len(first) == PER_PAIR
     np.testing.assert_array_equal(first.uv_start, again.uv_start)
     assert not np.array_equal(first.uv_start, other.uv_start)
     angle = np.arctan2(*(first.uv_start - first.uv_query).T)
     assert np.abs(np.mean(np.exp(1j * angle))) < 0.1, "directions go all around"
-    assert len(draw_starts(replace(known, visible=np.zeros(305, dtype=bool)), camera, (1, 2))) == 0
+    assert len(draw_starts(replace(known, visible=np.zeros(1305, dtype=bool)), camera, (1, 2))) == 0
 
 
 def test_a_method_that_stays_at_its_starts_scores_what_the_starts_score(dataset: Dataset, tmp_path: Path) -> None:
@@ -110,15 +132,18 @@ def test_a_method_that_stays_at_its_starts_scores_what_the_starts_score(dataset:
     for row in rows:
         key, found = row.key, row.found
         known = read_correspondences(dataset.layout.correspondence_file(ACROSS), key)
-        right = known.uv_ref[known.visible][:, 0] >= 80
-        assert (found.count, found.answered) == (known.visible.sum(), right.sum())
+        starts = draw_starts(known, CAMERA, key)
+        asked = starts.offset_px == found.offset_px
+        right = asked & (starts.uv_ref[:, 0] >= 80)
+        assert (found.pixels, found.answered) == (asked.sum(), right.sum())
         assert found.within_1px == (right.sum() if found.offset_px <= 1 else 0)
         assert found.within_3px == (right.sum() if found.offset_px <= 3 else 0)
-        assert found.start_within_3px == (found.count if found.offset_px <= 3 else 0)
+        assert found.start_within_3px == (found.pixels if found.offset_px <= 3 else 0)
     scores = folder.score_record().matching[ACROSS]["all"]
-    answered, count = (sum(getattr(r.found, name) for r in rows) for name in ("answered", "count"))
+    answered, count = (sum(getattr(r.found, name) for r in rows) for name in ("answered", "pixels"))
     assert scores["all"]["answered"] == pytest.approx(answered / count)
-    assert scores["1px"]["match@1px"] == pytest.approx(answered / count)
+    near = [r.found for r in rows if r.found.offset_px == 1]
+    assert scores["1px"]["match@1px"] == pytest.approx(sum(f.answered for f in near) / sum(f.pixels for f in near))
     assert scores["4px"]["match@3px"] == 0.0
     assert set(folder.score_record().matching[WITHIN]) == {"all", "step_1", "step_2"}
 
@@ -193,7 +218,7 @@ def test_an_answer_that_breaks_the_contract_finds_nothing_and_is_told(
 ) -> None:
     report = evaluate(dataset, tmp_path, MATCHING, settings=(f"answer={answer}",), pair_sets=(ACROSS,))
     rows = read_matching(report.folders[0].matching(ACROSS))
-    assert all(r.found.answered == 0 < r.found.count for r in rows)
+    assert all(r.found.answered == 0 < r.found.pixels for r in rows)
     ((label, message),) = report.broken
     assert label == "m"
     assert "match broke on" in message
@@ -239,6 +264,7 @@ def test_the_leaderboard_shows_it_for_the_methods_that_have_it(dataset: Dataset,
     assert lines[0] == "| method | all starts | 1 px off | 2 px off | 4 px off | 8 px off | 16 px off |"
     assert {line.split(" | ")[0] for line in lines[2:]} == {"| dso", "| m", "| *the starts themselves*"}
     assert "100.0 / 100.0 | 0.0 / 100.0 | 0.0 / 0.0" in lines[-1]
+    assert "these numbers are not rescored" in section
     picture = board / "curves" / f"{report.results.name}__{ACROSS}.matching.png"
     assert picture.read_bytes().startswith(b"\x89PNG")
     with (board / "matching.csv").open() as stream:
@@ -268,8 +294,17 @@ def test_a_table_that_is_not_what_the_scores_summarise_is_refused(dataset: Datas
     rows = read_matching(folder.matching(ACROSS))
     better = replace(rows[0], found=replace(rows[0].found, within_1px=0, within_3px=0))
     write_matching(folder.matching(ACROSS), [better, *rows[1:]])
+    with pytest.raises(PredictionError, match=r"matching\.csv: changed since it was scored; score again: .*"):
+        write_leaderboard(tmp_path / "r", tmp_path / "b", plots=False)
+    assert [f.path for f in validate_results(tmp_path / "r", dataset, Silent()).faults] == [folder.matching(ACROSS)]
+    reseal(folder)
     with pytest.raises(PredictionError, match=r"matching\.csv: is not what scores\.yaml summarises; score again: .*"):
         write_leaderboard(tmp_path / "r", tmp_path / "b", plots=False)
+    assert [f.path for f in validate_results(tmp_path / "r", dataset, Silent()).faults] == [folder.matching(ACROSS)]
+    folder.matching(ACROSS).unlink()
+    with pytest.raises(PredictionError, match=r"matching\.csv: missing, but scores\.yaml summarises it; score again"):
+        write_leaderboard(tmp_path / "r", tmp_path / "b", plots=False)
+    assert [f.path for f in validate_results(tmp_path / "r", dataset, Silent()).faults] == [folder.matching(ACROSS)]
     write_matching(folder.matching(ACROSS), rows[1:])
     with pytest.raises(PredictionError, match=r"matching\.csv: expected one row for each of the \d+ pairs"):
         evaluate(dataset, tmp_path / "r", MATCHING)
@@ -278,9 +313,9 @@ def test_a_table_that_is_not_what_the_scores_summarise_is_refused(dataset: Datas
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (("offset_px", "offset"), r"csv:1: expected the header"),
-        ((",1,60,", ",1,many,"), r"csv:\d+: count is 'many', expected a whole number"),
-        ((",1,60,", ",1,0,"), r"csv:\d+: expected within_1px <= within_3px <= answered <= count"),
+        ((",pixels,", ",count,"), r"csv:1: expected the header .*; remove the file and measure again \(--matching\)"),
+        ((",1,60,", ",1,many,"), r"csv:\d+: pixels is 'many', expected a whole number"),
+        ((",1,60,", ",1,0,"), r"csv:\d+: expected within_1px <= within_3px <= answered <= pixels"),
         ((",1,60,", ",60,"), r"csv:\d+: expected 11 columns, found 10"),
     ],
 )
@@ -290,7 +325,7 @@ def test_a_bad_table_is_named_with_its_line(
     folder = evaluate(dataset, tmp_path / "r", MATCHING, pair_sets=(WITHIN,)).folders[0]
     path = folder.matching(WITHIN)
     text = path.read_text()
-    first = read_matching(path)[0].found.count
+    first = read_matching(path)[0].found.pixels
     changed = text.replace(change[0].replace("60", str(first)), change[1], 1)
     assert changed != text
     path.write_text(changed)
