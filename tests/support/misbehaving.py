@@ -122,6 +122,23 @@ class InBatches(Misbehaves):
         return [self.track(reference, query) for query in queries]
 
 
+class AlwaysMisbehaves(Misbehaves):
+    """Does it on every pair; a line in ``mark`` for each time."""
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        with Path(self.mark).open("a") as stream:
+            stream.write(f"{reference.timestamp_ns} {query.timestamp_ns}\n")
+        DEEDS[self.deed]()
+        return TrackResult(np.eye(4))
+
+
+class AlwaysInBatches(AlwaysMisbehaves):
+    """The same, several queries at once."""
+
+    def track_batch(self, reference: Reference, queries: Sequence[Query], priors: Sequence[Any]) -> list[TrackResult]:
+        return [self.track(reference, query) for query in queries]
+
+
 class InConstructor(Misbehaves):
     """Does it when it is made; a line in ``mark`` for each time."""
 

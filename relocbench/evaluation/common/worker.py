@@ -58,6 +58,8 @@ class Unit:
     keys: tuple[PairKey, ...]
     journal: Path
     shown: Shown
+    patient: bool
+    """whether the first call of a process may take many times the limit, as compilation does"""
 
     def __str__(self) -> str:
         return f"{self.spec.label} on {self.reference}__{self.query}__{self.camera}, pair {self.keys[0]}"
@@ -89,7 +91,7 @@ def units_of(
         by_keyframe = [by_keyframe[i] for i in rng.permutation(len(by_keyframe))]
     common = (spec, dataset.root.resolve(), pair_set.reference, pair_set.query, pair_set.camera)
     return [
-        Unit(*common, tuple(chunk), journal.resolve(), shown)
+        Unit(*common, tuple(chunk), journal.resolve(), shown, patient=True)
         for group in by_keyframe
         for chunk in chunks(group, _PAIRS_A_UNIT)
     ]
@@ -182,9 +184,10 @@ def is_first_call(function: str, spec: MethodSpec) -> bool:
     return True
 
 
-def time_factor(function: str, spec: MethodSpec, pairs: int = 1) -> float:
+def time_factor(function: str, unit: Unit, pairs: int = 1) -> float:
     """The factor on the time limit of a call: the first one in a process may compile, or start a program."""
-    return MANY_TIMES if is_first_call(function, spec) else min(float(pairs), MANY_TIMES)
+    first = is_first_call(function, unit.spec) and unit.patient
+    return MANY_TIMES if first else min(float(pairs), MANY_TIMES)
 
 
 _trackers: dict[tuple[str, bool], TrackerHandle] = {}

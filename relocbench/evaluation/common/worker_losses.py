@@ -17,6 +17,8 @@ TRIES = 2
 """a death may be accidental (another program took the memory), and a method that leaks gets a fresh process"""
 HOPELESS = 3
 """calls that may be lost before any has succeeded; then a method is given up"""
+IN_A_ROW = 10
+"""pairs, or batches of them, that may be lost with no answer in between; then a method is given up"""
 
 
 def run_until_answered(
@@ -61,6 +63,9 @@ class LossHandler(Generic[U]):
         self._was_lost = False
         """whether the unit that ends next was lost"""
         self._given_up = ""
+        self._in_a_row = 0
+        """pairs and batches lost since the last answer"""
+        self._answers = 0
 
     def runnable_units(self, units: Iterable[U], advance: Callable[[int], None]) -> Iterator[U]:
         """Yield the units to run, with suspect pairs in units of their own; pairs that are given up get their entry.
@@ -76,9 +81,11 @@ class LossHandler(Generic[U]):
             if self._hopeless and _keyframe(unit) not in self._suspect_keyframes:
                 continue
             together = tuple(key for key in unit.keys if _pair(unit, key) not in self._suspect_pairs)
-            yield from (replace(unit, keys=(key,)) for key in unit.keys if key not in together)
-            if together:
-                yield replace(unit, keys=together)
+            alone = (replace(unit, keys=(key,)) for key in unit.keys if key not in together)
+            for part in (*alone, *([replace(unit, keys=together)] if together else [])):
+                # A first call takes as long as a limit allows: a method that hangs must not take many times the limit
+                # for each pair. A process that is started again after one or two losses may still compile.
+                yield replace(part, patient=self._in_a_row < TRIES)
 
     @property
     def _hopeless(self) -> bool:
@@ -87,6 +94,8 @@ class LossHandler(Generic[U]):
     def unit_ended(self, done: int) -> None:
         """Record the end of a unit; the method, or :meth:`handle_loss` just before, has done ``done`` pairs."""
         self._prepared |= done > 0 and not self._was_lost
+        if not self._was_lost:
+            self._answered(done)
         self._was_lost = False
 
     def handle_loss(self, unit: U, loss: Loss) -> int:
@@ -94,6 +103,7 @@ class LossHandler(Generic[U]):
         self._was_lost = True
         done = answered_keys(unit.journal)
         left = [key for key in unit.keys if key not in done]
+        self._answered(len(unit.keys) - len(left))
         name = loss.step.name if loss.step is not None else ""
         if name not in (CONSTRUCTOR, PREPARE):
             self._prepared = True
@@ -120,10 +130,30 @@ class LossHandler(Generic[U]):
         suspects = [key for key in told if key in left] or list(left[:1])
         if len(suspects) > 1:
             self._suspect_pairs.update(_pair(unit, key) for key in suspects)
+            self._lost_again(1, loss)
             return 0
         final = [key for key in suspects if self._is_final(_pair(unit, key), loss)]
         self._write_all(unit, final, loss_message(loss, " on this pair"))
+        self._lost_again(len(final), loss)
         return len(final)
+
+    def _lost_again(self, calls: int, loss: Loss) -> None:
+        self._in_a_row += calls
+        if self._in_a_row >= IN_A_ROW and not self._given_up:
+            self._given_up = self._hopeless_message(loss)
+
+    def _answered(self, pairs: int) -> None:
+        self._answers += pairs
+        if pairs:
+            self._in_a_row = 0
+
+    def _hopeless_message(self, loss: Loss) -> str:
+        before = f"after {self._answers} answered pairs" if self._answers else "without any answer before"
+        way_out = {"time": "mend the method or raise --time-limit", "memory": "mend the method or raise --memory-limit"}
+        return (
+            f"not asked: the method was given up when {self._in_a_row} calls in a row were lost, {before} "
+            f"({loss.words}); {way_out.get(loss.kind, 'mend the method')}, and run again with --overwrite failed"
+        )
 
     def _is_final(self, what: Hashable, loss: Loss) -> bool:
         self._deaths[what] += loss.workers

@@ -216,7 +216,7 @@ def _ask(tracker: TrackerHandle, unit: Unit, key: PairKey, starts: Starts) -> tu
     if not len(starts):
         return None, None
     query = query_of(unit, key)
-    with step("", (key,), time_factor("match", unit.spec)):
+    with step("", (key,), time_factor("match", unit)):
         return tracker.match(query, starts.uv_ref, starts.uv_start)
 
 

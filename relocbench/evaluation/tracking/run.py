@@ -156,8 +156,8 @@ def _run_unit(unit: Unit) -> int:
             if broke is not None:
                 answered, seconds = [error_answer(broke)] * len(batch), None
             else:
-                _warm_up(tracker, views[0], unit.spec, batch)
-                with step("", tuple(batch), time_factor(_TRACK, unit.spec, len(batch))):
+                _warm_up(tracker, views[0], unit, batch)
+                with step("", tuple(batch), time_factor(_TRACK, unit, len(batch))):
                     answered, seconds = tracker.ask(views)
             each = None if seconds is None else seconds / len(batch)
             for key, answer in zip(batch, answered, strict=True):
@@ -165,11 +165,11 @@ def _run_unit(unit: Unit) -> int:
     return len(unit.keys)
 
 
-def _warm_up(tracker: TrackerHandle, view: Query, spec: MethodSpec, keys: Sequence[PairKey]) -> None:
+def _warm_up(tracker: TrackerHandle, view: Query, unit: Unit, keys: Sequence[PairKey]) -> None:
     """Make one untimed call in each process: compilation and first allocations are not the method's speed."""
-    if spec.target.startswith(SUBPROCESS) or not is_first_call(_TRACK, spec):
+    if unit.spec.target.startswith(SUBPROCESS) or not is_first_call(_TRACK, unit.spec):
         return
-    with step("", tuple(keys), MANY_TIMES):
+    with step("", tuple(keys), MANY_TIMES if unit.patient else 1.0):
         tracker.ask([view])
 
 

@@ -25,12 +25,16 @@ from small_views import make_small_views
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.cross_view import open_cross_view
 from relocbench.errors import ConfigError
+from relocbench.evaluation.common import worker_losses
 from relocbench.evaluation.common.results import Answer, read_answers
+from relocbench.evaluation.common.worker import Shown, Unit, append_entry
+from relocbench.evaluation.common.worker_losses import IN_A_ROW, LossHandler
 from relocbench.evaluation.retrieval.answers import read_answers as retrieved
 from relocbench.evaluation.retrieval.describe import anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
-from relocbench.execution import MANY_TIMES, Run, parse_size, run_limited, worker_process
+from relocbench.execution import MANY_TIMES, Loss, Run, Step, parse_size, run_limited, worker_process
+from relocbench.methods import parse_method
 from relocbench.progress import Silent
 
 pytestmark = pytest.mark.usefixtures("workers_kept")
@@ -136,6 +140,76 @@ def test_a_constructor_that_does_not_return_gives_the_method_up_and_later_method
     ((label, told),) = report.broken
     assert label == "bad"
     assert words in told
+
+
+@pytest.mark.parametrize(
+    ("name", "deed", "words"),
+    [
+        ("AlwaysMisbehaves", "hang", "longer than the time limit of 1 s"),
+        ("AlwaysMisbehaves", "leave", "exit status 3"),
+        pytest.param(*("AlwaysInBatches", "hang", "longer than the time limit of 1 s"), marks=pytest.mark.slow),
+    ],
+)
+def test_a_method_that_answers_no_pair_is_given_up(
+    dataset: Dataset,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    few_times: None,
+    name: str,
+    deed: str,
+    words: str,
+) -> None:
+    monkeypatch.setattr(worker_losses, "IN_A_ROW", 3)
+    settings = (f"bad.deed={deed}", f"bad.mark={tmp_path / 'mark'}")
+    report = evaluate(dataset, tmp_path / "out", f"bad={HERE}:{name}", "identity", settings=settings, time_limit=1.0)
+    told = [answer.message for answer in answers(report).values()]
+    tried = (tmp_path / "mark").read_text().splitlines()
+    keyframes = len({pair.ref_timestamp_ns for pair in dataset.pair_set(ACROSS).pairs})
+    asked = 0 if "Batches" in name else 3
+    assert sum(not message.startswith("not asked: ") for message in told) == asked
+    assert len(tried) == (keyframes + 3 if deed == "leave" else 3), "a death may be an accident, and is tried twice"
+    (message,) = {message for message in told if message.startswith("not asked: ")}
+    assert "given up when 3 calls in a row were lost, without any answer before" in message
+    assert words in message
+    assert message.endswith("and run again with --overwrite failed")
+    assert {a.status for a in answers(report, 1).values()} == {"ok"}
+    assert report.broken[0][0] == "bad"
+
+
+def unit_of(*keys: int, journal: Path) -> Unit:
+    spec = parse_method("identity")
+    return Unit(spec, Path("d"), "a", "b", "c", tuple((0, key) for key in keys), journal, Shown(), patient=True)
+
+
+def test_losses_with_answers_in_between_do_not_give_a_method_up_and_those_without_do(tmp_path: Path) -> None:
+    written: list[str] = []
+
+    def write(unit: Unit, key: tuple[int, int], message: str) -> None:
+        written.append(message)
+        append_entry(unit.journal, {"key": list(key)})
+
+    losses = LossHandler(write)
+    patient = []
+    for number in range(4 * IN_A_ROW):
+        journal = tmp_path / str(number)
+        journal.mkdir()
+        (unit,) = losses.runnable_units([unit_of(1, 2, journal=journal)], lambda count: None)
+        patient.append(unit.patient)
+        if number % 4 == 0:  # every fourth unit answers its first pair and loses its second one, the others lose one
+            append_entry(journal, {"key": [0, 1]})
+        key = unit.keys[number % 4 == 0]
+        losses.unit_ended(losses.handle_loss(unit, Loss(Step("", (key,)), "time", "took longer")))
+    assert written == ["took longer"] * 4 * IN_A_ROW
+    assert patient == [True, True, False, False] + [False, True, False, False] * (IN_A_ROW - 1)
+    while not written[-1].startswith("not asked"):
+        journal = tmp_path / f"more{len(written)}"
+        journal.mkdir()
+        for unit in losses.runnable_units([unit_of(1, journal=journal)], lambda count: None):
+            losses.unit_ended(losses.handle_loss(unit, Loss(Step("", unit.keys), "time", "took longer")))
+    lost = written[4 * IN_A_ROW : -1]
+    assert len(lost) == IN_A_ROW - 4, "three without an answer, and the one after the last answer, came before"
+    told = f"{IN_A_ROW} calls in a row were lost, after {IN_A_ROW} answered pairs (took longer); mend"
+    assert told in written[-1]
 
 
 @pytest.mark.slow
