@@ -21,6 +21,8 @@ from pathlib import Path
 import numba
 
 _VARIABLE = "NUMBA_CACHE_DIR"
+_SHARED = "RELOCBENCH_CACHE_HOME"
+"""names the user's caches in a method's process, whose own home and caches are private"""
 _IMPORT = re.compile(rb"^(?:from|import) ([\w.]+)", re.MULTILINE)
 _UNUSED_S = 30 * 86400
 _PACKAGES = ("relocbench", "baselines")
@@ -31,7 +33,8 @@ def use_kernel_cache() -> None:
     if _VARIABLE in os.environ:
         return
     root = Path(__file__).resolve().parents[1]
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "relocbench" / "kernels"
+    home = Path(os.environ.get(_SHARED) or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    home = home / "relocbench" / "kernels"
     folder = home / kernel_digest(root, _PACKAGES)
     os.environ[_VARIABLE] = str(folder)
     numba.config.reload_config()

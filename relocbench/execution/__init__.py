@@ -29,6 +29,7 @@ from relocbench.execution.memory import can_watch
 from relocbench.execution.output import messages_to_stderr
 from relocbench.execution.processes import kept_workers, run_on_processes, run_with_limits
 from relocbench.execution.scheduler import Scheduler
+from relocbench.execution.scratch import ScratchFolder
 from relocbench.execution.worker_process import end_workers
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "Loss",
     "Run",
     "Scheduler",
+    "ScratchFolder",
     "Step",
     "chunks",
     "default_workers",

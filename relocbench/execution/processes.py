@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from relocbench.errors import RelocbenchError
 from relocbench.execution.limits import Limits, Loss
 from relocbench.execution.memory import memory_watched
+from relocbench.execution.scratch import sweep
 from relocbench.execution.serving import Raised, RemoteTraceback
 from relocbench.execution.worker_process import WorkerProcess
 
@@ -138,6 +139,7 @@ class Pool:
         while self.workers:
             worker = self.workers.pop()
             worker.end(until - time.monotonic() if worker.work is None else 0.0)
+        sweep()  # what methods' processes of workers that were killed have left behind
 
     def _assign_units(
         self, function: Any, source: Iterator[tuple[int, Any]], again: deque[tuple[int, Any]], workers: int

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 import weakref
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -39,12 +40,13 @@ class Program:
 
     Args:
         words: the program and its arguments.
+        environment: its variables.
 
     Raises:
         OSError: no process can be started.
     """
 
-    def __init__(self, words: list[str]) -> None:
+    def __init__(self, words: list[str], environment: Mapping[str, str]) -> None:
         held, control = os.pipe()
         try:
             script = [sys.executable, "-I", "-S", str(Path(keeper.__file__)), str(held), str(os.getpid())]
@@ -56,6 +58,7 @@ class Program:
                 bufsize=0,
                 pass_fds=(held,),
                 start_new_session=True,
+                env=environment,
             )
         except OSError:
             os.close(control)

@@ -33,6 +33,7 @@ from pydantic import Field
 from relocbench.datasets.core.images import write_depth, write_image, write_points
 from relocbench.datasets.core.pairfile import QUATERNION_TOLERANCE
 from relocbench.errors import MethodError, one_line
+from relocbench.execution import ScratchFolder
 from relocbench.geometry import transform_from_tq, transform_to_tq
 from relocbench.methods.program import Program, ProgramFault
 from relocbench.tracking import Query, Reference, TrackResult
@@ -70,12 +71,13 @@ class SubprocessTracker:
         self.time_limit_s = time_limit_s
         self.start_limit_s = start_limit_s
         self.uses_times = uses_times
+        self._home = ScratchFolder()
         self._program: Program | None = None
         self._sent: _Sent | None = None
 
     def prepare(self, reference: Reference) -> _Sent:
         """Write the keyframe to files that the program can read."""
-        scratch = tempfile.TemporaryDirectory(prefix="relocbench-")
+        scratch = tempfile.TemporaryDirectory(prefix="keyframe-", dir=self._home.path)
         folder = Path(scratch.name)
         write_image(folder / "reference.png", reference.image)
         message: dict[str, Any] = {
@@ -120,11 +122,12 @@ class SubprocessTracker:
         if self._program is not None:
             self._program.stop()
         self._drop_program()
+        self._home.remove()
 
     def _ready_program(self, reference: _Sent) -> Program:
         if self._program is None:
             try:
-                self._program = Program(self.words)
+                self._program = Program(self.words, self._home.environment())
             except OSError as bad:
                 raise ProgramFault(f"cannot start '{self.words[0]}' ({bad.strerror})") from None
             self._program.ask({"type": "start", "protocol": PROTOCOL}, "ready", self.start_limit_s)

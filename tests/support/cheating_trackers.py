@@ -13,6 +13,7 @@ import os
 import socket
 import struct
 import sys
+import tempfile
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -203,6 +204,20 @@ class Forger:
             for connection in _sockets():
                 connection.sendall(_FRAMES[self.how])
         return TrackResult(np.eye(4))
+
+
+class NoteTaker:
+    """Leaves a note wherever a program keeps files, and looks for notes of others."""
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        places = [Path("~").expanduser(), Path(tempfile.gettempdir())]
+        places += [Path(os.environ[name]) for name in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME")]
+        mine = f"note-{os.getpid()}"
+        found = sorted(str(path) for place in places for path in place.glob("note-*") if path.name != mine)
+        for place in places:
+            place.mkdir(parents=True, exist_ok=True)
+            (place / mine).touch()
+        return TrackResult(np.eye(4), info={"found": found, "places": list(map(str, places))})
 
 
 class Trilaterator:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from relocbench.errors import MethodError, RelocbenchError, one_line
 from relocbench.evaluation.common.framing import FramingFault, receive_answer, send_question
-from relocbench.execution import end_descendants
+from relocbench.execution import ScratchFolder, end_descendants
 from relocbench.methods import MethodSpec
 
 Arrays = list[NDArray[np.floating]]
@@ -43,6 +43,7 @@ _START = (
 class MethodProcess:
     """A child process that holds one method and answers only to this object.
 
+    Its home, caches and temporary files are in a folder of its own, which is removed with it.
     If the child dies, this process ends in the same way: whoever watches over it then learns how the method ended.
 
     Args:
@@ -56,11 +57,16 @@ class MethodProcess:
     def __init__(self, spec: MethodSpec, module: str) -> None:
         self._connection, theirs = socket.socketpair()
         words = [sys.executable, "-c", _START, module, str(theirs.fileno()), str(os.getpid()), json.dumps(sys.path)]
+        scratch = ScratchFolder()
         with theirs:
             self._process = subprocess.Popen(
-                words, stdin=subprocess.DEVNULL, stdout=sys.__stderr__, pass_fds=(theirs.fileno(),)
+                words,
+                stdin=subprocess.DEVNULL,
+                stdout=sys.__stderr__,
+                pass_fds=(theirs.fileno(),),
+                env=scratch.environment(),
             )
-        self._finalizer = weakref.finalize(self, _end, self._process, self._connection)
+        self._finalizer = weakref.finalize(self, _end, self._process, self._connection, scratch)
         told, _ = self.ask(spec)
         if not isinstance(told, dict) or not isinstance(told.get("declared"), dict):
             self.close()
@@ -131,7 +137,8 @@ def broke_of(told: Any) -> str | None:
     return None if broke is None else one_line(broke)
 
 
-def _end(process: subprocess.Popen[bytes], connection: socket.socket) -> None:
+def _end(process: subprocess.Popen[bytes], connection: socket.socket, scratch: ScratchFolder) -> None:
     connection.close()
     process.kill()
     process.wait()
+    scratch.remove()

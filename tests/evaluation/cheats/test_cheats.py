@@ -170,6 +170,16 @@ def test_who_intersects_circles_around_its_starts_finds_what_the_starts_find(tmp
         assert (found.within_1px, found.within_3px) == (found.start_within_1px, found.start_within_3px)
 
 
+def test_notes_in_home_caches_and_temporary_files_are_not_found_by_the_next(dataset: Dataset, tmp_path: Path) -> None:
+    methods = (f"a={HERE}:NoteTaker", f"b={HERE}:NoteTaker")
+    folders = Context().run(evaluate, dataset, tmp_path / "r", *methods)  # workers of their own, which end
+    told = [json.loads(answer.info) for folder in folders for answer in answers(folder)]
+    assert [info["found"] for info in told] == [[]] * len(told)
+    places = {place for info in told for place in info["places"]}
+    assert len(places) == 2 * 5, "each method has folders of its own"
+    assert not any(Path(place).exists() for place in places), "they are gone when the methods are"
+
+
 def test_from_several_starts_of_one_pixel_the_pixel_would_be_found() -> None:
     image, camera = np.zeros((4, 4), np.uint8), Camera("pinhole", 160, 120, 100, 100, 79.5, 59.5)
     reference, query = Reference("r", None, image, camera), Query("q", None, image, camera)

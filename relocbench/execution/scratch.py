@@ -1,0 +1,97 @@
+"""Folders that one process of a method alone uses, and that are gone afterwards, however their owner ends.
+
+A method finds its home, its caches and its temporary files in such a folder, so that it cannot leave notes there for
+another method or a later run. An owner holds a lock on its folder for as long as it lives; a folder without one was
+left behind by a process that was killed, and is removed by whoever makes the next one.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import secrets
+import shutil
+import tempfile
+import weakref
+from contextlib import suppress
+from pathlib import Path
+
+_PREFIX = "relocbench-scratch-"
+_SHARED_CACHES = {
+    "TORCH_HOME": "torch",
+    "HF_HOME": "huggingface",
+    "MPLCONFIGDIR": "matplotlib",
+}
+"""variable -> folder in the user's cache: what a method has downloaded is not downloaded again for each process"""
+KERNEL_CACHE = "RELOCBENCH_CACHE_HOME"
+"""variable that says in which folder of caches compiled kernels of relocbench are"""
+
+
+class ScratchFolder:
+    """A new, empty folder among the system's temporary ones, which is removed with this object or by a later one."""
+
+    def __init__(self) -> None:
+        sweep()
+        base = Path(tempfile.gettempdir())
+        made = Path(tempfile.mkdtemp(prefix=f".{_PREFIX}", dir=base))
+        descriptor = os.open(made, os.O_RDONLY | os.O_DIRECTORY)
+        with suppress(OSError):  # a file system without locks, on which nothing is swept either
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # It gets the name by which it is found once it is locked, so that it is never taken for one without an owner.
+        self.path = made.rename(base / f"{_PREFIX}{secrets.token_hex(8)}")
+        self._finalizer = weakref.finalize(self, _remove, self.path, descriptor)
+
+    def environment(self) -> dict[str, str]:
+        """The variables of this process, with home, caches and temporary files in this folder.
+
+        Caches of weights that were downloaded stay shared, as do all caches whose own variable the user has set.
+        """
+        home, temporary = self.path / "home", self.path / "tmp"
+        for folder in (home, temporary):
+            folder.mkdir(exist_ok=True)
+        return {
+            **_shared_caches(),
+            **os.environ,
+            "HOME": str(home),
+            **dict.fromkeys(("TMPDIR", "TMP", "TEMP"), str(temporary)),
+            "XDG_CACHE_HOME": str(home / ".cache"),
+            "XDG_CONFIG_HOME": str(home / ".config"),
+            "XDG_DATA_HOME": str(home / ".local" / "share"),
+            "XDG_STATE_HOME": str(home / ".local" / "state"),
+        }
+
+    def remove(self) -> None:
+        """Remove the folder and what is in it."""
+        self._finalizer()
+
+
+def _shared_caches() -> dict[str, str]:
+    """The caches of the user that a method goes on using, by variable."""
+    shared = {}
+    users = Path("~")
+    with suppress(RuntimeError):  # a user without a home
+        users = users.expanduser()
+        shared["CUDA_CACHE_PATH"] = str(users / ".nv" / "ComputeCache")
+    caches = os.environ.get("XDG_CACHE_HOME") or (str(users / ".cache") if shared else "")
+    if caches:
+        shared |= {name: str(Path(caches) / folder) for name, folder in _SHARED_CACHES.items()}
+        shared[KERNEL_CACHE] = caches
+    return shared
+
+
+def sweep() -> None:
+    """Remove the folders whose owners are gone."""
+    for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+        with suppress(OSError):
+            descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                if os.fstat(descriptor).st_uid == os.geteuid():
+                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # an owner that lives holds it
+                    shutil.rmtree(path, ignore_errors=True)
+            finally:
+                os.close(descriptor)
+
+
+def _remove(path: Path, descriptor: int) -> None:
+    shutil.rmtree(path, ignore_errors=True)
+    os.close(descriptor)
