@@ -24,8 +24,8 @@ _FILE = re.compile(r".*\.(ya?ml|csv|txt|jsonl?|md|png|parquet|part|errors|matchi
 def check_name(name: str, what: str, most_bytes: int = MAX_NAME_BYTES) -> str:
     """A name that can be part of a file name and of ``REF__QUERY__CAM``, on any system.
 
-    Letters, digits and ``. _ + -``, without ``__``; it begins with a letter, a digit or ``+``, ends with neither ``_``
-    nor ``.``, is no device of Windows and not called as the project's own files are.
+    Letters, the digits 0 to 9 and ``. _ + -``, without ``__``; it begins with a letter, a digit or ``+``, ends with
+    neither ``_`` nor ``.``, is no device of Windows and not called as the project's own files are.
 
     Args:
         what: is named, for the message.
@@ -33,7 +33,9 @@ def check_name(name: str, what: str, most_bytes: int = MAX_NAME_BYTES) -> str:
     Raises:
         ValueError: with one line of what is wrong.
     """
-    allowed = name and all(c.isalnum() or c in "._+-" for c in name)
+    allowed = name and all(c.isalpha() or c in "0123456789._+-" for c in name)
+    if allowed and unicodedata.normalize("NFKC", name) != name:
+        raise ValueError(f"{what} {quoted(name)} has letters that only look like others, such as raised or wide ones")
     if not allowed or name.startswith((".", "-", "_")) or name.endswith("_") or "__" in name:
         raise ValueError(
             f"{what} {quoted(name)} must be letters, digits and . _ + - only, without '__', not starting with . - or _"
@@ -46,6 +48,20 @@ def check_name(name: str, what: str, most_bytes: int = MAX_NAME_BYTES) -> str:
         raise ValueError(f"{what} {quoted(name)} is the name of a device; choose another")
     if _FILE.fullmatch(name):
         raise ValueError(f"{what} {quoted(name)} is called like one of the files that are written here; choose another")
+    return name
+
+
+def check_label(name: str, what: str) -> str:
+    """The label of a method: a name as :func:`check_name` wants it, of ASCII letters alone.
+
+    Labels stand in tables beside marks and beside each other, where ``dso`` must be told from what only looks like it.
+
+    Raises:
+        ValueError: with one line of what is wrong.
+    """
+    check_name(name, what)
+    if not name.isascii():
+        raise ValueError(f"{what} {quoted(name)} must be letters a to z and A to Z, digits and . _ + - only")
     return name
 
 

@@ -23,7 +23,7 @@ from typing import Any, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 
 from relocbench.errors import MethodError, cut, quoted
-from relocbench.files import YamlFault, check_distinct, check_name, first_fault, parse_yaml_setting, sha256_file
+from relocbench.files import YamlFault, check_distinct, check_label, first_fault, parse_yaml_setting, sha256_file
 from relocbench.methods.lookup import call_third_party, entry_points_of, hint, load_dotted
 
 ENTRY_POINT_GROUP = "relocbench.methods"
@@ -363,7 +363,7 @@ def _split_label(text: str, kind: MethodKind) -> tuple[str, str]:
         else:
             label = text.rpartition(":")[2] if ":" in text else text
     try:
-        check_name(label, f"{kind.noun} label")
+        check_label(label, f"{kind.noun} label")
     except ValueError as bad:
         raise MethodError(f"{bad}; give one: LABEL={target}") from None
     return label, target

@@ -11,13 +11,16 @@ from collections.abc import Sequence
 
 _STARTS_BLOCK = re.compile(r"(#{1,6}|[+-])(?= |$)|(- ?){2,}$|=+$|~~~|[0-9]{1,9}[.)](?= |$)")
 """the beginning of a line that Markdown would take for a heading, a list, a rule or code"""
+_ENTITY = re.compile(r"&(?=#?\w{1,40};)")
+"""what Markdown would take for another character"""
 
 
 def escaped(text: str) -> str:
     """Text that Markdown shows literally, also in a table and at the beginning of a line."""
     plain = _one_line(text)
-    for special in "\\`*_|<>[]":
+    for special in "\\`*_|<>[]~$":
         plain = plain.replace(special, f"\\{special}")
+    plain = _ENTITY.sub(r"\\&", plain)
     start = _STARTS_BLOCK.match(plain)
     if start is None:
         return plain
@@ -38,9 +41,10 @@ def code(text: str) -> str:
 
 
 def fenced(lines: Sequence[str], language: str = "sh") -> str:
-    """Lines as a fenced code block; the fence is longer than any run of backticks in them."""
-    fence = "`" * max(3, *(_longest_run(line) + 1 for line in lines), 3)
-    return "\n".join([f"{fence}{language}", *lines, fence])
+    """Lines as a fenced code block, control characters as escapes; the fence is longer than any run of backticks."""
+    shown = ["".join(c if c.isprintable() else ascii(c)[1:-1] for c in line) for line in lines]
+    fence = "`" * max(3, *(_longest_run(line) + 1 for line in shown), 3)
+    return "\n".join([f"{fence}{language}", *shown, fence])
 
 
 def table_text(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int) -> str:

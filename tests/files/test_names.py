@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from relocbench.datasets.core.layout import DatasetLayout, TraversalLayout
-from relocbench.datasets.core.schema import DatasetFile, Strict, TraversalFile
+from relocbench.datasets.core.schema import Condition, DatasetFile, Strict, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.cross_view.content import read_conditions
 from relocbench.datasets.sensors.trajectories import timed_files, traversal_names
@@ -17,7 +19,15 @@ from relocbench.errors import ConfigError, DatasetError, MethodError, Prediction
 from relocbench.evaluation.common.results import DatasetRecord, DatasetResults, MethodResults, RunRecord, ScoreRecord
 from relocbench.evaluation.relocalization.records import ChainRun, ChainSet
 from relocbench.evaluation.retrieval.records import SetRecord
-from relocbench.files import check_distinct, check_joined_name, check_name, fitting_name, load_yaml, plain_name
+from relocbench.files import (
+    check_distinct,
+    check_joined_name,
+    check_label,
+    check_name,
+    fitting_name,
+    load_yaml,
+    plain_name,
+)
 from relocbench.methods.discovery import parse_method, parse_methods
 
 BAD = {
@@ -47,6 +57,9 @@ BAD = {
     "a table of matching": "cam.matching",
     "a table": "poses.csv",
     "101 bytes": "x" * 101,
+    "a raised digit": "dso²",
+    "a wide letter": "ｄso",
+    "a digit of another script": "dso٢",
     "51 letters of two bytes": "é" * 51,
 }
 GOOD = ("a", "cam0", "2014-12-16-09-14-09", "resnet50+pnp", "v1.2", "Straße", "x" * 100, "console", "null")
@@ -58,6 +71,33 @@ def test_a_name_that_is_no_part_of_a_path_is_refused_in_one_line(name: str) -> N
         check_name(name, "camera name")
     assert str(raised.value).isprintable()
     assert len(str(raised.value)) < 400
+
+
+@pytest.mark.parametrize("label", ["dsо", "größe", "dso²", "a b", "a|b", "*a*", "a\nb"])  # the first has a Cyrillic o
+def test_a_label_has_ascii_letters_alone(label: str) -> None:
+    with pytest.raises(ValueError, match="method label"):
+        check_label(label, "method label")
+    with pytest.raises(MethodError, match=r"method label .*; give one: LABEL="):
+        parse_method(f"{label}=identity")
+    assert check_label("ORB-pnp_v1.2+x", "method label") == "ORB-pnp_v1.2+x"
+
+
+@given(st.text(max_size=20))
+def test_any_label_that_is_taken_is_plain(label: str) -> None:
+    try:
+        check_label(label, "method label")
+    except ValueError:
+        return
+    assert re.fullmatch(r"[0-9A-Za-z+][0-9A-Za-z._+-]*", label)
+
+
+@given(st.text(max_size=20))
+def test_a_condition_is_one_printable_line(text: str) -> None:
+    if text.isprintable():
+        assert str(Condition(weather=text)).isprintable()
+    else:
+        with pytest.raises(ValidationError, match="is not one line"):
+            Condition(weather=text)
 
 
 @pytest.mark.parametrize("name", GOOD)

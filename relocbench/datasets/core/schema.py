@@ -8,7 +8,8 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, field_validator, model_validator
 
 from relocbench.arrays import Array
-from relocbench.files import MAX_FOLDER_BYTES, check_distinct, check_joined_name, check_name
+from relocbench.errors import quoted
+from relocbench.files import MAX_FOLDER_BYTES, check_distinct, check_joined_name, check_label, check_name
 from relocbench.geometry import Camera, camera_from_dict, transform_from_tq, transform_to_tq
 
 FORMAT_VERSION = 1
@@ -16,12 +17,25 @@ ELSEWHERE_VERSION = 2
 """format of datasets with pairs of different places, which programs that know only the first would score like others"""
 
 Name = Annotated[str, AfterValidator(lambda name: check_name(name, "name"))]
-"""name of a traversal, a camera, a method or a split, which becomes part of a path"""
+"""name of a traversal, a camera or a split, which becomes part of a path"""
+Label = Annotated[str, AfterValidator(lambda name: check_label(name, "method label"))]
+"""name of a method"""
 JoinedName = Annotated[str, AfterValidator(lambda name: check_joined_name(name, "name"))]
 """name of a pair set, a task or a dataset"""
 FolderName = Annotated[str, AfterValidator(lambda name: check_joined_name(name, "name", most_bytes=MAX_FOLDER_BYTES))]
 """name of a dataset with the suffix that its results folder has"""
 Fingerprint = Annotated[str, StringConstraints(pattern=r"^[0-9A-Za-z]{1,128}$")]
+
+
+def _one_line(text: str) -> str:
+    if not text.isprintable() or len(text) > _LONGEST_LINE:
+        raise ValueError(f"{quoted(text, 60)} is not one line of at most {_LONGEST_LINE} printable characters")
+    return text
+
+
+_LONGEST_LINE = 200
+Line = Annotated[str, AfterValidator(_one_line)]
+"""text of one printable line, which stands in tables"""
 
 
 class Strict(BaseModel):
@@ -60,10 +74,10 @@ class Transform(Strict):
 class Condition(Strict):
     """Weather, season and time of day of one traversal."""
 
-    weather: str = "unknown"
-    season: str = "unknown"
-    time_of_day: str = "unknown"
-    tags: tuple[str, ...] = ()
+    weather: Line = "unknown"
+    season: Line = "unknown"
+    time_of_day: Line = "unknown"
+    tags: tuple[Line, ...] = ()
 
     def __str__(self) -> str:
         known = [v for v in (self.weather, self.season, self.time_of_day) if v != "unknown"]

@@ -22,12 +22,12 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, distances_and_angles
-from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Name, Strict
+from relocbench.datasets.core.schema import Fingerprint, FolderName, JoinedName, Label, Name, Strict
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.tables import KEY_COLUMNS, float_text, read_rows, seconds_text, write_rows
 from relocbench.files import (
     check_joined_name,
-    check_name,
+    check_label,
     dump_yaml,
     load_yaml,
     read_bytes,
@@ -104,7 +104,7 @@ class DatasetRecord(Strict):
 class RunRecord(Strict):
     """``run.yaml``: how the predictions of one method were made."""
 
-    method: Name
+    method: Label
     target: str
     parameters: dict[str, Any] = Field(default_factory=dict)
     files: dict[str, str] = Field(default_factory=dict)
@@ -244,7 +244,7 @@ def method_folders(root: Path) -> list[Path]:
     found = sorted(root.glob("*/run.yaml"))
     for path in found:
         try:
-            check_name(path.parent.name, "method label")
+            check_label(path.parent.name, "method label")
         except ValueError as bad:
             raise PredictionError(f"the folder's name is no valid label: {bad}", path.parent) from None
     return found

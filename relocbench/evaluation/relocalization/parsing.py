@@ -8,7 +8,7 @@ from relocbench.errors import ConfigError, cut
 from relocbench.evaluation.common.results import PREDICTIONS
 from relocbench.evaluation.relocalization.rankings import label_of
 from relocbench.evaluation.relocalization.records import KEYFRAME, ORACLE
-from relocbench.files import check_name
+from relocbench.files import check_label
 from relocbench.methods import RETRIEVERS, TRACKERS, MethodSpec
 from relocbench.methods.discovery import parse_method, setting_label
 
@@ -54,7 +54,7 @@ def _retriever(text: str, settings: Sequence[str], seed: int) -> MethodSpec | st
     try:
         if not separator or text.startswith(PREDICTIONS):
             raise ValueError("rankings made elsewhere need a label")
-        check_name(label, "retriever label")
+        check_label(label, "retriever label")
     except ValueError as bad:
         raise ConfigError(f"--retriever {cut(text)}: {bad}; give one: LABEL={PREDICTIONS}PATH") from None
     return text

@@ -20,7 +20,7 @@ from relocbench.evaluation.retrieval.run import BROKEN, run_retriever
 from relocbench.evaluation.retrieval.score import Values, score_retriever, suspicion
 from relocbench.evaluation.tracking.run import Overwrite
 from relocbench.execution import Run, kept_workers
-from relocbench.files import check_name
+from relocbench.files import check_label
 from relocbench.methods import RETRIEVERS, parse_methods
 from relocbench.progress import Reporter
 
@@ -152,7 +152,7 @@ def _label(options: RetrievalOptions) -> str:
     source = options.predictions.resolve()
     label = options.methods[0] if options.methods else source.stem if source.is_file() else source.name
     try:
-        return check_name(label, "method label")
+        return check_label(label, "method label")
     except ValueError as bad:
         raise ConfigError(f"{bad}; give one: --method LABEL") from None
 

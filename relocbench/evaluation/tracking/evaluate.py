@@ -31,7 +31,7 @@ from relocbench.evaluation.tracking.matching import match_method
 from relocbench.evaluation.tracking.run import Overwrite, run_method
 from relocbench.evaluation.tracking.score import score_method
 from relocbench.execution import kept_workers
-from relocbench.files import check_name
+from relocbench.files import check_label
 from relocbench.methods import MethodSpec
 from relocbench.progress import Reporter
 
@@ -204,6 +204,6 @@ def _label(options: EvaluateOptions) -> str:
     source = options.predictions.resolve()
     label = options.methods[0] if options.methods else source.stem if source.is_file() else source.name
     try:
-        return check_name(label, "method label")
+        return check_label(label, "method label")
     except ValueError as bad:
         raise ConfigError(f"{bad}; give one: --method LABEL") from None
