@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PairKey
+from relocbench.evaluation.common.blindness import check_blind
 from relocbench.evaluation.common.execution_options import ExecutionOptions
 from relocbench.evaluation.common.opening import open_for_evaluation
 from relocbench.evaluation.common.results import MethodResults
@@ -133,6 +134,7 @@ def evaluate_chains(options: RelocalizationOptions, reporter: Reporter) -> Reloc
     """
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     retrievers, trackers = parse_chain(options.retriever, options.methods, options.set, options.seed)
+    check_blind([*(one for one in retrievers if not isinstance(one, str)), *trackers], options.dataset)
     basins = _basins(options, trackers, reporter)
     dataset = open_for_evaluation(options.dataset, options.out)
     places = SetOptions(options.split, options.pair_sets, positives="pairs")

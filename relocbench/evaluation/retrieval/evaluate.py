@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from relocbench.datasets.pairs.street_places import Positives
 from relocbench.errors import ConfigError
+from relocbench.evaluation.common.blindness import check_blind
 from relocbench.evaluation.common.execution_options import LimitOptions
 from relocbench.evaluation.common.results import first_breakage
 from relocbench.evaluation.retrieval.answers import read_answers
@@ -110,6 +111,7 @@ def evaluate_retrievers(options: RetrievalOptions, reporter: Reporter) -> Retrie
     """
     # Methods are found and configured before anything is written: a typing error must not leave a folder behind.
     specs = [] if options.predictions else parse_methods(options.methods, options.set, options.seed, RETRIEVERS)
+    check_blind(specs, options.dataset)
     asked = open_set(options.dataset, options.out, _set_options(options), reporter)
     results = set_results(options.out, asked)
     if options.predictions is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from contextvars import Context
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import OFFSETS_PX, read_matching
 from relocbench.evaluation.common.results import Answer, MethodResults, read_answers
 from relocbench.evaluation.common.worker import Shown, units_of
+from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
 from relocbench.evaluation.retrieval.describe import AnonymousViews, Describer, anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
@@ -128,6 +130,88 @@ def test_a_method_is_not_given_the_path_of_the_dataset(dataset: Dataset, tmp_pat
     for path in (dataset.root, dataset.root / "pairs", dataset.root.parent / "." / dataset.root.name):
         with pytest.raises(MethodError, match="names a file or folder of the dataset"):
             evaluate(dataset, tmp_path, "cheat=trackers_for_tests:Required", set=(f"weights={path}",))
+
+
+PLACES = {
+    "a file": "{root}/dataset.yaml",
+    "a link to it": "{links}/to-root",
+    "a link into it": "{links}/to-pairs",
+    "a path from here": "small/pairs",
+    "a URL": "file://{root}/pairs",
+    "an encoded URL": "file:///{slashless}/%70airs",
+    "a list of paths": "/nowhere:{root}",
+    "JSON": '{{"where": ["{root}/pairs"]}}',
+    "a variable": "$DATASET_OF_THE_TEST/pairs",
+    "a copy": "{copy}",
+    "a part of a copy": "{copy}/pairs",
+    "a folder around it": "{above}",
+    "a folder of folders around it": "{above}/..",
+    "the folder of a copy": "{copy}/..",
+    "a folder with a link to it": "{links}",
+}
+
+
+@pytest.mark.parametrize("place", PLACES.values(), ids=PLACES.keys())
+def test_no_other_way_of_naming_the_dataset_is_taken(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    links = tmp_path / "links"
+    links.mkdir()
+    (links / "to-root").symlink_to(dataset.root)
+    (links / "to-pairs").symlink_to(dataset.root / "pairs")
+    shutil.copytree(dataset.root, tmp_path / "elsewhere" / "copy")
+    monkeypatch.chdir(dataset.root.parent)
+    monkeypatch.setenv("DATASET_OF_THE_TEST", str(dataset.root))
+    root = str(dataset.root)
+    filled = place.format(
+        root=root, slashless=root[1:], links=links, copy=tmp_path / "elsewhere" / "copy", above=dataset.root.parent
+    )
+    with pytest.raises(MethodError, match=r"parameter 'weights' names a (file or folder of|folder that holds)"):
+        evaluate(dataset, tmp_path / "r", "cheat=trackers_for_tests:Required", set=(f"weights='{filled}'",))
+    assert not (tmp_path / "r").exists(), "nothing was begun"
+
+
+def test_a_program_is_not_given_the_path_of_the_dataset(dataset: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(MethodError, match="its command line names a file or folder of the dataset"):
+        evaluate(dataset, tmp_path, f"cheat=subprocess:cat --data={dataset.root}/pairs")
+
+
+def test_the_other_evaluations_do_not_give_it_either(dataset: Dataset, tmp_path: Path) -> None:
+    views = make_small_views(tmp_path / "views")
+    some_file = next(path for path in sorted(views.rglob("*")) if path.is_file())
+    options = RetrievalOptions(dataset=views, out=tmp_path / "out", methods=("lpn",), set=(f"weights={some_file}",))
+    with pytest.raises(MethodError, match="retriever 'lpn': parameter 'weights' names a file or folder of the dataset"):
+        evaluate_retrievers(options, Silent())
+    chain = RelocalizationOptions(
+        dataset=dataset.root,
+        out=tmp_path / "out",
+        retriever=("oracle",),
+        methods=("cheat=trackers_for_tests:Required",),
+        set=(f"cheat.weights={dataset.root}",),
+    )
+    with pytest.raises(MethodError, match="method 'cheat': parameter 'weights' names a file or folder of the dataset"):
+        evaluate_chains(chain, Silent())
+
+
+def test_other_paths_and_words_are_taken(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(dataset.root.parent.parent)  # where a folder that holds the dataset has the name of a mode
+    (tmp_path / "weights").touch()
+    words = (
+        tmp_path / "weights",
+        dataset.root.parent.name,
+        "1/2",
+        "a: b",
+        "/",
+        "~",
+        "",
+        "\\",
+        "$NOTHING/x",
+        "x" * 9000,
+    )
+    for word in words:
+        evaluate(
+            dataset, tmp_path / "r", "m=trackers_for_tests:Required", set=(f"weights={word!s}",), overwrite="always"
+        )
 
 
 @pytest.mark.parametrize("name", ["PathReader", "KeyGuesser"])
