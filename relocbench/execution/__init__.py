@@ -17,6 +17,7 @@ from relocbench.execution.calling import pin_threads
 from relocbench.execution.cluster import run_on_cluster
 from relocbench.execution.descendants import end_descendants
 from relocbench.execution.limits import (
+    IN_A_ROW,
     MANY_TIMES,
     TIME_LIMIT_S,
     Limits,
@@ -33,6 +34,7 @@ from relocbench.execution.scratch import ScratchFolder
 from relocbench.execution.worker_process import end_workers
 
 __all__ = [
+    "IN_A_ROW",
     "MANY_TIMES",
     "TIME_LIMIT_S",
     "Limits",

@@ -16,6 +16,8 @@ TIME_LIMIT_S = 300.0
 """the default limit for one pair or image"""
 MANY_TIMES = 10.0
 """factor on the time limit for what is done once: the constructor, preparing, and a first call, which may compile"""
+IN_A_ROW = 10
+"""calls of a method that may be lost with no answer in between; then the method is given up"""
 _UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12, "KI": 2**10, "MI": 2**20, "GI": 2**30, "TI": 2**40}
 
 

@@ -33,7 +33,7 @@ from pydantic import Field
 from relocbench.datasets.core.images import write_depth, write_image, write_points
 from relocbench.datasets.core.pairfile import QUATERNION_TOLERANCE
 from relocbench.errors import MethodError, one_line
-from relocbench.execution import ScratchFolder
+from relocbench.execution import IN_A_ROW, ScratchFolder
 from relocbench.geometry import transform_from_tq, transform_to_tq
 from relocbench.methods.program import Program, ProgramFault
 from relocbench.tracking import Query, Reference, TrackResult
@@ -74,6 +74,8 @@ class SubprocessTracker:
         self._home = ScratchFolder()
         self._program: Program | None = None
         self._sent: _Sent | None = None
+        self._lost_in_a_row = 0
+        self._last_fault = ""
 
     def prepare(self, reference: Reference) -> _Sent:
         """Write the keyframe to files that the program can read."""
@@ -99,7 +101,16 @@ class SubprocessTracker:
         return _Sent(message, scratch)
 
     def track(self, reference: _Sent, query: Query, prior: NDArray[np.float64] | None = None) -> TrackResult:
-        """Ask the program about one query; if it breaks, only this pair is lost."""
+        """Ask the program about one query; if it breaks, only this pair is lost.
+
+        Where it gave no answer to so many queries in a row that it is given up, it is not asked.
+        """
+        if self._lost_in_a_row >= IN_A_ROW:
+            return TrackResult.failure(
+                f"not asked: the program was given up when {IN_A_ROW} queries in a row had no answer "
+                f"({self._last_fault}); mend it or raise time_limit_s, and run it again with --overwrite always",
+                status="error",
+            )
         image = Path(reference.scratch.name) / "query.png"
         write_image(image, query.image)
         message = {
@@ -111,11 +122,19 @@ class SubprocessTracker:
             "prior": None if prior is None else np.concatenate(transform_to_tq(prior)).tolist(),
         }
         try:
-            program = self._ready_program(reference)
-            return _result(program.ask(message, "result", self.time_limit_s))
+            answer = self._ready_program(reference).ask(message, "result", self.time_limit_s)
         except ProgramFault as bad:
-            self._drop_program()
-            return TrackResult.failure(str(bad), status="error")
+            self._lost_in_a_row, self._last_fault = self._lost_in_a_row + 1, str(bad)
+            return self._failure(bad)
+        self._lost_in_a_row = 0
+        try:
+            return _result(answer)
+        except ProgramFault as bad:
+            return self._failure(bad)
+
+    def _failure(self, bad: ProgramFault) -> TrackResult:
+        self._drop_program()
+        return TrackResult.failure(str(bad), status="error")
 
     def close(self) -> None:
         """End the program."""

@@ -21,7 +21,7 @@ from relocbench.errors import MethodError
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
-from relocbench.methods import parse_method
+from relocbench.methods import parse_method, subprocess_tracker
 from relocbench.methods.subprocess_tracker import SubprocessTracker
 from relocbench.progress import Silent
 from relocbench.tracking import TrackResult
@@ -159,6 +159,30 @@ def test_a_program_that_is_too_slow_is_killed_and_started_again(tmp_path: Path, 
     assert [json.loads(line)["type"] for line in log] == ["reference", "query", "query", "reference", "query"]
 
 
+def test_a_program_that_answers_no_query_is_given_up(
+    tmp_path: Path, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(subprocess_tracker, "IN_A_ROW", 3)
+    results, log, tracker = ask(tmp_path, dataset, "sys.exit(3)", questions=6)
+    tracker.close()
+    assert [json.loads(line)["type"] for line in log].count("query") == 3
+    told = [result.message for result in results]
+    assert not any(message.startswith("not asked") for message in told[:3])
+    for result in results[3:]:
+        assert result.message.startswith("not asked: the program was given up when 3 queries in a row had no answer")
+        assert result.message.endswith("run it again with --overwrite always")
+        assert result.info["status"] == "error"
+
+
+def test_a_program_with_answers_in_between_is_not_given_up(
+    tmp_path: Path, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(subprocess_tracker, "IN_A_ROW", 2)
+    results, _, tracker = ask(tmp_path, dataset, "n == 2 and sys.exit(3); print(good, flush=True)", questions=9)
+    tracker.close()
+    assert [result.answered for result in results] == [True, False] * 4 + [True]
+
+
 def test_a_stated_failure_is_no_error(tmp_path: Path, dataset: Dataset) -> None:
     body = """print(json.dumps({**answer, "pose": None, "info": None, "message": "too dark"}), flush=True)"""
     results, _, tracker = ask(tmp_path, dataset, body)
@@ -294,6 +318,7 @@ def test_what_a_program_started_ends_when_the_process_that_asks_is_killed(tmp_pa
     asking = f"""
 import sys
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.methods import subprocess_tracker
 from relocbench.methods.subprocess_tracker import SubprocessTracker
 dataset = Dataset(__import__("pathlib").Path({str(dataset.root)!r}))
 pairs = dataset.pair_set({ACROSS!r})

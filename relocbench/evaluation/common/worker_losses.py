@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 
 from relocbench.datasets.core.pairfile import PairKey
 from relocbench.evaluation.common.worker import CONSTRUCTOR, PREPARE, Unit, answered_keys
-from relocbench.execution import Loss, Run, run_limited
+from relocbench.execution import IN_A_ROW, Loss, Run, run_limited
 
 U = TypeVar("U", bound=Unit)
 
@@ -17,8 +17,6 @@ TRIES = 2
 """a death may be accidental (another program took the memory), and a method that leaks gets a fresh process"""
 HOPELESS = 3
 """calls that may be lost before any has succeeded; then a method is given up"""
-IN_A_ROW = 10
-"""pairs, or batches of them, that may be lost with no answer in between; then a method is given up"""
 
 
 def run_until_answered(
