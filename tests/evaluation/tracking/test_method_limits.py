@@ -28,12 +28,12 @@ from relocbench.errors import ConfigError
 from relocbench.evaluation.common import worker_losses
 from relocbench.evaluation.common.results import Answer, read_answers
 from relocbench.evaluation.common.worker import Shown, Unit, append_entry
-from relocbench.evaluation.common.worker_losses import IN_A_ROW, LossHandler
+from relocbench.evaluation.common.worker_losses import LossHandler
 from relocbench.evaluation.retrieval.answers import read_answers as retrieved
 from relocbench.evaluation.retrieval.describe import anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, Report, evaluate_methods
-from relocbench.execution import MANY_TIMES, Loss, Run, Step, parse_size, run_limited, worker_process
+from relocbench.execution import IN_A_ROW, MANY_TIMES, Loss, Run, Step, parse_size, run_limited, worker_process
 from relocbench.methods import parse_method
 from relocbench.progress import Silent
 
