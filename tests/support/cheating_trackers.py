@@ -21,6 +21,7 @@ from itertools import permutations
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from relocbench.datasets.core.dataset import Dataset
@@ -234,6 +235,30 @@ class Trilaterator:
         for pixel, start in zip(pixels, uv_start, strict=True):
             self.seen.setdefault(pixel, []).append(start)
         return np.array([_on_circles(self.seen[p], start) for p, start in zip(pixels, uv_start, strict=True)])
+
+
+class PoseFitter:
+    """Fits one pose to the starts of all pixels, with the keyframe's depth, and answers where that pose puts them."""
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        return TrackResult(np.eye(4), info={"found": []})
+
+    def match(self, reference: Reference, query: Query, uv_ref: Any, uv_start: Any) -> Any:
+        assert reference.depth is not None
+        rows, columns = np.rint(np.asarray(uv_ref)[:, ::-1]).astype(int).T
+        depth = reference.depth[rows, columns]
+        rays, _ = reference.camera.unproject(uv_ref)
+        points = (rays / rays[:, 2:] * depth[:, None])[depth > 0].astype(np.float64)
+        if len(points) < 6:
+            return uv_start
+        matrix = query.camera.matrix
+        found, turn, move, inliers = cv2.solvePnPRansac(
+            points, np.asarray(uv_start)[depth > 0], matrix, None, reprojectionError=3.0, iterationsCount=300
+        )
+        ends = np.array(uv_start, dtype=np.float64)
+        if found and inliers is not None:
+            ends[depth > 0] = cv2.projectPoints(points, turn, move, matrix, None)[0][:, 0]
+        return ends
 
 
 def _on_circles(starts: list[Any], start: Any) -> Any:

@@ -24,9 +24,10 @@ from relocbench.evaluation.common.worker import Shown, units_of
 from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
 from relocbench.evaluation.retrieval.describe import AnonymousViews, Describer, anonymous
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
+from relocbench.evaluation.tracking.check import check
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
 from relocbench.geometry import Camera
-from relocbench.methods import MethodSpec
+from relocbench.methods import MethodSpec, parse_method
 from relocbench.progress import Silent
 from relocbench.tracking import Query, Reference
 
@@ -252,6 +253,15 @@ def test_who_intersects_circles_around_its_starts_finds_what_the_starts_find(tmp
     assert sum(found.pixels for found in rows) > 100
     for found in rows:
         assert (found.within_1px, found.within_3px) == (found.start_within_1px, found.start_within_3px)
+
+
+def test_who_fits_a_pose_to_all_starts_gains_as_documented_and_is_found_by_check_method(tmp_path: Path) -> None:
+    matched = make_small_dataset(tmp_path / "small", frames=8, correspondences=400, size=(160, 120))
+    (cheat,) = evaluate(matched, tmp_path / "r", f"cheat={HERE}:PoseFitter", matching=True)
+    rows = [row.found for row in read_matching(cheat.matching(ACROSS))]
+    assert sum(found.within_3px for found in rows) > 1.5 * sum(found.start_within_3px for found in rows)
+    (alone,) = (f for f in check(parse_method(f"{HERE}:PoseFitter")) if "each pixel by itself" in f.check)
+    assert not alone.passed
 
 
 def test_notes_in_home_caches_and_temporary_files_are_not_found_by_the_next(dataset: Dataset, tmp_path: Path) -> None:
