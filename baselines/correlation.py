@@ -47,11 +47,10 @@ def strong_pixels(image: GreyImage) -> Array:
     Patterns around them have contrast, unlike those around the centres of blobs.
     """
     grey = image.values.astype(np.float64)
-    dv, du = np.gradient(grey)
-    strength = du**2 + dv**2
-    rows, columns = (side // _CELL_PX for side in grey.shape)
-    cells = strength[: rows * _CELL_PX, : columns * _CELL_PX].reshape(rows, _CELL_PX, columns, _CELL_PX)
-    cells = cells.transpose(0, 2, 1, 3).reshape(rows, columns, _CELL_PX**2)
+    strength: Array = np.gradient(grey, axis=0) ** 2 + np.gradient(grey, axis=1) ** 2
+    rows, columns = grey.shape[0] // _CELL_PX, grey.shape[1] // _CELL_PX
+    whole = strength[: rows * _CELL_PX, : columns * _CELL_PX].reshape(rows, _CELL_PX, columns, _CELL_PX)
+    cells = whole.transpose(0, 2, 1, 3).reshape(rows, columns, _CELL_PX**2)
     v, u = np.divmod(cells.argmax(axis=-1), _CELL_PX)
     v, u = v + _CELL_PX * np.arange(rows)[:, None], u + _CELL_PX * np.arange(columns)
     strong = cells.max(axis=-1) > 0
@@ -75,7 +74,7 @@ def correlations(T_query_ref: Array, uv: Array, depth: Array, reference: GreyIma
         (min(N, LARGEST_COUNT),) -1 to 1; 0 where a pattern has no contrast or leaves an image.
     """
     chosen = np.linspace(0, len(uv) - 1, min(len(uv), LARGEST_COUNT)).astype(np.intp)
-    pattern = uv[chosen].astype(np.float64)[:, None] + np.array(DSO_PATTERN)
+    pattern = uv[chosen][:, None] + np.array(DSO_PATTERN)
     flat = pattern.reshape(-1, 2)
     rays, has_ray = reference.camera.unproject(flat)
     points = np.where(has_ray[:, None], rays, 0.0) * np.repeat(depth[chosen], len(DSO_PATTERN))[:, None]

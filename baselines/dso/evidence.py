@@ -27,7 +27,7 @@ class Evidence:
 def evidence_for(T_query_ref: Array, points: LevelPoints, reference: Level, query: Level) -> Evidence:
     """The evidence for a pose from the points of one level of the keyframe."""
     depth = 1.0 / points.points[2].astype(np.float64)
-    found = correlations(T_query_ref, points.uv, depth, _grey(reference), _grey(query))
+    found = correlations(T_query_ref, points.uv.astype(np.float64), depth, _grey(reference), _grey(query))
     return Evidence(float(np.mean(found)), float(np.mean(found >= ALIKE)))
 
 
