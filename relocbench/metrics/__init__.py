@@ -65,6 +65,7 @@ from relocbench.metrics.statistics.intervals import (
     share_interval,
 )
 from relocbench.metrics.statistics.ranks import generator, rank_with_ties
+from relocbench.metrics.statistics.roads import by_place
 
 __all__ = [
     "CONFIDENT",
@@ -100,6 +101,7 @@ __all__ = [
     "align_predictions",
     "answered_pairs",
     "area_shares",
+    "by_place",
     "chance_level",
     "check_single_positive_tables",
     "count_at_least",

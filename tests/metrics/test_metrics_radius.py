@@ -56,8 +56,8 @@ def test_the_interval_over_drives_covers_the_radius_of_the_street() -> None:
     covered = 0
     for trial in range(100):
         rng = np.random.default_rng(trial)
-        limits = rng.choice([0.5, 1.5, 3.0, 6.0], size=80, p=[0.1, 0.3, 0.3, 0.3])
-        interval = radius_of([basins(limits[:40]), basins(limits[40:])], OFFSETS).interval
+        limits = rng.choice([0.5, 1.5, 3.0, 6.0], size=160, p=[0.1, 0.3, 0.3, 0.3])
+        interval = radius_of([basins(limits[:80]), basins(limits[80:])], OFFSETS).interval
         assert interval is not None
         covered += not interval.excludes(2 + 2 / 3)
     assert 88 <= covered <= 100

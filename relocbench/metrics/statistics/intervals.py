@@ -12,8 +12,10 @@ pairs (:mod:`relocbench.metrics.statistics.effective_size`) in the place of thei
 - differences: Student's t, with Bonett and Price's two added pairs ("Adjusted Wald confidence interval for a difference
   of binomial proportions based on paired data", J. Educ. Behav. Stat. 2012).
 
-Pairs must be ordered by reference time. Several pair sets are averaged, each with equal weight. From
-:data:`MANY_SETS` sets on, the interval is at least as wide as Student's t over the sets.
+Pairs must be ordered by reference time. What is estimated is the mean over roads of the mean over a road's pair sets of
+the mean over a set's pairs. The sets of one road become one series first (:mod:`relocbench.metrics.statistics.roads`),
+since they are not independent; roads are. From :data:`MANY_ROADS` roads on, the interval is at least as wide as
+Student's t over the roads.
 
 ``benchmarks/truth/intervals.py`` measures their coverage.
 """
@@ -21,7 +23,7 @@ Pairs must be ordered by reference time. Several pair sets are averaged, each wi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,10 +31,11 @@ from numpy.typing import ArrayLike
 
 from relocbench.arrays import Array
 from relocbench.metrics.statistics.effective_size import inflation_of
+from relocbench.metrics.statistics.roads import by_road
 
 LEVEL = 0.95
-MANY_SETS = 8
-"""number of pair sets from which on their spread widens an interval: with fewer, t has heavy tails"""
+MANY_ROADS = 8
+"""number of roads from which on their spread widens an interval: with fewer, t has heavy tails"""
 _UNSEEN = 0.5
 """number of pairs of value 0, and of value 1, that are added to the variance of an area: the pairs seen may hold none
 of the few that fail"""
@@ -69,10 +72,11 @@ def mean_interval(
     pair_sets: Sequence[ArrayLike],
     errors: Sequence[ArrayLike] | None = None,
     *,
+    roads: Sequence[Hashable] | None = None,
     independent: bool = False,
     level: float = LEVEL,
 ) -> Interval | None:
-    """The interval of a share or area: of the mean over the sets of the mean over a set's pairs.
+    """The interval of a share or area: of the mean over the roads of the mean over a road's sets.
 
     With p the mean and v its variance under the inflation, the pairs are worth ``p (1 - p) / v`` draws of 0 or 1,
     and as many as they are effective pairs where they do not vary.
@@ -81,29 +85,32 @@ def mean_interval(
         pair_sets: (N_s,) values of each pair set, ordered by reference time, whose means are in 0..1; single values of
             :func:`relocbench.metrics.per_group` may exceed 1.
         errors: (K, N_s) of each set: the continuous errors that the values come from (:func:`inflation_of`).
-        independent: whether the values are known to be independent, such as one for each place.
+        roads: the road of each set, such as the name of its dataset; None where all sets are of one road.
+        independent: whether the values of a set are known to be independent, such as one for each place.
         level: nominal coverage of the interval.
 
     Returns:
         None where there are fewer than :data:`MIN_EFFECTIVE` effective pairs.
 
     Raises:
-        ValueError: no pair sets, an empty one, a mean outside 0..1, errors of other pairs, or an impossible level.
+        ValueError: no pair sets, an empty one, a mean outside 0..1, errors or roads of other sets, or an impossible
+            level.
     """
     sets = [_checked(values) for values in pair_sets]
     if any(not -1e-9 <= v.mean() <= 1 + 1e-9 for v in sets):
         raise ValueError("the mean of shares and areas must be in 0..1")
-    size = _effective_size(sets, errors, independent, level)
+    size = _effective_size(sets, errors, roads, independent, level)
     if size is None:
         return None
     from scipy.special import ndtri, stdtrit
 
+    sets = by_road(sets, roads)
     p = min(max(mean_of_means(sets), 0.0), 1.0)
     variance = _variance_of_one(sets) / (size - 1) + _UNSEEN * (p**2 + (1 - p) ** 2) / size**2
     tails = float(ndtri((1 + level) / 2)) / float(stdtrit(size - 1, (1 + level) / 2))
     draws = max(p * (1 - p) / variance * tails**2, size)
     low, high = _clopper_pearson(p, draws, level)
-    between = _between_sets(sets, level)
+    between = _between_roads(sets, level)
     return Interval(max(0.0, min(low, p - between)), min(1.0, max(high, p + between)), level)
 
 
@@ -140,7 +147,7 @@ def median_interval(
         raise ValueError("a median needs a non-empty (N,) array without NaN")
     below = (v <= np.median(v)).astype(np.float64)
     with_own = v[None] if errors is None else np.concatenate([v[None], np.atleast_2d(np.asarray(errors, float))])
-    size = _effective_size([below], [with_own], independent, level)
+    size = _effective_size([below], [with_own], None, independent, level)
     if size is None:
         return None
     low, high = _clopper_pearson(0.5, size, level)
@@ -154,6 +161,7 @@ def paired_difference(
     pair_sets_a: Sequence[ArrayLike],
     pair_sets_b: Sequence[ArrayLike],
     *,
+    roads: Sequence[Hashable] | None = None,
     independent: bool = False,
     level: float = LEVEL,
 ) -> Difference:
@@ -163,18 +171,21 @@ def paired_difference(
 
     Args:
         pair_sets_a, pair_sets_b: (N_s,) values in 0..1 of each pair set, the same pairs in the same order.
+        roads: the road of each set; None where all sets are of one road.
         independent: whether the pairs are known to be independent.
         level: nominal coverage of the interval.
 
     Raises:
-        ValueError: the pairs differ; no pair sets, an empty one, values not finite, or an impossible level.
+        ValueError: the pairs differ; no pair sets, an empty one, values not finite, roads of other sets, or an
+            impossible level.
     """
     a, b = [_checked(v) for v in pair_sets_a], [_checked(v) for v in pair_sets_b]
     if [len(v) for v in a] != [len(v) for v in b]:
         raise ValueError("a paired difference needs both methods on the same pairs")
     difference = [x - y for x, y in zip(a, b, strict=True)]
-    size = _effective_size(difference, [np.stack(both) for both in zip(a, b, strict=True)], independent, level)
-    mean = mean_of_means(difference) if difference else 0.0
+    size = _effective_size(difference, [np.stack(both) for both in zip(a, b, strict=True)], roads, independent, level)
+    difference = by_road(difference, roads)
+    mean = mean_of_means(difference)
     if size is None:
         return Difference(mean, None)
     from scipy.special import stdtrit
@@ -182,7 +193,7 @@ def paired_difference(
     largest = max(float(np.abs(d).max()) for d in difference) or 1.0
     adjusted, variance = with_two_pairs(mean, _variance_of_one(difference), largest, size)
     half = float(stdtrit(size - 1, (1 + level) / 2)) * math.sqrt(variance)
-    half_between = _between_sets(difference, level)
+    half_between = _between_roads(difference, level)
     low, high = min(adjusted - half, mean - half_between), max(adjusted + half, mean + half_between)
     return Difference(mean, Interval(max(low, -1.0), min(high, 1.0), level))
 
@@ -198,24 +209,25 @@ def linear_interval(pair_sets: Sequence[Array], *, level: float = LEVEL) -> tupl
     """The bounds of the means of K values of each pair, (K,) and (K,), by Student's t with one inflation for all.
 
     Args:
-        pair_sets: (K, N_s) finite values of each pair set, ordered by reference time.
+        pair_sets: (K, N_s) finite values of each pair set of one road, ordered by reference time.
 
     Returns:
         None where there are fewer than :data:`MIN_EFFECTIVE` effective pairs.
     """
-    size = _effective_size([v[0] for v in pair_sets], pair_sets, False, level)
+    size = _effective_size([v[0] for v in pair_sets], pair_sets, None, False, level)
     if size is None:
         return None
     from scipy.special import stdtrit
 
-    mean = np.mean([v.mean(axis=1) for v in pair_sets], axis=0)
-    variance = np.mean([v.var(axis=1) for v in pair_sets], axis=0) / (size - 1)
+    (series,) = by_road(pair_sets)
+    mean = series.mean(axis=1)
+    variance = series.var(axis=1) / (size - 1)
     half = float(stdtrit(size - 1, (1 + level) / 2)) * np.sqrt(variance)
     return mean - half, mean + half
 
 
 def mean_of_means(pair_sets: Sequence[Array]) -> float:
-    """The mean over the sets of the mean over a set's pairs."""
+    """The mean over the series of the mean of a series."""
     return math.fsum(float(np.mean(v)) for v in pair_sets) / len(pair_sets)
 
 
@@ -225,9 +237,13 @@ def pairs_in_equal_sets(lengths: Sequence[int]) -> float:
 
 
 def _effective_size(
-    sets: Sequence[Array], errors: Sequence[ArrayLike] | None, independent: bool, level: float
+    sets: Sequence[Array],
+    errors: Sequence[ArrayLike] | None,
+    roads: Sequence[Hashable] | None,
+    independent: bool,
+    level: float,
 ) -> float | None:
-    """The number of effective pairs; None where they are too few."""
+    """The number of effective stretches of the roads; None where they are too few."""
     if not sets:
         raise ValueError("an interval needs at least one pair set")
     if not 0 < level < 1:
@@ -235,8 +251,8 @@ def _effective_size(
     lengths = [len(v) for v in sets]
     if errors is not None and [np.shape(e)[-1] for e in errors] != lengths:
         raise ValueError("errors must be those of the same pairs in the same pair sets")
-    pairs = pairs_in_equal_sets(lengths)
-    inflation = inflation_of(sets, errors, independent=independent)
+    pairs = pairs_in_equal_sets([len(v) for v in by_road(sets, roads)])
+    inflation = inflation_of(sets, errors, roads, independent=independent)
     return pairs / float(inflation.likely[0]) if bool(inflation.enough(pairs)[0]) else None
 
 
@@ -246,14 +262,14 @@ def _variance_of_one(sets: Sequence[Array]) -> float:
     return float(np.sum(weights * [v.var() for v in sets]) / weights.sum())
 
 
-def _between_sets(sets: Sequence[Array], level: float) -> float:
-    """Half the width of Student's t interval over the sets' means; 0 where the sets are few."""
-    if len(sets) < MANY_SETS:
+def _between_roads(roads: Sequence[Array], level: float) -> float:
+    """Half the width of Student's t interval over the means of the roads' series; 0 where the roads are few."""
+    if len(roads) < MANY_ROADS:
         return 0.0
     from scipy.special import stdtrit
 
-    spread = float(np.std([v.mean() for v in sets], ddof=1))
-    return float(stdtrit(len(sets) - 1, (1 + level) / 2)) * spread / math.sqrt(len(sets))
+    spread = float(np.std([v.mean() for v in roads], ddof=1))
+    return float(stdtrit(len(roads) - 1, (1 + level) / 2)) * spread / math.sqrt(len(roads))
 
 
 def _clopper_pearson(share: float, draws: float, level: float) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from relocbench.metrics import mean_interval, median_interval, paired_difference
-from relocbench.metrics.statistics.intervals import MANY_SETS, Interval
+from relocbench.metrics.statistics.intervals import MANY_ROADS, Interval
 
 some_shares = st.lists(st.floats(0, 1), min_size=1, max_size=60)
 
@@ -116,19 +116,20 @@ def test_each_pair_set_counts_the_same_whatever_its_size() -> None:
     assert paired_difference(a, b).mean == pytest.approx((-0.1 + 1.0) / 2)
     rng = np.random.default_rng(0)
     small, large = (rng.random(n).round() for n in (40, 40000))
-    both, alone = mean_interval([small, large], independent=True), mean_interval([small], independent=True)
+    alone = mean_interval([small], independent=True)
+    both = mean_interval([small, large], roads=["small", "large"], independent=True)
     assert both is not None
     assert alone is not None
     # The large set is known exactly: half of the uncertainty of the small one remains.
     assert both.high - both.low == pytest.approx((alone.high - alone.low) / 2, rel=0.1)
 
 
-def test_many_sets_that_differ_have_the_interval_over_sets() -> None:
-    means = np.linspace(0.2, 0.8, MANY_SETS)
+def test_many_roads_that_differ_have_the_interval_over_roads() -> None:
+    means = np.linspace(0.2, 0.8, MANY_ROADS)
     sets = [np.repeat([1.0, 0.0], [round(1000 * m), 1000 - round(1000 * m)]) for m in means]
-    found = mean_interval(sets, independent=True)
-    few = mean_interval(sets[: MANY_SETS - 1], independent=True)
-    half = stats.t.ppf(0.975, MANY_SETS - 1) * means.std(ddof=1) / np.sqrt(MANY_SETS)
+    found = mean_interval(sets, roads=range(MANY_ROADS), independent=True)
+    few = mean_interval(sets[:-1], roads=range(MANY_ROADS - 1), independent=True)
+    half = stats.t.ppf(0.975, MANY_ROADS - 1) * means.std(ddof=1) / np.sqrt(MANY_ROADS)
     assert found is not None
     assert few is not None
     assert found.low == pytest.approx(0.5 - half, abs=1e-3)
