@@ -235,6 +235,23 @@ def test_a_total_is_the_mean_over_pair_sets_each_counting_the_same(two_sets: Mad
         assert row(board, "total", "good").values[name] == pytest.approx((one + two) / 2, rel=1e-12)
 
 
+def test_what_pair_sets_of_a_dataset_have_in_common_does_not_average_out_in_a_total(tmp_path: Path) -> None:
+    results = MadeResults(tmp_path / "results", {WINTER: 300, NIGHT: 300})
+    results.write_dataset()
+    same = made(1, 300, 0.2)
+    results.add("alike", {WINTER: same, NIGHT: same})
+    results.add("apart", {WINTER: made(2, 300, 0.2), NIGHT: made(3, 300, 0.2)})
+    board, name = results.board(), "recall@(0.25m,2deg)"
+    widths = {}
+    for label in ("alike", "apart"):
+        for pair_set in (WINTER, "total"):
+            interval = row(board, pair_set, label).intervals[name]
+            assert interval is not None
+            widths[label, pair_set] = interval.high - interval.low
+    assert widths["alike", "total"] == pytest.approx(widths["alike", WINTER])
+    assert widths["apart", "total"] < 0.85 * widths["apart", WINTER]
+
+
 def test_medians_of_a_total_are_those_of_all_pairs_together(tmp_path: Path) -> None:
     results = MadeResults(tmp_path / "results", {WINTER: 5, NIGHT: 2})
     results.write_dataset()

@@ -90,6 +90,18 @@ def test_values_are_those_of_the_evaluation_and_the_mean_counts_tasks_alike(resu
         assert rows_of(results, MEAN)["good"].values[metric] == pytest.approx(mean, abs=1e-12)
 
 
+def test_places_that_several_tasks_ask_for_count_once(results: Path) -> None:
+    intervals = {name: rows_of(results, name)["good"].intervals["AP"] for name in (D2S, S2D, MEAN)}
+    one, other, mean = (intervals[name] for name in (D2S, S2D, MEAN))
+    assert one is not None
+    assert other is not None
+    assert mean is not None
+    # Twelve places, not twenty-four: all found, as many draws as places.
+    assert rows_of(results, MEAN)["good"].values["AP"] == 1.0
+    for task in (one, other):
+        assert (mean.low, mean.high) == pytest.approx((task.low, task.high))
+
+
 def test_means_are_by_direction_and_by_conditions_and_parts_count_once() -> None:
     def record(query: str, gallery: str, asked: str, stored: str) -> TaskRecord:
         views = {"view_query": query, "view_gallery": gallery, "condition_query": asked, "condition_gallery": stored}

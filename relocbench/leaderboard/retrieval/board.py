@@ -26,7 +26,7 @@ from relocbench.evaluation.retrieval.score import checked_answers, resampled, sc
 from relocbench.files import sha256_file
 from relocbench.leaderboard.common.copies import distinct_label
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder, check_same_queries
-from relocbench.metrics import Interval, generator, mean_interval, rank_with_ties, single_positive_fault
+from relocbench.metrics import Interval, by_place, generator, mean_interval, rank_with_ties, single_positive_fault
 
 Array = NDArray[np.float64]
 RANKING = "R@1"
@@ -279,10 +279,15 @@ def _table(
     independent = all(r.grouped for r in records)  # one value for each place
 
     def drawn(method: Retriever, metric: str) -> list[Array | None]:
-        return [
-            resampled(method.per_query(t, r, metric), method.answers[t]) if t in method.answers else None
-            for t, r in zip(tasks, records, strict=True)
+        """The values of each task, or of each place over all tasks."""
+        if not set(tasks) <= method.answers.keys():
+            return [None]
+        values = [
+            resampled(method.per_query(t, r, metric), method.answers[t]) for t, r in zip(tasks, records, strict=True)
         ]
+        if not independent:
+            return [*values]
+        return [by_place(values, [sorted({a.group for a in method.answers[t]}) for t in tasks])]
 
     def drawn_all(method: Retriever) -> list[Array | None]:
         columns = zip(*(drawn(method, m) for m in METRICS), strict=True)
