@@ -8,8 +8,9 @@ try the whole line out.
 
 The page has the scores of every method across conditions, within a condition, and of all changes with a condition at
 one end; the differences of one method to every other with their 95 % intervals; and how many pairs of different places
-each answered, which nothing else counts. A district counts as one series, ordered by time; districts count alike, and
-intervals are at least as wide as their spread demands (``docs/statistics.md``).
+each answered, which nothing else counts. Districts count alike, and so do the pair sets of a district, which are one
+series by the step of the drive; intervals are at least as wide as the spread of the districts demands
+(``docs/statistics.md``).
 
 Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made.
 
@@ -38,7 +39,7 @@ from numpy.typing import NDArray
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.evaluation.common.results import all_results
-from relocbench.metrics import Difference, DifferentPlaces, PoseErrors, metric_named, paired_difference
+from relocbench.metrics import Difference, DifferentPlaces, PoseErrors, by_place, metric_named, paired_difference
 
 Array = NDArray[np.float64]
 
@@ -88,18 +89,22 @@ class Group:
         return len(self.rows) // self.rows["method"].nunique()
 
     def mean(self, method: str, metric: str) -> float:
-        """The mean over all pairs."""
-        return float(self.rows.loc[self.rows["method"] == method, metric].mean())
+        """The mean over the districts of the mean over a district's pair sets."""
+        return float(np.mean([series.mean() for series in self._by_step(method, metric)]))
 
     def ahead(self, method: str, other: str, metric: str) -> Difference:
         """The difference of ``method`` to ``other``, over the steps of the drives."""
         a, b = self._by_step(method, metric), self._by_step(other, metric)
-        return paired_difference(a, b)
+        return paired_difference(a, b, roads=range(len(a)))
 
     def _by_step(self, method: str, metric: str) -> list[Array]:
-        """One series for each district: the mean over the pairs of each step."""
+        """One series for each district, by the step of the queries."""
         rows = self.rows[self.rows["method"] == method]
-        return [of[metric].groupby(of["step"]).mean().to_numpy() for _, of in rows.groupby("district")]
+        out = []
+        for _, district in rows.groupby("district"):
+            sets = [of for _, of in district.groupby("pair_set")]
+            out.append(by_place([of[metric].to_numpy() for of in sets], [of["step"].to_numpy() for of in sets]))
+        return out
 
 
 def main() -> None:

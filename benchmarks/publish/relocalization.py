@@ -22,6 +22,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +107,7 @@ def _run(*words: object) -> None:
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
-    """For each chain, the means over all single tasks of all districts, with equal weights."""
+    """For each chain, the means over the districts of the means over a district's single tasks."""
     with path.open(encoding="utf-8") as stream:
         single = [row for row in csv.DictReader(stream) if " " not in row["tasks"] and not row["missing"]]
     chains: dict[tuple[str, str, str], list[dict[str, str]]] = {}
@@ -114,15 +115,19 @@ def _rows(path: Path) -> list[dict[str, Any]]:
         chains.setdefault((row["retriever"], row["tracker"], row["top"]), []).append(row)
     out = []
     for (retriever, tracker, top), of in chains.items():
-        means = {share: _mean([row[share] for row in of]) for share in SHARES}
+        districts: dict[str, list[dict[str, str]]] = {}
+        for row in of:
+            districts.setdefault(row["dataset"], []).append(row)
+        of_districts = {share: [_mean([row[share] for row in some]) for some in districts.values()] for share in SHARES}
+        means = {share: _mean(values) for share, values in of_districts.items()}
         queries = sum(int(row["queries"]) for row in of)
         named = {"retriever": retriever, "tracker": tracker, "top": int(top), "queries": queries}
         out.append({**named, "tasks": len(of), **means})
     return sorted(out, key=lambda row: (row["retriever"], row["tracker"]))
 
 
-def _mean(values: list[str]) -> float | None:
-    known = [float(value) for value in values if value]
+def _mean(values: Sequence[str | float | None]) -> float | None:
+    known = [float(value) for value in values if value is not None and value != ""]
     return float(np.mean(known)) if known else None
 
 
@@ -133,7 +138,7 @@ def _ahead(board: ChainBoard) -> dict[tuple[str, str], Difference]:
     for tracker, retriever in labels:
         if retriever == ORACLE or tracker == KEYFRAME:
             continue
-        a, b = [], []
+        a, b, roads = [], [], []
         for of in board.sets:
             known = {(c.run.tracker, c.run.retriever): c for c in of.chains}
             for task in (t.tasks[0] for t in of.tables if len(t.tasks) == 1):
@@ -141,8 +146,9 @@ def _ahead(board: ChainBoard) -> dict[tuple[str, str], Difference]:
                 if all(c is not None and task in c.answers for c in both):
                     a.append(_values(both[0], task))
                     b.append(_values(both[1], task))
+                    roads.append(of.title)
         if a:
-            out[tracker, retriever] = paired_difference(a, b)
+            out[tracker, retriever] = paired_difference(a, b, roads=roads)
     return out
 
 
