@@ -4,12 +4,19 @@ The error of a pair is ``exp(s x)``, where x is a first-order autoregression alo
 from one to the next. Simulated are
 
 - the coverage of 95 % intervals of shares, of areas under the curves of light- and heavy-tailed errors, of
-  medians and of paired differences, on one set and as means over four and ten sets;
-- how often ten equal methods on four sets get different ranks, whether they err on the same pairs or not;
-- how often a method that is better by 10 points is told apart from nine others.
+  medians and of paired differences, on one set and as means over four and ten roads with one set each;
+- the same on roads with four or six sets that have a part of the variance of x in common, with one correlation for
+  what is common and for what is each set's own, with different ones (``mixed``), and with a fifth of the pairs
+  missing, so that sets are not aligned (``gaps``);
+- how often ten equal methods get different ranks on such roads, whether they err on the same pairs or not, and how
+  often a method that is better by 10 points is told apart from nine others;
+- how many of the nine an oracle tells apart, which knows the variances and covariances of the methods' means, and how
+  often the method is told apart from a single other one, with which it is compared alone;
+- how often equal methods get different ranks where each road suits one method better than another by chance.
 
 Coverage counts the intervals that are given. Cells in which few are given are taken together. ``half noise`` is beyond
-what the intervals promise: half of the variance of x is white, so that the correlation hides behind noise.
+what the intervals promise: half of the variance of x is white, so that the correlation hides behind noise. So are
+``mixed`` roads with short sets.
 
     python benchmarks/truth/intervals.py [--quick] [--drives N] [--tables N] [--workers N] [--seed N]
 
@@ -25,7 +32,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -33,10 +40,11 @@ from scipy.special import ndtr, ndtri
 
 from relocbench.arrays import Array
 from relocbench.metrics.statistics.intervals import Interval, mean_interval, median_interval, paired_difference
-from relocbench.metrics.statistics.ranks import different_methods, rank_with_ties
+from relocbench.metrics.statistics.ranks import DRAWS, different_methods, rank_with_ties
 
 PAIRS = (16, 40, 64, 128, 360, 1000, 5000)
 CORRELATIONS = (0.0, 0.5, 0.8, 0.9, 0.95)
+KINDS = ("share", "area", "median", "difference")
 SHARES = (0.5, 0.7, 0.9, 0.95, 0.99, 1.0)
 """the intervals of shares below a half are the mirror images of these"""
 SPREADS = (0.5, 2.0)
@@ -48,11 +56,86 @@ DIFFERENCES = ((0.7, 0.7), (0.95, 0.95), (0.5, 0.6))
 SEVERAL = ((4, 16), (4, 64), (4, 360), (10, 16), (10, 64))
 """number of sets, and of pairs of each"""
 RANKED = (16, 64, 250, 1000)
+"""pairs of each of four roads with one set"""
 RANK_CORRELATIONS = (0.0, 0.5, 0.9)
-METHODS, SETS = 10, 4
+METHODS = 10
+ROADS = ((1, 4, 64), (1, 4, 360), (4, 6, 64), (4, 4, 360), (12, 6, 64))
+"""number of roads, of sets of each, and of pairs of each set"""
+COMMON = (0.0, 0.25, 0.5, 0.9)
+"""shares of the variance that the sets of a road have in common"""
+MIXED = ((0.9, 0.0), (0.0, 0.9), (0.95, 0.5))
+"""correlations of what is common and of what is each set's own"""
+GAPS = 0.2
+"""share of the pairs of each set that are missing"""
+RANKED_ROADS = ((1, 4, 250), (4, 6, 64), (12, 6, 64))
+STREETS = ((1, 4, 250), (4, 4, 250), (12, 4, 250))
+STREET = 0.1
+"""share of the variance that is constant on a road and different from method to method"""
+ORACLE_TABLES = 2000
+"""tables from which the oracle knows variances and covariances"""
 LEAST_COVERAGE, MOST_RANK_ERRORS, LEAST_TOLD_APART = 0.92, 0.07, 0.80
+LONG = 360
+"""pairs of a set from which on drives are promised whose sets have other correlations in common than of their own"""
 LEAST_GIVEN = 0.4
 """share of the drives of a cell that need an interval for a coverage of its own"""
+
+
+@dataclass(frozen=True)
+class Streets:
+    """The drives of one cell: roads, the sets of each, and what they have in common."""
+
+    roads: int
+    sets: int
+    pairs: int
+    correlation: float
+    """of what the sets of a road have in common, from one pair to the next"""
+    own: float
+    """the same of what is a set's own"""
+    common: float = 0.0
+    """share of the variance that the sets of a road have in common"""
+    noise: float = 0.0
+    """share of the variance that is white"""
+    gaps: float = 0.0
+    """share of the pairs that are missing"""
+    street: float = 0.0
+    """share of the variance that is constant on a road"""
+
+    @property
+    def of_sets(self) -> list[int]:
+        """The road of each set."""
+        return [road for road in range(self.roads) for _ in range(self.sets)]
+
+    @property
+    def mixed(self) -> bool:
+        return self.common > 0 and self.correlation != self.own
+
+    @property
+    def seed(self) -> list[int]:
+        shares = (self.correlation, self.own, self.common, self.noise, self.gaps, self.street)
+        return [self.roads, self.sets, self.pairs, *(round(1000 * share) for share in shares)]
+
+    def draw(self, rng: np.random.Generator, methods: int = 1, shared: float = 0.0) -> list[Array]:
+        """(methods, N_s) of each set, of variance 1, of which ``shared`` is the same for all methods."""
+        noise, out = self.noise, []
+
+        def both(pairs: int, correlation: float) -> Array:
+            alone = drives(rng, methods, pairs, correlation, noise)
+            together = drives(rng, 1, pairs, correlation, noise) if shared else 0.0
+            mixed: Array = math.sqrt(shared) * together + math.sqrt(1 - shared) * alone
+            return mixed
+
+        for _ in range(self.roads):
+            of_road = math.sqrt(self.common) * both(self.pairs, self.correlation) if self.common else 0.0
+            of_street = math.sqrt(self.street) * rng.normal(size=(methods, 1)) if self.street else 0.0
+            for _ in range(self.sets):
+                x = of_road + of_street + math.sqrt(1 - self.common - self.street) * both(self.pairs, self.own)
+                out.append(x[:, rng.random(self.pairs) >= self.gaps] if self.gaps else x)
+        return out
+
+
+def one_set(roads: int, pairs: int, correlation: float, noise: float = 0.0) -> Streets:
+    """Roads with one set each."""
+    return Streets(roads, 1, pairs, correlation, correlation, noise=noise)
 
 
 @dataclass(frozen=True)
@@ -60,10 +143,7 @@ class Coverage:
     """How often one kind of interval covered in one kind of drive."""
 
     what: str
-    sets: int
-    pairs: int
-    correlation: float
-    noise: float
+    streets: Streets
     drives: int
     given: int
     covered: int
@@ -72,22 +152,32 @@ class Coverage:
     def share(self) -> float:
         return self.covered / self.given if self.given else math.nan
 
+    @property
+    def promised(self) -> bool:
+        return not self.streets.noise and (not self.streets.mixed or self.streets.pairs >= LONG)
+
 
 @dataclass(frozen=True)
 class RankErrors:
     """How often methods got different ranks."""
 
-    pairs: int
-    correlation: float
+    streets: Streets
     shared: float
     """share of the variance of errors that methods have in common"""
     drives: int
     different: int
     """simulations in which equal methods got different ranks"""
     told_apart: int
-    """simulations in which a method better by 10 points was told apart from all others, on all sets together"""
-    told_apart_on_one_set: float
-    """mean number of others that it was told apart from, on one set"""
+    """simulations in which a method better by 10 points was told apart from all others"""
+    others: float
+    """mean number of others that it was told apart from"""
+    others_on_one_set: float
+    """the same on the first set alone"""
+    by_oracle: float = math.nan
+    """the same by a test that knows the variances"""
+    of_two: float = math.nan
+    """how often it is told apart from one other on the first set, where these two alone are compared"""
+    of_two_by_oracle: float = math.nan
 
 
 def drives(rng: np.random.Generator, count: int, pairs: int, correlation: float, noise: float = 0.0) -> Array:
@@ -113,57 +203,105 @@ def area(spread: float, quantile: float) -> tuple[float, Callable[[Array], Array
     return true, lambda x: np.maximum(0.0, 1 - np.exp(spread * x) / threshold)
 
 
-def intervals(
-    rng: np.random.Generator, sets: int, pairs: int, correlation: float, noise: float
-) -> Iterator[tuple[str, float, Interval | None]]:
-    """Simulate one set of drives; yields what was estimated, its true value and its interval."""
-    own, other = (drives(rng, sets, pairs, correlation, noise) for _ in range(2))
-    errors = [np.exp(x)[None] for x in own]
-    for share in SHARES:
-        yield f"share {share:g}", share, mean_interval([right(x, share) for x in own], errors)
-    for spread in SPREADS:
-        for quantile in AREA_QUANTILES:
+def intervals(rng: np.random.Generator, streets: Streets) -> Iterator[tuple[str, float, Interval | None]]:
+    """Simulate the drives of one cell; yields what was estimated, its true value and its interval."""
+    several = streets.sets > 1
+    roads = streets.of_sets
+    x = streets.draw(rng, 2)
+    own = [of[0] for of in x]
+    errors = [np.exp(of)[None] for of in own]
+    for share in SHARES[::2] if several else SHARES:
+        yield f"share {share:g}", share, mean_interval([right(of, share) for of in own], errors, roads=roads)
+    for spread in SPREADS[1:] if several else SPREADS:
+        for quantile in AREA_QUANTILES[1:2] if several else AREA_QUANTILES:
             true, values = area(spread, quantile)
-            yield f"area {spread:g} {quantile:g}", true, mean_interval([values(x) for x in own], errors)
-    if sets == 1:
+            yield f"area {spread:g} {quantile:g}", true, mean_interval([values(of) for of in own], errors, roads=roads)
+    if len(own) == 1:
         yield "median", 1.0, median_interval(np.exp(own[0]))
-    for a, b in DIFFERENCES:
-        found = paired_difference([right(x, a) for x in own], [right(x, b) for x in other])
+    for a, b in DIFFERENCES[:1] if several else DIFFERENCES:
+        found = paired_difference([right(of[0], a) for of in x], [right(of[1], b) for of in x], roads=roads)
         yield f"difference {a:g} {b:g}", a - b, found.interval
 
 
-def coverage(cell: tuple[int, int, float, float, int, int]) -> list[Coverage]:
+def coverage(cell: tuple[Streets, int, int]) -> list[Coverage]:
     """The coverage of every kind of interval in one cell."""
-    sets, pairs, correlation, noise, count, seed = cell
-    rng = np.random.default_rng([seed, sets, pairs, round(1000 * correlation), round(1000 * noise)])
+    streets, count, seed = cell
+    rng = np.random.default_rng([seed, *streets.seed])
     given: Counter[str] = Counter()
     covered: Counter[str] = Counter()
     for _ in range(count):
-        for what, true, interval in intervals(rng, sets, pairs, correlation, noise):
+        for what, true, interval in intervals(rng, streets):
             given[what] += interval is not None
             covered[what] += interval is not None and interval.low - 1e-12 <= true <= interval.high + 1e-12
-    return [Coverage(what, sets, pairs, correlation, noise, count, given[what], covered[what]) for what in given]
+    return [Coverage(what, streets, count, given[what], covered[what]) for what in given]
 
 
-def rank_errors(cell: tuple[int, float, float, int, int]) -> RankErrors:
+def rank_errors(cell: tuple[Streets, float, int, int]) -> RankErrors:
     """The errors of ranks in one cell."""
-    pairs, correlation, shared, count, seed = cell
-    rng = np.random.default_rng([seed, pairs, round(1000 * correlation), round(1000 * shared)])
+    streets, shared, count, seed = cell
+    rng = np.random.default_rng([seed, *streets.seed, round(1000 * shared)])
+    roads = streets.of_sets
     better = np.array([0.6] + [0.5] * (METHODS - 1))[:, None]
+    oracle = Oracle(one_set(1, streets.pairs, streets.own), shared, better, rng) if streets.sets == 1 else None
     different = apart = 0
-    alone = 0.0
+    others = alone = by_oracle = of_two = of_two_by_oracle = 0.0
     for _ in range(count):
-        x = [
-            math.sqrt(shared) * drives(rng, 1, pairs, correlation)
-            + math.sqrt(1 - shared) * drives(rng, METHODS, pairs, correlation)
-            for _ in range(SETS)
-        ]
-        equal = {str(m): [right(of[m], 0.5) for of in x] for m in range(METHODS)}
-        different += len(set(rank_with_ties(equal, rng).values())) > 1
+        x = streets.draw(rng, METHODS, shared)
+        equal: dict[str, list[Array | None]] = {str(m): [right(of[m], 0.5) for of in x] for m in range(METHODS)}
+        different += len(set(rank_with_ties(equal, rng, roads=roads).values())) > 1
         values = [(ndtr(of) < better).astype(np.float64) for of in x]
-        apart += bool(different_methods(values, rng)[0, 1:].all())
-        alone += float(different_methods(values[:1], rng)[0, 1:].sum())
-    return RankErrors(pairs, correlation, shared, count, different, apart, alone / count)
+        found = different_methods(values, rng, roads=roads)[0, 1:]
+        apart += bool(found.all())
+        others += float(found.sum())
+        if oracle is not None:
+            alone += float(different_methods(values[:1], rng)[0, 1:].sum())
+            by_oracle += oracle.told_apart(values[0])
+            of_two += paired_difference([values[0][0]], [values[0][1]]).significant
+            of_two_by_oracle += oracle.tells_two_apart(values[0])
+    means = [others / count, alone / count]
+    if oracle is not None:
+        means += [by_oracle / count, of_two / count, of_two_by_oracle / count]
+    return RankErrors(streets, shared, count, different, apart, *means)
+
+
+class Oracle:
+    """The max-T test, stepped down, of one who knows the covariance of the methods' means: no test can be expected to
+    tell apart more at this error rate."""
+
+    def __init__(self, streets: Streets, shared: float, better: Array, rng: np.random.Generator) -> None:
+        # The better method and two equal ones say it all.
+        of_three = [(ndtr(streets.draw(rng, 3, shared)[0]) < better[:3]).mean(axis=1) for _ in range(ORACLE_TABLES)]
+        known = np.cov(np.array(of_three).T)
+        between = (known[0, 1] + known[0, 2]) / 2
+        covariance = np.full((METHODS, METHODS), known[1, 2])
+        np.fill_diagonal(covariance, (known[1, 1] + known[2, 2]) / 2)
+        covariance[0, 1:] = covariance[1:, 0] = between
+        covariance[0, 0] = known[0, 0]
+        own = np.diag(covariance)
+        self._first, self._second = np.triu_indices(METHODS, 1)
+        self._scale = np.sqrt(own[:, None] + own[None, :] - 2 * covariance)[self._first, self._second]
+        values, vectors = np.linalg.eigh(covariance)
+        drawn = rng.standard_normal((DRAWS, METHODS)) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+        self._drawn = self._statistics(drawn)
+
+    def told_apart(self, values: Array) -> int:
+        """How many of the others the first of (METHODS, N) values is told apart from."""
+        statistics = self._statistics(values.mean(axis=1)[None])[0]
+        open_ = np.ones(len(statistics), dtype=bool)
+        while open_.any():
+            now = open_ & (statistics > np.quantile(self._drawn[:, open_].max(axis=1), 0.95))
+            if not now.any():
+                break
+            open_ &= ~now
+        return int(np.sum(~open_[self._first == 0]))
+
+    def tells_two_apart(self, values: Array) -> bool:
+        """Whether the first two of (M, N) values differ, if no other methods are compared."""
+        return bool(self._statistics(values.mean(axis=1)[None])[0, 0] > ndtri(0.975))
+
+    def _statistics(self, means: Array) -> Array:
+        out: Array = np.abs(means[:, self._first] - means[:, self._second]) / self._scale
+        return out
 
 
 def main() -> None:
@@ -178,60 +316,116 @@ def main() -> None:
     start = time.perf_counter()
     count = given.drives or (40 if given.quick else 300)
     ranked = given.tables or (10 if given.quick else 150)
-    lengths, sizes = ((16, 128, 1000), (16, 1000)) if given.quick else (PAIRS, RANKED)
-    single = [(1, n, r, 0.0, count, given.seed) for n in lengths for r in CORRELATIONS]
-    several = [(s, n, r, 0.0, count, given.seed) for s, n in SEVERAL if n in lengths for r in (0.0, 0.8, 0.95)]
-    noisy = [(1, n, r, 0.5, count, given.seed) for n in lengths for r in (0.8, 0.95)]
-    ranks = [(n, r, s, ranked, given.seed) for n in sizes for r in RANK_CORRELATIONS for s in (0.0, 0.7)]
-    with ProcessPoolExecutor(given.workers) as pool:
-        covered = [row for rows in pool.map(coverage, (single + several + noisy)[::-1]) for row in rows][::-1]
-        ranking = [*pool.map(rank_errors, ranks[::-1])][::-1]
+    covered, ranking = simulate(count, ranked, given.quick, given.seed, given.workers)
     summary = report(covered, ranking, round(LEAST_GIVEN * count))
     print(json.dumps({**summary, "seconds": round(time.perf_counter() - start, 1)}))
     if not summary["kept"]:
         raise SystemExit(1)
 
 
+def simulate(count: int, ranked: int, quick: bool, seed: int, workers: int) -> tuple[list[Coverage], list[RankErrors]]:
+    """Simulate all cells; the number of processes changes no number."""
+    lengths, sizes = ((16, 128, 1000), (16, 1000)) if quick else (PAIRS, RANKED)
+    drives_of = [one_set(1, n, r) for n in lengths for r in CORRELATIONS]
+    drives_of += [one_set(s, n, r) for s, n in SEVERAL if n in lengths for r in (0.0, 0.8, 0.95)]
+    drives_of += [one_set(1, n, r, 0.5) for n in lengths for r in (0.8, 0.95)]
+    roads, ranked_roads = (ROADS[:2], RANKED_ROADS[:1]) if quick else (ROADS, RANKED_ROADS)
+    for place in roads:
+        drives_of += [Streets(*place, r, r, c) for c in COMMON for r in (0.0, 0.8, 0.95)]
+        drives_of += [Streets(*place, r, own, c) for c in COMMON[1:] for r, own in MIXED]
+        drives_of += [Streets(*place, 0.8, 0.8, 0.5, gaps=GAPS)]
+    tables = [(one_set(4, n, r), shared) for n in sizes for r in RANK_CORRELATIONS for shared in (0.0, 0.7)]
+    tables += [(Streets(*p, r, r, c), 0.7) for p in ranked_roads for c in COMMON for r in RANK_CORRELATIONS[1:]]
+    tables += [(Streets(*p, r, own, 0.5), 0.7) for p in ranked_roads for r, own in MIXED[:2]]
+    tables += [(Streets(*p, 0.5, 0.5, 0.25, street=STREET), 0.0) for p in STREETS]
+    with ProcessPoolExecutor(workers) as pool:
+        cells = [(streets, count, seed) for streets in drives_of]
+        covered = [row for rows in pool.map(coverage, cells[::-1]) for row in rows][::-1]
+        ranking = [*pool.map(rank_errors, [(*table, ranked, seed) for table in tables][::-1])][::-1]
+    return covered, ranking
+
+
 def report(covered: list[Coverage], ranking: list[RankErrors], least: int) -> dict[str, object]:
     """Print the tables; returns the worst cells."""
-    promised = [c for c in covered if c.noise == 0]
+    alone = [c for c in covered if c.streets.sets == 1]
+    together = [c for c in covered if c.streets.sets > 1]
     print("least coverage of the intervals given, and how many of the drives got one (-: too few to tell)\n")
-    print(f"{'kind':22}{'sets':>5}{'pairs':>7}  " + "".join(f"{f'rho {r:g}':>15}" for r in CORRELATIONS))
+    print("roads with one set\n")
+    print(f"{'kind':22}{'roads':>5}{'pairs':>7}  " + "".join(f"{f'rho {r:g}':>15}" for r in CORRELATIONS))
     for noise in (0.0, 0.5):
-        for kind in ("share", "area", "median", "difference"):
-            for sets, pairs in dict.fromkeys((c.sets, c.pairs) for c in covered if c.noise == noise):
-                cells = [_cell(covered, kind, sets, pairs, r, noise, least) for r in CORRELATIONS]
+        for kind in KINDS:
+            for roads, pairs in dict.fromkeys((c.streets.roads, c.streets.pairs) for c in alone):
+                cells = [_cell(alone, kind, one_set(roads, pairs, r, noise), least) for r in CORRELATIONS]
                 if any(cell.strip() for cell in cells):
                     name = kind + (", half noise" if noise else "")
-                    print(f"{name:22}{sets:>5}{pairs:>7}  " + "".join(f"{cell:>15}" for cell in cells))
-    print(f"\n{METHODS} equal methods on {SETS} sets get different ranks; one better by 10 points is told apart\n")
-    print(f"{'pairs':>6}{'rho':>6}{'shared':>8}{'different':>11}{'told apart':>12}{'on one set, of 9':>18}")
-    for row in ranking:
+                    print(f"{name:22}{roads:>5}{pairs:>7}  " + "".join(f"{cell:>15}" for cell in cells))
+    print("\nroads with several sets, by the share of the variance that they have in common\n")
+    print(f"{'roads':>6}{'sets':>5}{'pairs':>6}{'rho':>6}{'own':>6}  " + "".join(f"{f'{c:g}':>15}" for c in COMMON))
+    for one in dict.fromkeys(replace(c.streets, common=0.0) for c in together):
+        cells = [_cell(together, "", replace(one, common=c), least) for c in COMMON]
         print(
-            f"{row.pairs:>6}{row.correlation:>6g}{row.shared:>8g}{row.different / row.drives:>11.1%}"
-            f"{row.told_apart / row.drives:>12.1%}{row.told_apart_on_one_set:>18.2f}"
+            f"{one.roads:>6}{one.sets:>5}{one.pairs:>6}{one.correlation:>6g}{one.own:>6g}  "
+            + "".join(f"{cell:>15}" for cell in cells)
+            + ("  gaps" if one.gaps else "")
         )
+    print(f"\n{METHODS} equal methods get different ranks; one better by 10 points is told apart\n")
+    words = (("roads", 6), ("sets", 5), ("pairs", 6), ("rho", 6), ("own", 6), ("common", 8), ("shared", 8))
+    numbers = (
+        ("different", 11),
+        ("apart", 8),
+        ("of 9", 7),
+        ("on one set", 12),
+        ("oracle", 8),
+        ("two alone", 11),
+        ("oracle", 8),
+    )
+    print("".join(f"{word:>{width}}" for word, width in (*words, *numbers)))
+    for row in ranking:
+        one = row.streets
+        seen = (one.roads, one.sets, one.pairs, one.correlation, one.own, one.common, row.shared)
+        print(
+            "".join(f"{value:>{width}g}" for value, (_, width) in zip(seen, words, strict=True))
+            + f"{row.different / row.drives:>11.1%}{row.told_apart / row.drives:>8.1%}{row.others:>7.2f}"
+            + (f"{row.others_on_one_set:>12.2f}{row.by_oracle:>8.2f}" if one.sets == 1 else "")
+            + (f"{row.of_two:>11.1%}{row.of_two_by_oracle:>8.1%}" if one.sets == 1 else "")
+            + (f"  {one.street:g} of the variance is a constant of method and road" if one.street else "")
+        )
+    return _worst(covered, ranking, least)
+
+
+def _worst(covered: list[Coverage], ranking: list[RankErrors], least: int) -> dict[str, object]:
+    promised = [c for c in covered if c.promised]
     often = [c for c in promised if c.given >= least]
     seldom = [c for c in promised if 0 < c.given < least]
     worst = min(often, key=lambda c: c.share)
+    of_roads = min((c for c in often if c.streets.sets > 1), key=lambda c: c.share)
     wrong = max(promised, key=lambda c: (c.given - c.covered) / c.drives)
-    noisy = min((c for c in covered if c.noise and c.given >= least), key=lambda c: c.share)
-    errors = max(ranking, key=lambda r: r.different / r.drives)
-    power = min((r for r in ranking if (r.pairs, r.correlation) == (1000, 0.5)), key=lambda r: r.told_apart)
+    noisy = min((c for c in covered if not c.promised and c.given >= least), key=lambda c: c.share)
+    ranked = [r for r in ranking if not r.streets.street]
+    errors = max(ranked, key=lambda r: r.different / r.drives)
+    of_streets = {str(r.streets.roads): r.different / r.drives for r in ranking if r.streets.street}
+    four = [r for r in ranking if (r.streets.sets, r.streets.pairs, r.streets.own) == (1, 1000, 0.5)]
+    power = min(four, key=lambda r: r.told_apart)
     seldom_share = sum(c.covered for c in seldom) / max(1, sum(c.given for c in seldom))
     return {
         "least_coverage": round(worst.share, 4),
         "least_coverage_of": asdict(worst),
+        "least_coverage_on_roads_of_several_sets": round(of_roads.share, 4),
+        "least_coverage_on_roads_of_several_sets_of": asdict(of_roads),
         "coverage_where_seldom_given": round(seldom_share, 4),
         "most_wrong_of_all_drives": round((wrong.given - wrong.covered) / wrong.drives, 4),
-        "least_coverage_half_noise": round(noisy.share, 4),
-        "least_coverage_half_noise_of": asdict(noisy),
+        "least_coverage_not_promised": round(noisy.share, 4),
+        "least_coverage_not_promised_of": asdict(noisy),
         "most_rank_errors": round(errors.different / errors.drives, 4),
         "most_rank_errors_of": asdict(errors),
+        "rank_errors_where_roads_suit_methods": of_streets,
         "least_told_apart_1000_pairs": round(power.told_apart / power.drives, 4),
+        "told_apart_on_one_set_and_by_oracle_of_nine_and_alone": {
+            f"shared {r.shared:g}": (r.others_on_one_set, r.by_oracle, r.of_two, r.of_two_by_oracle) for r in four
+        },
         "kept": all(_at_least(LEAST_COVERAGE, c.covered, c.given) for c in often)
         and _at_least(LEAST_COVERAGE, sum(c.covered for c in seldom), sum(c.given for c in seldom))
-        and all(_at_least(1 - MOST_RANK_ERRORS, r.drives - r.different, r.drives) for r in ranking)
+        and all(_at_least(1 - MOST_RANK_ERRORS, r.drives - r.different, r.drives) for r in ranked)
         and _at_least(LEAST_TOLD_APART, power.told_apart, power.drives),
     }
 
@@ -241,15 +435,9 @@ def _at_least(share: float, count: int, of: int) -> bool:
     return count >= share * of - 3 * math.sqrt(share * (1 - share) * of)
 
 
-def _cell(
-    covered: list[Coverage], kind: str, sets: int, pairs: int, correlation: float, noise: float, least: int
-) -> str:
+def _cell(covered: list[Coverage], kind: str, streets: Streets, least: int) -> str:
     """The least coverage over the kinds of one name, and the share of drives with an interval; empty where none is."""
-    of = [
-        c
-        for c in covered
-        if c.what.startswith(kind) and (c.sets, c.pairs, c.correlation, c.noise) == (sets, pairs, correlation, noise)
-    ]
+    of = [c for c in covered if c.what.startswith(kind) and c.streets == streets]
     if not of:
         return ""
     given = sum(c.given for c in of) / sum(c.drives for c in of)
