@@ -90,7 +90,9 @@ def test_pose_is_right_for_every_pair_of_camera_models(
     assert metres < min(metres_limit, 3 * result.info["translation_sigma_m"])
     assert degrees < min(degrees_limit, 3 * result.info["rotation_sigma_deg"])
     assert result.confidence is not None
-    assert 0.5 < result.confidence <= 1
+    # Half of what the fisheye keyframe shows lies outside the view of the other cameras, and counts as different.
+    narrower = reference_camera is FISHEYE and query_camera is not FISHEYE
+    assert (0.3 if narrower else 0.5) < result.confidence <= 1
     assert result.info["inliers"] <= result.info["matches"]
     assert result.info["reprojection_rms_px"] < 1.5
 
