@@ -1,14 +1,13 @@
 """Metrics of poses and of retrieval, with curves, summaries and significance. They use geometry alone and do no I/O."""
 
 from relocbench.metrics.pose.confidence import (
+    CONFIDENT,
     PrecisionRecall,
-    RiskCoverage,
     precision_recall,
-    risk_coverage,
     risk_coverage_area,
 )
 from relocbench.metrics.pose.curves import CumulativeCurve, area_shares, cumulative_curve
-from relocbench.metrics.pose.different_places import CONFIDENT, DifferentPlaces
+from relocbench.metrics.pose.different_places import DifferentPlaces
 from relocbench.metrics.pose.errors import PoseErrors, pose_errors
 from relocbench.metrics.pose.failure_policy import (
     align_predictions,
@@ -94,7 +93,6 @@ __all__ = [
     "Relevance",
     "RetrievalScores",
     "RetrievalSummary",
-    "RiskCoverage",
     "Spread",
     "TableCheck",
     "TableFault",
@@ -129,7 +127,6 @@ __all__ = [
     "relevance_from_labels",
     "relevance_from_lists",
     "relevance_within",
-    "risk_coverage",
     "risk_coverage_area",
     "score_retrieval",
     "share_interval",

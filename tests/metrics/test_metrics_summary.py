@@ -23,7 +23,6 @@ from relocbench.metrics import (
     metric_named,
     pose_errors,
     precision_recall,
-    risk_coverage,
     risk_coverage_area,
     spread_over_seeds,
     summarize,
@@ -279,7 +278,7 @@ def test_the_risk_coverage_curve_ends_at_all_answers(n: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     correct, answered = rng.random(n) < 0.5, rng.random(n) < 0.8
     correct &= answered
-    curve = risk_coverage(correct, answered, rng.integers(0, 5, n).astype(float))
+    curve = precision_recall(correct, answered, rng.integers(0, 5, n).astype(float))
     assert np.all(np.diff(curve.coverage) > 0)
     if answered.any():
         assert curve.coverage[-1] == pytest.approx(answered.mean())
@@ -336,7 +335,7 @@ def test_coverage_at_a_precision_hand_values_in_the_summary() -> None:
     assert summary["wrong_of_answered@(0.25m,2deg)"] == pytest.approx(1 / 40)
 
 
-def test_sure_answers_are_those_of_confidence_one_half_or_more() -> None:
+def test_confident_answers_are_those_of_one_half_or_more() -> None:
     errors = errors_of([0.1, 0.1, 3.0, 0.1, np.inf], [0.0, 0.0, 0.0, 0.0, np.inf])
     summary = summarize(errors, confidence=np.array([0.9, 0.5, 0.7, 0.49, 0.99]))
     assert summary["precision_at_confidence_50@(0.25m,2deg)"] == pytest.approx(2 / 3)

@@ -20,8 +20,8 @@ from relocbench.evaluation.common.matching_table import OFFSETS_PX
 from relocbench.leaderboard.tracking.load import Method
 from relocbench.leaderboard.tracking.matching import matching_lines
 from relocbench.leaderboard.tracking.model import SAME_DRIVE_TOTAL, Board, DatasetBoard, Row, Table
-from relocbench.metrics import cumulative_curve, risk_coverage, within
-from relocbench.metrics.pose.registry import CORRECT, SIGMA_FACTOR
+from relocbench.metrics import CORRECT, cumulative_curve, precision_recall, within
+from relocbench.metrics.pose.registry import SIGMA_FACTOR
 
 Array = NDArray[np.float64]
 LIMIT_M = 1.0
@@ -129,7 +129,7 @@ def risk_picture(dataset: DatasetBoard, table: Table) -> RiskPicture:
         of_sets = [method.errors[name] for name in table.pair_sets]
         right = np.concatenate([within(of_set.errors, *CORRECT) for of_set in of_sets])
         answered = np.concatenate([of_set.errors.answered for of_set in of_sets])
-        curve = risk_coverage(right, answered, np.concatenate([of_set.column("confidence") for of_set in of_sets]))
+        curve = precision_recall(right, answered, np.concatenate([of_set.column("confidence") for of_set in of_sets]))
         lines.append((_shown(method.label), 100 * curve.coverage, 100 * curve.risk, *_look(dataset, method)))
     kind = "one drive" if table.pair_set == SAME_DRIVE_TOTAL else "two drives"
     where = f"{dataset.entry.record.name}: {kind}{f', split {table.split}' if table.split else ''}"

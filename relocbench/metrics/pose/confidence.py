@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+CONFIDENT = 0.5
+"""the confidence from which on an answer counts as confident: as a probability, more probably right than wrong"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +22,11 @@ class PrecisionRecall:
     """(K,) correct answers whose confidence is at least that high, as a share of all pairs of the set"""
     coverage: Array
     """(K,) answers whose confidence is at least that high, as a share of all pairs of the set"""
+
+    @property
+    def risk(self) -> Array:
+        """(K,) over :attr:`coverage` the risk-coverage curve (Geifman and El-Yaniv, NIPS 2017): ``1 - precision``."""
+        return 1.0 - self.precision
 
     @property
     def area(self) -> float:
@@ -53,23 +60,10 @@ def precision_recall(correct: ArrayLike, answered: ArrayLike, confidence: ArrayL
     return PrecisionRecall(precision=found / submitted, recall=found / pairs, coverage=submitted / pairs)
 
 
-@dataclass(frozen=True, eq=False)
-class RiskCoverage:
-    """A risk-coverage curve with one point for each distinct confidence, highest confidence first."""
-
-    coverage: Array
-    """(K,) answers whose confidence is at least that high, as a share of all pairs of the set, ascending"""
-    risk: Array
-    """(K,) share of wrong ones among these answers"""
-
-
-def risk_coverage(correct: ArrayLike, answered: ArrayLike, confidence: ArrayLike) -> RiskCoverage:
-    """The risk-coverage curve of the answers (Geifman and El-Yaniv, NIPS 2017), which ends at the share of answers.
-
-    Arguments and errors are those of :func:`precision_recall`; without any answer the curve has no points.
-    """
-    curve = precision_recall(correct, answered, confidence)
-    return RiskCoverage(coverage=curve.coverage, risk=1.0 - curve.precision)
+def is_confident(confidence: Array) -> NDArray[np.bool_]:
+    """Which confidences (N,) are at least :data:`CONFIDENT`; NaN, one that was not given, is not."""
+    out: NDArray[np.bool_] = confidence >= CONFIDENT
+    return out
 
 
 def risk_coverage_area(correct: ArrayLike, answered: ArrayLike, confidence: ArrayLike) -> float:

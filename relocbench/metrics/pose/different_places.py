@@ -13,10 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from relocbench.metrics.pose.confidence import is_confident
 from relocbench.metrics.statistics.intervals import LEVEL, share_interval
-
-CONFIDENT = 0.5
-"""The confidence from which on an answer counts as confident: more probably right than wrong."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,7 @@ class DifferentPlaces:
     answered: int
     """answers at all"""
     confident: int
-    """wrong answers with a confidence of at least :data:`CONFIDENT`, or without one: nothing advises against them"""
+    """wrong answers that are confident, or without a confidence: nothing advises against them"""
 
     @classmethod
     def of(cls, correct: ArrayLike, answered: ArrayLike, confidence: ArrayLike) -> DifferentPlaces:
@@ -45,7 +43,8 @@ class DifferentPlaces:
         sure = np.asarray(confidence, dtype=np.float64)
         if given.ndim != 1 or not right.shape == given.shape == sure.shape:
             raise ValueError("correct, answered and confidence must be arrays of one length")
-        return cls(len(given), int(given.sum()), int(np.sum(given & ~right & ~(sure < CONFIDENT))))
+        confident = np.isnan(sure) | is_confident(sure)
+        return cls(len(given), int(given.sum()), int(np.sum(given & ~right & confident)))
 
     @classmethod
     def total(cls, parts: Iterable[DifferentPlaces]) -> DifferentPlaces:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError
-from relocbench.metrics.pose.confidence import precision_recall, risk_coverage_area
+from relocbench.metrics.pose.confidence import CONFIDENT, is_confident, precision_recall, risk_coverage_area
 from relocbench.metrics.pose.curves import area_shares
 from relocbench.metrics.pose.errors import PoseErrors
 
@@ -27,8 +27,6 @@ POSE_AUC_THRESHOLDS: tuple[tuple[float, float], ...] = ((0.5, 4),)
 CORRECT: tuple[float, float] = (0.25, 2)
 """(metres, degrees) within which an answer counts as correct where confidence is assessed"""
 PRECISIONS_PERCENT: tuple[int, ...] = (95, 99)
-SURE_PERCENT = 50
-"""confidence, as a probability in percent, from which an answer counts as sure"""
 """the precision of the answers that are kept, where the share that can be kept is measured"""
 SIGMA_FACTOR = 2.0
 """a threshold below this many ground-truth sigmas measures the errors of the ground truth rather than the method's"""
@@ -249,37 +247,32 @@ def _coverage_at(percent: int) -> Metric:
     )
 
 
-def _precision_of_sure() -> Metric:
+def _precision_of_confident() -> Metric:
     def value(judged: _Judged) -> float | None:
         correct, answered, confidence = judged
-        sure = answered & _at_least_sure(confidence)
-        return float(np.mean(correct[sure])) if np.any(sure) else None
+        confident = answered & is_confident(confidence)
+        return float(np.mean(correct[confident])) if np.any(confident) else None
 
     description = (
-        f"share of correct ones among the answers with a confidence of {SURE_PERCENT / 100:g} or more, which means "
+        f"share of correct ones among the answers with a confidence of {CONFIDENT:g} or more, which means "
         "something where confidences are probabilities; nothing where there is no such answer"
     )
-    return _of_confidence(f"precision_at_confidence_{SURE_PERCENT}", True, description, value)
+    return _of_confidence(f"precision_at_confidence_{100 * CONFIDENT:g}", True, description, value)
 
 
-def _coverage_of_sure() -> Metric:
+def _coverage_of_confident() -> Metric:
     def compute(scores: PairScores) -> float:
         if scores.confidence is None:
             return 0.0
-        return float(np.mean(scores.errors.answered & _at_least_sure(scores.confidence)))
+        return float(np.mean(scores.errors.answered & is_confident(scores.confidence)))
 
     return Metric(
-        name=f"coverage_at_confidence_{SURE_PERCENT}",
+        name=f"coverage_at_confidence_{100 * CONFIDENT:g}",
         unit="share",
         higher_is_better=True,
-        description=f"share of all pairs with an answer of confidence {SURE_PERCENT / 100:g} or more",
+        description=f"share of all pairs with an answer of confidence {CONFIDENT:g} or more",
         compute=compute,
     )
-
-
-def _at_least_sure(confidence: Array) -> NDArray[np.bool_]:
-    out: NDArray[np.bool_] = confidence >= SURE_PERCENT / 100  # NaN is not
-    return out
 
 
 METRICS: tuple[Metric, ...] = (
@@ -296,8 +289,8 @@ METRICS: tuple[Metric, ...] = (
     _risk_coverage_area(),
     _wrong_of_answered(),
     *(_coverage_at(percent) for percent in PRECISIONS_PERCENT),
-    _precision_of_sure(),
-    _coverage_of_sure(),
+    _precision_of_confident(),
+    _coverage_of_confident(),
     _seconds("median_seconds", 50, "median"),
     _seconds("p95_seconds", 95, "95th percentile"),
 )
