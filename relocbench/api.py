@@ -23,6 +23,8 @@ from relocbench.tracking import Query, Reference
 if TYPE_CHECKING:
     import pandas as pd
 
+    from relocbench.leaderboard.tracking.load import DatasetEntry
+
 Array = NDArray[np.float64]
 
 
@@ -148,13 +150,12 @@ def read_leaderboard(
     """
     import pandas as pd
 
-    from relocbench.leaderboard.tracking.load import load_results
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
     from relocbench.leaderboard.tracking.tables import RANKING, make_board, ranking_metric
 
     ranked_by = metric or RANKING
     ranking_metric(ranked_by)  # an unknown metric is reported before anything is read
-    entries = load_results(Path(results), split, datasets=[Path(folder) for folder in datasets])
+    entries = _entries(Path(results), split, datasets)
     board = make_board(entries, metric=ranked_by, split=split)
     return pd.DataFrame(leaderboard_rows(board))
 
@@ -172,10 +173,9 @@ def read_errors(results: Path | str, *, split: str | None = None, datasets: Sequ
     import pandas as pd
 
     from relocbench.evaluation.common.error_table import ERROR_COLUMNS
-    from relocbench.leaderboard.tracking.load import load_results
 
     frames = []
-    for entry in load_results(Path(results), split, datasets=[Path(folder) for folder in datasets]):
+    for entry in _entries(Path(results), split, datasets):
         for name in entry.pair_sets:
             for method in (method for method in entry.methods if name in method.errors):
                 for table in method.tables(name):
@@ -191,6 +191,17 @@ def read_errors(results: Path | str, *, split: str | None = None, datasets: Sequ
                     }
                     frames.append(pd.DataFrame(columns))
     return pd.concat(frames, ignore_index=True)
+
+
+def _entries(results: Path, split: str | None, datasets: Sequence[Path | str]) -> list[DatasetEntry]:
+    """The results of trackers, rescored with these datasets."""
+    from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+    from relocbench.leaderboard.tracking.load import load_results
+
+    at_hand = DatasetsAtHand(results, [Path(folder) for folder in datasets])
+    entries = load_results(results, split, datasets=at_hand)
+    at_hand.check_used()
+    return entries
 
 
 def trackers() -> dict[str, str]:

@@ -35,7 +35,7 @@ def leaderboard(
             "--dataset",
             "-d",
             metavar="FOLDER",
-            help="Dataset of the results, or a folder with datasets in it: all errors are computed anew from "
+            help="Dataset of the results, or a folder with datasets in it: all errors and ranks are computed anew from "
             "predictions and truth. Repeatable; datasets beside RESULTS need not be named.",
             show_default=False,
         ),
@@ -80,31 +80,41 @@ def leaderboard(
     Example: relocbench leaderboard results --out leaderboard
     """
     from relocbench.cli.console import print_json, reporter
-    from relocbench.errors import ConfigError
-    from relocbench.evaluation.common.results import folders_with
+    from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
     from relocbench.files import alone_writing_to
-    from relocbench.leaderboard import write_leaderboard
-    from relocbench.leaderboard.relocalization.write import chain_rows, write_relocalization_leaderboard
-    from relocbench.leaderboard.retrieval.board import holds_tracking
-    from relocbench.leaderboard.retrieval.write import retrieval_rows, write_retrieval_leaderboard
+    from relocbench.leaderboard.relocalization.board import load_chains
+    from relocbench.leaderboard.relocalization.write import chain_rows, write_chain_board
+    from relocbench.leaderboard.retrieval.board import holds_tracking, load_retrieval
+    from relocbench.leaderboard.retrieval.write import retrieval_rows, write_retrieval_board
+    from relocbench.leaderboard.tracking.load import load_results
     from relocbench.leaderboard.tracking.long_form import leaderboard_rows
+    from relocbench.leaderboard.tracking.tables import ranking_metric
+    from relocbench.leaderboard.tracking.write import compare, write_board
 
     given = {"--metric": metric, "--retrieval-metric": retrieval_metric}
     given["--relocalization-metric"] = relocalization_metric
     _check_metrics_apply(results, given)
     ranked_by = {option: name or _USUAL[option] for option, name in given.items()}
-    asked: dict[str, Any] = {"split": split, "seed": seed, "reporter": reporter(quiet)}
-    truth = tuple(dataset or ())
-    if truth and not (holds_tracking(results) or folders_with("relocalization.yaml", results)):
-        raise ConfigError("--dataset is for results of trackers, alone or after a retriever; there are none", results)
+    told = reporter(quiet)
+    at_hand = DatasetsAtHand(results, dataset or (), told)
+    asked: dict[str, Any] = {"split": split, "seed": seed, "datasets": at_hand}
     with alone_writing_to(out):
-        found = write_retrieval_leaderboard(results, out, metric=ranked_by["--retrieval-metric"], **asked)
-        chains = write_relocalization_leaderboard(
-            results, out, metric=ranked_by["--relocalization-metric"], datasets=truth, **asked
-        )
-        board = None
+        found = load_retrieval(results, metric=ranked_by["--retrieval-metric"], **asked)
+        chains = load_chains(results, metric=ranked_by["--relocalization-metric"], **asked)
+        entries = None
         if (found is None and chains is None) or holds_tracking(results):
-            board = write_leaderboard(results, out, metric=ranked_by["--metric"], plots=plots, datasets=truth, **asked)
+            ranking_metric(ranked_by["--metric"])  # a mistyped metric is reported before anything is read
+            entries = load_results(results, split, datasets=at_hand)
+        at_hand.check_used()  # before anything is written
+        board = None
+        if entries is not None:
+            board = compare(entries, metric=ranked_by["--metric"], split=split, seed=seed, reporter=told)
+        if found is not None:
+            write_retrieval_board(found, out, told)
+        if chains is not None:
+            write_chain_board(chains, out, told)
+        if board is not None:
+            write_board(board, out, plots=plots, reporter=told)
     if json:
         retrieval = {} if found is None else {"retrieval_metric": found.metric, "retrieval": retrieval_rows(found)}
         if chains is not None:

@@ -67,6 +67,11 @@ class CrossViewSet:
         return self.question_digest or self.fingerprint
 
     @property
+    def positives(self) -> str:
+        """The relevance rule in words."""
+        return "images of the query's place"
+
+    @property
     def train_labels(self) -> tuple[str, ...]:
         """Classes of the train folders, including ``google``, sorted."""
         return _labels(self.train.values())

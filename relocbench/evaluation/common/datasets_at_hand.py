@@ -1,25 +1,29 @@
 """The datasets whose truth is at hand when results are read: those that were named, and those beside the results.
 
 A dataset is that of the results if it has their fingerprint. One with the same question is a copy, from another
-processor: its poses are equal to a millionth.
+processor: its poses are equal to a millionth. A cross-view set may be at hand as well.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.layout import DatasetLayout
+from relocbench.datasets.cross_view import CrossViewSet, is_cross_view, open_cross_view
 from relocbench.errors import ConfigError, DatasetError, PredictionError, RelocbenchError
 from relocbench.evaluation.common.opening import check_whole
 from relocbench.evaluation.common.results import DatasetRecord, dataset_record
 from relocbench.progress import Reporter, Silent
+
+Opened = TypeVar("Opened")
 
 _MEDIANS = (
     "median_distance_m",
@@ -39,30 +43,40 @@ class Truth:
 
 
 class DatasetsAtHand:
-    """The datasets of a results folder, each opened and checked when it is first asked for."""
+    """The datasets of a results folder, each opened and checked when it is first asked for.
+
+    One object serves all boards of a results folder, so that a dataset is checked once, and one that none of them used
+    is found out (:meth:`check_used`).
+    """
 
     def __init__(self, results: Path, given: Sequence[Path] = (), reporter: Reporter | None = None) -> None:
         """Look for datasets.
 
         Args:
-            results: the results folder, or one of its ``DATASET@FINGERPRINT`` folders. Datasets among the folders
-                beside the results folder are used without being named.
-            given: datasets, or folders with datasets in them.
+            results: the results folder, or one of its ``DATASET@FINGERPRINT`` folders. Datasets and cross-view sets
+                among the folders beside the results folder are used without being named.
+            given: datasets or cross-view sets, or folders with such in them.
             reporter: receives a note where a dataset beside the results is damaged and not used.
 
         Raises:
             DatasetError: a folder of ``given`` neither is a dataset nor holds one.
         """
         self._reporter = reporter or Silent()
-        self._named: list[Dataset] = []
-        self._given: list[Dataset] = []
+        self._given: list[Dataset | CrossViewSet] = []
+        self._named: list[Dataset | CrossViewSet] = []
         for folder in given:
-            alone = not folder.is_dir() or _looks_like_dataset(folder)
-            found = [Dataset(folder)] if alone else _inside(folder)
-            self._given += found
-            self._named += found if alone else []
-        self._beside = list(_beside(results))
-        self._used: set[Dataset] = set()
+            alone = not folder.is_dir() or _looks_like_set(folder)
+            opened = [_opened(folder)] if alone else _inside(folder)
+            self._given += opened
+            self._named += opened if alone else []
+        beside = _beside(results)
+        plain = (_openable(folder, Dataset) for folder in beside if not is_cross_view(folder))
+        self._beside = [dataset for dataset in plain if dataset is not None]
+        self._cross_view_beside = [folder for folder in beside if is_cross_view(folder)]
+        """opened when one is needed: listing the images takes a while"""
+        self._used: list[Dataset | CrossViewSet] = []
+        self._whole: dict[Path, RelocbenchError | None] = {}
+        """what is wrong with each dataset that was checked"""
 
     def of(self, record: DatasetRecord, path: Path) -> Truth | None:
         """The dataset that results belong to; None where it is not at hand.
@@ -75,87 +89,109 @@ class DatasetsAtHand:
             DatasetError: a dataset that was named is damaged.
             PredictionError: the record is not what the dataset says.
         """
-        for copy in (False, True):
-            for dataset in (*self._given, *self._beside):
-                if dataset.name == record.name and self._is(dataset, record, copy=copy):
-                    check_record(record, dataset, path, copy=copy)
-                    self._used.add(dataset)
-                    return Truth(dataset, copy)
-        return None
+        name, question = record.name, record.question
+        dataset = self.find(lambda one: one.name == name and one.fingerprint == record.fingerprint)
+        copy = dataset is None
+        if copy and question:
+            dataset = self.find(lambda one: one.name == name and one.question == question)
+        if dataset is None:
+            return None
+        check_record(record, dataset, path, copy=copy)
+        return Truth(dataset, copy)
 
-    def with_fingerprint(self, name: str, fingerprint: str) -> Dataset | None:
-        """The whole dataset of that name and fingerprint; None where it is not at hand.
+    def find(self, wanted: Callable[[Dataset], bool]) -> Dataset | None:
+        """The first whole dataset that is wanted, which is then used; None where there is none.
 
         Raises:
             DatasetError: a dataset that was named is damaged.
         """
-        for dataset in (*self._given, *self._beside):
-            if (dataset.name, dataset.fingerprint) == (name, fingerprint) and self._is_whole(dataset):
-                self._used.add(dataset)
+        given = [one for one in self._given if isinstance(one, Dataset)]
+        for dataset in (*given, *self._beside):
+            if self._is_wanted(dataset, wanted):
+                self._used.append(dataset)
                 return dataset
+        return None
+
+    def find_cross_view(self, wanted: Callable[[CrossViewSet], bool]) -> CrossViewSet | None:
+        """The first cross-view set that is wanted, which is then used; None where there is none.
+
+        Raises:
+            DatasetError: a set that was named is damaged.
+        """
+        given = [one for one in self._given if isinstance(one, CrossViewSet)]
+        opened = (_openable(folder, open_cross_view) for folder in self._cross_view_beside)
+        for places in (*given, *opened):
+            if places is not None and wanted(places):
+                self._used.append(places)
+                return places
         return None
 
     def check_used(self) -> None:
         """Raise ConfigError for a dataset that was named although nothing in the results belongs to it."""
         for dataset in self._named:
-            if dataset not in self._used:
+            if not any(dataset is one for one in self._used):
                 told = f"is {dataset.name}@{dataset.fingerprint[:SHORT]}, of which the results hold nothing"
-                raise ConfigError(f"{told}; expected the dataset of results of `relocbench evaluate`", dataset.root)
+                raise ConfigError(f"{told}; expected the dataset that methods were evaluated on", dataset.root)
 
-    def _is(self, dataset: Dataset, record: DatasetRecord, *, copy: bool) -> bool:
+    def _is_wanted(self, dataset: Dataset, wanted: Callable[[Dataset], bool]) -> bool:
         try:
-            if copy:
-                if not record.question or dataset.question != record.question:
-                    return False
-            elif dataset.fingerprint != record.fingerprint:
-                return False
+            return wanted(dataset) and self._is_whole(dataset)
         except RelocbenchError as bad:
             return self._damaged(dataset, bad)
-        return self._is_whole(dataset)
 
     def _is_whole(self, dataset: Dataset) -> bool:
-        try:
-            check_whole(dataset)
-        except RelocbenchError as bad:
-            return self._damaged(dataset, bad)
-        return True
+        if dataset.root not in self._whole:
+            try:
+                check_whole(dataset)
+                self._whole[dataset.root] = None
+            except RelocbenchError as bad:
+                self._whole[dataset.root] = bad
+                return self._damaged(dataset, bad)
+        return self._whole[dataset.root] is None
 
     def _damaged(self, dataset: Dataset, bad: RelocbenchError) -> bool:
         """Raise the error if the dataset was named; otherwise note it, and return False."""
-        if dataset in self._given:
+        if any(dataset is one for one in self._given):
             raise bad
         self._reporter.note(f"not scored again with {dataset.root}: {bad}")
         return False
 
 
-def _inside(folder: Path) -> list[Dataset]:
+def _opened(folder: Path) -> Dataset | CrossViewSet:
+    return open_cross_view(folder) if is_cross_view(folder) else Dataset(folder)
+
+
+def _inside(folder: Path) -> list[Dataset | CrossViewSet]:
     """The datasets in a folder. Raises DatasetError where there is none."""
-    found = [Dataset(path) for path in sorted(folder.iterdir()) if _looks_like_dataset(path)]
+    found = [_opened(path) for path in sorted(folder.iterdir()) if _looks_like_set(path)]
     if not found:
         raise DatasetError("expected a dataset, or a folder with datasets in it", folder)
     return found
 
 
-def _beside(results: Path) -> Iterator[Dataset]:
-    """The datasets beside the results folder that can be opened."""
+def _beside(results: Path) -> list[Path]:
+    """The folders beside the results folder that look like datasets."""
     root = Path(os.path.normpath(results.absolute()))  # where it was named, be it by a link
     if (root / "dataset.yaml").exists():
         root = root.parent
     try:
-        folders = sorted(path for path in root.parent.iterdir() if path != root and _looks_like_dataset(path))
+        return sorted(path for path in root.parent.iterdir() if path != root and _looks_like_set(path))
     except OSError:
-        return
-    for folder in folders:
-        try:
-            yield Dataset(folder)
-        except RelocbenchError:  # whatever it is, nobody asked for it
-            continue
+        return []
 
 
-def _looks_like_dataset(folder: Path) -> bool:
+def _openable(folder: Path, opened: Callable[[Path], Opened]) -> Opened | None:
+    """What a folder holds; None where it cannot be opened, for nobody asked for it."""
+    try:
+        return opened(folder)
+    except RelocbenchError:
+        return None
+
+
+def _looks_like_set(folder: Path) -> bool:
     layout = DatasetLayout(folder)
     try:
-        return layout.manifest.is_file() and layout.dataset_yaml.is_file()
+        return (layout.manifest.is_file() and layout.dataset_yaml.is_file()) or is_cross_view(folder)
     except OSError:
         return False
 

@@ -135,8 +135,7 @@ def _cross_view(folder: Path, out: Path, options: SetOptions, reporter: Reporter
         if name not in known:
             raise ConfigError(f"no task '{name}'; there is {', '.join(known)}", folder)
     chosen = tuple(task for task in tasks if not options.tasks or task.name in options.tasks)
-    right = "images of the query's place"
-    return _checked(OpenedSet(found.name, found.fingerprint, tasks, chosen, right, question=found.question))
+    return _checked(OpenedSet(found.name, found.fingerprint, tasks, chosen, found.positives, question=found.question))
 
 
 def _checked(asked: OpenedSet) -> OpenedSet:

@@ -24,9 +24,10 @@ class Ranked:
     """The ranking of one query."""
 
     first: Indices
-    """gallery indices, best first; among equal scores the image that is earlier in the gallery comes first"""
+    """gallery indices, best first; among equal scores images that are not positives come first, and among these the one
+    that is earlier in the gallery"""
     ranks: tuple[int, ...]
-    """1-based ranks of the positives; among equal scores, images that are not positives come first"""
+    """1-based ranks of the positives, by the same rule"""
     seconds: float = 0.0
     """of reranking"""
     broke: str = ""
@@ -82,14 +83,16 @@ def _ranked(
 ) -> Ranked:
     """The ranking of one query from its scores (G,), NaN for images that are not retrieved."""
     top = 0 if again is None else again.rerank_top
-    first = nearest(scores, max(count, top))
+    right = np.zeros(len(scores), dtype=bool)
+    right[positives] = True
+    first = nearest(scores, max(count, top), right)
     if again is None or first.size == 0:
         return Ranked(first[:count], _ranks(scores, positives))
     head = first[:top]
     values, seconds, broke = again.rerank(query, gallery[head])
     if broke:
         return Ranked(first[:0], (), seconds, broke)
-    ordered = np.concatenate([head[np.argsort(-values, kind="stable")], first[top:]])
+    ordered = np.concatenate([head[np.lexsort((right[head], -values))], first[top:]])
     # The reranked images by their new scores come first, and all others follow by the old ones.
     new = np.full(len(scores), np.nan)
     new[head] = values
@@ -99,13 +102,16 @@ def _ranked(
     return Ranked(ordered[:count], (*_ranks(new, positives), *behind), seconds)
 
 
-def nearest(scores: Array, count: int) -> Indices:
-    """The indices of the ``count`` largest finite scores, best first, ties in the order of the indices."""
+def nearest(scores: Array, count: int, last: NDArray[np.bool_]) -> Indices:
+    """The indices of the ``count`` largest finite scores (G,), best first.
+
+    Of equal scores those that are ``last`` (G,) come last; others are in the order of the indices.
+    """
     known = np.flatnonzero(np.isfinite(scores))
     if len(known) > count > 0:
         threshold = np.partition(scores[known], len(known) - count)[len(known) - count]
         known = known[scores[known] >= threshold]
-    return known[np.argsort(-scores[known], kind="stable")][:count].astype(np.int64)
+    return known[np.lexsort((last[known], -scores[known]))][:count].astype(np.int64)
 
 
 def _ranks(scores: Array, positives: Indices) -> tuple[int, ...]:

@@ -7,7 +7,7 @@ best first, as hloc's pairs) and a table with the exact ranks of each query's po
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -123,8 +123,12 @@ class RetrievalScores(Strict):
     """``scores.yaml`` of a retriever."""
 
     relocbench: str
+    run: str = ""
+    """SHA-256 of ``run.yaml``; empty in results of versions that did not record it"""
     answers: dict[JoinedName, str]
     """task -> SHA-256 of its table"""
+    lists: dict[JoinedName, str] = Field(default_factory=dict)
+    """task -> SHA-256 of the retrieved images"""
     denominator: str
     tasks: dict[str, dict[str, float | int | None]]
     """task -> counts, metrics 0..1, and ``METRIC_low`` and ``METRIC_high`` of their 95 % intervals"""
@@ -176,18 +180,23 @@ def write_set_record(folder: SetResults, asked: RetrievalSet, tasks: Sequence[Re
     path = folder.root / SET_FILE
     known: Mapping[str, TaskRecord] = folder.record.tasks if path.exists() else {}
     new = {task.name: known.get(task.name) or task_record(task) for task in tasks}
-    names = {task.name for task in asked.tasks()}
-    splits: Mapping[str, Sequence[str]] = getattr(asked, "splits", {})
+    all_tasks = {**known, **new}
     record = SetRecord(
         name=asked.name,
         fingerprint=asked.fingerprint,
         question=getattr(asked, "question", ""),
         positives=getattr(asked, "positives", ""),
         options=dict(getattr(asked, "options", {})),
-        splits={split: kept for split, of in splits.items() if (kept := tuple(n for n in of if n in names))},
-        tasks=dict(sorted({**known, **new}.items())),
+        splits=splits_of(asked, all_tasks),
+        tasks=dict(sorted(all_tasks.items())),
     )
     write_record(path, record)
+
+
+def splits_of(asked: RetrievalSet, tasks: Container[str]) -> dict[str, tuple[str, ...]]:
+    """The splits of a set with those of these tasks that belong to them; a split without any is left out."""
+    splits: Mapping[str, Sequence[str]] = getattr(asked, "splits", {})
+    return {split: kept for split, of in splits.items() if (kept := tuple(name for name in of if name in tasks))}
 
 
 def task_record(task: RetrievalTask) -> TaskRecord:

@@ -34,13 +34,18 @@ def score_retriever(asked: SetRecord, folder: RetrieverResults) -> RetrievalScor
         PredictionError: the answers are for another set, or a file is bad.
     """
     check_made_for(folder.run_record(), asked.name, asked.fingerprint, folder.run_yaml)
-    hashes, tasks = {}, {}
+    answers, lists, tasks = {}, {}, {}
     for name, record in asked.tasks.items():
         if folder.complete(name):
-            hashes[name] = sha256_file(folder.answers(name))
+            answers[name], lists[name] = sha256_file(folder.answers(name)), sha256_file(folder.predictions(name))
             tasks[name] = summary(record, checked_answers(name, record, folder))
     scores = RetrievalScores(
-        relocbench=version.__version__, answers=hashes, denominator=str(Denominator.ALL), tasks=tasks
+        relocbench=version.__version__,
+        run=sha256_file(folder.run_yaml),
+        answers=answers,
+        lists=lists,
+        denominator=str(Denominator.ALL),
+        tasks=tasks,
     )
     write_record(folder.scores_yaml, scores)
     return scores

@@ -37,7 +37,6 @@ from relocbench.files import sha256_file
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder, check_same_queries
 from relocbench.leaderboard.retrieval.board import holds_tracking
 from relocbench.metrics import Interval, generator, mean_interval, rank_with_ties
-from relocbench.progress import Reporter
 
 Array = NDArray[np.float64]
 SHARES = (basin_recall(1), HIT, "right_and_hit", "right_without_hit", "right_among_K", *FAILURES)
@@ -132,8 +131,7 @@ def load_chains(
     metric: str = RANKING,
     split: str | None = None,
     seed: int = 0,
-    datasets: Sequence[Path] = (),
-    reporter: Reporter | None = None,
+    datasets: DatasetsAtHand | None = None,
 ) -> ChainBoard | None:
     """Load the results of all chains in a results folder; None where there is nothing of theirs to show.
 
@@ -141,15 +139,14 @@ def load_chains(
         metric: the metric that ranks chains, a mean over queries.
         split: only the tasks of this split; sets without such a split are left out.
         seed: of the draws that decide ranks.
-        datasets: datasets of the results, or folders with datasets in them; those in folders beside ``RESULTS`` need
-            not be named. Where one is at hand, all rows are computed anew.
-        reporter: receives a note on a dataset beside the results that is damaged.
+        datasets: the datasets at hand; without them, those in folders beside ``RESULTS``. Where the dataset of a set is
+            among them, all rows are computed anew.
 
     Raises:
         PredictionError: with file and line: a bad file, scores that are missing or stale, or rows that do not follow
             from rankings, answers and truth.
-        ConfigError: a metric that chains do not have, a split that no set has, or a dataset that no result is of.
-        DatasetError: a folder in ``datasets`` that holds no dataset, or a damaged one.
+        ConfigError: a metric that chains do not have, or a split that no set has.
+        DatasetError: a dataset that was named is damaged.
     """
     if metric not in (*POSE_METRICS, *SHARES):
         raise ConfigError(f"chains cannot be ranked by '{metric}'; expected one of {', '.join(POSE_METRICS)}")
@@ -162,10 +159,8 @@ def load_chains(
     if there and not found and not holds_tracking(results):
         known = sorted({name for s in there for name in s.record.splits})
         raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    at_hand = DatasetsAtHand(results, datasets if there else (), reporter)
+    at_hand = datasets or DatasetsAtHand(results)
     boards = [board for s in found if (board := _set(s, metric, split, seed, at_hand)) is not None]
-    if not holds_tracking(results):
-        at_hand.check_used()
     return ChainBoard(tuple(boards), metric, seed, split) if boards else None
 
 
@@ -173,7 +168,8 @@ def _set(
     folder: ChainSetResults, metric: str, split: str | None, seed: int, at_hand: DatasetsAtHand
 ) -> ChainSetBoard | None:
     record = folder.record
-    dataset = at_hand.with_fingerprint(record.dataset, record.dataset_fingerprint)
+    whose = record.dataset, record.dataset_fingerprint
+    dataset = at_hand.find(lambda one: (one.name, one.fingerprint) == whose)
     truth = None if dataset is None else ChainTruth(dataset, folder)
     tasks = {n: r for n, r in record.tasks.items() if split is None or n in record.splits[split]}
     chains = tuple(_chain(each, record, tasks, truth) for each in folder.chains())

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
+from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
 from relocbench.evaluation.relocalization.score import POSE_METRICS, RANKING
 from relocbench.files import remove_parts, write_text
 from relocbench.leaderboard.common.text import Value, write_records
@@ -28,22 +28,27 @@ def write_relocalization_leaderboard(
     metric: str = RANKING,
     split: str | None = None,
     seed: int = 0,
-    datasets: Sequence[Path] = (),
+    datasets: DatasetsAtHand | None = None,
     reporter: Reporter,
 ) -> ChainBoard | None:
     """Compare chains and write both files; None where a results folder has no chains to show.
 
     Args:
-        datasets: datasets of the results, as :func:`load_chains` takes them.
+        datasets: the datasets at hand; without them, those in folders beside ``results``.
 
     Raises:
         PredictionError: a bad file, scores that are missing or stale, or rows that do not follow from the answers.
-        ConfigError: an unknown metric or split, or a dataset that no result is of.
-        DatasetError: a folder in ``datasets`` that holds no dataset, or a damaged one.
+        ConfigError: an unknown metric or split.
+        DatasetError: a dataset that was named is damaged.
     """
-    board = load_chains(results, metric=metric, split=split, seed=seed, datasets=datasets, reporter=reporter)
-    if board is None:
-        return None
+    board = load_chains(results, metric=metric, split=split, seed=seed, datasets=datasets)
+    if board is not None:
+        write_chain_board(board, out, reporter)
+    return board
+
+
+def write_chain_board(board: ChainBoard, out: Path, reporter: Reporter) -> None:
+    """Write ``relocalization.csv`` and ``relocalization.md``."""
     for asked in board.sets:
         for chain in asked.chains:
             for name in (t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in chain.answers):
@@ -51,7 +56,6 @@ def write_relocalization_leaderboard(
     remove_parts(out, deep=False)
     write_records(out / "relocalization.csv", chain_rows(board))
     write_text(out / "relocalization.md", relocalization_page(board))
-    return board
 
 
 def chain_rows(board: ChainBoard) -> list[dict[str, Value]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.errors import ConfigError, PredictionError
+from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
 from relocbench.evaluation.common.results import folders_with
 from relocbench.evaluation.retrieval.answers import QueryAnswer
 from relocbench.evaluation.retrieval.records import (
@@ -22,6 +23,7 @@ from relocbench.evaluation.retrieval.records import (
     TaskRecord,
     all_sets,
 )
+from relocbench.evaluation.retrieval.rescoring import Confirmed, RetrievalTruth, truth_of
 from relocbench.evaluation.retrieval.score import checked_answers, resampled, scores_of
 from relocbench.files import sha256_file
 from relocbench.leaderboard.common.copies import distinct_label
@@ -42,6 +44,8 @@ class Retriever:
     run: RetrievalRun
     answers: Mapping[str, Sequence[QueryAnswer]]
     """by task; tasks without results are absent"""
+    confirmed: Mapping[str, Confirmed] = field(default_factory=dict)
+    """how far the ranks follow from the images that were kept, by task; empty where the truth is not at hand"""
 
     def per_query(self, task: str, record: TaskRecord, metric: str) -> Array:
         """(Q,) the values of a metric on a task."""
@@ -61,6 +65,15 @@ class RetrievalRow:
     seconds: float | None = None
     """median over the queries"""
     missing: tuple[str, ...] = ()
+    confirmed: Confirmed | None = None
+    """how far the values were computed anew, over all tasks; None: not at all"""
+
+    @property
+    def rescored(self) -> str:
+        """``yes``, ``no``, or ``first K`` where ranks behind the first K are those that the results claim."""
+        if self.confirmed is None:
+            return "no"
+        return "yes" if self.confirmed.depth is None else f"first {self.confirmed.depth}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +130,12 @@ class RetrievalBoard:
 
 
 def load_retrieval(
-    results: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0
+    results: Path,
+    *,
+    metric: str = RANKING,
+    split: str | None = None,
+    seed: int = 0,
+    datasets: DatasetsAtHand | None = None,
 ) -> RetrievalBoard | None:
     """Load the results of all retrievers in a results folder; None where there is nothing of theirs to show.
 
@@ -125,10 +143,14 @@ def load_retrieval(
         metric: the metric that ranks methods.
         split: only the tasks of this split; sets without such a split are left out.
         seed: of the draws that decide ranks. Each table has a generator of its own and depends on nothing else.
+        datasets: the datasets at hand; without them, those in folders beside ``RESULTS``. Where the dataset of a set is
+            among them, ranks are computed anew from the images that were kept of each query.
 
     Raises:
-        PredictionError: with file and line: a bad file, or scores that are missing or stale.
+        PredictionError: with file and line: a bad file, scores that are missing or stale, or ranks that do not follow
+            from the retrieved images and the truth.
         ConfigError: an unknown metric, or a split that no set has.
+        DatasetError: a dataset that was named is damaged.
     """
     if metric not in METRICS:
         raise ConfigError(f"retrievers cannot be ranked by '{metric}'; expected one of {', '.join(METRICS)}")
@@ -144,7 +166,9 @@ def load_retrieval(
     if not chosen:
         known = sorted({name for s in found for name in s.record.splits})
         raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    return RetrievalBoard(tuple(_set(s, metric, split, seed) for s in _group_copies(chosen)), metric, seed, split)
+    at_hand = datasets or DatasetsAtHand(results)
+    sets = tuple(_set(copies, metric, split, seed, at_hand) for copies in _group_copies(chosen))
+    return RetrievalBoard(sets, metric, seed, split)
 
 
 def holds_tracking(results: Path) -> bool:
@@ -197,7 +221,7 @@ def _group_copies(folders: Sequence[SetResults]) -> list[list[SetResults]]:
     return list(found.values())
 
 
-def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int) -> SetBoard:
+def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int, at_hand: DatasetsAtHand) -> SetBoard:
     """The board of all copies of a question, of which the first is shown; repeated labels are made distinct."""
     record, *others = (folder.record for folder in copies)
     for folder, other in zip(copies[1:], others, strict=True):
@@ -211,7 +235,7 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
         record = record.model_copy(update={"tasks": {**other.tasks, **record.tasks}})
     names = [n for n in record.tasks if split is None or n in record.splits[split]]
     tasks = {name: record.tasks[name] for name in names}
-    methods, path_of = _methods_of(copies, tasks)
+    methods, path_of = _methods_of(copies, tasks, at_hand)
     if not methods:
         raise PredictionError(
             "holds no retriever's answers; expected results of `relocbench evaluate-retrieval`", copies[0].root
@@ -233,21 +257,24 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
 
 
 def _methods_of(
-    copies: Sequence[SetResults], tasks: Mapping[str, TaskRecord]
+    copies: Sequence[SetResults], tasks: Mapping[str, TaskRecord], at_hand: DatasetsAtHand
 ) -> tuple[tuple[Retriever, ...], dict[str, RetrieverResults]]:
     """The methods by label, and the folder of each."""
     found: dict[str, Retriever] = {}
     folders: dict[str, RetrieverResults] = {}
     for copy in copies:
+        truth = truth_of(copy, at_hand)
         for folder in copy.methods():
-            method = _method(folder, copy.record, tasks)
+            method = _method(folder, copy.record, tasks, truth)
             label = distinct_label(method.label, found, copy.record.fingerprint)
             method = replace(method, label=label, run=method.run.model_copy(update={"method": label}))
             found[method.label], folders[method.label] = method, folder
     return tuple(found[label] for label in sorted(found)), folders
 
 
-def _method(folder: RetrieverResults, asked: SetRecord, tasks: Mapping[str, TaskRecord]) -> Retriever:
+def _method(
+    folder: RetrieverResults, asked: SetRecord, tasks: Mapping[str, TaskRecord], truth: RetrievalTruth | None
+) -> Retriever:
     run = folder.run_record()
     if run.fingerprint != asked.fingerprint:
         raise PredictionError(
@@ -258,17 +285,37 @@ def _method(folder: RetrieverResults, asked: SetRecord, tasks: Mapping[str, Task
     done = {name: record for name, record in tasks.items() if folder.complete(name)}
     if done and not folder.scores_yaml.exists():
         raise PredictionError(f"missing: the answers are not scored; {_AGAIN}", folder.scores_yaml)
-    scored = folder.retrieval_scores().answers if done else {}
-    answers = {name: _answers(folder, name, record, scored) for name, record in done.items()}
-    return Retriever(folder.label, run.model_copy(update={"method": folder.label}), answers)
+    if done:
+        _check_digests(folder, done)
+    answers = {name: checked_answers(name, record, folder) for name, record in done.items()}
+    confirmed = {} if truth is None else {n: truth.confirmed(folder, n, run.keep, rows) for n, rows in answers.items()}
+    return Retriever(folder.label, run.model_copy(update={"method": folder.label}), answers, confirmed)
 
 
-def _answers(folder: RetrieverResults, task: str, record: TaskRecord, scored: Mapping[str, str]) -> list[QueryAnswer]:
-    if task not in scored:
-        raise PredictionError(f"holds no scores of '{task}', which was answered; {_AGAIN}", folder.scores_yaml)
-    if scored[task] != sha256_file(folder.answers(task)):
-        raise PredictionError(f"changed since it was scored; {_AGAIN}", folder.answers(task))
-    return checked_answers(task, record, folder)
+def _check_digests(folder: RetrieverResults, tasks: Collection[str]) -> None:
+    """Raise PredictionError unless ``scores.yaml`` was computed from the files beside it."""
+    scored = folder.retrieval_scores()
+    if not scored.run:
+        told = "does not say what it was computed from, as earlier versions did not"
+        raise PredictionError(f"{told}; {_AGAIN}", folder.scores_yaml)
+    if scored.run != sha256_file(folder.run_yaml):
+        raise PredictionError(f"is not the record that was scored; {_AGAIN}", folder.run_yaml)
+    for task in tasks:
+        if task not in scored.answers or task not in scored.lists:
+            raise PredictionError(f"holds no scores of '{task}', which was answered; {_AGAIN}", folder.scores_yaml)
+        for digests, path in ((scored.answers, folder.answers(task)), (scored.lists, folder.predictions(task))):
+            if digests[task] != sha256_file(path):
+                raise PredictionError(f"changed since it was scored; {_AGAIN}", path)
+
+
+def _confirmed(method: Retriever, tasks: Sequence[str]) -> Confirmed | None:
+    """What was confirmed of all tasks; None where one was not looked at."""
+    if not all(task in method.confirmed for task in tasks):
+        return None
+    of_tasks = [method.confirmed[task] for task in tasks]
+    depths = [each.depth for each in of_tasks if each.depth is not None]
+    believed = {metric: float(np.mean([each.believed[metric] for each in of_tasks])) for metric in METRICS}
+    return Confirmed(min(depths, default=None), believed)
 
 
 def _table(
@@ -318,6 +365,7 @@ def _table(
                 sum(a.status == "failed" for a in given),
                 sum(a.status == "error" for a in given),
                 float(np.median(seconds)) if seconds else None,
+                confirmed=_confirmed(method, tasks),
             )
         )
     chance = {m: float(np.mean([r.chance.get(m, 0.0) for r in records])) for m in METRICS}

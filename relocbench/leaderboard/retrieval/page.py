@@ -22,6 +22,8 @@ CHANCE = "(chance)"
 def retrieval_page(board: RetrievalBoard) -> str:
     """The whole page."""
     split = f" --split {shlex.quote(board.split)}" if board.split else ""
+    rescored = any(row.confirmed for asked in board.sets for table in asked.tables for row in table.rows)
+    dataset = " --dataset DATASET" if rescored else ""
     return render(
         __name__,
         "page.md.j2",
@@ -32,7 +34,7 @@ def retrieval_page(board: RetrievalBoard) -> str:
         commands=[
             (asked.title, [evaluate_command(asked.record, m.run) for m in asked.methods]) for asked in board.sets
         ],
-        page_command=f"relocbench leaderboard RESULTS --out DIR --retrieval-metric '{board.metric}' "
+        page_command=f"relocbench leaderboard RESULTS --out DIR{dataset} --retrieval-metric '{board.metric}' "
         f"--seed {board.seed}{split}",
     )
 
@@ -75,9 +77,10 @@ def _set(board: RetrievalBoard, asked: SetBoard) -> dict[str, object]:
 
 
 def _section(board: RetrievalBoard, table: RetrievalTable) -> dict[str, object]:
-    columns = ["rank", "method", *(f"{m}, %" for m in board.shown), "s a query", "failed / broke"]
-    chance = ["", f"*{CHANCE}*", *(number(table.chance[m], "share") for m in board.shown), "", ""]
+    columns = ["rank", "method", *(f"{m}, %" for m in board.shown), "s a query", "failed / broke", "rescored"]
+    chance = ["", f"*{CHANCE}*", *(number(table.chance[m], "share") for m in board.shown), "", "", ""]
     return {
+        "believed": _believed(board, table),
         "table": table,
         "numbers": table_text(columns, [*(_row(board, row) for row in table.rows), chance], left=2),
         "at_chance": [row.method.label for row in table.rows if _at_chance(board, table, row)],
@@ -91,7 +94,15 @@ def _row(board: RetrievalBoard, row: RetrievalRow) -> list[str]:
     cells = [with_bounds(row.values[m], row.intervals.get(m), "share") for m in board.shown]
     counts = "" if row.missing else f"{row.failed} / {row.broke}"
     seconds = "" if row.seconds is None else f"{row.seconds:.3g}"
-    return ["" if row.rank is None else str(row.rank), name, *cells, seconds, counts]
+    rescored = "" if row.missing else row.rescored
+    return ["" if row.rank is None else str(row.rank), name, *cells, seconds, counts, rescored]
+
+
+def _believed(board: RetrievalBoard, table: RetrievalTable) -> list[tuple[str, str]]:
+    """Metrics that ranks behind the images that were kept could move, and by how many points at most."""
+    confirmed = [row.confirmed for row in table.rows if row.confirmed is not None]
+    most = {m: 100 * max((c.believed[m] for c in confirmed), default=0.0) for m in board.shown}
+    return [(metric, f"{points:.2g}") for metric, points in most.items() if points > 0]
 
 
 def _at_chance(board: RetrievalBoard, table: RetrievalTable, row: RetrievalRow) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
 from relocbench.files import remove_parts, write_text
 from relocbench.leaderboard.common.text import Value, write_records
 from relocbench.leaderboard.retrieval.board import (
@@ -19,17 +20,33 @@ from relocbench.progress import Reporter
 
 
 def write_retrieval_leaderboard(
-    results: Path, out: Path, *, metric: str = RANKING, split: str | None = None, seed: int = 0, reporter: Reporter
+    results: Path,
+    out: Path,
+    *,
+    metric: str = RANKING,
+    split: str | None = None,
+    seed: int = 0,
+    datasets: DatasetsAtHand | None = None,
+    reporter: Reporter,
 ) -> RetrievalBoard | None:
     """Compare retrievers and write both files; None where a results folder has no retrievers to show.
 
+    Args:
+        datasets: the datasets at hand; without them, those in folders beside ``results``.
+
     Raises:
-        PredictionError: a bad file, or scores that are missing or stale.
+        PredictionError: a bad file, scores that are missing or stale, or ranks that do not follow from the answers.
         ConfigError: an unknown metric or split.
+        DatasetError: a dataset that was named is damaged.
     """
-    board = load_retrieval(results, metric=metric, split=split, seed=seed)
-    if board is None:
-        return None
+    board = load_retrieval(results, metric=metric, split=split, seed=seed, datasets=datasets)
+    if board is not None:
+        write_retrieval_board(board, out, reporter)
+    return board
+
+
+def write_retrieval_board(board: RetrievalBoard, out: Path, reporter: Reporter) -> None:
+    """Write ``retrieval.csv`` and ``retrieval.md``."""
     for asked in board.sets:
         for method in asked.methods:
             missing = [t.name for t in asked.tables if len(t.tasks) == 1 and t.name not in method.answers]
@@ -38,11 +55,13 @@ def write_retrieval_leaderboard(
     remove_parts(out, deep=False)
     write_records(out / "retrieval.csv", retrieval_rows(board))
     write_text(out / "retrieval.md", retrieval_page(board))
-    return board
 
 
 def retrieval_rows(board: RetrievalBoard) -> list[dict[str, Value]]:
-    """The rows of ``retrieval.csv``: shares 0..1, seconds; None where there is no value."""
+    """The rows of ``retrieval.csv``: shares 0..1, seconds; None where there is no value.
+
+    ``METRIC_believed`` is by how much a mean could be another one, given the images that were kept of each query.
+    """
     out = []
     for asked in board.sets:
         for table in asked.tables:
@@ -71,7 +90,7 @@ def _row(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable, row: Ret
         "target": None if row is None else row.method.run.target,
         "rank": None if row is None else row.rank,
         "missing": "" if row is None else " ".join(row.missing),
-        "rescored": None if row is None else "no",
+        "rescored": None if row is None else row.rescored,
         "failed": None if row is None else row.failed,
         "broke": None if row is None else row.broke,
         "median_seconds": None if row is None else row.seconds,
@@ -82,4 +101,7 @@ def _row(board: RetrievalBoard, asked: SetBoard, table: RetrievalTable, row: Ret
         interval = None if row is None else row.intervals.get(metric)
         place[f"{metric}_low"] = None if interval is None else interval.low
         place[f"{metric}_high"] = None if interval is None else interval.high
+    believed = None if row is None or row.confirmed is None else row.confirmed.believed
+    for metric in board.shown:
+        place[f"{metric}_believed"] = None if believed is None else believed[metric]
     return place

@@ -27,7 +27,6 @@ from relocbench.evaluation.common.results import (
     RunRecord,
     ScoreRecord,
     all_results,
-    folders_with,
 )
 from relocbench.evaluation.tracking.clock import TARGET as CLOCK_TARGET
 from relocbench.evaluation.tracking.verification import (
@@ -41,7 +40,6 @@ from relocbench.files import read_journal
 from relocbench.leaderboard.common.commands import method_words
 from relocbench.leaderboard.common.copies import distinct_label
 from relocbench.leaderboard.common.untrusted_results import check_file_names, check_folder
-from relocbench.progress import Reporter
 
 FLOOR = "identity"
 """the method that every other one is compared with"""
@@ -154,7 +152,7 @@ class DatasetEntry:
 
 
 def load_results(
-    results: Path, split: str | None = None, *, datasets: Sequence[Path] = (), reporter: Reporter | None = None
+    results: Path, split: str | None = None, *, datasets: DatasetsAtHand | None = None
 ) -> list[DatasetEntry]:
     """Read all results of trackers in a results folder.
 
@@ -164,15 +162,13 @@ def load_results(
     Args:
         results: ``RESULTS``, or one of its ``DATASET@FINGERPRINT`` folders.
         split: only the pair sets of this split; datasets without such a split are left out.
-        datasets: datasets of the results, or folders with datasets in them; those in folders beside ``RESULTS`` need
-            not be named.
-        reporter: receives a note on a dataset beside the results that is damaged.
+        datasets: the datasets at hand; without them, those in folders beside ``RESULTS``.
 
     Raises:
         PredictionError: with file and line: no results, a bad file, scores that are missing or stale, or errors that
             are not those of the predictions.
-        ConfigError: a split that no dataset has, or a dataset that no result is of.
-        DatasetError: a folder in ``datasets`` that holds no dataset, or a damaged one.
+        ConfigError: a split that no dataset has.
+        DatasetError: a dataset that was named is damaged.
     """
     check_folder(results)
     folders = all_results(results)
@@ -182,10 +178,8 @@ def load_results(
         folders = [folder for folder in folders if split in folder.record.splits]
         if not folders:
             raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    at_hand = DatasetsAtHand(results, datasets, reporter)
+    at_hand = datasets or DatasetsAtHand(results)
     truths = [at_hand.of(folder.record, _yaml(folder)) for folder in folders]
-    if not folders_with("relocalization.yaml", results):  # whose records name datasets too
-        at_hand.check_used()
     entries = merge_copies([_dataset(folder, split, truth) for folder, truth in zip(folders, truths, strict=True)])
     if not any(entry.methods for entry in entries):
         raise PredictionError("holds no method's predictions; expected results of `relocbench evaluate`", results)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
 from relocbench.evaluation.common.tables import write_rows
 from relocbench.execution import Run, default_workers, run_units
 from relocbench.files import remove_parts, write_bytes, write_text
 from relocbench.leaderboard.common.text import write_records
-from relocbench.leaderboard.tracking.load import load_results
+from relocbench.leaderboard.tracking.load import DatasetEntry, load_results
 from relocbench.leaderboard.tracking.long_form import error_rows, leaderboard_rows, seed_rows
 from relocbench.leaderboard.tracking.marks import not_rescored
 from relocbench.leaderboard.tracking.matching import matching_file, matching_lines, matching_rows
@@ -30,7 +31,7 @@ def write_leaderboard(
     split: str | None = None,
     seed: int = 0,
     plots: bool = True,
-    datasets: Sequence[Path] = (),
+    datasets: DatasetsAtHand | None = None,
     reporter: Reporter | None = None,
 ) -> Board:
     """Compare the methods in a results folder, and write the leaderboard.
@@ -42,28 +43,41 @@ def write_leaderboard(
         split: only the pair sets of this split.
         seed: of the draws that decide ranks.
         plots: whether to draw the curves.
-        datasets: datasets of the results, as :func:`relocbench.leaderboard.tracking.load.load_results` takes them.
+        datasets: the datasets at hand; without them, those in folders beside ``results``.
         reporter: receives progress and notes on missing results.
 
     Raises:
         PredictionError: no results, a bad file, scores that are missing or stale, or errors that are not those of the
             predictions.
-        ConfigError: an unknown metric or split, or a dataset that no result is of.
-        DatasetError: a folder in ``datasets`` that holds no dataset, or a damaged one.
+        ConfigError: an unknown metric or split.
+        DatasetError: a dataset that was named is damaged.
     """
-    ranking_metric(metric)  # a mistyped metric is reported before the bootstrap runs
     report = Silent() if reporter is None else reporter
-    entries = load_results(results, split, datasets=datasets, reporter=report)
+    ranking_metric(metric)  # a mistyped metric is reported before anything is read
+    entries = load_results(results, split, datasets=datasets)
+    board = compare(entries, metric=metric, split=split, seed=seed, reporter=report)
+    write_board(board, out, plots=plots, reporter=report)
+    return board
+
+
+def compare(
+    entries: Sequence[DatasetEntry],
+    *,
+    metric: str = RANKING,
+    split: str | None = None,
+    seed: int = 0,
+    reporter: Reporter,
+) -> Board:
+    """Compare the methods of these entries as :func:`write_leaderboard` does, with its notes; nothing is written."""
     for entry in entries:
         claimed = [method.label for method in entry.methods if not_rescored(method)]
         if claimed:
-            report.note(f"{entry.title}: not rescored, as the dataset is not at hand (--dataset): {', '.join(claimed)}")
+            why = "not rescored, as the dataset is not at hand (--dataset)"
+            reporter.note(f"{entry.title}: {why}: {', '.join(claimed)}")
         for method in entry.methods:
             for pair_set in (name for name in entry.used if name in method.missing):
-                report.note(f"{entry.title}: {method.label} has no result on {pair_set}: {method.missing[pair_set]}")
-    board = make_board(entries, metric=metric, seed=seed, split=split, reporter=report)
-    write_board(board, out, plots=plots, reporter=report)
-    return board
+                reporter.note(f"{entry.title}: {method.label} has no result on {pair_set}: {method.missing[pair_set]}")
+    return make_board(entries, metric=metric, seed=seed, split=split, reporter=reporter)
 
 
 def write_board(board: Board, out: Path, *, plots: bool = True, reporter: Reporter) -> list[Path]:

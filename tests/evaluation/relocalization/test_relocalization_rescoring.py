@@ -12,11 +12,13 @@ from typing import Any
 
 import pytest
 from chains_for_tests import lists
+from command_line import relocbench
 from forgery import change_yaml
 from small_dataset import ACROSS, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.errors import ConfigError, PredictionError
+from relocbench.errors import PredictionError
+from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
 from relocbench.evaluation.relocalization.answers import ChainAnswer, read_chain, write_chain
 from relocbench.evaluation.relocalization.evaluate import RelocalizationOptions, evaluate_chains
 from relocbench.evaluation.relocalization.records import ChainResults
@@ -73,7 +75,7 @@ def forge(results: Path, change: Callable[[ChainAnswer], ChainAnswer]) -> Path:
 
 
 def rows_of(results: Path, out: Path, *datasets: Path) -> dict[tuple[str, str], dict[str, str]]:
-    write_relocalization_leaderboard(results, out, datasets=datasets, reporter=Silent())
+    write_relocalization_leaderboard(results, out, datasets=DatasetsAtHand(results, datasets), reporter=Silent())
     with (out / "relocalization.csv").open(newline="", encoding="utf-8") as stream:
         return {(r["retriever"], r["tracker"]): r for r in csv.DictReader(stream) if r["table"] == ACROSS}
 
@@ -102,7 +104,7 @@ def test_forged_rows_are_exposed_by_the_truth(results: Path, dataset: Path, chan
     path = forge(results, lambda row: replace(row, **change))
     assert load_chains(results) is not None, "nothing without the truth tells it"
     with pytest.raises(PredictionError, match="is not what rankings, answers and truth give; run") as bad:
-        load_chains(results, datasets=[dataset])
+        load_chains(results, datasets=DatasetsAtHand(results, [dataset]))
     assert bad.value.path == path
 
 
@@ -127,11 +129,11 @@ def test_a_forged_basin_or_task_is_exposed_by_the_truth(results: Path, dataset: 
 
     change_yaml(chain(results).scores_yaml, wide)
     with pytest.raises(PredictionError, match="is not the reach of the dataset's pairs"):
-        load_chains(results, datasets=[dataset])
+        load_chains(results, datasets=DatasetsAtHand(results, [dataset]))
     path = next(results.glob("*@*/relocalization.yaml"))
     change_yaml(path, lambda record: record["tasks"][ACROSS].update(rejected=7))
     with pytest.raises(PredictionError, match="the entry of the task") as bad:
-        load_chains(results, datasets=[dataset])
+        load_chains(results, datasets=DatasetsAtHand(results, [dataset]))
     assert bad.value.path == path
 
 
@@ -144,5 +146,5 @@ def test_without_the_rankings_a_chain_is_not_rescored(results: Path, dataset: Pa
 
 def test_a_dataset_that_no_chain_is_of_is_a_users_mistake(results: Path, tmp_path: Path) -> None:
     other: Dataset = make_small_dataset(tmp_path / "far" / "other", frames=3, name="other", size=(32, 24))
-    with pytest.raises(ConfigError, match="of which the results hold nothing"):
-        load_chains(results, datasets=[other.root])
+    told = relocbench("leaderboard", results, "--out", tmp_path / "board", "--dataset", other.root)
+    assert (told.status, "of which the results hold nothing" in told.complaint) == (2, True)

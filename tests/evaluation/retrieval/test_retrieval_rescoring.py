@@ -1,0 +1,257 @@
+"""Ranks of retrievers follow from the retrieved images and the truth, or are refused where the truth is at hand."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import relocbench
+from forgery import change_yaml
+from small_dataset import ACROSS, make_small_dataset
+from small_views import make_small_views
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.errors import PredictionError
+from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
+from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers
+from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
+from relocbench.evaluation.retrieval.opening import SetOptions, open_set
+from relocbench.evaluation.retrieval.records import (
+    METRICS,
+    SET_FILE,
+    RetrieverResults,
+    SetResults,
+    all_sets,
+    write_set_record,
+)
+from relocbench.files import sha256_file
+from relocbench.leaderboard.retrieval.board import load_retrieval
+from relocbench.leaderboard.retrieval.write import write_retrieval_leaderboard
+from relocbench.progress import Silent
+
+HERE = "retrievers_for_tests"
+D2S, S2D = "drone-satellite", "satellite-drone"
+PLACES = 12
+
+
+def evaluate(dataset: Path, out: Path, *methods: str, **options: Any) -> None:
+    asked = RetrievalOptions(dataset=dataset, out=out, methods=methods, workers=0, **options)
+    evaluate_retrievers(asked, Silent())
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results and, not beside them, the set: a method with all images kept, one with few, one whose images tie."""
+    root = tmp_path_factory.mktemp("made")
+    views = make_small_views(root / "elsewhere" / "town", places=PLACES, noise=700.0)
+    evaluate(views, root / "results", f"good={HERE}:Thumbnail", f"ties={HERE}:Constant")
+    evaluate(views, root / "results", f"few={HERE}:Thumbnail", f"fewties={HERE}:Constant", keep=3)
+    return root
+
+
+@pytest.fixture
+def results(made: Path, tmp_path: Path) -> Path:
+    shutil.copytree(made / "results", tmp_path / "results")
+    return tmp_path / "results"
+
+
+@pytest.fixture(scope="module")
+def town(made: Path) -> Path:
+    return made / "elsewhere" / "town"
+
+
+def only_set(results: Path) -> SetResults:
+    (found,) = all_sets(results)
+    return found
+
+
+def reseal(folder: RetrieverResults) -> None:
+    """Make the digests in ``scores.yaml`` those of the files as they are."""
+
+    def digests(scores: dict[str, Any]) -> None:
+        scores["run"] = sha256_file(folder.run_yaml)
+        for name in scores["answers"]:
+            scores["answers"][name] = sha256_file(folder.answers(name))
+            scores["lists"][name] = sha256_file(folder.predictions(name))
+
+    change_yaml(folder.scores_yaml, digests)
+
+
+def forge(folder: RetrieverResults, task: str, change: Callable[[QueryAnswer], QueryAnswer]) -> Path:
+    """Change the rows of a task, and make the digests fit again."""
+    path = folder.answers(task)
+    write_answers(path, [change(row) for row in read_answers(path)])
+    reseal(folder)
+    return path
+
+
+def refused(results: Path, match: str, *datasets: Path) -> Path | None:
+    with pytest.raises(PredictionError, match=match) as bad:
+        load_retrieval(results, datasets=DatasetsAtHand(results, datasets))
+    return bad.value.path
+
+
+def rows_of(results: Path, out: Path, *datasets: Path) -> dict[tuple[str, str], dict[str, str]]:
+    at_hand = DatasetsAtHand(results, datasets)
+    write_retrieval_leaderboard(results, out, datasets=at_hand, reporter=Silent())
+    at_hand.check_used()
+    with (out / "retrieval.csv").open(newline="", encoding="utf-8") as stream:
+        return {(row["table"], row["method"]): row for row in csv.DictReader(stream)}
+
+
+def test_honest_results_are_rescored_as_far_as_images_are_kept(results: Path, town: Path, tmp_path: Path) -> None:
+    claimed, found = rows_of(results, tmp_path / "a"), rows_of(results, tmp_path / "b", town)
+    assert {row["rescored"] for (_, name), row in claimed.items() if name != "(chance)"} == {"no"}
+    said = {name: row["rescored"] for (table, name), row in found.items() if table == "mean over all tasks"}
+    assert said == {"good": "yes", "ties": "yes", "few": "first 3", "fewties": "first 3", "(chance)": ""}
+    for key, row in claimed.items():
+        assert [row[metric] for metric in METRICS] == [found[key][metric] for metric in METRICS]
+    page = (tmp_path / "b" / "retrieval.md").read_text(encoding="utf-8")
+    assert "relocbench leaderboard RESULTS --out DIR --dataset DATASET" in page
+    assert "Ranks behind the images that were kept could move a row by at most" in page
+    assert "could move a row" not in (tmp_path / "a" / "retrieval.md").read_text(encoding="utf-8")
+
+
+def test_what_is_believed_bounds_what_other_ranks_could_give(results: Path, town: Path, tmp_path: Path) -> None:
+    row = rows_of(results, tmp_path / "honest", town)[D2S, "few"]
+    assert float(row["R@1_believed"]) == 0.0, "it follows from the first three images"
+    assert 0.0 < float(row["AP_believed"]) < 0.25
+    folder = only_set(results).method("few")
+    gallery = only_set(results).record.tasks[D2S].gallery
+    ends = []
+    for at in (4, gallery):
+        forge(folder, D2S, lambda a, at=at: a if a.ranks and a.ranks[0] <= 3 else replace(a, ranks=(at,)))  # type: ignore[misc]
+        ends.append(float(rows_of(results, tmp_path / str(at), town)[D2S, "few"]["AP"]))
+    forge(folder, D2S, lambda a: a if a.ranks and a.ranks[0] <= 3 else replace(a, ranks=()))
+    ends.append(float(rows_of(results, tmp_path / "never", town)[D2S, "few"]["AP"]))
+    assert max(ends) - min(ends) == pytest.approx(float(row["AP_believed"]), abs=1e-9)
+
+
+@pytest.mark.parametrize("label", ["good", "few", "ties", "fewties"])
+def test_claimed_ranks_that_do_not_follow_are_exposed_by_the_truth(results: Path, town: Path, label: str) -> None:
+    worst = max(read_answers(only_set(results).method(label).answers(D2S)), key=lambda a: a.ranks[0])
+    assert worst.ranks[0] > 1
+    folder = only_set(results).method(label)
+    path = forge(folder, D2S, lambda a: replace(a, ranks=(1,)) if a.query == worst.query else a)
+    assert load_retrieval(results) is not None, "nothing without the truth tells it"
+    assert refused(results, "has the ranks 1, expected", town) == path
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"positives": 2}, "has 2 positives, expected 1"),
+        ({"group": "0003x"}, "has the group '0003x', expected"),
+        ({"ranks": (), "status": "failed"}, "has the status failed"),
+        ({"ranks": ()}, r"has the ranks \(none\), expected"),
+    ],
+)
+def test_other_forged_cells_are_exposed(results: Path, town: Path, change: dict[str, Any], told: str) -> None:
+    if "positives" in change:  # which the record would refuse at once
+        change_yaml(only_set(results).root / SET_FILE, lambda r: r["tasks"][D2S].update(most_positives=2))
+        assert refused(results, f"the entry of the task '{D2S}' is not that of the dataset", town) is not None
+        return
+    first = read_answers(only_set(results).method("good").answers(D2S))[0].query
+    for label in ("good", "ties", "few", "fewties"):
+        forge(only_set(results).method(label), D2S, lambda a: replace(a, **change) if a.query == first else a)
+    assert refused(results, told, town) is not None
+
+
+def test_a_rank_that_the_images_behind_the_kept_ones_cannot_have_is_refused(results: Path, town: Path) -> None:
+    folder = only_set(results).method("few")
+    forge(folder, D2S, lambda a: replace(a, ranks=(3,)) if a.ranks[0] > 3 else a)
+    refused(results, "has the ranks 3, expected", town)
+
+
+def test_a_forged_record_is_exposed(results: Path, town: Path) -> None:
+    path = only_set(results).root / SET_FILE
+    kept = path.read_text()
+    changes: dict[str, Callable[[dict[str, Any]], object]] = {
+        f"the chance level of the task '{D2S}'": lambda r: r["tasks"][D2S]["chance"].update({"R@1": 0.001}),
+        f"the entry of the task '{S2D}'": lambda r: r["tasks"][S2D].update(gallery=99),
+        "the entry 'positives'": lambda r: r.update(positives="whatever is near"),
+        "the entry 'splits'": lambda r: r.update(splits={"test": [D2S]}),
+        "the task 'drone-moon'": lambda r: r["tasks"].update({"drone-moon": r["tasks"][D2S]}),
+    }
+    for told, change in changes.items():
+        change_yaml(path, change)
+        assert refused(results, f"{told} is not that of the dataset", town) == path
+        path.write_text(kept)
+
+
+def test_edited_files_are_refused_without_the_truth(results: Path) -> None:
+    folder = only_set(results).method("few")
+    run, lists = folder.run_yaml.read_text(), folder.predictions(D2S).read_text()
+    change_yaml(folder.run_yaml, lambda record: record.update(keep=1000))
+    assert refused(results, "is not the record that was scored; run") == folder.run_yaml
+    folder.run_yaml.write_text(run)
+    folder.predictions(D2S).write_text("\n".join(lists.splitlines()[1:]) + "\n")
+    assert refused(results, "changed since it was scored; run") == folder.predictions(D2S)
+    folder.predictions(D2S).write_text(lists)
+    change_yaml(folder.scores_yaml, lambda scores: [scores.pop("run"), scores.pop("lists")])
+    assert refused(results, "does not say what it was computed from, as earlier versions did not") is not None
+
+
+def test_claiming_that_more_images_are_kept_than_there_are_exposes_the_ranks_behind_them(
+    results: Path, town: Path
+) -> None:
+    folder = only_set(results).method("few")
+    change_yaml(folder.run_yaml, lambda record: record.update(keep=1000))
+    reseal(folder)
+    refused(results, r"expected \(none\)", town)
+
+
+def test_lists_made_elsewhere_are_rescored(town: Path, made: Path, tmp_path: Path) -> None:
+    theirs = only_set(made / "results").method("few").root
+    (tmp_path / "mine").mkdir()
+    shutil.copy(theirs / f"{D2S}.txt", tmp_path / "mine")
+    asked = RetrievalOptions(dataset=town, out=tmp_path / "results", predictions=tmp_path / "mine", workers=0)
+    evaluate_retrievers(asked, Silent())
+    assert rows_of(tmp_path / "results", tmp_path / "board", town)[D2S, "mine"]["rescored"] == "yes"
+
+
+@pytest.mark.parametrize("rule", [{"radius": 0.2}, {"radius": 0.3, "heading": 30.0}, {"positives": "pairs"}])
+def test_places_of_a_street_are_rescored(tmp_path: Path, rule: dict[str, Any]) -> None:
+    street: Dataset = make_small_dataset(tmp_path / "data" / "street", frames=8)
+    results = tmp_path / "results"
+    evaluate(street.root, results, f"t={HERE}:Constant", **rule)
+    assert rows_of(results, tmp_path / "board", street.root)[ACROSS, "t"]["rescored"] == "yes"
+    folder = only_set(results).method("t")
+    wrong = next(a for a in read_answers(folder.answers(ACROSS)) if a.ranks and a.ranks[0] > 1)
+    forge(folder, ACROSS, lambda a: replace(a, ranks=(1, *a.ranks[1:])) if a.query == wrong.query else a)
+    refused(results, "has the ranks 1", street.root)
+    change_yaml(only_set(results).root / SET_FILE, lambda r: r["options"].clear())
+    assert load_retrieval(results, datasets=DatasetsAtHand(results, [street.root])) is not None, "it has no such set"
+
+
+def test_a_run_on_one_split_leaves_the_others_in_the_record(town: Path, tmp_path: Path) -> None:
+    whole = open_set(town, tmp_path / "out", SetOptions(), Silent())
+    splits = {"first": (D2S,), "second": (S2D,), "both": (D2S, S2D)}
+    folder = SetResults(tmp_path)
+    for name in (D2S, S2D):
+        chosen = tuple(task for task in whole.all_tasks if task.name == name)
+        write_set_record(folder, replace(whole, all_tasks=chosen, chosen=chosen, splits=splits), chosen)
+    assert SetResults(tmp_path).record.splits == splits
+
+
+def test_the_command_refuses_forged_ranks_and_sets_of_something_else(results: Path, town: Path, tmp_path: Path) -> None:
+    other = make_small_views(tmp_path / "far" / "other", places=3)
+    told = relocbench("leaderboard", results, "--out", tmp_path / "board", "--dataset", other)
+    assert (told.status, "of which the results hold nothing" in told.complaint) == (2, True)
+    assert relocbench("leaderboard", results, "--out", tmp_path / "board", "--dataset", town, "-q").status == 0
+    found = relocbench("leaderboard", results, "--out", tmp_path / "board", "--dataset", town.parent, "-q", "--json")
+    assert '"rescored": "first 3"' in found.out
+    forge(only_set(results).method("good"), D2S, lambda a: replace(a, ranks=(1,)))
+    told = relocbench("leaderboard", results, "--out", tmp_path / "forged", "--dataset", town)
+    assert (told.status, f"{D2S}.csv: query" in told.complaint) == (2, True)
+    assert not (tmp_path / "forged" / "retrieval.md").exists()
+
+
+def test_a_set_beside_the_results_is_used_unasked(results: Path, town: Path, tmp_path: Path) -> None:
+    shutil.copytree(town, results.parent / "town")
+    assert rows_of(results, tmp_path / "out" / "board")[D2S, "good"]["rescored"] == "yes"
