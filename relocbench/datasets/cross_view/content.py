@@ -65,10 +65,8 @@ def check_against(root: Path, rows: Sequence[Row], present: Iterable[str]) -> No
 
 
 def read_conditions(root: Path) -> dict[str, str]:
-    """Conditions of the images by key, from ``poses.csv``; empty if there is no such file."""
+    """Conditions of the images by key, from ``poses.csv``. Raises DatasetError where it is missing or bad."""
     path = root / POSES_FILE
-    if not path.exists():
-        return {}
     table = read_csv(path, "poses of the images", DatasetError)
     header = next(table, (1, []))[1]
     if "image" not in header or "condition" not in header:

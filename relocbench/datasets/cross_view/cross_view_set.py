@@ -67,9 +67,19 @@ class CrossViewSet:
         return self.question_digest or self.fingerprint
 
     @property
+    def is_plain(self) -> bool:
+        """Whether the set was not rendered here: its name is that of its folder, and it has no copies."""
+        return not self.question_digest
+
+    @property
     def positives(self) -> str:
         """The relevance rule in words."""
         return "images of the query's place"
+
+    @property
+    def options(self) -> dict[str, float | str]:
+        """The command-line options that select this set: none."""
+        return {}
 
     @property
     def train_labels(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
 
@@ -64,7 +65,7 @@ class DatasetsAtHand:
         self._reporter = reporter or Silent()
         self._given: list[Dataset | CrossViewSet] = []
         self._named: list[Dataset | CrossViewSet] = []
-        for folder in given:
+        for folder in {path.resolve(): path for path in given}.values():
             alone = not folder.is_dir() or _looks_like_set(folder)
             opened = [_opened(folder)] if alone else _inside(folder)
             self._given += opened
@@ -72,11 +73,12 @@ class DatasetsAtHand:
         beside = _beside(results)
         plain = (_openable(folder, Dataset) for folder in beside if not is_cross_view(folder))
         self._beside = [dataset for dataset in plain if dataset is not None]
-        self._cross_view_beside = [folder for folder in beside if is_cross_view(folder)]
-        """opened when one is needed: listing the images takes a while"""
+        self._folders_of_places = [folder for folder in beside if is_cross_view(folder)]
+        """cross-view sets beside the results; listing their images takes a while"""
         self._used: list[Dataset | CrossViewSet] = []
         self._whole: dict[Path, RelocbenchError | None] = {}
         """what is wrong with each dataset that was checked"""
+        self._noted: set[Path] = set()
 
     def of(self, record: DatasetRecord, path: Path) -> Truth | None:
         """The dataset that results belong to; None where it is not at hand.
@@ -119,12 +121,29 @@ class DatasetsAtHand:
             DatasetError: a set that was named is damaged.
         """
         given = [one for one in self._given if isinstance(one, CrossViewSet)]
-        opened = (_openable(folder, open_cross_view) for folder in self._cross_view_beside)
-        for places in (*given, *opened):
-            if places is not None and wanted(places):
-                self._used.append(places)
-                return places
+        for places in (*given, *self._cross_view_beside):
+            try:
+                if wanted(places):
+                    self._used.append(places)
+                    return places
+            except RelocbenchError as bad:
+                self._damaged(places, bad)
         return None
+
+    def acknowledge(self, is_of: Callable[[Dataset | CrossViewSet], bool]) -> None:
+        """Count the named datasets as used that results belong to, although others may be the ones looked at."""
+        self._used += [one for one in self._named if is_of(one)]
+
+    @cached_property
+    def _cross_view_beside(self) -> list[CrossViewSet]:
+        """The cross-view sets beside the results that can be opened; they are when one is first needed."""
+        found = []
+        for folder in self._folders_of_places:
+            try:
+                found.append(open_cross_view(folder))
+            except RelocbenchError as bad:
+                self._reporter.note(f"not scored again with {folder}: {bad}")
+        return found
 
     def check_used(self) -> None:
         """Raise ConfigError for a dataset that was named although nothing in the results belongs to it."""
@@ -149,11 +168,13 @@ class DatasetsAtHand:
                 return self._damaged(dataset, bad)
         return self._whole[dataset.root] is None
 
-    def _damaged(self, dataset: Dataset, bad: RelocbenchError) -> bool:
+    def _damaged(self, dataset: Dataset | CrossViewSet, bad: RelocbenchError) -> bool:
         """Raise the error if the dataset was named; otherwise note it, and return False."""
         if any(dataset is one for one in self._given):
             raise bad
-        self._reporter.note(f"not scored again with {dataset.root}: {bad}")
+        if dataset.root not in self._noted:
+            self._noted.add(dataset.root)
+            self._reporter.note(f"not scored again with {dataset.root}: {bad}")
         return False
 
 

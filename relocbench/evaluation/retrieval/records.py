@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -112,7 +111,7 @@ class RetrievalRun(RunRecord):
     """``run.yaml`` of a retriever."""
 
     task: Literal["retrieval"] = "retrieval"
-    keep: int | None = None
+    keep: int | None = Field(None, ge=1)
     """number of retrieved images that are kept of each query; None for all"""
     info: dict[str, Any] = Field(default_factory=dict)
     """what the retriever reports in its ``info``, such as its training data"""
@@ -153,9 +152,9 @@ class SetResults:
 
     root: Path
 
-    @cached_property
+    @property
     def record(self) -> SetRecord:
-        """The content of ``retrieval.yaml``. Raises PredictionError with file and line."""
+        """The content of ``retrieval.yaml`` as it is now. Raises PredictionError with file and line."""
         return load_yaml(self.root / SET_FILE, SetRecord, "the record of a retrieval set", PredictionError)
 
     def method(self, label: str) -> RetrieverResults:
@@ -179,7 +178,7 @@ def write_set_record(folder: SetResults, asked: RetrievalSet, tasks: Sequence[Re
     """Write ``retrieval.yaml`` with these tasks, and those that it holds already."""
     path = folder.root / SET_FILE
     known: Mapping[str, TaskRecord] = folder.record.tasks if path.exists() else {}
-    new = {task.name: known.get(task.name) or task_record(task) for task in tasks}
+    new = {task.name: task_record(task) for task in tasks}
     all_tasks = {**known, **new}
     record = SetRecord(
         name=asked.name,

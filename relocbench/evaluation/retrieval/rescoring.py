@@ -81,6 +81,9 @@ class RetrievalTruth:
         gallery = {image.key: index for index, image in enumerate(task.gallery)}
         kept_of = read_lists(folder.predictions(name), queries, gallery)
         lists = [np.array(kept, dtype=np.int64) for kept in kept_of.values()]
+        if keep is not None and any(len(kept) > keep for kept in lists):
+            words = f"holds more images of a query than the {keep} that {folder.run_yaml.name} says are kept"
+            raise PredictionError(f"{words}; {AGAIN}", folder.predictions(name))
         found = rank_lists(lists, task.relevance)
         depth = _depths(lists, task, keep)
         if [row.query for row in claimed] != list(queries):
@@ -107,11 +110,20 @@ def truth_of(folder: SetResults, at_hand: DatasetsAtHand) -> RetrievalTruth | No
         PredictionError: the results folder says otherwise of a task than the dataset does.
         DatasetError: a dataset that was named is damaged.
     """
+    record = folder.record
     for is_it in (_has_fingerprint, _asks_the_same):
-        places = _found(folder.record, at_hand, is_it)
+        places = _found(record, at_hand, is_it)
         if places is not None:
             return RetrievalTruth(folder, places)
     return None
+
+
+def belongs(dataset: Dataset | CrossViewSet, record: SetRecord) -> bool:
+    """Whether results are of a dataset or of a copy of it."""
+    places = _street(dataset, record) if isinstance(dataset, Dataset) else dataset
+    return places is not None and (
+        _has_fingerprint(places, record) or (places.name == record.name and places.question == record.question)
+    )
 
 
 def _found(
@@ -121,10 +133,10 @@ def _found(
         places = _street(dataset, record)
         return places is not None and is_it(places, record)
 
+    if not record.options:
+        return at_hand.find_cross_view(lambda one: is_it(one, record))
     dataset = at_hand.find(has_places)
-    if dataset is not None:
-        return _street(dataset, record)
-    return at_hand.find_cross_view(lambda one: is_it(one, record))
+    return None if dataset is None else _street(dataset, record)
 
 
 def _street(dataset: Dataset, record: SetRecord) -> StreetPlaces | None:
@@ -141,11 +153,12 @@ def _street(dataset: Dataset, record: SetRecord) -> StreetPlaces | None:
 
 
 def _has_fingerprint(places: StreetPlaces | CrossViewSet, record: SetRecord) -> bool:
-    return places.name == record.name and places.fingerprint == record.fingerprint
+    named = places.name == record.name or (isinstance(places, CrossViewSet) and places.is_plain)
+    return named and places.fingerprint == record.fingerprint
 
 
 def _asks_the_same(places: StreetPlaces | CrossViewSet, record: SetRecord) -> bool:
-    if isinstance(places, StreetPlaces) and places.rule == "radius":
+    if places.rule == "radius" if isinstance(places, StreetPlaces) else places.is_plain:
         return False
     return places.name == record.name and bool(record.question) and places.question == record.question
 
@@ -160,10 +173,9 @@ def _first_difference(
     record: SetRecord, places: StreetPlaces | CrossViewSet, tasks: Mapping[str, RetrievalTask]
 ) -> str | None:
     """The first entry of a record that differs from the set's own, in words."""
-    if record.question not in ("", places.question):
-        return "the entry 'question'"
-    if record.positives != places.positives:
-        return "the entry 'positives'"
+    for entry in ("question", "positives", "options"):
+        if getattr(record, entry) != getattr(places, entry):
+            return f"the entry '{entry}'"
     for name, claimed in record.tasks.items():
         if name not in tasks:
             return f"the task '{name}'"
@@ -202,6 +214,8 @@ def _fault(row: QueryAnswer, task: RetrievalTask, q: int, found: Ranking, depth:
         return f"has the status {row.status}"
     if tuple(rank for rank in row.ranks if rank <= depth) != listed:
         return f"has the ranks {_words(row.ranks)}, expected {_words(listed)}"
+    if row.ranks and row.status != "ok":
+        return f"has ranks and the status {row.status}"
     if any(rank > int(np.sum(~task.relevance.junk)) for rank in row.ranks):
         return f"has the ranks {_words(row.ranks)} among {int(np.sum(~task.relevance.junk))} images"
     return None

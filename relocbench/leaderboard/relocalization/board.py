@@ -160,6 +160,8 @@ def load_chains(
         known = sorted({name for s in there for name in s.record.splits})
         raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
     at_hand = datasets or DatasetsAtHand(results)
+    named = {(each.record.dataset, each.record.dataset_fingerprint) for each in there}
+    at_hand.acknowledge(lambda one: (one.name, one.fingerprint) in named)
     boards = [board for s in found if (board := _set(s, metric, split, seed, at_hand)) is not None]
     return ChainBoard(tuple(boards), metric, seed, split) if boards else None
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +19,14 @@ from relocbench.evaluation.retrieval.records import (
     METRICS,
     SET_FILE,
     RetrievalRun,
+    RetrievalScores,
     RetrieverResults,
     SetRecord,
     SetResults,
     TaskRecord,
     all_sets,
 )
-from relocbench.evaluation.retrieval.rescoring import Confirmed, RetrievalTruth, truth_of
+from relocbench.evaluation.retrieval.rescoring import Confirmed, RetrievalTruth, belongs, truth_of
 from relocbench.evaluation.retrieval.score import checked_answers, resampled, scores_of
 from relocbench.files import sha256_file
 from relocbench.leaderboard.common.copies import distinct_label
@@ -46,6 +49,13 @@ class Retriever:
     """by task; tasks without results are absent"""
     confirmed: Mapping[str, Confirmed] = field(default_factory=dict)
     """how far the ranks follow from the images that were kept, by task; empty where the truth is not at hand"""
+    ran_as: str = ""
+    """the label in the run's record, which the name of the folder replaces"""
+
+    @property
+    def renamed(self) -> bool:
+        """Whether the folder is not named as its run."""
+        return self.ran_as not in ("", self.label, self.label.rpartition("@")[0])
 
     def per_query(self, task: str, record: TaskRecord, metric: str) -> Array:
         """(Q,) the values of a metric on a task."""
@@ -160,13 +170,15 @@ def load_retrieval(
     check_folder(results)
     for folder in found:
         check_file_names(folder.record.tasks, "the task", folder.root / SET_FILE)
+    at_hand = datasets or DatasetsAtHand(results)
+    for folder in found:
+        at_hand.acknowledge(partial(belongs, record=folder.record))
     chosen = found if split is None else [s for s in found if split in s.record.splits]
     if not chosen and holds_tracking(results):
         return None  # the split is one of the trackers' datasets
     if not chosen:
         known = sorted({name for s in found for name in s.record.splits})
         raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    at_hand = datasets or DatasetsAtHand(results)
     sets = tuple(_set(copies, metric, split, seed, at_hand) for copies in _group_copies(chosen))
     return RetrievalBoard(sets, metric, seed, split)
 
@@ -226,10 +238,13 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
     record, *others = (folder.record for folder in copies)
     for folder, other in zip(copies[1:], others, strict=True):
         different = [n for n in other.tasks if other.tasks[n] != record.tasks.get(n, other.tasks[n])]
-        if different:
+        told = (
+            f"task '{different[0]}' has other queries or another gallery" if different else _rule_differs(record, other)
+        )
+        if told:
             raise PredictionError(
-                f"task '{different[0]}' has other queries or another gallery than in {copies[0].root.name}, although "
-                "both folders are marked as results of the same dataset; evaluate one of them again",
+                f"{told} than in {copies[0].root.name}, although both folders are marked as results of the same "
+                "dataset; evaluate one of them again",
                 folder.root / SET_FILE,
             )
         record = record.model_copy(update={"tasks": {**other.tasks, **record.tasks}})
@@ -254,6 +269,17 @@ def _set(copies: Sequence[SetResults], metric: str, split: str | None, seed: int
         check_plausible(tables[-1])
     unused = tuple(n for n in tasks if n not in used)
     return SetBoard(record, methods, tuple(tables), unused, tuple(other.fingerprint for other in others))
+
+
+def _rule_differs(record: SetRecord, other: SetRecord) -> str:
+    """What two records of one question say differently about it, in words; empty if nothing."""
+    if (record.positives, record.options) != (other.positives, other.options):
+        return "says otherwise which images are right"
+    both = record.tasks.keys() & other.tasks.keys()
+    for split in sorted(record.splits.keys() | other.splits.keys()):
+        if both.intersection(record.splits.get(split, ())) != both.intersection(other.splits.get(split, ())):
+            return f"the split '{split}' has other tasks"
+    return ""
 
 
 def _methods_of(
@@ -282,19 +308,25 @@ def _method(
             f"{asked.name}@{asked.fingerprint[:12]}",
             folder.run_yaml,
         )
+    for name in tasks:
+        if folder.answers(name).exists() and not folder.predictions(name).exists():
+            raise PredictionError("missing, although its ranks are there", folder.predictions(name))
     done = {name: record for name, record in tasks.items() if folder.complete(name)}
     if done and not folder.scores_yaml.exists():
         raise PredictionError(f"missing: the answers are not scored; {_AGAIN}", folder.scores_yaml)
-    if done:
-        _check_digests(folder, done)
+    scores = folder.retrieval_scores() if done else None
+    if scores is not None:
+        _check_digests(folder, done, scores)
     answers = {name: checked_answers(name, record, folder) for name, record in done.items()}
+    if scores is not None:
+        for name, rows in answers.items():
+            _check_summary(folder, name, done[name], rows, scores)
     confirmed = {} if truth is None else {n: truth.confirmed(folder, n, run.keep, rows) for n, rows in answers.items()}
-    return Retriever(folder.label, run.model_copy(update={"method": folder.label}), answers, confirmed)
+    return Retriever(folder.label, run.model_copy(update={"method": folder.label}), answers, confirmed, run.method)
 
 
-def _check_digests(folder: RetrieverResults, tasks: Collection[str]) -> None:
+def _check_digests(folder: RetrieverResults, tasks: Collection[str], scored: RetrievalScores) -> None:
     """Raise PredictionError unless ``scores.yaml`` was computed from the files beside it."""
-    scored = folder.retrieval_scores()
     if not scored.run:
         told = "does not say what it was computed from, as earlier versions did not"
         raise PredictionError(f"{told}; {_AGAIN}", folder.scores_yaml)
@@ -306,6 +338,20 @@ def _check_digests(folder: RetrieverResults, tasks: Collection[str]) -> None:
         for digests, path in ((scored.answers, folder.answers(task)), (scored.lists, folder.predictions(task))):
             if digests[task] != sha256_file(path):
                 raise PredictionError(f"changed since it was scored; {_AGAIN}", path)
+
+
+def _check_summary(
+    folder: RetrieverResults, task: str, record: TaskRecord, answers: Sequence[QueryAnswer], scored: RetrievalScores
+) -> None:
+    """Raise PredictionError unless ``scores.yaml`` has the means of a task's table."""
+    summary = scored.tasks.get(task, {})
+    scores = scores_of(answers, record)
+    for metric in METRICS:
+        mean, claimed = float(np.mean(scores.per_query(metric))), summary.get(metric)
+        if claimed is None or not math.isclose(mean, claimed, rel_tol=1e-9, abs_tol=1e-12):
+            raise PredictionError(
+                f"{metric} of '{task}' is {claimed}, its table gives {mean}; {_AGAIN}", folder.scores_yaml
+            )
 
 
 def _confirmed(method: Retriever, tasks: Sequence[str]) -> Confirmed | None:

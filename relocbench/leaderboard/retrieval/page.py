@@ -71,6 +71,7 @@ def _set(board: RetrievalBoard, asked: SetBoard) -> dict[str, object]:
             (m.label, m.run, sorted({t.dimensions for t in m.run.tasks.values() if t.dimensions}), machine_words(m.run))
             for m in methods
         ],
+        "renamed": [(m.label, m.ran_as) for m in methods if m.renamed],
         "parameters": [(m.label, json_text(m.run.parameters)) for m in methods if m.run.parameters],
         "told": [(m.label, json_text(m.run.info)) for m in methods if m.run.info],
     }

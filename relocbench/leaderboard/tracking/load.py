@@ -6,14 +6,16 @@ import re
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.pairfile import ELSEWHERE
+from relocbench.datasets.cross_view import CrossViewSet
 from relocbench.errors import ConfigError, PredictionError
 from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand, Truth
 from relocbench.evaluation.common.error_table import ErrorTable, read_errors
@@ -173,17 +175,25 @@ def load_results(
     check_folder(results)
     folders = all_results(results)
     _check_apart(folders)
+    at_hand = datasets or DatasetsAtHand(results)
+    for folder in folders:
+        at_hand.acknowledge(partial(_belongs, record=folder.record))
     if split is not None:
         known = sorted({name for folder in folders for name in folder.record.splits})
         folders = [folder for folder in folders if split in folder.record.splits]
         if not folders:
             raise ConfigError(f"no split '{split}'; there is {', '.join(known) or 'none'}", results)
-    at_hand = datasets or DatasetsAtHand(results)
     truths = [at_hand.of(folder.record, _yaml(folder)) for folder in folders]
     entries = merge_copies([_dataset(folder, split, truth) for folder, truth in zip(folders, truths, strict=True)])
     if not any(entry.methods for entry in entries):
         raise PredictionError("holds no method's predictions; expected results of `relocbench evaluate`", results)
     return entries
+
+
+def _belongs(dataset: Dataset | CrossViewSet, record: DatasetRecord) -> bool:
+    """Whether results are of a dataset or of a copy of it."""
+    same = dataset.fingerprint == record.fingerprint or dataset.question == record.question
+    return dataset.name == record.name and same
 
 
 def merge_copies(entries: Sequence[DatasetEntry]) -> list[DatasetEntry]:

@@ -138,7 +138,8 @@ def relevance_within(
     found = []
     for q in range(len(query)):
         strip = order[first[q] : last[q]]
-        near = strip[np.linalg.norm(gallery[strip] - query[q], axis=1) <= radius_m]
+        distance = np.linalg.norm(gallery[strip] - query[q], axis=1)
+        near = strip[np.round(distance, _DIGITS) <= radius_m]  # on a grid, many lie at the radius
         if headings is not None and heading_limit_deg is not None:
             near = near[angle_between_deg(headings[0][q], headings[1][near]) <= heading_limit_deg]
         found.append(near)

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from command_line import relocbench
 from forgery import change_yaml
@@ -16,7 +17,7 @@ from small_dataset import ACROSS, make_small_dataset
 from small_views import make_small_views
 
 from relocbench.datasets.core.dataset import Dataset
-from relocbench.errors import PredictionError
+from relocbench.errors import DatasetError, PredictionError
 from relocbench.evaluation.common.datasets_at_hand import DatasetsAtHand
 from relocbench.evaluation.retrieval.answers import QueryAnswer, read_answers, write_answers
 from relocbench.evaluation.retrieval.evaluate import RetrievalOptions, evaluate_retrievers
@@ -29,9 +30,11 @@ from relocbench.evaluation.retrieval.records import (
     all_sets,
     write_set_record,
 )
+from relocbench.evaluation.retrieval.score import summary
 from relocbench.files import sha256_file
 from relocbench.leaderboard.retrieval.board import load_retrieval
 from relocbench.leaderboard.retrieval.write import write_retrieval_leaderboard
+from relocbench.metrics import relevance_within
 from relocbench.progress import Silent
 
 HERE = "retrievers_for_tests"
@@ -71,11 +74,14 @@ def only_set(results: Path) -> SetResults:
 
 
 def reseal(folder: RetrieverResults) -> None:
-    """Make the digests in ``scores.yaml`` those of the files as they are."""
+    """Make the digests and means in ``scores.yaml`` those of the files as they are."""
+    tasks = SetResults(folder.root.parent).record.tasks
 
     def digests(scores: dict[str, Any]) -> None:
         scores["run"] = sha256_file(folder.run_yaml)
         for name in scores["answers"]:
+            means = summary(tasks[name], read_answers(folder.answers(name)))
+            scores["tasks"][name].update({metric: means[metric] for metric in METRICS})
             scores["answers"][name] = sha256_file(folder.answers(name))
             scores["lists"][name] = sha256_file(folder.predictions(name))
 
@@ -250,6 +256,93 @@ def test_the_command_refuses_forged_ranks_and_sets_of_something_else(results: Pa
     told = relocbench("leaderboard", results, "--out", tmp_path / "forged", "--dataset", town)
     assert (told.status, f"{D2S}.csv: query" in told.complaint) == (2, True)
     assert not (tmp_path / "forged" / "retrieval.md").exists()
+
+
+def test_tasks_may_be_run_one_after_another(town: Path, tmp_path: Path) -> None:
+    for name in (S2D, D2S):
+        words = ("-m", f"t={HERE}:Thumbnail", "-o", tmp_path / "results", "--workers", 0, "--pair-set", name, "--json")
+        told = relocbench("evaluate-retrieval", "-d", town, *words)
+        assert told.status == 0, told.err
+    rows = rows_of(tmp_path / "results", tmp_path / "board", town)
+    assert {rows[name, "t"]["rescored"] for name in (D2S, S2D, "mean over all tasks")} == {"yes"}
+
+
+def test_a_folder_that_was_renamed_is_told(results: Path, town: Path, tmp_path: Path) -> None:
+    folder = only_set(results).method("ties").root
+    folder.rename(folder.with_name("best"))
+    rows_of(results, tmp_path / "board", town)
+    page = (tmp_path / "board" / "retrieval.md").read_text(encoding="utf-8")
+    assert "Folders that are not named as their runs: `best` ran as `ties`." in page
+
+
+def test_a_copy_with_other_rules_is_refused(results: Path, town: Path) -> None:
+    """A folder that claims to be of the same question, from another processor, and would be shown first."""
+    honest = only_set(results)
+    forged = honest.root.with_name(f"{honest.root.name.partition('@')[0]}@000000000000")
+    shutil.copytree(honest.root, forged)
+    for label in ("good", "ties", "few", "fewties"):
+        change_yaml(forged / label / "run.yaml", lambda run: run.update(fingerprint="0" * 64))
+        reseal(RetrieverResults(forged / label))
+    kept = (forged / SET_FILE).read_text()
+    for change in ({"positives": "anything"}, {"options": {"radius": 9.0}}, {"splits": {"test": [D2S]}}):
+        (forged / SET_FILE).write_text(kept)
+        change_yaml(forged / SET_FILE, lambda record, c=change: record.update(fingerprint="0" * 64, **c))  # type: ignore[misc]
+        with pytest.raises(PredictionError):
+            load_retrieval(results, datasets=DatasetsAtHand(results, [town]))
+
+
+def test_a_plain_set_may_have_another_name(results: Path, town: Path, tmp_path: Path) -> None:
+    shutil.copytree(town, tmp_path / "far" / "univ")
+    assert rows_of(results, tmp_path / "board", tmp_path / "far" / "univ")[D2S, "good"]["rescored"] == "yes"
+
+
+def test_naming_a_set_twice_or_in_a_folder_is_no_mistake(results: Path, town: Path, tmp_path: Path) -> None:
+    assert rows_of(results, tmp_path / "board", town, town.parent, town)[D2S, "good"]["rescored"] == "yes"
+
+
+def test_a_damaged_set_beside_the_results_is_noted_once_and_not_used(results: Path, town: Path) -> None:
+    beside = results.parent / "town"
+    shutil.copytree(town, beside)
+    image = min(beside.glob("test/query_drone/*/*.png"))
+    image.unlink()
+    image.symlink_to("nowhere.png")
+    notes: list[str] = []
+
+    class Notes(Silent):
+        def note(self, message: str) -> None:
+            notes.append(message)
+
+    board = load_retrieval(results, datasets=DatasetsAtHand(results, (), Notes()))
+    assert board is not None
+    assert {row.rescored for table in board.sets[0].tables for row in table.rows} == {"no"}
+    assert [note.startswith(f"not scored again with {beside}") for note in notes] == [True]
+    with pytest.raises(DatasetError):
+        load_retrieval(results, datasets=DatasetsAtHand(results, [beside]))
+
+
+def test_no_images_kept_and_ranks_without_an_answer_are_refused(results: Path, town: Path) -> None:
+    folder = only_set(results).method("few")
+    kept = folder.run_yaml.read_text()
+    change_yaml(folder.run_yaml, lambda record: record.update(keep=0))
+    refused(results, "keep")
+    folder.run_yaml.write_text(kept)
+    change_yaml(folder.run_yaml, lambda record: record.update(keep=2))
+    reseal(folder)
+    refused(results, "holds more images of a query than the 2", town)
+    folder.run_yaml.write_text(kept)
+    folder.predictions(D2S).unlink()
+    refused(results, "missing, although its ranks are there")
+
+
+def test_a_summary_that_is_not_that_of_the_table_is_refused(results: Path) -> None:
+    folder = only_set(results).method("good")
+    change_yaml(folder.scores_yaml, lambda scores: scores["tasks"][D2S].update({"AP": 1.0}))
+    assert refused(results, f"AP of '{D2S}' is 1.0, its table gives") == folder.scores_yaml
+
+
+def test_a_keyframe_at_the_radius_is_right_whatever_the_last_digits() -> None:
+    gallery = np.array([[3.0 + 1e-13, 4.0, 0.0], [5.0 + 1e-6, 0.0, 0.0]])
+    assert relevance_within(np.zeros((1, 3)), gallery, 5.0).of(0).tolist() == [0]
 
 
 def test_a_set_beside_the_results_is_used_unasked(results: Path, town: Path, tmp_path: Path) -> None:
