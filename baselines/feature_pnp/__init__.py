@@ -1,5 +1,5 @@
 """Relocalization by sparse features: keypoints are matched, lifted by the keyframe's depth, and given to PnP."""
 
-from baselines.feature_pnp.tracker import OrbPnp, PreparedReference, SiftPnp
+from baselines.feature_pnp.tracker import FeaturePnp, OrbPnp, PreparedReference, SiftPnp
 
-__all__ = ["OrbPnp", "PreparedReference", "SiftPnp"]
+__all__ = ["FeaturePnp", "OrbPnp", "PreparedReference", "SiftPnp"]

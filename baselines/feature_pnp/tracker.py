@@ -1,16 +1,18 @@
-"""The two trackers: one pipeline, with ORB or with SIFT features."""
+"""One pipeline for any features, and the two trackers with ORB and with SIFT."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from baselines.calibration import ORB_PNP, SIFT_PNP, Calibration
 from baselines.correlation import GreyImage, correlations, strong_pixels
-from baselines.feature_pnp.features import FeatureKind, Features, detect, match, spread_evenly
+from baselines.feature_pnp.features import FeatureKind, Features, Indices, detect, match, spread_evenly
 from baselines.feature_pnp.keyframe_depth import inverse_depth_at
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose, rival_inliers
 from relocbench.tracking import Array, Query, Reference, TrackResult
@@ -36,20 +38,19 @@ class PreparedReference:
     """(M,) their depths, metres"""
 
 
-class _FeaturePnp:
-    """Keypoints, ratio test, MAGSAC perspective-n-point, robust refinement.
+class FeaturePnp(ABC):
+    """Keypoints, matching, MAGSAC perspective-n-point, robust refinement.
 
-    The confidence is the probability that the answer is within 0.25 m and 2 degrees, from a calibration of the answer's
-    lead, the logarithm of its inliers over those of the best other pose, of its precision, the negative logarithm of
-    the translation's standard deviation in metres, and of the correlation of keyframe and query around pixels of large
-    gradient.
+    Subclasses detect and match. The confidence is the probability that the answer is within 0.25 m and 2 degrees, from
+    a calibration of the answer's lead, the logarithm of its inliers over those of the best other pose, of its
+    precision, the negative logarithm of the translation's standard deviation in metres, and of the correlation of
+    keyframe and query around pixels of large gradient.
 
     Args:
         features: largest number of keypoints in each image.
-        ratio: of Lowe's test; a match is accepted below this ratio of the nearest to the second nearest distance.
-        mutual: accept only mutual nearest neighbours.
         grid_px: side, in pixels, of the grid cells over which keypoints are distributed evenly.
-        depth_radius_px: largest distance, in pixels, from a keypoint to the point of a sparse map that gives its depth.
+        depth_radius_px: largest distance, in pixels, from a keypoint to points of a sparse map that give its depth; by
+            default it follows the density of the map.
         reprojection_threshold_px: largest error, in query pixels, of an inlier on the finest pyramid level.
         min_inliers: with fewer inliers, tracking fails.
         max_iterations: largest number of minimal samples.
@@ -57,26 +58,22 @@ class _FeaturePnp:
         seed: of the sampling.
     """
 
-    kind: ClassVar[FeatureKind]
-    calibration: ClassVar[Calibration]
+    calibration: ClassVar[Calibration | None]
+    """None: answers have no confidence"""
 
     def __init__(
         self,
         *,
-        features: Annotated[int, Field(ge=4, le=20000)] = 3000,
-        ratio: Annotated[float, Field(gt=0, le=1)] = 0.8,
-        mutual: bool = True,
-        grid_px: Annotated[int, Field(ge=4)] = 32,
-        depth_radius_px: Annotated[float, Field(ge=0)] = 2.0,
-        reprojection_threshold_px: Annotated[float, Field(gt=0)] = 2.0,
-        min_inliers: Annotated[int, Field(ge=4)] = 10,
-        max_iterations: Annotated[int, Field(ge=1)] = 10000,
-        confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999,
-        seed: Annotated[int, Field(ge=0)] = 0,
+        features: int,
+        grid_px: int,
+        depth_radius_px: float | None,
+        reprojection_threshold_px: float,
+        min_inliers: int,
+        max_iterations: int,
+        confidence: float,
+        seed: int,
     ) -> None:
         self.features = features
-        self.ratio = ratio
-        self.mutual = mutual
         self.grid_px = grid_px
         self.depth_radius_px = depth_radius_px
         self.reprojection_threshold_px = reprojection_threshold_px
@@ -85,9 +82,17 @@ class _FeaturePnp:
         self.confidence = confidence
         self.seed = seed
 
+    @abstractmethod
+    def detect(self, image: NDArray[np.uint8]) -> Features:
+        """The features of an image, strongest first; more than ``features`` are thinned out evenly."""
+
+    @abstractmethod
+    def match(self, reference: Features, query: Features) -> Indices:
+        """Matches (M, 2), indices into both; each feature of the query occurs at most once."""
+
     def prepare(self, reference: Reference) -> PreparedReference:
         """Detect the features of a keyframe, and lift those whose depth is known to points of its frame."""
-        found = detect(reference.image, self.kind, self.features)
+        found = self.detect(reference.image)
         inverse_depth, sigma = inverse_depth_at(reference, found.uv, self.depth_radius_px)
         rays, valid = reference.camera.unproject(found.uv)
         # Depth is along z, so that rays parallel to the image or backwards have none.
@@ -140,12 +145,13 @@ class _FeaturePnp:
             "correlation": _correlation(refined.T_query_ref, reference, query),
         }
         info |= {"rival_inliers": rival, **evidence}
-        return TrackResult(refined.T_query_ref, confidence=self.calibration.confidence(evidence), info=info)
+        confidence = None if self.calibration is None else self.calibration.confidence(evidence)
+        return TrackResult(refined.T_query_ref, confidence=confidence, info=info)
 
     def _match(self, reference: PreparedReference, query: Query) -> Matches2D3D:
-        found = detect(query.image, self.kind, self.features)
+        found = self.detect(query.image)
         found = found.take(spread_evenly(found, self.grid_px, self.features))
-        pairs = match(reference.features, found, self.ratio, self.mutual)
+        pairs = self.match(reference.features, found)
         of_reference, of_query = pairs[:, 0], pairs[:, 1]
         return Matches2D3D(
             points=reference.points[of_reference],
@@ -166,13 +172,68 @@ def _finite_or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-class OrbPnp(_FeaturePnp):
-    __doc__ = "ORB (Rublee et al., ICCV 2011). " + (_FeaturePnp.__doc__ or "")
+class RatioTestPnp(FeaturePnp):
+    """A :class:`FeaturePnp` that accepts matches by Lowe's ratio test.
+
+    Args:
+        features: largest number of keypoints in each image.
+        ratio: of Lowe's test; a match is accepted below this ratio of the nearest to the second nearest distance.
+        mutual: accept only mutual nearest neighbours.
+        grid_px: side, in pixels, of the grid cells over which keypoints are distributed evenly.
+        depth_radius_px: largest distance, in pixels, from a keypoint to points of a sparse map that give its depth; by
+            default it follows the density of the map.
+        reprojection_threshold_px: largest error, in query pixels, of an inlier on the finest pyramid level.
+        min_inliers: with fewer inliers, tracking fails.
+        max_iterations: largest number of minimal samples.
+        confidence: the probability of success at which sampling stops early.
+        seed: of the sampling.
+    """
+
+    kind: ClassVar[FeatureKind]
+
+    def __init__(
+        self,
+        *,
+        features: Annotated[int, Field(ge=4, le=20000)] = 3000,
+        ratio: Annotated[float, Field(gt=0, le=1)] = 0.8,
+        mutual: bool = True,
+        grid_px: Annotated[int, Field(ge=4)] = 32,
+        depth_radius_px: Annotated[float, Field(ge=0)] | None = None,
+        reprojection_threshold_px: Annotated[float, Field(gt=0)] = 2.0,
+        min_inliers: Annotated[int, Field(ge=4)] = 10,
+        max_iterations: Annotated[int, Field(ge=1)] = 10000,
+        confidence: Annotated[float, Field(gt=0, lt=1)] = 0.9999,
+        seed: Annotated[int, Field(ge=0)] = 0,
+    ) -> None:
+        super().__init__(
+            features=features,
+            grid_px=grid_px,
+            depth_radius_px=depth_radius_px,
+            reprojection_threshold_px=reprojection_threshold_px,
+            min_inliers=min_inliers,
+            max_iterations=max_iterations,
+            confidence=confidence,
+            seed=seed,
+        )
+        self.ratio = ratio
+        self.mutual = mutual
+
+    def detect(self, image: NDArray[np.uint8]) -> Features:
+        return detect(image, self.kind, self.features)
+
+    def match(self, reference: Features, query: Features) -> Indices:
+        return match(reference, query, self.ratio, self.mutual)
+
+
+class OrbPnp(RatioTestPnp):
+    """ORB (Rublee et al., ICCV 2011) with PnP; see :class:`RatioTestPnp` for the parameters."""
+
     kind: ClassVar[FeatureKind] = "orb"
-    calibration: ClassVar[Calibration] = ORB_PNP
+    calibration: ClassVar[Calibration | None] = ORB_PNP
 
 
-class SiftPnp(_FeaturePnp):
-    __doc__ = "SIFT (Lowe, IJCV 2004). " + (_FeaturePnp.__doc__ or "")
+class SiftPnp(RatioTestPnp):
+    """SIFT (Lowe, IJCV 2004) with PnP; see :class:`RatioTestPnp` for the parameters."""
+
     kind: ClassVar[FeatureKind] = "sift"
-    calibration: ClassVar[Calibration] = SIFT_PNP
+    calibration: ClassVar[Calibration | None] = SIFT_PNP

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from baselines.feature_pnp import OrbPnp, SiftPnp
 from baselines.feature_pnp.features import Features, detect, match, spread_evenly
-from baselines.feature_pnp.keyframe_depth import inverse_depth_at
+from baselines.feature_pnp.keyframe_depth import inverse_depth_at, reach_of
 from baselines.feature_pnp.solve import Matches2D3D, ransac_pose, refine_pose, rival_inliers
 from relocbench.geometry import Camera, apply, invert, rotation_angle, se3_exp
 from relocbench.tracking import KeyframePoints, Query, Reference, TrackResult
@@ -313,6 +313,50 @@ def test_sparse_depth_reaches_as_far_as_the_radius() -> None:
     inverse, sigma = inverse_depth_at(keyframe, np.array([[5.0, 6.0], [7.5, 5.0], [5.0, 7.1]]), radius_px=2.0)
     np.testing.assert_allclose(inverse, [0.5, 0.25, 0.0])
     np.testing.assert_allclose(sigma, [0.01, 0.02, 0.0])
+
+
+def sparse_plane(spacing_px: float, noise: float = 0.0) -> tuple[Reference, Array]:
+    """A keyframe of 640x480 pixels with points of a slanted plane on rings, and the plane's (rho_0, d/du, d/dv)."""
+    rng = np.random.default_rng(0)
+    rings = np.arange(40.0, 440.0, spacing_px)
+    uv = np.concatenate([np.stack([np.arange(30.0, 610.0, 2.0), np.full(290, v)], axis=-1) for v in rings])
+    plane = np.array([0.05, 1e-4, 2e-4])
+    inverse = (plane[0] + uv @ plane[1:]) * (1 + noise * rng.normal(size=len(uv)))
+    points = KeyframePoints(uv, inverse, np.full(len(uv), 1e-3))
+    camera = Camera("pinhole", 640, 480, 400, 400, 320, 240)
+    return Reference("rings", 0, np.zeros((480, 640), np.uint8), camera, sparse_points=points), plane
+
+
+@pytest.mark.parametrize("spacing_px", [3.0, 6.0, 9.0])
+def test_pixels_between_the_rings_of_a_lidar_lie_on_the_plane_of_its_points(spacing_px: float) -> None:
+    keyframe, plane = sparse_plane(spacing_px)
+    uv = np.random.default_rng(1).uniform([60, 60], [580, 400], (500, 2))
+    inverse, sigma = inverse_depth_at(keyframe, uv)
+    assert np.all(inverse > 0), "the default reaches all pixels between the rings"
+    exact = plane[0] + uv @ plane[1:]
+    error = np.abs(inverse / exact - 1)
+    assert np.mean(error > 1e-6) < 0.1, "neighbours on one ring tell nothing across it"
+    assert error.max() < 2e-4 * spacing_px / 0.05
+    assert np.all(sigma == 1e-3)
+
+
+def test_depth_is_not_interpolated_across_an_edge() -> None:
+    uv = np.stack(np.meshgrid(np.arange(0.0, 40.0, 3.0), np.arange(0.0, 40.0, 3.0)), axis=-1).reshape(-1, 2)
+    inverse = np.where(uv[:, 0] < 20, 0.5, 0.1)
+    camera = Camera("pinhole", 640, 480, 400, 400, 320, 240)
+    points = KeyframePoints(uv, inverse, np.full(len(uv), 0.01))
+    keyframe = Reference("edge", 0, np.zeros((480, 640), np.uint8), camera, sparse_points=points)
+    found, _ = inverse_depth_at(keyframe, np.random.default_rng(0).uniform(2, 36, (300, 2)))
+    assert np.isin(np.round(found, 9), [0.5, 0.1]).all()
+
+
+def test_the_reach_follows_the_density_of_the_map_and_the_size_of_the_image() -> None:
+    rng = np.random.default_rng(0)
+    dense, thin = (rng.uniform(0, 1900, (count, 2)) for count in (900_000, 20_000))
+    assert reach_of(dense, (1936, 1936)) == pytest.approx(4.0, rel=0.1)
+    assert 20 < reach_of(thin, (1936, 1936)) < 30
+    assert reach_of(thin, (640, 480)) == 10.0
+    assert reach_of(np.repeat(dense[:100], 500, axis=0), (1936, 1936)) >= 2.0
 
 
 def features_at(uv: Array, response: Array, descriptors: NDArray[np.float32] | None = None) -> Features:
