@@ -5,7 +5,7 @@ RECORDINGS ?= ../shared/data
 .PHONY: help setup test test-busy test-processors kills fuzz lint format demo bench prove docs light constraints image clean
 .PHONY: leaderboard leaderboard-weather leaderboard-retrieval leaderboard-relocalization
 
-PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --extra registration --python-version 3.11 \
+PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --extra registration --extra learned --python-version 3.11 \
   --custom-compile-command "make constraints"
 
 help:            ## list the targets

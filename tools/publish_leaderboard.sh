@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Reproduce the results in leaderboard/: datasets and predictions in a scratch folder, tables and curves in the repository.
 #   tools/publish_leaderboard.sh RECORDINGS [SCRATCH]
-# RECORDINGS holds kitti_odometry/ (official layout, sequence 06) and tum_rgbd/ (freiburg1_xyz, freiburg1_desk).
+# RECORDINGS holds kitti_odometry/ (official layout, sequence 06) and tum_rgbd/ (freiburg1_xyz, freiburg1_desk). Where it has
+# weights/aliked-n16.pth, aliked-pnp is run as well.
 set -euo pipefail
 recordings=$(realpath "${1:?usage: tools/publish_leaderboard.sh RECORDINGS [SCRATCH]}")
 scratch=${2:-$(mktemp -d)}
@@ -19,11 +20,19 @@ relocbench build-dataset tum-rgbd "$xyz" --pair-step 1,2,4 --name fr1_xyz --lice
 relocbench build-dataset tum-rgbd "$xyz" "$desk" --name fr1_xyz_to_desk --licence "$by" --out "$scratch/fr1_xyz_to_desk" -q
 relocbench build-dataset synthetic --preset demo --name town_demo --out "$scratch/town_demo" -q
 
+learned=()
+if [ -f "$recordings/weights/aliked-n16.pth" ]; then
+  export TORCH_HOME=$scratch/torch # where the method looks: no path of this machine becomes a parameter
+  mkdir -p "$TORCH_HOME/hub/checkpoints"
+  ln -sf "$recordings/weights/aliked-n16.pth" "$TORCH_HOME/hub/checkpoints/"
+  learned=(-m aliked-pnp)
+fi
+
 for dataset in kitti_06 fr1_xyz fr1_xyz_to_desk town_demo; do
   relocbench evaluate -d "$scratch/$dataset" --out "$scratch/results" --workers 1 --overwrite always --matching -q \
     -m identity -m orb-pnp -m sift-pnp -m dso -m dso-full-cutoff=dso --set dso-full-cutoff.cutoff_levels=16 \
     -m dso-multistart -m gn-net -m gn-net-from-prior -m gn-net-pnp -m clock \
-    -m gn-net-contrastive -m lm-net
+    -m gn-net-contrastive -m lm-net "${learned[@]}"
 done
 rm -rf leaderboard/curves leaderboard/*.csv leaderboard/leaderboard.md
 relocbench leaderboard "$scratch/results" --out leaderboard

@@ -26,6 +26,7 @@ _TRACKERS = (
     "baselines/feature_pnp",
     "baselines/gn_net",
     "baselines/identity",
+    "baselines/learned_pnp",
 )
 _TRACKING = (*_EVALUATION, "relocbench/evaluation/tracking", "relocbench/methods")
 _TOWN = ("relocbench/datasets/synthetic", "relocbench/datasets/importers/rendered", "relocbench/datasets/pairs")

@@ -265,7 +265,7 @@ def _told(method: str, kept: Calibration, fitted: list[Answered], reported: list
     for limit in np.quantile(evidence[~right, 0], (0.25, 0.5, 0.75, 0.9, 1.0)) if np.any(~right) else ():
         refused = evidence[:, 0] < limit
         print(f"| {limit:.4g} | {_percent(refused[right])} | {_percent(refused[~right])} |")
-    worth = {"found": {"offset": found.offset, **found.weights}}
+    worth: dict[str, Any] = {"found": {"offset": found.offset, **found.weights}}
     for role, answers in (("fit", fitted), ("report", reported)):
         worth[role] = reliability(answers, kept)
         print(f"\n{role}: {json.dumps({key: value for key, value in worth[role].items() if key != 'bins'})}\n")
