@@ -59,7 +59,9 @@ class Aliked:
         height, width = shrunk.shape[:2]
         if min(height, width) < _LEAST_SIDE_PX:
             raise MethodError(f"ALIKED needs images of {_LEAST_SIDE_PX} pixels or more, this one has {width}x{height}")
-        tensor = torch.from_numpy(shrunk).permute(2, 0, 1)[None].to(self.device, torch.float32) / 255.0
+        tensor = (
+            torch.tensor(shrunk).permute(2, 0, 1)[None].to(self.device, torch.float32) / 255.0
+        )  # images may be read-only
         (found,) = self.net(tensor)
         # Pixel centres at integers, before and after: u + 0.5 scales.
         uv = (found.keypoints.double().cpu().numpy() + 0.5) * factor - 0.5

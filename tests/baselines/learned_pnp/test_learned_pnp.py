@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -135,6 +136,10 @@ def test_grey_images_and_small_ones(drawn: Path) -> None:
     of_grey, of_three = detector(image), detector(np.stack([image] * 3, axis=-1))
     np.testing.assert_array_equal(of_grey.uv, of_three.uv)
     np.testing.assert_array_equal(of_grey.uv, detector(image[..., None]).uv)
+    colour = pattern(96, 128)
+    colour.flags.writeable = False
+    with warnings.catch_warnings(action="error"):
+        assert len(detector(colour)) > 0, "evaluation hands over images that nobody can write to"
     with pytest.raises(MethodError, match="needs images of 64 pixels or more, this one has 128x63"):
         detector(image[:63])
 
