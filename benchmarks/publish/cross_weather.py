@@ -1,10 +1,10 @@
 """Compare trackers across weathers, on districts that follow from a phrase and were asked nothing before.
 
 Each of the twelve districts of ``docs/test-districts.md`` has 200 m of road and three conditions, each of which is the
-map for queries of all three: six changes and three pair sets within a condition. Images have 512x512 pixels; queries
-are about 1.6 m from their keyframe, and 8 pairs of each set show different places. ``relocbench evaluate`` runs every
-method, which is asked once (see ``leaderboard/LEDGER.md``). ``--split validation`` renders districts of other seeds, to
-try the whole line out.
+map for queries of all three: six changes and three pair sets within a condition. Images have 512x512 pixels; the other
+keyframes of a drive are 4 m away and more, those of another drive mostly within a metre. 8 pairs of each set show
+different places. ``relocbench evaluate`` runs every method, which is asked once (see ``leaderboard/LEDGER.md``).
+``--split validation`` renders districts of other seeds, to try the whole line out.
 
 The page has the scores of every method across conditions, within a condition, and of all changes with a condition at
 one end; the differences of one method to every other with their 95 % intervals; and how many pairs of different places
@@ -120,8 +120,9 @@ def main() -> None:
         methods = list(dict.fromkeys(method.split("=")[0] for method in options.methods))
         rows = _scored(_errors(scratch / "results", methods))
         elsewhere = _different_places(scratch / "results", methods)
+        far = _distances(scratch / "results")
     together, single = _groups(rows)
-    tables = "\n".join([*_tables(together, single, methods), *_elsewhere_table(elsewhere)])
+    tables = "\n".join([*far, *_tables(together, single, methods), *_elsewhere_table(elsewhere)])
     print(tables)
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -202,6 +203,23 @@ def _different_places(results: Path, methods: Sequence[str]) -> dict[str, Differ
             tables = (read_errors(method.errors(name)) for name in folder.record.pair_sets)
             found[method.label] += [table.different_places for table in tables]
     return {method: DifferentPlaces.total(parts) for method, parts in found.items()}
+
+
+def _distances(results: Path) -> list[str]:
+    """How far the queries of pair sets are from their keyframes."""
+    lines = [
+        "\n## Distances\n",
+        "| group | pair sets | median of their medians, m | least | greatest | median, degrees |",
+    ]
+    lines.append("|---|---|---|---|---|---|")
+    sets = [record for folder in all_results(results) for record in folder.record.pair_sets.values()]
+    for name, within in (("across conditions", False), ("within a condition", True)):
+        of = [record for record in sets if (record.reference == record.query) == within]
+        metres = [record.median_distance_m for record in of if record.median_distance_m is not None]
+        degrees = [record.median_angle_deg for record in of if record.median_angle_deg is not None]
+        cells = f"{np.median(metres):.2f}", f"{min(metres):.2f}", f"{max(metres):.2f}", f"{np.median(degrees):.1f}"
+        lines.append(f"| {name} | {len(of)} | {' | '.join(cells)} |")
+    return lines
 
 
 def _scored(errors: pd.DataFrame) -> pd.DataFrame:
