@@ -12,7 +12,8 @@ each answered, which nothing else counts. Districts count alike, and so do the p
 series by the step of the drive; intervals are at least as wide as the spread of the districts demands
 (``docs/statistics.md``).
 
-Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made.
+Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made, and with
+``--only-print`` nothing.
 
     python benchmarks/publish/cross_weather.py --scratch S [--out leaderboard/weather] [--workers N] [-m METHOD ...]
 
@@ -72,7 +73,8 @@ _HEAD = """# Across weathers
 
 Printed by `python benchmarks/publish/cross_weather.py`; what is asked stands there, and how intervals are made in
 [Statistics](../../docs/statistics.md). Shares are in percent, failures count as infinite errors. A difference whose
-interval excludes zero has a star. Made by commit {commit}.
+interval excludes zero has a star. Printed by commit {commit}; which commit asked the methods stands in the
+[ledger](../LEDGER.md).
 """
 
 
@@ -111,7 +113,7 @@ def main() -> None:
     options = _options()
     with tempfile.TemporaryDirectory() as temporary:
         scratch = options.scratch or Path(temporary)
-        for district in districts(options.phrase, options.districts):
+        for district in () if options.only_print else districts(options.phrase, options.districts):
             dataset = _build(scratch, district, options)
             methods = [word for method in options.methods for word in ("-m", method)]
             settings = [word for setting in options.settings for word in ("--set", setting)]
@@ -140,6 +142,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=STEPS, help="images of each drive")
     parser.add_argument("--elsewhere", type=int, default=ELSEWHERE, help="pairs of different places a pair set")
     parser.add_argument("--workers", "-j", type=int, default=2)
+    parser.add_argument("--only-print", action="store_true", help="render and ask nothing, print what --scratch holds")
     parser.add_argument("-m", dest="methods", action="append", help=f"default: {', '.join(METHODS)}")
     parser.add_argument("--set", dest="settings", action="append", help="method.key=value")
     options = parser.parse_args()
