@@ -7,10 +7,10 @@ different places. ``relocbench evaluate`` runs every method, which is asked once
 ``--split validation`` renders districts of other seeds, to try the whole line out.
 
 The page has the scores of every method across conditions, within a condition, and of all changes with a condition at
-one end; the differences of one method to every other with their 95 % intervals; and how many pairs of different places
-each answered, which nothing else counts. Districts count alike, and so do the pair sets of a district, which are one
-series by the step of the drive; intervals are at least as wide as the spread of the districts demands
-(``docs/statistics.md``).
+one end; the differences of one method to every other with their 95 % intervals; how far keyframes are, and how far off
+wrong answers; and how many pairs of different places each answered, which nothing else counts. Districts count alike,
+and so do the pair sets of a district, which are one series by the step of the drive; intervals are at least as wide as
+the spread of the districts demands (``docs/statistics.md``).
 
 Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made, and with
 ``--only-print`` nothing.
@@ -29,6 +29,7 @@ import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,8 @@ def main() -> None:
         elsewhere = _different_places(scratch / "results", methods)
         far = _distances(scratch / "results")
     together, single = _groups(rows)
-    tables = "\n".join([*far, *_tables(together, single, methods), *_elsewhere_table(elsewhere)])
+    wrong = _wrong_table(together, methods)
+    tables = "\n".join([*far, *_tables(together, single, methods), *wrong, *_elsewhere_table(elsewhere)])
     print(tables)
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -271,6 +273,23 @@ def _tables(together: list[Group], single: list[Group], methods: Sequence[str]) 
         for metric in METRICS:
             cells = [_told(group.ahead(SUBJECT, other, metric)) for other in others]
             lines.append(f"| {group.name} | {metric} | {' | '.join(cells)} |")
+    return lines
+
+
+def _wrong_table(together: list[Group], methods: Sequence[str]) -> list[str]:
+    """How far off wrong answers are whose rotation is right: the rendered asphalt repeats itself every 4.1 m."""
+    edges = (0.25, 1.0, 3.9, 4.3, np.inf)
+    names = [f"{low:g} to {high:g} m" if np.isfinite(high) else f"{low:g} m or more" for low, high in pairwise(edges)]
+    lines = ["\n## Wrong answers whose rotation is within 2 degrees, by how far off they are\n"]
+    lines += [f"| group | method | not right | {' | '.join(names)} |", f"|---|---|---|{'---|' * len(names)}"]
+    for group in together:
+        for method in methods:
+            rows = group.rows[group.rows["method"] == method]
+            metres, turned = rows["translation_error_m"].to_numpy(), rows["rotation_error_deg"].to_numpy()
+            missed = int(np.sum((metres > 0.25) | (turned > 2.0)))
+            answered = np.isfinite(metres) & (turned <= 2.0)
+            counts = [int(np.sum(answered & (metres > low) & (metres <= high))) for low, high in pairwise(edges)]
+            lines.append(f"| {group.name} | {method} | {missed} | {' | '.join(map(str, counts))} |")
     return lines
 
 
