@@ -87,7 +87,7 @@ class FeaturePnp(ABC):
         """The features of an image, strongest first; more than ``features`` are thinned out evenly."""
 
     @abstractmethod
-    def match(self, reference: Features, query: Features) -> Indices:
+    def match_features(self, reference: Features, query: Features) -> Indices:
         """Matches (M, 2), indices into both; each feature of the query occurs at most once."""
 
     def prepare(self, reference: Reference) -> PreparedReference:
@@ -151,7 +151,7 @@ class FeaturePnp(ABC):
     def _match(self, reference: PreparedReference, query: Query) -> Matches2D3D:
         found = self.detect(query.image)
         found = found.take(spread_evenly(found, self.grid_px, self.features))
-        pairs = self.match(reference.features, found)
+        pairs = self.match_features(reference.features, found)
         of_reference, of_query = pairs[:, 0], pairs[:, 1]
         return Matches2D3D(
             points=reference.points[of_reference],
@@ -221,7 +221,7 @@ class RatioTestPnp(FeaturePnp):
     def detect(self, image: NDArray[np.uint8]) -> Features:
         return detect(image, self.kind, self.features)
 
-    def match(self, reference: Features, query: Features) -> Indices:
+    def match_features(self, reference: Features, query: Features) -> Indices:
         return match(reference, query, self.ratio, self.mutual)
 
 

@@ -87,5 +87,5 @@ class AlikedPnp(FeaturePnp):
     def detect(self, image: NDArray[np.uint8]) -> Features:
         return self._detector(image)
 
-    def match(self, reference: Features, query: Features) -> Indices:
+    def match_features(self, reference: Features, query: Features) -> Indices:
         return mutual_nearest(reference.descriptors, query.descriptors, self.ratio)
