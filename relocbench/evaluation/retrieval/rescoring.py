@@ -85,11 +85,12 @@ class RetrievalTruth:
             words = f"holds more images of a query than the {keep} that {folder.run_yaml.name} says are kept"
             raise PredictionError(f"{words}; {AGAIN}", folder.predictions(name))
         found = rank_lists(lists, task.relevance)
-        depth = _depths(lists, task, keep)
+        live = int(np.sum(~task.relevance.junk))
+        depth = _depths(lists, task, keep, live)
         if [row.query for row in claimed] != list(queries):
             raise PredictionError(f"has other queries than the dataset; {AGAIN}", folder.answers(name))
         for q, row in enumerate(claimed):
-            told = _fault(row, task, q, found, int(depth[q]))
+            told = _fault(row, task.groups[q] if task.groups else "", found, q, int(depth[q]), live)
             if told is not None:
                 raise PredictionError(
                     f"query '{row.query}' {told}, which {folder.predictions(name).name} and the dataset do not give; "
@@ -97,7 +98,7 @@ class RetrievalTruth:
                     folder.answers(name),
                 )
         behind = depth < NEVER
-        return Confirmed(int(depth[behind].min()) if np.any(behind) else None, _believed(claimed, found, depth))
+        return Confirmed(int(depth[behind].min()) if np.any(behind) else None, _believed(found, depth))
 
 
 def truth_of(folder: SetResults, at_hand: DatasetsAtHand) -> RetrievalTruth | None:
@@ -120,6 +121,8 @@ def truth_of(folder: SetResults, at_hand: DatasetsAtHand) -> RetrievalTruth | No
 
 def belongs(dataset: Dataset | CrossViewSet, record: SetRecord) -> bool:
     """Whether results are of a dataset or of a copy of it."""
+    if isinstance(dataset, CrossViewSet) and record.options:
+        return False  # without reading its images
     places = _street(dataset, record) if isinstance(dataset, Dataset) else dataset
     return places is not None and (
         _has_fingerprint(places, record) or (places.name == record.name and places.question == record.question)
@@ -191,9 +194,12 @@ def _first_difference(
     return None
 
 
-def _depths(lists: Sequence[Indices], task: RetrievalTask, keep: int | None) -> Indices:
-    """(Q,) the rank up to which a query's list tells all ranks; NEVER where it holds all that was retrieved."""
-    live = int(np.sum(~task.relevance.junk))
+def _depths(lists: Sequence[Indices], task: RetrievalTask, keep: int | None, live: int) -> Indices:
+    """(Q,) the rank up to which a query's list tells all ranks; NEVER where it holds all that was retrieved.
+
+    Args:
+        live: number of images in the gallery without junk.
+    """
     out = np.full(len(lists), NEVER)
     for q, listed in enumerate(lists):
         kept = int(np.sum(~task.relevance.junk[listed]))
@@ -202,12 +208,12 @@ def _depths(lists: Sequence[Indices], task: RetrievalTask, keep: int | None) -> 
     return out
 
 
-def _fault(row: QueryAnswer, task: RetrievalTask, q: int, found: Ranking, depth: int) -> str | None:
-    """What a row claims that does not follow, in words."""
-    listed = tuple(int(position) + 1 for position in found.of(q) if position != NEVER)
-    positives, group = len(found.of(q)), task.groups[q] if task.groups else ""
-    if row.positives != positives:
-        return f"has {row.positives} positives, expected {positives}"
+def _fault(row: QueryAnswer, group: str, found: Ranking, q: int, depth: int, live: int) -> str | None:
+    """What the row of query q claims that does not follow, in words."""
+    positions = found.of(q)
+    listed = tuple(int(position) + 1 for position in positions if position != NEVER)
+    if row.positives != len(positions):
+        return f"has {row.positives} positives, expected {len(positions)}"
     if row.group != group:
         return f"has the group '{row.group}', expected '{group}'"
     if (row.status == "ok") != bool(found.answered[q]):
@@ -216,8 +222,8 @@ def _fault(row: QueryAnswer, task: RetrievalTask, q: int, found: Ranking, depth:
         return f"has the ranks {_words(row.ranks)}, expected {_words(listed)}"
     if row.ranks and row.status != "ok":
         return f"has ranks and the status {row.status}"
-    if any(rank > int(np.sum(~task.relevance.junk)) for rank in row.ranks):
-        return f"has the ranks {_words(row.ranks)} among {int(np.sum(~task.relevance.junk))} images"
+    if any(rank > live for rank in row.ranks):
+        return f"has the ranks {_words(row.ranks)} among {live} images"
     return None
 
 
@@ -226,7 +232,7 @@ def _words(ranks: Sequence[int]) -> str:
     return f"{first} ..." if len(ranks) > 5 else first or "(none)"
 
 
-def _believed(claimed: Sequence[QueryAnswer], found: Ranking, depth: Indices) -> dict[str, float]:
+def _believed(found: Ranking, depth: Indices) -> dict[str, float]:
     """The width of each metric's mean between all missing positives right behind the kept images, and never found."""
     best = found.position.copy()
     for q in np.flatnonzero(depth < NEVER):

@@ -192,8 +192,9 @@ def load_results(
 
 def _belongs(dataset: Dataset | CrossViewSet, record: DatasetRecord) -> bool:
     """Whether results are of a dataset or of a copy of it."""
-    same = dataset.fingerprint == record.fingerprint or dataset.question == record.question
-    return dataset.name == record.name and same
+    return dataset.name == record.name and (
+        dataset.fingerprint == record.fingerprint or dataset.question == record.question
+    )
 
 
 def merge_copies(entries: Sequence[DatasetEntry]) -> list[DatasetEntry]:
