@@ -41,7 +41,15 @@ from numpy.typing import NDArray
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import ALL
 from relocbench.evaluation.common.results import all_results
-from relocbench.metrics import Difference, DifferentPlaces, PoseErrors, by_place, metric_named, paired_difference
+from relocbench.metrics import (
+    CONFIDENT,
+    Difference,
+    DifferentPlaces,
+    PoseErrors,
+    by_place,
+    metric_named,
+    paired_difference,
+)
 
 Array = NDArray[np.float64]
 
@@ -126,7 +134,15 @@ def main() -> None:
         far = _distances(scratch / "results")
     together, single = _groups(rows)
     wrong = _wrong_table(together, methods)
-    tables = "\n".join([*far, *_tables(together, single, methods), *wrong, *_elsewhere_table(elsewhere)])
+    tables = "\n".join(
+        [
+            *far,
+            *_tables(together, single, methods),
+            *wrong,
+            *_confidence_table(together, methods),
+            *_elsewhere_table(elsewhere),
+        ]
+    )
     print(tables)
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -195,6 +211,7 @@ def _errors(results: Path, methods: Sequence[str]) -> pd.DataFrame:
                             "rotation_error_deg": pair.rotation_error_deg,
                             "translation_error_m": pair.translation_error_m,
                             "mlad_translation_error_m": pair.mlad_translation_error_m,
+                            "confidence": pair.confidence,
                         }
                     )
     return pd.DataFrame(rows)
@@ -290,6 +307,20 @@ def _wrong_table(together: list[Group], methods: Sequence[str]) -> list[str]:
             answered = np.isfinite(metres) & (turned <= 2.0)
             counts = [int(np.sum(answered & (metres > low) & (metres <= high))) for low, high in pairwise(edges)]
             lines.append(f"| {group.name} | {method} | {missed} | {' | '.join(map(str, counts))} |")
+    return lines
+
+
+def _confidence_table(together: list[Group], methods: Sequence[str]) -> list[str]:
+    """How many answers have a confidence of 0.5 or more, and how many of these are right."""
+    lines = [f"\n## Answers with a confidence of {CONFIDENT:g} or more\n", "| group | method | answers | right, % |"]
+    lines.append("|---|---|---|---|")
+    for group in together:
+        for method in methods:
+            rows = group.rows[group.rows["method"] == method]
+            sure = rows["confidence"].astype(np.float64).to_numpy() >= CONFIDENT
+            right = rows[METRICS[0]].to_numpy()[sure]
+            share = f"{100 * np.mean(right):.1f}" if len(right) else ""
+            lines.append(f"| {group.name} | {method} | {len(right)} | {share} |")
     return lines
 
 
