@@ -8,7 +8,7 @@ answers all pairs, however little speaks for its answer. On the districts of ``-
 falling in the evidence, predicts which answers are within 0.25 m and 2 degrees. Printed are its coefficients, to be
 written into ``baselines/calibration.py``; how many right and wrong answers each limit on the evidence would refuse;
 and, for the districts of ``--report``, how often answers of each confidence are right, how precise those of at least
-0.5 are, and how many pairs of different places have one.
+0.5 are, in all and of queries and keyframes of one drive, and how many pairs of different places have one.
 
 Datasets and answers are kept in ``--scratch``; when it is run again, only what is missing is made.
 
@@ -100,6 +100,8 @@ class Answered:
 
     different: bool
     """whether the pair shows different places"""
+    same_drive: bool
+    """whether both images are of one drive, so that a keyframe is a step of the drive away"""
     answered: bool
     right: bool
     info: dict[str, Any]
@@ -130,7 +132,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--scratch", type=Path, help="folder that keeps datasets and answers; default: a temporary one")
     parser.add_argument("--fit", default="51,52,53", help="seeds of the districts that are fitted")
     parser.add_argument("--report", default="100,101,102", help="seeds of the districts that are reported")
-    parser.add_argument("--pairs", type=int, default=110, help="pairs of a district")
+    parser.add_argument("--pairs", type=int, default=150, help="pairs of a district")
     parser.add_argument("--different", type=int, default=50, help="pairs of different places of a district")
     parser.add_argument("--workers", "-j", type=int, default=2, help="processes that render")
     parser.add_argument("-m", dest="methods", action="append", choices=METHODS, help="default: all")
@@ -185,7 +187,10 @@ def _answers(scratch: Path, method: str, seed: int, other: int, options: argpars
 
 
 def same_place(dataset: Dataset, count: int, seed: int) -> list[Asked]:
-    """Pairs of near images of one district, drawn at random, nearer ones with larger probability."""
+    """Pairs of near images of one district, drawn at random, nearer ones with larger probability.
+
+    Images of one drive are 4 m apart and more; the next ones of a drive count like near ones of different drives.
+    """
     frames = _frames(dataset)
     poses = {frame: dataset.traversal(frame[0]).T_world_cam(CAMERA, frame[1]) for frame in frames}
     near, weights = [], []
@@ -194,7 +199,8 @@ def same_place(dataset: Dataset, count: int, seed: int) -> list[Asked]:
         metres = np.linalg.norm(poses[query][:3, 3] - poses[reference][:3, 3])
         if metres <= FARTHEST_M and np.degrees(rotation_angle(T_query_ref[:3, :3])) <= WIDEST_DEG:
             near.append(Asked(reference, query, T_query_ref))
-            weights.append(3.0 if metres < 2.0 else 1.0 if metres < 6.0 else 0.5)
+            next_of_drive = reference[0] == query[0] and metres < 6.0
+            weights.append(3.0 if metres < 2.0 or next_of_drive else 1.0 if metres < 6.0 else 0.5)
     share = np.array(weights) / np.sum(weights)
     drawn = np.random.default_rng(seed).choice(len(near), min(count, len(near)), replace=False, p=share)
     return sorted((near[i] for i in drawn), key=lambda pair: (pair.reference, pair.query))
@@ -219,7 +225,8 @@ def ask(tracker: Any, dataset: Dataset, queries: Dataset, pairs: Iterable[Asked]
             query: Query = queries.traversal(pair.query[0]).query(CAMERA, pair.query[1])
             result: TrackResult = tracker.track(prepared, query)
             numbers = {name: value for name, value in result.info.items() if isinstance(value, int | float)}
-            yield Answered(pair.truth is None, result.answered, _right(result, pair.truth), numbers)
+            same_drive = dataset is queries and pair.reference[0] == pair.query[0]
+            yield Answered(pair.truth is None, same_drive, result.answered, _right(result, pair.truth), numbers)
 
 
 def _right(result: TrackResult, truth: Array | None) -> bool:
@@ -280,11 +287,16 @@ def _percent(chosen: NDArray[np.bool_]) -> str:
     return f"{100 * np.mean(chosen):.1f}" if len(chosen) else "-"
 
 
+def _share(chosen: NDArray[np.bool_]) -> float | None:
+    return float(np.mean(chosen)) if len(chosen) else None
+
+
 def reliability(answers: Sequence[Answered], calibration: Calibration) -> dict[str, Any]:
     """How often answers of each confidence are right, and what is wrong among those of at least 0.5."""
     confidence = np.array([calibration.confidence(a.info) if a.answered else 0.0 for a in answers])
-    answered, right, different = (
-        np.array([getattr(a, name) for a in answers], dtype=bool) for name in ("answered", "right", "different")
+    answered, right, different, same_drive = (
+        np.array([getattr(a, name) for a in answers], dtype=bool)
+        for name in ("answered", "right", "different", "same_drive")
     )
     sure = answered & (confidence >= 0.5)
     rows = []
@@ -297,10 +309,12 @@ def reliability(answers: Sequence[Answered], calibration: Calibration) -> dict[s
         "pairs of one place": int(np.sum(~different)),
         "right": int(right.sum()),
         "sure": int(sure.sum()),
-        "precision of sure ones": float(right[sure].mean()) if np.any(sure) else None,
-        "right ones that are sure": float(sure[right].mean()) if np.any(right) else None,
+        "precision of sure ones": _share(right[sure]),
+        "sure, in one drive": int(np.sum(sure & same_drive)),
+        "precision in one drive": _share(right[sure & same_drive]),
+        "right ones that are sure": _share(sure[right]),
         "pairs of different places": int(different.sum()),
-        "sure of different places": float(sure[different].mean()) if np.any(different) else None,
+        "sure of different places": _share(sure[different]),
         "bins": rows,
     }
 

@@ -15,7 +15,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-PHRASE = "the lamplighter counts twelve wet streets before the first snow"
+PHRASE = "seven brass clocks disagree about the hour the harbour froze"
 COUNT = 12
 CONDITIONS = (
     "Fog",

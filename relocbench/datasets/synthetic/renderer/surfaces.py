@@ -145,7 +145,6 @@ def surfaces(
     The depth is computed in double precision from the ray and the triangle's plane, not taken from Embree.
     """
     n = len(samples.u)
-    texels, per_tile = patterns.texels, patterns.per_tile
     depth = np.empty(n, dtype=np.float64)
     position = np.empty((n, 3), dtype=np.float32)
     normal = np.empty((n, 3), dtype=np.float32)
@@ -189,15 +188,13 @@ def surfaces(
 
         # Reflections are dim or blurred and need fewer texture samples.
         most = 6 if samples.before[i] <= 0.0 else 3
-        share, bright = sample(
-            texels, per_tile[material], material, su, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy, most
-        )
+        share, bright = sample(patterns, material, dice, 1.0, su, sv + 0.37 * shift, dudx, dvdx, dudy, dvdy, most)
         # Low-frequency stains, in surface coordinates on walls and in world coordinates on the ground.
         flat = nz > 0.7
         if flat:
-            slow, stain = sample(texels, per_tile[MACRO], MACRO, p[0], p[1], px[0], px[1], py[0], py[1], most // 3)
+            slow, stain = sample(patterns, MACRO, 0, 1.0, p[0], p[1], px[0], px[1], py[0], py[1], most // 3)
         else:
-            slow, stain = sample(texels, per_tile[MACRO], MACRO, su + 2 * shift, sv, dudx, dvdx, dudy, dvdy, 1)
+            slow, stain = sample(patterns, MACRO, dice, 1.0, su + 2 * shift, sv, dudx, dvdx, dudy, dvdy, 1)
         tone = varied
         stained = 0.19 if material == _ASPHALT else 0.12
         if material != _PAINT and material != _CAR_GLASS and material != _LAMP:
@@ -234,18 +231,7 @@ def surfaces(
                     looks.film[material] * soaked * (0.65 + 0.35 * smoothstep(slow, 0.2, 0.7)) * (0.75 + 0.25 * share)
                 )
                 if setting.puddles > 0.0 and looks.hollows[material] > 0.0:
-                    hollow, _ = sample(
-                        texels,
-                        2.2 * per_tile[MACRO],
-                        MACRO,
-                        p[0],
-                        p[1],
-                        px[0],
-                        px[1],
-                        py[0],
-                        py[1],
-                        3,
-                    )
+                    hollow, _ = sample(patterns, MACRO, 1, 2.2, p[0], p[1], px[0], px[1], py[0], py[1], 3)
                     line = 1.0 - 0.36 * setting.puddles * looks.hollows[material]
                     still = smoothstep(hollow, line, line + 0.05) * (1 - snow)
                 film += (1 - film) * still

@@ -1,6 +1,8 @@
-"""Tileable surface patterns as mip pyramids, and their filtering over a pixel's footprint.
+"""Surface patterns as mip pyramids, laid without a period, and their filtering over a pixel's footprint.
 
-A pattern has two channels: the share of the material's second colour (mortar, dirt, grain), and brightness.
+A pattern has two channels: the share of the material's second colour (mortar, dirt, grain), and brightness. It is
+tileable, but a surface that showed the same tile side by side would look the same from poses one tile apart. So every
+tile of a surface shows its pattern from another place, drawn by a hash of the tile and the object (see ``_shift``).
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array, Floats
+from relocbench.datasets.synthetic.renderer.materials import scramble
 from relocbench.datasets.synthetic.town.mesh import Material
 from relocbench.kernels import njit
 
@@ -29,6 +32,21 @@ _POSITIVE = 2.0**40
 _BLENDS = 16
 """blending steps between two levels; eight probes times these still fit into the bits of a channel"""
 _PARTS = np.array([0, *(1 / k for k in range(1, 9))])
+_ZONE = 0.08
+"""half the width of the zone, in tiles, in which neighbouring tiles of noise change into each other"""
+
+
+class Laying(NamedTuple):
+    """How tiles of a pattern lie side by side."""
+
+    columns: int
+    """units such as bricks in a tile; 0: noise, whose tiles change into each other; -1: all tiles are alike"""
+    rows: int = 0
+    bond: float = 0.0
+    """by how much of a unit odd rows are shifted"""
+
+
+_NOISE, _ALIKE = Laying(0), Laying(-1)
 
 
 class Patterns(NamedTuple):
@@ -37,7 +55,11 @@ class Patterns(NamedTuple):
     texels: NDArray[np.uint64]
     """layer by layer, and in each layer level by level; a texel is second + 2^32 brightness"""
     per_tile: Floats
-    """(layer,) tiles per metre; each pattern has its own period"""
+    """(layer,) tiles per metre"""
+    laying: Floats
+    """(layer, 3) the :class:`Laying` of each"""
+    mean: Floats
+    """(layer, 2) mean of both channels, in texels' units"""
 
     def second(self, layer: int) -> Floats:
         """The first channel (SIZE, SIZE) of a layer's finest level, in [0, 1]."""
@@ -85,8 +107,8 @@ def _bricks(
     return joints.astype(np.float32), tone.astype(np.float32)
 
 
-def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floats, float]:
-    """Share of the second colour, brightness (about 1 on average) and metres per tile."""
+def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floats, float, Laying]:
+    """Share of the second colour, brightness (about 1 on average), metres per tile, and how tiles are laid."""
     fine, coarse = _noise(rng, 64, 3), _noise(rng, 6, 5, 0.6)
     none = np.zeros((SIZE, SIZE), dtype=np.float32)
     match material:
@@ -98,62 +120,67 @@ def _pattern(material: Material, rng: np.random.Generator) -> tuple[Floats, Floa
             stones, grit = _noise(rng, 128, 1), _noise(rng, 256, 1)
             light = np.clip(grit - 1.3, 0, 1)
             second = np.clip(0.35 + 0.12 * coarse + 0.3 * np.clip(-stones - 0.6, 0, 1) + 0.7 * crack, 0, 1)
-            return second, 1 + 0.10 * stones + 0.09 * grit + 0.3 * light + 0.05 * coarse - 0.25 * crack, 4.1
+            return second, 1 + 0.10 * stones + 0.09 * grit + 0.3 * light + 0.05 * coarse - 0.25 * crack, 4.1, _NOISE
         case Material.COBBLES:
             joints, tone = _bricks(rng, 16, 16, 2.2)
-            return joints, 1 + 0.16 * tone + 0.07 * fine - 0.25 * joints, 2.0
+            return joints, 1 + 0.16 * tone + 0.07 * fine - 0.25 * joints, 2.0, Laying(16, 16, 0.5)
         case Material.PAVEMENT:
-            joints, tone = _bricks(rng, 5, 5, 0.9)
-            return np.clip(joints + 0.15 * coarse, 0, 1), 1 + 0.09 * tone + 0.05 * fine + 0.04 * coarse, 2.5
+            # Slabs of half a metre. Their rows are even in number, so that the bond goes on from tile to tile.
+            joints, tone = _bricks(rng, 6, 6, 0.8)
+            bright = 1 + 0.09 * tone + 0.05 * fine + 0.04 * coarse
+            return np.clip(joints + 0.15 * coarse, 0, 1), bright, 3.0, Laying(6, 6, 0.5)
         case Material.KERB:
             joints, tone = _bricks(rng, 3, 1, 0.8)
-            joints[:4] = joints[-4:] = 0
-            return joints, 1 + 0.05 * tone + 0.06 * fine, 3.0
+            joints[:] = joints[SIZE // 2]  # those across the kerb alone
+            return joints, 1 + 0.05 * tone + 0.06 * fine, 3.0, Laying(3, 1)
         case Material.LANE_MARKING:
-            return np.clip(coarse - 0.9, 0, 1) * 0.7, 1 + 0.05 * fine, 2.0
+            return np.clip(coarse - 0.9, 0, 1) * 0.7, 1 + 0.05 * fine, 2.0, _NOISE
         case Material.GRASS | Material.HEDGE | Material.LEAF:
-            return np.clip(0.4 + 0.35 * coarse, 0, 1), 1 + 0.22 * fine + 0.12 * coarse, 1.7
+            laying = _ALIKE if material == Material.LEAF else _NOISE
+            return np.clip(0.4 + 0.35 * coarse, 0, 1), 1 + 0.22 * fine + 0.12 * coarse, 1.7, laying
         case Material.SOIL:
-            return np.clip(0.4 + 0.3 * coarse, 0, 1), 1 + 0.2 * fine + 0.1 * coarse, 2.3
+            return np.clip(0.4 + 0.3 * coarse, 0, 1), 1 + 0.2 * fine + 0.1 * coarse, 2.3, _NOISE
         case Material.BRICK:
             joints, tone = _bricks(rng, 8, 24, 0.9)
-            return joints, 1 + 0.13 * tone + 0.05 * fine, 2.0
+            return joints, 1 + 0.13 * tone + 0.05 * fine, 2.0, Laying(8, 24, 0.5)
         case Material.STONE:
             joints, tone = _bricks(rng, 4, 8, 0.9)
-            return joints * 0.8, 1 + 0.09 * tone + 0.05 * fine + 0.04 * coarse, 2.8
+            return joints * 0.8, 1 + 0.09 * tone + 0.05 * fine + 0.04 * coarse, 2.8, Laying(4, 8, 0.5)
         case Material.PLASTER:
             streaks = _noise(rng, 24, 2, stretch=12)
-            return np.clip(0.15 * coarse + 0.12 * streaks, 0, 1), 1 + 0.05 * coarse + 0.03 * fine, 3.7
+            return np.clip(0.15 * coarse + 0.12 * streaks, 0, 1), 1 + 0.05 * coarse + 0.03 * fine, 3.7, _NOISE
         case Material.CONCRETE:
-            joints, tone = _bricks(rng, 2, 2, 0.8, 0.0)
+            joints, tone = _bricks(rng, 4, 4, 0.8, 0.0)
             streaks = _noise(rng, 16, 3, stretch=8)
-            return np.clip(0.25 * streaks + joints, 0, 1), 1 + 0.05 * tone + 0.06 * coarse, 4.8
+            return np.clip(0.25 * streaks + joints, 0, 1), 1 + 0.05 * tone + 0.06 * coarse, 4.8, Laying(4, 4)
         case Material.ROOF_TILES:
             y = np.mgrid[:SIZE, :SIZE][0] / SIZE
             joints, tone = _bricks(rng, 10, 8, 1.0)
-            return joints, 0.85 + 0.3 * ((y * 8) % 1) + 0.12 * tone + 0.05 * coarse, 2.4
+            bright = 0.85 + 0.3 * ((y * 8) % 1) + 0.12 * tone + 0.05 * coarse
+            return joints, bright, 2.4, Laying(10, 8, 0.5)
         case Material.WINDOW | Material.SHOP_WINDOW | Material.CAR_GLASS:
-            return np.clip(0.5 + 0.5 * coarse, 0, 1), 1 + 0.12 * coarse, 2.9
+            return np.clip(0.5 + 0.5 * coarse, 0, 1), 1 + 0.12 * coarse, 2.9, _ALIKE
         case Material.WOOD | Material.DOOR:
             joints, tone = _bricks(rng, 8, 1, 0.8, 0.0)
+            joints[:] = joints[SIZE // 2]  # planks without an end
             grain = _noise(rng, 64, 2, stretch=16)
-            return np.clip(joints + 0.2 * grain, 0, 1), 1 + 0.06 * tone + 0.07 * grain, 1.0
+            return np.clip(joints + 0.2 * grain, 0, 1), 1 + 0.06 * tone + 0.07 * grain, 1.0, Laying(8, 1)
         case Material.BARK:
             ridges = _noise(rng, 32, 3, stretch=6)
-            return np.clip(0.4 + 0.4 * ridges, 0, 1), 1 + 0.18 * ridges, 0.9
+            return np.clip(0.4 + 0.4 * ridges, 0, 1), 1 + 0.18 * ridges, 0.9, _ALIKE
         case Material.SHOP_SIGN | Material.TRAFFIC_SIGN:
             marks = (_noise(rng, 16, 1) > 0.35) & (np.abs(np.mgrid[:SIZE, :SIZE][0] / SIZE - 0.5) < 0.3)
-            return marks.astype(np.float32), 1 + 0.02 * fine, 1.3
+            return marks.astype(np.float32), 1 + 0.02 * fine, 1.3, _ALIKE
         case Material.METAL | Material.RUBBER | Material.PLASTIC | Material.ROOF_FLAT:
-            return np.clip(0.25 * coarse - 0.1, 0, 1), 1 + 0.05 * coarse + 0.03 * fine, 2.1
+            return np.clip(0.25 * coarse - 0.1, 0, 1), 1 + 0.05 * coarse + 0.03 * fine, 2.1, _ALIKE
         case _:
-            return none, np.ones_like(none), 2.0
+            return none, np.ones_like(none), 2.0, _ALIKE
 
 
 @lru_cache(maxsize=2)
 def bake(seed: int) -> Patterns:
     """Make the patterns of all materials; the same seed gives the same bytes."""
-    layers, tiles = [], []
+    layers, tiles, layings = [], [], []
     for layer in range(MACRO + 1):
         rng = np.random.default_rng([seed, 21, layer])
         if layer == MACRO:
@@ -161,13 +188,18 @@ def bake(seed: int) -> Patterns:
             rank = np.argsort(np.argsort(slow.ravel(), kind="stable"), kind="stable")
             second = (rank.reshape(slow.shape) / slow.size).astype(np.float32)
             bright = 1 + 0.5 * _noise(rng, 7, 4)
-            tile = MACRO_TILE_M
+            tile, laying = MACRO_TILE_M, _NOISE
         else:
-            second, bright, tile = _pattern(Material(layer), rng)
+            second, bright, tile, laying = _pattern(Material(layer), rng)
         stored = np.stack([second * 255, bright * UNIT_BRIGHTNESS], axis=-1)
         layers.append(_pyramid(np.clip(stored, 0, 255)))
         tiles.append(tile)
-    return Patterns(np.stack(layers).ravel(), (1 / np.array(tiles)).astype(np.float32))
+        layings.append(laying)
+    texels = np.stack(layers)
+    last = texels[:, -1]
+    mean = np.stack([last & np.uint64(0xFFFFFFFF), last >> np.uint64(32)], axis=1).astype(np.float32)
+    per_tile = (1 / np.array(tiles)).astype(np.float32)
+    return Patterns(texels.ravel(), per_tile, np.array(layings, dtype=np.float32), mean)
 
 
 def _pyramid(image: NDArray[np.floating]) -> NDArray[np.uint64]:
@@ -210,10 +242,100 @@ def _bilinear(texels: NDArray[np.uint64], first: int | np.int64, size: int, u: f
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _blended(texels: NDArray[np.uint64], first: int | np.int64, size: int, blend: int, u: float, v: float) -> np.int64:
+    """Both channels times 65536 ``_BLENDS`` at (u, v) in tiles, ``blend`` parts of them from the level below."""
+    total = (_BLENDS - blend) * _bilinear(texels, first, size, u, v)
+    if blend > 0:
+        total += blend * _bilinear(texels, first, size >> 1, u, v)
+    return np.int64(total)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _shift(
+    columns: float, rows: float, bond: float, column: int, row: int, salt: int | np.int64
+) -> tuple[float, float]:
+    """Where in the pattern a tile of a surface begins, in tiles: whole units, for noise anywhere.
+
+    A bond goes on when rows are shifted in pairs. A single row, of a kerb or a fence, has no joints along it, so that
+    it begins anywhere on that side and does not change there.
+    """
+    drawn = scramble(scramble(column, 0 if rows == 1.0 else row), salt)
+    a, b = drawn & 0xFFFF, drawn >> 16
+    du, dv = a / 65536.0, b / 65536.0
+    if columns > 0.0:
+        du = math.floor(du * columns) / columns
+    if rows > 1.0:
+        step = 2.0 if bond > 0.0 else 1.0
+        dv = math.floor(dv * rows / step) * step / rows
+    return du, dv
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _shares(x: float) -> tuple[int, float, float]:
+    """The neighbour on the nearer side of a place in tiles, -1 or 1, and the shares of the own tile and of it.
+
+    The squares of the shares sum to one, so that the sum of two independent patterns varies as each does.
+    """
+    part = x - math.floor(x)
+    to_border = min(part, 1.0 - part)
+    if to_border >= _ZONE:
+        return 1, 1.0, 0.0
+    t = 0.5 + 0.5 * to_border / _ZONE
+    own = t * t * (3.0 - 2.0 * t)
+    norm = 1.0 / math.sqrt(own * own + (1.0 - own) * (1.0 - own))
+    return (-1 if part < 0.5 else 1), own * norm, (1.0 - own) * norm
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _across(
+    patterns: Patterns, layer: int | np.int64, salt: int | np.int64, size: int, blend: int, u: float, v: float
+) -> tuple[float, float]:
+    """Both channels times 65536 ``_BLENDS`` at (u, v) in tiles, near the border of a tile or not.
+
+    Tiles of units, such as bricks, meet in the joints between units. Tiles of noise change into each other with their
+    mean and variance kept (Heitz and Neyret, "High-Performance By-Example Noise using a Histogram-Preserving Blending
+    Operator", 2018, equation 2; tiles are squares here, which touch in narrow zones, instead of their triangles, which
+    overlap everywhere).
+    """
+    texels, first = patterns.texels, layer * LAYER
+    columns, rows, bond = patterns.laying[layer, 0], patterns.laying[layer, 1], patterns.laying[layer, 2]
+    column, row = math.floor(u), math.floor(v)
+    if columns > 0.0:
+        along = u + bond / columns * (math.floor(v * rows) & 1)
+        du, dv = _shift(columns, rows, bond, math.floor(along), row, salt)
+        total = _blended(texels, first, size, blend, u + du, v + dv)
+        return float(total & 0xFFFFFFFF), float(total >> 32)
+    next_u, own_u, other_u = _shares(u)
+    next_v, own_v, other_v = _shares(v)
+    rest = (1.0 - (own_u + other_u) * (own_v + other_v)) * (65536.0 * _BLENDS)
+    second, bright = rest * patterns.mean[layer, 0], rest * patterns.mean[layer, 1]
+    for k in range(4):
+        share = (other_u if k & 1 else own_u) * (other_v if k & 2 else own_v)
+        if share > 0.0:
+            du, dv = _shift(columns, rows, bond, column + next_u * (k & 1), row + next_v * (k >> 1), salt)
+            total = _blended(texels, first, size, blend, u + du, v + dv)
+            second, bright = second + share * (total & 0xFFFFFFFF), bright + share * (total >> 32)
+    return second, bright
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _within_one_tile(columns: float, rows: float, bond: float, u: float, v: float, du: float, dv: float) -> bool:
+    """Whether all that is within (du, dv) of a place in tiles shows one tile alone."""
+    if columns < 0.0:
+        return True
+    zone = _ZONE if columns == 0.0 else 0.0
+    right = bond / columns if columns > 0.0 else zone
+    return math.floor(u - du - zone) == math.floor(u + du + right) and (
+        math.floor(v - dv - zone) == math.floor(v + dv + zone) or rows == 1.0
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def sample(
-    texels: NDArray[np.uint64],
-    per_tile: float,
+    patterns: Patterns,
     layer: int | np.int64,
+    salt: int | np.int64,
+    density: float,
     u: float,
     v: float,
     dudx: float,
@@ -227,8 +349,9 @@ def sample(
     Trilinear probes are taken along the longer side of the footprint. Their number is the ratio of its sides but at
     most ``most`` (up to 8), beyond which they blur (Heckbert, "Survey of texture mapping", 1986; the derivatives are
     Igehy's ray differentials, 1999). Two levels are blended only in the middle half between them; elsewhere one is
-    used. ``texels`` and ``per_tile`` are those of :class:`Patterns`.
+    used. Surfaces with another ``salt`` are laid otherwise; ``density`` multiplies the layer's tiles per metre.
     """
+    per_tile = density * patterns.per_tile[layer]
     u, v = u * per_tile, v * per_tile
     ax, ay, bx, by = dudx * per_tile, dvdx * per_tile, dudy * per_tile, dvdy * per_tile
     long2, short2 = ax * ax + ay * ay, bx * bx + by * by
@@ -236,11 +359,8 @@ def sample(
     area = abs(ax * by - ay * bx)
     if long2 < short2:
         ax, ay, long2 = bx, by, short2
-    size = SIZE
-    first = layer * LAYER
-    if long2 * (SIZE * SIZE) <= 1.0:
-        total, step = _BLENDS * _bilinear(texels, first, size, u, v), 1.0
-    else:
+    size, blend, probes, step = SIZE, 0, 1, 1.0
+    if long2 * (SIZE * SIZE) > 1.0:
         longer = long2 / area
         probes = min(most, int(min(longer, SIZE * math.sqrt(long2))) + 1)
         narrowed = min(longer, float(probes))
@@ -253,15 +373,26 @@ def sample(
         size >>= level
         step = _PARTS[probes]
         ax, ay = ax * step, ay * step
-        at = 0.5 * (1 - probes)
-        u, v = u + at * ax, v + at * ay
+    texels, first = patterns.texels, layer * LAYER
+    columns, rows, bond = patterns.laying[layer, 0], patterns.laying[layer, 1], patterns.laying[layer, 2]
+    reach = 0.5 * (probes - 1)
+    second = bright = 0.0
+    if _within_one_tile(columns, rows, bond, u, v, reach * abs(ax), reach * abs(ay)):
+        du = dv = 0.0
+        if columns >= 0.0:
+            du, dv = _shift(columns, rows, bond, math.floor(u), math.floor(v), salt)
+        u, v = u - reach * ax + du, v - reach * ay + dv
         total = np.int64(0)
         for _ in range(probes):
-            if blend == 0:
-                total += _BLENDS * _bilinear(texels, first, size, u, v)
-            else:
-                total += (_BLENDS - blend) * _bilinear(texels, first, size, u, v)
-                total += blend * _bilinear(texels, first, size >> 1, u, v)
+            total += _blended(texels, first, size, blend, u, v)
+            u, v = u + ax, v + ay
+        second, bright = float(total & 0xFFFFFFFF), float(total >> 32)
+    else:
+        u, v = u - reach * ax, v - reach * ay
+        for _ in range(probes):
+            a, b = _across(patterns, layer, salt, size, blend, u, v)
+            second, bright = second + a, bright + b
             u, v = u + ax, v + ay
     step *= 1.0 / (65536.0 * _BLENDS)
-    return (total & 0xFFFFFFFF) * (step * (1 / 255.0)), (total >> 32) * (step * (1 / UNIT_BRIGHTNESS))
+    share = min(max(second * (step * (1 / 255.0)), 0.0), 1.0)
+    return share, max(bright * (step * (1 / UNIT_BRIGHTNESS)), 0.0)
