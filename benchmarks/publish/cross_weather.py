@@ -294,7 +294,7 @@ def _tables(together: list[Group], single: list[Group], methods: Sequence[str]) 
 
 
 def _wrong_table(together: list[Group], methods: Sequence[str]) -> list[str]:
-    """How far off wrong answers are whose rotation is right: the rendered asphalt repeats itself every 4.1 m."""
+    """How far off wrong answers are whose rotation is right: beside the keyframe's own pose, 4 m away, or elsewhere."""
     edges = (0.25, 1.0, 3.9, 4.3, np.inf)
     names = [f"{low:g} to {high:g} m" if np.isfinite(high) else f"{low:g} m or more" for low, high in pairwise(edges)]
     lines = ["\n## Wrong answers whose rotation is within 2 degrees, by how far off they are\n"]

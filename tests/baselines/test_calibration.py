@@ -55,12 +55,13 @@ def test_evidence_that_speaks_against_an_answer_gets_no_weight() -> None:
 
 
 def test_the_reliability_table_counts_answers_and_faults() -> None:
-    def answer(x: float | None, right: bool, different: bool) -> Any:
-        return script.Answered(different, x is not None, right, {} if x is None else {"x": x})
+    def answer(x: float | None, right: bool, different: bool, same_drive: bool = False) -> Any:
+        return script.Answered(different, same_drive, x is not None, right, {} if x is None else {"x": x})
 
     answers = [
-        *[answer(9.0, True, False)] * 3,
-        answer(9.0, False, False),
+        *[answer(9.0, True, False)] * 2,
+        answer(9.0, True, False, same_drive=True),
+        answer(9.0, False, False, same_drive=True),
         answer(-9.0, True, False),
         answer(9.0, False, True),
         answer(-9.0, False, True),
@@ -69,6 +70,7 @@ def test_the_reliability_table_counts_answers_and_faults() -> None:
     told = script.reliability(answers, Calibration(0.0, {"x": 1.0}))
     assert (told["pairs of one place"], told["pairs of different places"]) == (5, 3)
     assert (told["sure"], told["precision of sure ones"]) == (5, 3 / 5)
+    assert (told["sure, in one drive"], told["precision in one drive"]) == (2, 1 / 2)
     assert told["right ones that are sure"] == 3 / 4
     assert told["sure of different places"] == 1 / 3
     assert [(row["answers"], row["right"]) for row in told["bins"]] == [(2, 0.5), (5, 3 / 5)]
