@@ -24,8 +24,13 @@ def undistort(image: NDArray[Any], camera: Camera, nearest: bool = False) -> NDA
 
 
 def undistort_points(points: KeyframePoints, camera: Camera) -> KeyframePoints:
-    """Points of a distorted image in that of ``camera.pinhole()``, without those whose ray is unknown."""
-    pixels, valid = camera.undistort(points.uv, camera.pinhole())
+    """Points of a distorted image in that of ``camera.pinhole()``, without those whose ray is unknown.
+
+    A wide lens sees more than the pinhole camera with the same K and size: points outside its image are left out too.
+    """
+    pinhole = camera.pinhole()
+    pixels, valid = camera.undistort(points.uv, pinhole)
+    valid &= pinhole.contains(pixels, border=-0.5)
     return KeyframePoints(pixels[valid], points.inverse_depth[valid], points.sigma[valid])
 
 

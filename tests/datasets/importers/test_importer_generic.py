@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from repository import DOCS
 from small_dataset import render, small_camera, small_pose
 
+from relocbench.datasets.checks.validation import validate_dataset
 from relocbench.datasets.core import images
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import pose_fields
@@ -171,8 +172,9 @@ def test_images_of_a_distorted_camera_are_undistorted_with_their_depth_and_point
         time = frame_time(frame)
         cv2.imwrite(str(folder / "images" / f"{time}.png"), image)
         cv2.imwrite(str(folder / "depth" / f"{time}.png"), np.rint(depth * 1000).astype(np.uint16))
-    pixel = np.array([[80.0, 60.0]])
-    points = KeyframePoints(pixel, np.array([0.25]), np.array([0.01]))
+    # The lens sees the second point, in the corner of its image, and the pinhole camera does not.
+    pixel = np.array([[80.0, 60.0], [0.0, 0.0]])
+    points = KeyframePoints(pixel, np.array([0.25, 0.5]), np.array([0.01, 0.01]))
     images.write_points(folder / "points" / f"{frame_time(0)}.csv", points)
     (folder / "camera.yaml").write_text(camera_yaml(FISHEYE, "depth_scale: 0.001\n"))
     write_poses(folder, [0.0, 1.0])
@@ -193,10 +195,13 @@ def test_images_of_a_distorted_camera_are_undistorted_with_their_depth_and_point
     assert nearest_pixel < 0.02
     moved = traversal.points("cam0", frame_time(0))
     assert moved is not None
-    ray = FISHEYE.unproject(pixel)[0][0]
-    np.testing.assert_allclose(moved.uv[0], camera.project(ray)[0], atol=1e-9)
+    rays, _ = FISHEYE.unproject(pixel)
+    expected, _ = camera.project(rays)
+    assert camera.contains(expected, border=-0.5).tolist() == [True, False]
+    np.testing.assert_allclose(moved.uv, expected[:1], atol=1e-9)
     np.testing.assert_array_equal(moved.inverse_depth, [0.25])
     assert not dataset_image_is_link(tmp_path / "out", "fisheye")
+    assert not validate_dataset(tmp_path / "out", Silent()).faults
 
 
 def smooth(image: NDArray[np.uint8]) -> Array:
