@@ -77,9 +77,9 @@ METHODS: Mapping[str, Callable[[], Any]] = {
 """each without a limit on the evidence of its answers"""
 EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 """of the confidences that are counted together"""
-CAUTION = 4.0
+CAUTION = 8.0
 """how often a wrong answer counts in the fit, so that confidences are lower estimates: one of 0.5 stands for odds of
-four to one. In districts whose streets repeat themselves more answers are wrong that look right"""
+eight to one. In districts whose streets repeat themselves more answers are wrong that look right"""
 RIDGE = 1e-3
 """weight of the squared coefficients beside the mean log loss, evidence in units of its standard deviation"""
 
