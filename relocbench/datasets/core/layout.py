@@ -87,6 +87,10 @@ class TraversalLayout:
     def points(self, camera: str, timestamp_ns: int) -> Path:
         return self.root / "points" / camera / f"{timestamp_ns}.csv"
 
+    def intrinsics(self, camera: str) -> Path:
+        """Table of the cameras of single images, where they differ from that of ``traversal.yaml``."""
+        return self.root / "intrinsics" / f"{camera}.csv"
+
     def timestamps(self, kind: str, camera: str) -> list[int]:
         """Sorted timestamps of the files in a camera's ``images``, ``depth`` or ``points`` folder."""
         folder = self.root / kind / camera
