@@ -19,6 +19,7 @@ from relocbench.datasets.checks.faults import (
 from relocbench.datasets.checks.pair_sets import CheckedTraversal, check_pair_sets
 from relocbench.datasets.core import fingerprint, images
 from relocbench.datasets.core.layout import IMAGE_SUFFIXES, DatasetLayout
+from relocbench.datasets.core.names import read_names
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
 from relocbench.datasets.core.schema import INTRINSICS_VERSION, DatasetFile, TraversalFile
 from relocbench.errors import DatasetError, RelocbenchError
@@ -72,6 +73,8 @@ def _check_traversals(layout: DatasetLayout, found: Findings) -> dict[str, Check
         if file is not None and file.name != folder.name:
             found.fault(f"key 'name' is '{file.name}', expected the folder's name", traversal.traversal_yaml)
         drive = CheckedTraversal(traversal, file, read_pose_table(traversal.poses, found))
+        with found.catching():
+            read_names(traversal.names)
         for path in sorted((traversal.root / "intrinsics").glob("*")):
             if path.suffix == ".csv":
                 drive.intrinsics[path.stem] = read_intrinsics_table(path, found)

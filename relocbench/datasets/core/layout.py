@@ -70,6 +70,11 @@ class TraversalLayout:
     def poses(self) -> Path:
         return self.root / "poses.csv"
 
+    @property
+    def names(self) -> Path:
+        """Table of the names that images had where they were imported from."""
+        return self.root / "names.csv"
+
     def image(self, camera: str, timestamp_ns: int, suffix: str = ".png") -> Path:
         return self.root / "images" / camera / f"{timestamp_ns}{suffix}"
 

@@ -10,6 +10,7 @@ from relocbench.arrays import Array, Floats, Image
 from relocbench.datasets.core import images, pairfile
 from relocbench.datasets.core.intrinsics import read_intrinsics
 from relocbench.datasets.core.layout import TraversalLayout
+from relocbench.datasets.core.names import read_names
 from relocbench.datasets.core.schema import CameraEntry, Condition, TraversalFile
 from relocbench.errors import DatasetError
 from relocbench.files import load_yaml, parse_timestamp, read_table
@@ -75,6 +76,11 @@ class Traversal:
     def poses(self) -> dict[int, Array]:
         """Poses of the rig: timestamp_ns -> (4, 4) ``T_world_rig``."""
         return read_poses(self.layout.poses)
+
+    @cached_property
+    def names(self) -> dict[int, str]:
+        """Names of images where they were imported from: timestamp_ns -> name; empty if they had none but times."""
+        return read_names(self.layout.names)
 
     def T_world_cam(self, camera: str, timestamp_ns: int) -> Array:
         """Pose of a camera in the world, (4, 4). Raises DatasetError if the traversal has no pose at that time."""
