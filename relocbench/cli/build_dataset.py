@@ -37,6 +37,7 @@ _EXAMPLES = {
     "kitti-lidar": "relocbench build-dataset kitti-lidar odometry/dataset --sequence 00,01 --out D",
     "generic-lidar": "relocbench build-dataset generic-lidar summer winter --out D",
     "generic": "relocbench build-dataset generic summer winter --max-distance 3 --out D",
+    "colmap": "relocbench build-dataset colmap sparse/0 --images images --queries 'night/*' --out D",
     "synthetic": "relocbench build-dataset synthetic --preset demo --conditions Sunny,Rain,Snow --out D",
     "cross-view": "relocbench build-dataset cross-view --places 60 --drone-views 12 --conditions Sunny,Overcast,Rain "
     "--out D",
@@ -51,6 +52,7 @@ _SETS = {
     "kitti-lidar": "sequence: ['00', '01']",
     "generic-lidar": "query_distance: 2",
     "generic": "max_distance: 3",
+    "colmap": "queries: ['night/*']",
     "synthetic": "conditions: [Sunny, Rain]",
     "cross-view": "conditions: [Sunny, Rain]",
 }

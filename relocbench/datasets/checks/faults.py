@@ -11,6 +11,7 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from relocbench.arrays import Array
+from relocbench.datasets.core.intrinsics import INTRINSICS_COLUMNS, intrinsics_row
 from relocbench.datasets.core.pairfile import AXIS_COLUMNS, TABLE_COLUMNS, PairKey, PoseLine, parse_pose, table_columns
 from relocbench.datasets.core.traversal import POSE_COLUMNS
 from relocbench.errors import DatasetError, RelocbenchError
@@ -120,6 +121,20 @@ def read_pose_table(path: Path, found: Findings) -> dict[int, Array]:
             last = time
             poses[time] = parse_pose(row[1:], path, number)
     return poses
+
+
+def read_intrinsics_table(path: Path, found: Findings) -> dict[int, Camera]:
+    """The valid rows of ``intrinsics/CAMERA.csv``: timestamp_ns -> camera."""
+    cameras: dict[int, Camera] = {}
+    last: int | None = None
+    for number, row in _table(path, INTRINSICS_COLUMNS, "intrinsics", found):
+        with found.catching():
+            time, camera = intrinsics_row(row, path, number)
+            if last is not None and time <= last:
+                raise DatasetError(f"timestamp {time} does not come after {last}", path, number)
+            last = time
+            cameras[time] = camera
+    return cameras
 
 
 def read_pair_lines(

@@ -13,7 +13,7 @@ from relocbench.datasets.checks.faults import Findings, TableRow, read_pair_line
 from relocbench.datasets.core.layout import DatasetLayout, TraversalLayout
 from relocbench.datasets.core.pairfile import ELSEWHERE, PairKey, PoseLine
 from relocbench.datasets.core.schema import ELSEWHERE_VERSION, TraversalFile
-from relocbench.geometry import invert, rotation_angle
+from relocbench.geometry import Camera, invert, rotation_angle
 from relocbench.progress import Reporter
 
 POSE_TOLERANCE_M = 1e-3
@@ -34,6 +34,8 @@ class CheckedTraversal:
     """(images, depth or points; camera) -> timestamps"""
     without_depth: set[tuple[str, int]] = field(default_factory=set)
     """(camera, timestamp) of depth or points files without any depth"""
+    intrinsics: dict[str, dict[int, Camera]] = field(default_factory=dict)
+    """camera -> the cameras of images with intrinsics of their own"""
 
 
 def check_pair_sets(
@@ -106,7 +108,7 @@ def _check_elsewhere(
     """Check that the dataset may have pairs of different places, and that they are not told where truth is withheld."""
     table = layout.pair_table(name)
     elsewhere = [row for row in rows.values() if row.group == ELSEWHERE]
-    if elsewhere and version not in (None, ELSEWHERE_VERSION):
+    if elsewhere and version is not None and version < ELSEWHERE_VERSION:
         found.fault(
             f"the group '{ELSEWHERE}' is that of pairs of different places, which format_version {ELSEWHERE_VERSION} "
             f"has; this dataset's is {version}",

@@ -12,14 +12,16 @@ import numpy as np
 from relocbench.datasets.checks.faults import (
     Findings,
     check_points,
+    read_intrinsics_table,
     read_pose_table,
     read_yaml,
 )
 from relocbench.datasets.checks.pair_sets import CheckedTraversal, check_pair_sets
 from relocbench.datasets.core import fingerprint, images
 from relocbench.datasets.core.layout import IMAGE_SUFFIXES, DatasetLayout
+from relocbench.datasets.core.names import read_names
 from relocbench.datasets.core.pairfile import PairKey, PoseLine
-from relocbench.datasets.core.schema import DatasetFile, TraversalFile
+from relocbench.datasets.core.schema import INTRINSICS_VERSION, DatasetFile, TraversalFile
 from relocbench.errors import DatasetError, RelocbenchError
 from relocbench.execution import default_workers
 from relocbench.files import load_yaml_values, sha256_file, whole_number, yaml_line
@@ -49,8 +51,9 @@ def validate_dataset(root: Path, reporter: Reporter, *, quick: bool = False) -> 
         with found.catching():
             digests = {name: digest for name, (_, digest) in fingerprint.read_manifest(layout).items()}
     drives = _check_traversals(layout, found)
-    _check_content(layout, drives, digests, found, reporter, quick)
     version = None if file is None else file.format_version
+    _check_intrinsics_version(drives, version, found)
+    _check_content(layout, drives, digests, found, reporter, quick)
     pair_sets = check_pair_sets(layout, drives, found, reporter, version)
     _check_correspondences(layout, pair_sets, digests, found, reporter, quick)
     if file is not None:
@@ -69,8 +72,28 @@ def _check_traversals(layout: DatasetLayout, found: Findings) -> dict[str, Check
         file = read_yaml(traversal.traversal_yaml, TraversalFile, "a traversal description", found)
         if file is not None and file.name != folder.name:
             found.fault(f"key 'name' is '{file.name}', expected the folder's name", traversal.traversal_yaml)
-        drives[folder.name] = CheckedTraversal(traversal, file, read_pose_table(traversal.poses, found))
+        drive = CheckedTraversal(traversal, file, read_pose_table(traversal.poses, found))
+        with found.catching():
+            read_names(traversal.names)
+        for path in sorted((traversal.root / "intrinsics").glob("*")):
+            if path.suffix == ".csv":
+                drive.intrinsics[path.stem] = read_intrinsics_table(path, found)
+            else:
+                found.fault("expected a file CAMERA.csv", path)
+        drives[folder.name] = drive
     return drives
+
+
+def _check_intrinsics_version(drives: dict[str, CheckedTraversal], version: int | None, found: Findings) -> None:
+    """Programs that know only earlier formats would take the camera of ``traversal.yaml`` for every image."""
+    for drive in drives.values():
+        for camera in drive.intrinsics:
+            if version is not None and version < INTRINSICS_VERSION:
+                found.fault(
+                    f"images have intrinsics of their own, which format_version {INTRINSICS_VERSION} has; "
+                    f"this dataset's is {version}",
+                    drive.layout.intrinsics(camera),
+                )
 
 
 def _check_content(
@@ -92,6 +115,7 @@ def _check_content(
                     digest = digests.get(path.relative_to(layout.root).as_posix(), "")
                     checks.append(partial(_check_file, drive, kind, path, digest))
         _check_cameras(drive, found)
+        _check_intrinsics(drive, found)
     # Decoding and hashing release the interpreter's lock, so threads suffice and nothing is copied.
     with ThreadPoolExecutor(default_workers()) as pool, reporter.stage("reading images", len(checks)) as advance:
         for result in pool.map(lambda check: check(), checks):
@@ -124,11 +148,22 @@ def _check_cameras(drive: CheckedTraversal, found: Findings) -> None:
             found.fault(f"holds no image of camera '{camera}'", drive.layout.root / "images" / camera)
 
 
+def _check_intrinsics(drive: CheckedTraversal, found: Findings) -> None:
+    """Check that intrinsics are of a camera and of images that there are."""
+    for camera, cameras in drive.intrinsics.items():
+        path = drive.layout.intrinsics(camera)
+        if drive.file is not None and camera not in drive.file.cameras:
+            found.fault(f"no camera '{camera}' in traversal.yaml; there is {', '.join(drive.file.cameras)}", path)
+        for time in sorted(cameras.keys() - drive.times.get(("images", camera), set())):
+            found.fault(f"has intrinsics of an image at {time}, and camera '{camera}' has no such image", path)
+
+
 def _check_file(drive: CheckedTraversal, kind: str, path: Path, digest: str) -> Findings:
     """Check one file; ``digest`` is the SHA-256 of its original content, or empty if unknown."""
     found = Findings()
     entry = drive.file.cameras.get(path.parent.name) if drive.file else None
-    camera = entry.camera if entry else None
+    own = drive.intrinsics.get(path.parent.name, {}).get(int(path.stem))
+    camera = own or (entry.camera if entry else None)
     with found.catching():
         if kind == "points":
             depths = check_points(path, camera, found)

@@ -70,6 +70,11 @@ class TraversalLayout:
     def poses(self) -> Path:
         return self.root / "poses.csv"
 
+    @property
+    def names(self) -> Path:
+        """Table of the names that images had where they were imported from."""
+        return self.root / "names.csv"
+
     def image(self, camera: str, timestamp_ns: int, suffix: str = ".png") -> Path:
         return self.root / "images" / camera / f"{timestamp_ns}{suffix}"
 
@@ -86,6 +91,10 @@ class TraversalLayout:
 
     def points(self, camera: str, timestamp_ns: int) -> Path:
         return self.root / "points" / camera / f"{timestamp_ns}.csv"
+
+    def intrinsics(self, camera: str) -> Path:
+        """Table of the cameras of single images, where they differ from that of ``traversal.yaml``."""
+        return self.root / "intrinsics" / f"{camera}.csv"
 
     def timestamps(self, kind: str, camera: str) -> list[int]:
         """Sorted timestamps of the files in a camera's ``images``, ``depth`` or ``points`` folder."""

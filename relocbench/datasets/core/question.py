@@ -20,6 +20,7 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import pose_numbers
 from relocbench.datasets.core.schema import DatasetFile
 from relocbench.datasets.core.traversal import Traversal
+from relocbench.geometry import Camera
 
 DECIMALS = 6
 """decimals of metres and of quaternion components"""
@@ -62,11 +63,21 @@ def _traversal(traversal: Traversal) -> dict[str, Any]:
         entry["T_rig_cam"] = _digest(_transform_fields(entry["T_rig_cam"]))
     images = {name: traversal.layout.timestamps("images", name) for name in traversal.file.cameras}
     times = sorted(traversal.poses)
-    return {
+    asked = {
         "file": recipe(file),
         "images": images,
         "poses": [times, _digest(_signed(pose_numbers([traversal.poses[time] for time in times])))],
     }
+    own = {name: traversal.intrinsics(name) for name in traversal.file.cameras}
+    # Traversals without intrinsics of single images keep the digest of earlier versions.
+    if any(own.values()):
+        asked["intrinsics"] = {name: _cameras(cameras) for name, cameras in own.items()}
+    return asked
+
+
+def _cameras(cameras: Mapping[int, Camera]) -> list[Any]:
+    numbers = [[c.width, c.height, c.fx, c.fy, c.cx, c.cy] for c in cameras.values()]
+    return [list(cameras), _digest(np.array(numbers, dtype=np.float64).reshape(-1, 6))]
 
 
 def _transform_fields(values: Mapping[str, Any]) -> Array:

@@ -15,6 +15,9 @@ from relocbench.geometry import Camera, camera_from_dict, transform_from_tq, tra
 FORMAT_VERSION = 1
 ELSEWHERE_VERSION = 2
 """format of datasets with pairs of different places, which programs that know only the first would score like others"""
+INTRINSICS_VERSION = 3
+"""format of datasets whose images may have intrinsics of their own, which programs that know less would not look at"""
+_VERSIONS = (FORMAT_VERSION, ELSEWHERE_VERSION, INTRINSICS_VERSION)
 
 Name = Annotated[str, AfterValidator(lambda name: check_name(name, "name"))]
 """name of a traversal, a camera or a split, which becomes part of a path"""
@@ -161,8 +164,7 @@ class DatasetFile(Strict):
     @field_validator("format_version")
     @classmethod
     def _known_version(cls, version: int) -> int:
-        if version not in (FORMAT_VERSION, ELSEWHERE_VERSION):
-            raise ValueError(
-                f"format_version {version} is not supported, expected {FORMAT_VERSION} or {ELSEWHERE_VERSION}"
-            )
+        if version not in _VERSIONS:
+            expected = ", ".join(map(str, _VERSIONS))
+            raise ValueError(f"format_version {version} is not supported, expected one of {expected}")
         return version

@@ -8,7 +8,9 @@ from pathlib import Path
 
 from relocbench.arrays import Array, Floats, Image
 from relocbench.datasets.core import images, pairfile
+from relocbench.datasets.core.intrinsics import read_intrinsics
 from relocbench.datasets.core.layout import TraversalLayout
+from relocbench.datasets.core.names import read_names
 from relocbench.datasets.core.schema import CameraEntry, Condition, TraversalFile
 from relocbench.errors import DatasetError
 from relocbench.files import load_yaml, parse_timestamp, read_table
@@ -26,6 +28,7 @@ class Traversal:
         self.file = load_yaml(layout.traversal_yaml, TraversalFile, "a traversal description", DatasetError)
         if self.file.name != layout.root.name:
             raise DatasetError(f"key 'name' is '{self.file.name}', expected the folder's name", layout.traversal_yaml)
+        self._intrinsics: dict[str, dict[int, Camera]] = {}
 
     @property
     def name(self) -> str:
@@ -39,9 +42,22 @@ class Traversal:
     def cameras(self) -> list[str]:
         return list(self.file.cameras)
 
-    def camera(self, camera: str) -> Camera:
-        """Model, intrinsics and size of a camera."""
-        return self._entry(camera).camera
+    def camera(self, camera: str, timestamp_ns: int | None = None) -> Camera:
+        """Model, intrinsics and size of a camera, or those of its image at a time.
+
+        They differ only where images have intrinsics of their own.
+
+        Raises:
+            DatasetError: no such camera, or its table of intrinsics is bad.
+        """
+        usual = self._entry(camera).camera
+        return usual if timestamp_ns is None else self.intrinsics(camera).get(timestamp_ns, usual)
+
+    def intrinsics(self, camera: str) -> dict[int, Camera]:
+        """The cameras of images with intrinsics of their own: timestamp_ns -> camera. Raises as :meth:`camera`."""
+        if camera not in self._intrinsics:
+            self._intrinsics[camera] = read_intrinsics(self.layout.intrinsics(camera))
+        return self._intrinsics[camera]
 
     def T_rig_cam(self, camera: str) -> Array:
         """Pose of a camera in the rig's frame, (4, 4)."""
@@ -61,6 +77,11 @@ class Traversal:
         """Poses of the rig: timestamp_ns -> (4, 4) ``T_world_rig``."""
         return read_poses(self.layout.poses)
 
+    @cached_property
+    def names(self) -> dict[int, str]:
+        """Names of images where they were imported from: timestamp_ns -> name; empty if they had none but times."""
+        return read_names(self.layout.names)
+
     def T_world_cam(self, camera: str, timestamp_ns: int) -> Array:
         """Pose of a camera in the world, (4, 4). Raises DatasetError if the traversal has no pose at that time."""
         try:
@@ -72,17 +93,17 @@ class Traversal:
         """An image, (H, W) grey or (H, W, 3) RGB.
 
         Raises:
-            DatasetError: the image is missing, damaged or not of the camera's size.
+            DatasetError: the image is missing, damaged or not of its camera's size.
         """
         path = self.layout.find_image(camera, timestamp_ns) or self.layout.image(camera, timestamp_ns)
-        return images.read_image(path, self._expected_size(camera))
+        return images.read_image(path, self._expected_size(camera, timestamp_ns))
 
     def depth(self, camera: str, timestamp_ns: int) -> Floats | None:
         """Dense depth (H, W) in metres, 0 where unknown; None if the frame has none."""
         path = self.layout.depth(camera, timestamp_ns)
         if not path.exists() and not path.is_symlink():
             return None
-        return images.read_depth(path, self._expected_size(camera))
+        return images.read_depth(path, self._expected_size(camera, timestamp_ns))
 
     def points(self, camera: str, timestamp_ns: int) -> KeyframePoints | None:
         """Sparse keyframe points, or None if the frame has none."""
@@ -95,7 +116,7 @@ class Traversal:
             key=f"{self.name}/{camera}/{timestamp_ns}",
             timestamp_ns=timestamp_ns,
             image=self.image(camera, timestamp_ns),
-            camera=self.camera(camera),
+            camera=self.camera(camera, timestamp_ns),
             sparse_points=self.points(camera, timestamp_ns),
             depth=self.depth(camera, timestamp_ns),
             depth_sigma=self._entry(camera).depth_sigma,
@@ -108,7 +129,7 @@ class Traversal:
             key=f"{self.name}/{camera}/{timestamp_ns}",
             timestamp_ns=timestamp_ns,
             image=self.image(camera, timestamp_ns),
-            camera=self.camera(camera),
+            camera=self.camera(camera, timestamp_ns),
         )
 
     def _entry(self, camera: str) -> CameraEntry:
@@ -127,10 +148,10 @@ class Traversal:
         for t in times[max(0, at - count) : at] + times[at + 1 : at + 1 + count]:
             T_neighbour_ref = invert(self.T_world_cam(camera, t)) @ T_world_ref
             seconds = (t - timestamp_ns) / 1e9
-            yield Neighbour(seconds, self.image(camera, t), self.camera(camera), T_neighbour_ref)
+            yield Neighbour(seconds, self.image(camera, t), self.camera(camera, t), T_neighbour_ref)
 
-    def _expected_size(self, camera: str) -> images.ExpectedSize:
-        return images.ExpectedSize(self.camera(camera).size, f"camera '{camera}'")
+    def _expected_size(self, camera: str, timestamp_ns: int) -> images.ExpectedSize:
+        return images.ExpectedSize(self.camera(camera, timestamp_ns).size, f"camera '{camera}'")
 
 
 def read_poses(path: Path) -> dict[int, Array]:

@@ -16,10 +16,17 @@ from numpy.typing import NDArray
 from relocbench.arrays import Array
 from relocbench.datasets.core import fingerprint, images, pairfile
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.intrinsics import write_intrinsics
 from relocbench.datasets.core.layout import DatasetLayout, pair_set_name
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
-from relocbench.datasets.core.schema import ELSEWHERE_VERSION, FORMAT_VERSION, DatasetFile, TraversalFile
+from relocbench.datasets.core.schema import (
+    ELSEWHERE_VERSION,
+    FORMAT_VERSION,
+    INTRINSICS_VERSION,
+    DatasetFile,
+    TraversalFile,
+)
 from relocbench.datasets.core.traversal import POSE_COLUMNS
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.files import (
@@ -33,6 +40,7 @@ from relocbench.files import (
     remove_parts,
     write_text,
 )
+from relocbench.geometry import Camera
 from relocbench.tracking import KeyframePoints
 
 _VERSIONED = ("relocbench", "numpy", "opencv-python-headless", "open3d")
@@ -80,6 +88,10 @@ class DatasetWriter:
             table.writerow(POSE_COLUMNS)
             for time in sorted(poses):
                 table.writerow([time, *pairfile.truth_fields(poses[time])])
+
+    def intrinsics(self, traversal: str, camera: str, cameras: Mapping[int, Camera]) -> None:
+        """Write the pinhole cameras of images that have intrinsics of their own: timestamp_ns -> camera."""
+        write_intrinsics(self.layout.traversal(traversal).intrinsics(camera), cameras)
 
     def link_image(self, traversal: str, camera: str, timestamp_ns: int, source: Path, *, copy: bool) -> None:
         """Add an image of a recording unchanged, as a symbolic link or, with ``copy``, as a copy.
@@ -140,6 +152,8 @@ class DatasetWriter:
         fingerprint.write_manifest(self.layout)
         elsewhere = any(PairSet(self.layout, name).elsewhere for name in everything)
         version = ELSEWHERE_VERSION if elsewhere else FORMAT_VERSION
+        if any(self.layout.traversals.glob("*/intrinsics/*.csv")):
+            version = INTRINSICS_VERSION
         file = DatasetFile(
             format_version=version,
             name=self.name,

@@ -28,6 +28,7 @@ KINDS: dict[str, str] = {
     "kitti-lidar": "KITTI odometry layout: ground truth across sequences from the velodyne",
     "generic-lidar": "the minimal folder with lidar: ground truth across drives from it",
     "generic": "a minimal documented folder: images, intrinsics, TUM poses, optional depth",
+    "colmap": "a sparse model of COLMAP: photo collections with a camera for each image",
     "synthetic": "a procedural town in any weather, ray-cast: districts, drives and exact truth from a seed",
     "cross-view": "buildings of procedural towns by drone, satellite and from the street, in University-1652's layout",
 }
@@ -41,6 +42,7 @@ _MODULES = {
     "kitti-lidar": "kitti.lidar_dataset",
     "generic-lidar": "generic.lidar_dataset",
     "generic": "generic.dataset",
+    "colmap": "colmap.dataset",
     "synthetic": "rendered.dataset",
     "cross-view": "rendered.cross_view",
 }

@@ -108,17 +108,23 @@ def take_inventory(dataset: Dataset) -> Inventory:
 def summarize_traversal(traversal: Traversal) -> TraversalSummary:
     """Count a traversal's files and measure the length driven."""
     centres = np.array([T_world_rig[:3, 3] for T_world_rig in traversal.poses.values()]).reshape(-1, 3)
-    cameras = {name: traversal.camera(name) for name in traversal.cameras}
     return TraversalSummary(
         name=traversal.name,
         condition=str(traversal.condition),
         location=traversal.file.location,
-        cameras={name: f"{camera.model} {camera.width}x{camera.height}" for name, camera in cameras.items()},
-        images=sum(len(traversal.timestamps(camera)) for camera in cameras),
-        keyframes=sum(len(traversal.keyframe_timestamps(camera)) for camera in cameras),
+        cameras={name: _camera_in_words(traversal, name) for name in traversal.cameras},
+        images=sum(len(traversal.timestamps(camera)) for camera in traversal.cameras),
+        keyframes=sum(len(traversal.keyframe_timestamps(camera)) for camera in traversal.cameras),
         poses=len(centres),
         length_m=float(np.sum(np.linalg.norm(np.diff(centres, axis=0), axis=1))),
     )
+
+
+def _camera_in_words(traversal: Traversal, name: str) -> str:
+    camera, own = traversal.camera(name), traversal.intrinsics(name)
+    if own:
+        return f"pinhole, {len(set(own.values()))} different ones for {len(own)} images"
+    return f"{camera.model} {camera.width}x{camera.height}"
 
 
 def summarize_pair_set(dataset: Dataset, pair_set: PairSet) -> PairSetInventory:

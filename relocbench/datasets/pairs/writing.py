@@ -39,7 +39,8 @@ def _work(unit: _Unit) -> PairCorrespondences:
     pair, camera = unit.pair, unit.camera
     assert pair.T_query_ref is not None
     entry = unit.query.file.cameras[camera]
-    query = DepthView(entry.camera, unit.query.depth(camera, pair.query_timestamp_ns), entry.depth_sigma)
+    seen_by = unit.query.camera(camera, pair.query_timestamp_ns)
+    query = DepthView(seen_by, unit.query.depth(camera, pair.query_timestamp_ns), entry.depth_sigma)
     rng = np.random.default_rng([unit.seed, *(time % 2**64 for time in pair.key)])
     reference = unit.reference.reference(camera, pair.ref_timestamp_ns)
     return pair_correspondences(reference, pair.T_query_ref, query, unit.count, rng, _sigma_pose(pair))

@@ -234,7 +234,7 @@ class _ColmapModel:
         name = path.relative_to(traversal.layout.root.parent).as_posix()
         translation, (qx, qy, qz, qw) = transform_to_tq(invert(T_world_cam))
         pose = " ".join(map(_digits, (qw, qx, qy, qz, *translation)))
-        camera = traversal.camera(self.camera)
+        camera = traversal.camera(self.camera, time)
         self.images.append(f"{image_id} {pose} {self._camera_id(camera)} {name}")
         seen = self._add_points(traversal, time, T_world_cam, image_id) if with_points else []
         self.images.append(" ".join(seen))
@@ -244,7 +244,7 @@ class _ColmapModel:
         points = traversal.points(self.camera, time)
         if points is None or not len(points):
             return []
-        rays, valid = traversal.camera(self.camera).unproject(points.uv)
+        rays, valid = traversal.camera(self.camera, time).unproject(points.uv)
         valid = valid & (rays[:, 2] > 0)
         rays = rays[valid] / rays[valid][:, 2:]
         in_world = apply(T_world_cam, rays / points.inverse_depth[valid, None])

@@ -204,7 +204,7 @@ def _starts(unit: Unit, key: PairKey) -> Starts:
 
     name = pair_set_name(unit.reference, unit.query, unit.camera)
     known = read_correspondences(_correspondence_file(unit.dataset, name), key)
-    return draw_starts(known, traversal_of(unit.dataset, unit.query).file.cameras[unit.camera].camera, key)
+    return draw_starts(known, traversal_of(unit.dataset, unit.query).camera(unit.camera, key[1]), key)
 
 
 def _correspondence_file(dataset: Path, pair_set: str) -> Path:

@@ -1,0 +1,39 @@
+"""The names that images had where a dataset was imported from, for formats that name images rather than tell times."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+
+from relocbench.errors import DatasetError, quoted
+from relocbench.files import atomic_write, parse_timestamp, read_table
+
+NAME_COLUMNS = ("timestamp_ns", "name")
+
+
+def read_names(path: Path) -> dict[int, str]:
+    """Read ``names.csv`` of a traversal: timestamp_ns -> the image's name; empty without such a file.
+
+    Raises:
+        DatasetError: with file and line: a wrong header, a time or a name that occurs again.
+    """
+    if not path.exists() and not path.is_symlink():
+        return {}
+    found: dict[int, str] = {}
+    names: set[str] = set()
+    for line, (time, name) in read_table(path, NAME_COLUMNS, "names of images", DatasetError):
+        timestamp_ns = parse_timestamp(time, path, line, DatasetError)
+        if timestamp_ns in found or name in names:
+            raise DatasetError(f"{quoted(name)} at {timestamp_ns} occurs again", path, line)
+        found[timestamp_ns] = name
+        names.add(name)
+    return found
+
+
+def write_names(path: Path, names: Mapping[int, str]) -> None:
+    """Write the names of images, timestamp_ns -> name, in time order."""
+    with atomic_write(path) as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        table.writerow(NAME_COLUMNS)
+        table.writerows(sorted(names.items()))

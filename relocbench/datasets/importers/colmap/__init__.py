@@ -1,0 +1,1 @@
+"""Models of COLMAP and of what writes its format, such as hloc."""

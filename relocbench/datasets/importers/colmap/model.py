@@ -1,0 +1,301 @@
+"""Read COLMAP's sparse models, text or binary: cameras, posed images with their keypoints, and points.
+
+Schönberger and Frahm, Structure-from-Motion Revisited, CVPR 2016; the files are described in COLMAP's documentation,
+"Output Format". Its poses are camera from world, and its pixel centres at 0.5, 1.5, ...; here they are at integers.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.arrays import Array
+from relocbench.errors import DatasetError, quoted
+from relocbench.files import lines_of, parse_floats, read_bytes, read_text, whole_number
+from relocbench.geometry import Camera, transform_from_tq
+
+MOST_BYTES = 8 << 30
+"""of a file of a model; that of Aachen Day-Night has about one gigabyte"""
+_PARAMETERS = {
+    "SIMPLE_PINHOLE": 3,
+    "PINHOLE": 4,
+    "SIMPLE_RADIAL": 4,
+    "RADIAL": 5,
+    "OPENCV": 8,
+    "OPENCV_FISHEYE": 8,
+    "FULL_OPENCV": 12,
+    "FOV": 5,
+    "SIMPLE_RADIAL_FISHEYE": 4,
+    "RADIAL_FISHEYE": 5,
+    "THIN_PRISM_FISHEYE": 12,
+    "RAD_TAN_THIN_PRISM_FISHEYE": 16,
+}
+"""number of parameters of each model, in the order of their numbers in binary files"""
+_READ = tuple(name for name in _PARAMETERS if "PRISM" not in name and name != "FOV")
+_ONE_FOCAL_LENGTH = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+_OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
+
+
+@dataclass(frozen=True, eq=False)
+class ColmapImage:
+    """An image with a pose."""
+
+    name: str
+    """path below the folder of images"""
+    camera: int
+    T_cam_world: Array
+    """(4, 4)"""
+    points: NDArray[np.int64]
+    """(K,) the points that it observes"""
+
+
+@dataclass(frozen=True, eq=False)
+class ColmapModel:
+    """A sparse model."""
+
+    cameras: Mapping[int, Camera]
+    images: Mapping[int, ColmapImage]
+    point_ids: NDArray[np.int64]
+    """(P,) increasing"""
+    xyz: Array
+    """(P, 3) in units of the model"""
+    error_px: Array
+    """(P,) mean reprojection error; NaN where the model does not say"""
+
+
+def read_model(folder: Path) -> ColmapModel:
+    """Read ``cameras``, ``images`` and ``points3D`` of a folder, all ``.bin`` or all ``.txt``.
+
+    Raises:
+        DatasetError: with file and line or byte: a file is missing, cut off, damaged or of an unknown camera model, or
+            an image names a camera or a point that is not there.
+    """
+    if (folder / "cameras.bin").exists():
+        cameras = dict(_binary_cameras(_Bytes(folder / "cameras.bin", "COLMAP's cameras")))
+        images = dict(_binary_images(_Bytes(folder / "images.bin", "COLMAP's images")))
+        points = list(_binary_points(_Bytes(folder / "points3D.bin", "COLMAP's points")))
+    elif (folder / "cameras.txt").exists():
+        cameras = dict(_text_cameras(folder / "cameras.txt"))
+        images = dict(_text_images(folder / "images.txt"))
+        points = list(_text_points(folder / "points3D.txt"))
+    else:
+        raise DatasetError("holds no model of COLMAP; expected cameras.bin or cameras.txt", folder)
+    suffix = ".bin" if (folder / "cameras.bin").exists() else ".txt"
+    if not images:
+        raise DatasetError("holds no image", folder / f"images{suffix}")
+    points.sort(key=lambda point: point[0])
+    ids = np.array([point[0] for point in points], dtype=np.int64)
+    values = np.array([point[1] for point in points], dtype=np.float64).reshape(-1, 4)
+    _check_references(folder / f"images{suffix}", cameras, images, ids)
+    error = np.where(values[:, 3] >= 0, values[:, 3], np.nan)
+    return ColmapModel(cameras, images, ids, values[:, :3].copy(), error)
+
+
+def camera_of(model: str, width: int, height: int, parameters: list[float]) -> Camera:
+    """The camera of a line of ``cameras.txt``.
+
+    Raises:
+        ValueError: the model is not one of those that OpenCV has too, or its numbers are not those of a camera.
+    """
+    if model not in _READ:
+        raise ValueError(f"camera model {quoted(model)} cannot be read; expected one of {', '.join(_READ)}")
+    if len(parameters) != _PARAMETERS[model]:
+        raise ValueError(f"{model} has {_PARAMETERS[model]} parameters, found {len(parameters)}")
+    if not np.all(np.isfinite(parameters)):
+        raise ValueError("a parameter is not finite")
+    if model in _ONE_FOCAL_LENGTH:
+        parameters = [parameters[0], *parameters]
+    fx, fy, cx, cy, *distortion = parameters
+    if min(width, height) < 1 or min(fx, fy) <= 0:
+        raise ValueError("size and focal lengths must be positive")
+    kind = "pinhole"
+    if "FISHEYE" in model:
+        kind, distortion = "equidistant", [*distortion, *[0.0] * (4 - len(distortion))]
+    elif distortion:
+        kind, distortion = "radtan", [*distortion, *[0.0] * (4 - len(distortion))]
+    return Camera(kind, width, height, fx, fy, cx - 0.5, cy - 0.5, tuple(distortion))  # type: ignore[arg-type]
+
+
+def _check_references(
+    path: Path, cameras: Mapping[int, Camera], images: Mapping[int, ColmapImage], ids: NDArray[np.int64]
+) -> None:
+    names: set[str] = set()
+    for image in images.values():
+        if image.camera not in cameras:
+            raise DatasetError(f"image {quoted(image.name)} has camera {image.camera}, which is not there", path)
+        unknown = np.setdiff1d(image.points, ids)
+        if unknown.size:
+            raise DatasetError(f"image {quoted(image.name)} observes point {unknown[0]}, which is not there", path)
+        if image.name in names:
+            raise DatasetError(f"a second image {quoted(image.name)}", path)
+        names.add(image.name)
+
+
+def _image(name: str, camera: int, numbers: list[float], points: NDArray[np.int64]) -> ColmapImage:
+    """An image of its quaternion (w first), translation and points, -1 for keypoints without any. Raises ValueError."""
+    qw, qx, qy, qz, *translation = numbers
+    norm = float(np.linalg.norm(numbers[:4]))
+    if not abs(norm - 1.0) <= 1e-3:
+        raise ValueError(f"the quaternion has norm {norm:.6g}, expected 1")
+    T_cam_world = transform_from_tq(translation, (qx, qy, qz, qw))
+    return ColmapImage(name, camera, T_cam_world, np.unique(points[points >= 0]))
+
+
+# --- text ---
+
+
+def _text_lines(path: Path, what: str) -> Iterator[tuple[int, str]]:
+    """Line number and text of the lines that are not comments, empty ones among them."""
+    for number, line in enumerate(lines_of(read_text(path, what, DatasetError, MOST_BYTES)), start=1):
+        if not line.startswith("#"):
+            yield number, line
+
+
+def _identifier(text: str, path: Path, line: int, what: str) -> int:
+    value = whole_number(text)
+    if value is None:
+        raise DatasetError(f"{what} is {quoted(text)}, expected a whole number", path, line)
+    return value
+
+
+def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
+    for number, line in _text_lines(path, "COLMAP's cameras"):
+        fields = line.split()
+        if not fields:
+            continue
+        if len(fields) < 5:
+            raise DatasetError("expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS...", path, number)
+        sizes = [_identifier(text, path, number, "the size") for text in fields[2:4]]
+        numbers = parse_floats(fields[4:], path, number, " ".join(["parameter"] * len(fields[4:])), DatasetError)
+        try:
+            yield _identifier(fields[0], path, number, "CAMERA_ID"), camera_of(fields[1], sizes[0], sizes[1], numbers)
+        except ValueError as bad:
+            raise DatasetError(str(bad), path, number) from None
+
+
+def _text_images(path: Path) -> Iterator[tuple[int, ColmapImage]]:
+    lines = _text_lines(path, "COLMAP's images")
+    for number, line in lines:
+        fields = line.split(maxsplit=9)
+        if not fields:
+            continue
+        if len(fields) != 10:
+            raise DatasetError("expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", path, number)
+        numbers = parse_floats(fields[1:8], path, number, "QW QX QY QZ TX TY TZ", DatasetError)
+        camera = _identifier(fields[8], path, number, "CAMERA_ID")
+        below, seen = next(lines, (number, ""))  # a file may end without the empty line of its last image
+        try:
+            image = _image(fields[9].strip(), camera, numbers, _text_observations(seen))
+        except ValueError as bad:
+            raise DatasetError(str(bad), path, below if "POINTS2D" in str(bad) else number) from None
+        yield _identifier(fields[0], path, number, "IMAGE_ID"), image
+
+
+def _text_observations(line: str) -> NDArray[np.int64]:
+    """The points of the keypoints on a line ``X Y POINT3D_ID ...``. Raises ValueError."""
+    fields = line.split()
+    if len(fields) % 3:
+        raise ValueError(f"expected POINTS2D as (X, Y, POINT3D_ID), found {len(fields)} numbers")
+    try:
+        return np.array(fields[2::3], dtype=np.int64)
+    except (ValueError, OverflowError):
+        raise ValueError("expected POINTS2D as (X, Y, POINT3D_ID); an identifier is no whole number") from None
+
+
+def _text_points(path: Path) -> Iterator[tuple[int, list[float]]]:
+    for number, line in _text_lines(path, "COLMAP's points"):
+        fields = line.split()
+        if not fields:
+            continue
+        if len(fields) < 8:
+            raise DatasetError("expected POINT3D_ID X Y Z R G B ERROR TRACK[]", path, number)
+        values = parse_floats([*fields[1:4], fields[7]], path, number, "X Y Z ERROR", DatasetError)
+        yield _identifier(fields[0], path, number, "POINT3D_ID"), values
+
+
+# --- binary ---
+
+
+class _Bytes:
+    """A little-endian binary file that is read from its start to its end."""
+
+    def __init__(self, path: Path, what: str) -> None:
+        self.path, self.what = path, what
+        self.data = read_bytes(path, what, DatasetError, MOST_BYTES)
+        self.at = 0
+
+    def take(self, form: str) -> tuple[Any, ...]:
+        return struct.unpack(f"<{form}", self._next(struct.calcsize(f"<{form}")))
+
+    def records(self, kind: np.dtype[Any], count: int) -> NDArray[Any]:
+        return np.frombuffer(self._next(kind.itemsize * count), dtype=kind)
+
+    def text(self) -> str:
+        """Text that ends with a zero byte."""
+        end = self.data.find(b"\0", self.at)
+        if end < 0:
+            raise self.fault("a name without an end")
+        try:
+            name = self.data[self.at : end].decode()
+        except UnicodeDecodeError:
+            raise self.fault("a name that is not UTF-8") from None
+        self.at = end + 1
+        return name
+
+    def counted(self) -> Iterator[int]:
+        """Index of each of the records that the file says that it has; at the end nothing may be left."""
+        (count,) = self.take("Q")
+        yield from range(count)
+        if self.at != len(self.data):
+            raise self.fault(f"{len(self.data) - self.at} bytes are left after the last record")
+
+    def fault(self, told: str) -> DatasetError:
+        return DatasetError(f"{told} (at byte {self.at}); expected {self.what}", self.path)
+
+    def _next(self, count: int) -> bytes:
+        if count > len(self.data) - self.at:
+            raise self.fault("the file is cut off")
+        self.at += count
+        return self.data[self.at - count : self.at]
+
+
+def _binary_cameras(file: _Bytes) -> Iterator[tuple[int, Camera]]:
+    for _ in file.counted():
+        camera, model, width, height = file.take("iiQQ")
+        if not 0 <= model < len(_PARAMETERS):
+            raise file.fault(f"camera model {model} is unknown")
+        name = list(_PARAMETERS)[model]
+        numbers = list(file.take(f"{_PARAMETERS[name]}d"))
+        try:
+            yield camera, camera_of(name, width, height, numbers)
+        except ValueError as bad:
+            raise file.fault(str(bad)) from None
+
+
+def _binary_images(file: _Bytes) -> Iterator[tuple[int, ColmapImage]]:
+    for _ in file.counted():
+        number, *pose, camera = file.take("i7di")
+        name = file.text()
+        (count,) = file.take("Q")
+        points = file.records(_OBSERVATION, count)["point"].astype(np.int64)
+        if not np.all(np.isfinite(pose)):
+            raise file.fault(f"image {quoted(name)} has a pose that is not finite")
+        try:
+            yield number, _image(name, camera, pose, points)
+        except ValueError as bad:
+            raise file.fault(str(bad)) from None
+
+
+def _binary_points(file: _Bytes) -> Iterator[tuple[int, list[float]]]:
+    for _ in file.counted():
+        number, x, y, z, _, _, _, error, length = file.take("Q3d3BdQ")
+        file.records(np.dtype("<i8"), length)  # the track, image and keypoint as 32 bits each, which images tell too
+        if not np.all(np.isfinite([x, y, z])):
+            raise file.fault(f"point {number} is not finite")
+        yield number, [x, y, z, error]
