@@ -23,8 +23,8 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="PATH",
-            help="Score poses that were computed elsewhere: a folder of PAIRSET.txt files or one such file. --method "
-            "gives the label.",
+            help="Score poses that were computed elsewhere: a folder of PAIRSET.txt files or one such file, of pairs "
+            "or, as hloc writes them, of image names. --method gives the label.",
         ),
     ] = None,
     matching: Annotated[

@@ -15,12 +15,13 @@ def export(
     dataset: DatasetPath,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="PATH", help="Folder to write; for mlad, the zip file.")],
     format: Annotated[
-        Literal["tum", "kitti", "colmap", "mlad"],
+        Literal["tum", "kitti", "colmap", "hloc", "mlad"],
         typer.Option(
             "--format",
             "-f",
             metavar="NAME",
-            help="tum (TUM trajectory), kitti (KITTI poses), colmap (COLMAP text model) or mlad (MLAD submission).",
+            help="tum (TUM trajectory), kitti (KITTI poses), colmap (COLMAP text model), hloc (named poses and "
+            "pairs) or mlad (MLAD submission).",
         ),
     ],
     results: Annotated[Path, typer.Option(metavar="FOLDER", help="Results folder that holds the predictions.")] = Path(

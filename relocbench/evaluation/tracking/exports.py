@@ -1,4 +1,4 @@
-"""Exporting predicted (or true) query poses to other tools' formats: TUM and KITTI trajectories, COLMAP, MLAD zips.
+"""Exporting predicted (or true) query poses to other tools' formats: TUM, KITTI, COLMAP, hloc, MLAD zips.
 
 A relative pose becomes an absolute one by the map's pose of its keyframe:
 ``T_world_query = T_world_ref @ inv(T_query_ref)``.
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
+from relocbench.datasets.core.named_poses import write_named_poses
 from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import PairKey, PoseLine, pose_fields, pose_line_fields, read_pose_lines
 from relocbench.datasets.core.traversal import Traversal
@@ -27,7 +28,7 @@ from relocbench.files import atomic_write, write_text
 from relocbench.geometry import Camera, apply, invert, transform_to_tq
 
 Array = NDArray[np.float64]
-ExportFormat = Literal["tum", "kitti", "colmap", "mlad"]
+ExportFormat = Literal["tum", "kitti", "colmap", "hloc", "mlad"]
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 _NS = 1_000_000_000
 
@@ -55,7 +56,7 @@ def export_poses(
     """Export pair sets of a dataset, without pairs of different places; returns the files or folders written.
 
     Args:
-        out: folder for ``PAIRSET.txt`` (tum, kitti) or ``PAIRSET/`` (colmap); for mlad, the zip file itself.
+        out: folder for ``PAIRSET.txt`` (tum, kitti) or ``PAIRSET/`` (colmap, hloc); for mlad, the zip file itself.
         results: the results folder that holds the predictions.
         method: the label of the predictions; None for the ground truth.
         relocalization_files: for mlad, the challenge's files, whose names and line order the zip follows.
@@ -69,7 +70,7 @@ def export_poses(
         return [out]
     written = []
     for name, predictions in lines.items():
-        path = out / (name if format == "colmap" else f"{name}.txt")
+        path = out / (name if format in ("colmap", "hloc") else f"{name}.txt")
         _EXPORTERS[format](dataset, name, predictions, path)
         written.append(path)
     return written
@@ -178,6 +179,29 @@ def export_colmap(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLin
     return len(poses)
 
 
+def export_hloc(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine], out: Path) -> int:
+    """Write ``poses.txt`` (``name qw qx qy qz tx ty tz``, camera from world) and ``pairs.txt`` (``query keyframe``).
+
+    Poses are those of :func:`query_poses`, in metres; pairs are all of the set that are of one place, whether answered
+    or not, and so the retrieval that hloc is to start from. Images are named as where they were imported from, or by
+    their path below the dataset's ``traversals``. Returns the number of poses.
+
+    Raises:
+        PredictionError, DatasetError: see :func:`query_poses`.
+    """
+    poses = query_poses(dataset, pair_set, predictions)
+    chosen = dataset.pair_set(pair_set)
+    reference, query = dataset.traversal(chosen.reference), dataset.traversal(chosen.query)
+    named = {_name_of(query, chosen.camera, p.query_timestamp_ns): invert(p.T_world_query) for p in poses}
+    write_named_poses(out / "poses.txt", named)
+    lines = [
+        f"{_name_of(query, chosen.camera, p.query_timestamp_ns)} {_name_of(reference, chosen.camera, p.ref_timestamp_ns)}\n"
+        for p in sorted(chosen.pairs, key=lambda p: (p.query_timestamp_ns, p.ref_timestamp_ns))
+    ]
+    write_text(out / "pairs.txt", "".join(lines))
+    return len(poses)
+
+
 def export_mlad(
     dataset: Dataset,
     predictions: Mapping[str, Sequence[PoseLine]],
@@ -230,8 +254,7 @@ class _ColmapModel:
     def add_image(self, traversal: Traversal, time: int, T_world_cam: Array, *, with_points: bool) -> None:
         """Add an image: its pose on one line, its points on the next."""
         image_id = len(self.images) // 2 + 1
-        path = traversal.layout.find_image(self.camera, time) or traversal.layout.image(self.camera, time)
-        name = path.relative_to(traversal.layout.root.parent).as_posix()
+        name = _stored_name(traversal, self.camera, time)
         translation, (qx, qy, qz, qw) = transform_to_tq(invert(T_world_cam))
         pose = " ".join(map(_digits, (qw, qx, qy, qz, *translation)))
         camera = traversal.camera(self.camera, time)
@@ -277,6 +300,17 @@ def colmap_camera(camera: Camera) -> str:
     return f"{model} {camera.width} {camera.height} {' '.join(map(_digits, [*k, *distortion]))}"
 
 
+def _stored_name(traversal: Traversal, camera: str, time: int) -> str:
+    """The path of an image below the dataset's ``traversals``."""
+    path = traversal.layout.find_image(camera, time) or traversal.layout.image(camera, time)
+    return path.relative_to(traversal.layout.root.parent).as_posix()
+
+
+def _name_of(traversal: Traversal, camera: str, time: int) -> str:
+    """The name of an image where it was imported from, or else :func:`_stored_name`."""
+    return traversal.names.get(time) or _stored_name(traversal, camera, time)
+
+
 def _answered(pair_set: PairSet, predictions: Sequence[PoseLine]) -> list[PoseLine]:
     for line in predictions:
         if line.key not in pair_set.by_key:
@@ -308,4 +342,5 @@ _EXPORTERS: dict[str, Callable[[Dataset, str, Sequence[PoseLine], Path], int]] =
     "tum": export_tum,
     "kitti": export_kitti,
     "colmap": export_colmap,
+    "hloc": export_hloc,
 }

@@ -1,4 +1,4 @@
-"""Importing predictions made elsewhere, in files of nine columns, into a results folder."""
+"""Importing predictions made elsewhere into a results folder: files of nine columns, or of named absolute poses."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from relocbench.evaluation.common.results import (
     write_answers,
     write_record,
 )
+from relocbench.evaluation.tracking.named import is_named, read_named_predictions
 from relocbench.evaluation.tracking.score import read_predictions
 
 
@@ -27,6 +28,7 @@ def import_predictions(
 ) -> MethodResults:
     """Check a folder of ``PAIRSET.txt`` (and optional ``PAIRSET.csv``), or one file, and copy it to the results.
 
+    A file holds pairs with their relative poses, or names of queries with their absolute ones, as hloc writes them.
     A file is for the pair set that it is named after, or else for the only pair set asked for.
 
     A ``run.yaml`` in the folder must name this dataset's fingerprint. Pairs of a set that its file does not answer
@@ -53,7 +55,7 @@ def import_predictions(
         return ours
     if ours.run_yaml.exists() and ours.run_record().target != record.target:
         raise PredictionError(f"holds predictions of '{ours.run_record().target}'; choose another label", ours.run_yaml)
-    checked = [(pair_set.name, *_checked(theirs, path, pair_set)) for pair_set, path in files]
+    checked = [(pair_set.name, *_checked(dataset, theirs, path, pair_set)) for pair_set, path in files]
     for name, lines, answers in checked:
         write_pose_lines(ours.predictions(name), lines)
         write_answers(ours.answers(name), answers)
@@ -83,8 +85,11 @@ def _in_folder(dataset: Dataset, pair_sets: list[PairSet], source: Path) -> list
     return [(wanted[path.stem], path) for path in files if path.stem in wanted]
 
 
-def _checked(theirs: MethodResults, path: Path, pair_set: PairSet) -> tuple[list[PoseLine], list[Answer]]:
-    poses = read_predictions(path, pair_set)
+def _checked(
+    dataset: Dataset, theirs: MethodResults, path: Path, pair_set: PairSet
+) -> tuple[list[PoseLine], list[Answer]]:
+    named = is_named(path)
+    poses = read_named_predictions(path, dataset, pair_set) if named else read_predictions(path, pair_set)
     table = theirs.answers(pair_set.name)
     given = read_answers(table) if table.exists() else {}
     for key in given:

@@ -17,11 +17,13 @@ from baselines.feature_pnp import OrbPnp
 from relocbench.arrays import Array, Image
 from relocbench.datasets.checks.validation import validate_dataset
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.named_poses import read_named_poses, write_named_poses
 from relocbench.datasets.importers.colmap import dataset as importer
-from relocbench.datasets.importers.colmap.lists import listed_poses
 from relocbench.datasets.importers.colmap.model import camera_of, read_model
 from relocbench.datasets.importers.colmap.points import Observations, keyframe_points
 from relocbench.errors import ConfigError, DatasetError
+from relocbench.evaluation.common.error_table import read_errors
+from relocbench.evaluation.common.matching_table import ALL
 from relocbench.evaluation.tracking.exports import colmap_camera, export_poses
 from relocbench.execution import Run
 from relocbench.geometry import Camera, apply, invert, transform_to_tq
@@ -215,7 +217,7 @@ def test_pairs_may_be_listed_and_truth_withheld(model: Path, tmp_path: Path) -> 
     translation, (x, y, z, w) = transform_to_tq(invert(true_pose(4)))
     numbers = " ".join(map(repr, map(float, (w, x, y, z, *translation))))
     (tmp_path / "poses.txt").write_text(f"new.png {numbers}\n")
-    np.testing.assert_allclose(invert(listed_poses(tmp_path / "poses.txt")["new.png"]), true_pose(4), atol=1e-9)
+    np.testing.assert_allclose(invert(read_named_poses(tmp_path / "poses.txt")["new.png"]), true_pose(4), atol=1e-9)
     told = build(model / "text", tmp_path / "told", **given, query_poses=tmp_path / "poses.txt")
     names = told.traversal("map").names
     for pair in told.pair_set("map__query__photo").pairs:
@@ -254,6 +256,52 @@ def test_what_is_exported_is_imported_again(model: Path, tmp_path: Path) -> None
         np.testing.assert_allclose(truth, truth_again, atol=1e-9)
         # The export has no uncertainties of depths, which weigh matches.
         assert pose_errors(answer_again[None], answer[None]).translation_error_m[0] < 0.02
+
+
+def test_results_of_hloc_are_scored(model: Path, tmp_path: Path) -> None:
+    """Named absolute poses, in the unit of the model: exact ones score in full, one that is off by 1 m does not."""
+    dataset = build(model / "text", tmp_path / "d", queries=["night/*"], metres_per_unit=2.0)
+    poses = {image_name(4): invert(true_pose(4)), "5.png": invert(true_pose(5))}
+    poses["5.png"][:3, 3] += [0.5, 0.0, 0.0]
+    write_named_poses(tmp_path / "results.txt", poses)
+    told = relocbench(
+        "evaluate", "-d", dataset.root, "-m", "hloc", "--predictions", tmp_path / "results.txt", "--out",
+        tmp_path / "r", "--json",
+    )  # fmt: skip
+    assert told.status == 0, told.err
+    (table,) = (tmp_path / "r").rglob("hloc/*.errors.csv")
+    errors = [pair.translation_error_m for pair in read_errors(table).of_group(ALL)]
+    np.testing.assert_allclose(errors, [0.0, 1.0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("dusk.png 1 0 0 0 0 0 0\n", "'dusk.png' names no queries of 'map__query__photo'"),
+        ("4.png 1 0 0 0 0 0 0\nnight/4.png 1 0 0 0 0 0 0\n", "'night/4.png' names a query for the second time"),
+        ("4.png 2 0 0 0 0 0 0\n", ":1: the quaternion has norm 2, expected 1"),
+        ("4.png 1 0 0 0 0 0 0\n4.png 1 0 0 0 0 0\n", ":2: expected 7 numbers"),
+    ],
+)
+def test_bad_results_of_hloc_are_refused(model: Path, tmp_path: Path, text: str, message: str) -> None:
+    dataset = build(model / "text", tmp_path / "d", queries=["night/*"])
+    (tmp_path / "p.txt").write_text(text)
+    bad = relocbench(
+        "evaluate", "-d", dataset.root, "-m", "x", "--predictions", tmp_path / "p.txt", "-o", tmp_path / "r"
+    )
+    assert bad.status == 2
+    assert message in bad.complaint
+
+
+def test_exports_for_hloc_are_read_back(model: Path, tmp_path: Path) -> None:
+    dataset = build(model / "text", tmp_path / "d", queries=["night/*"])
+    (out,) = export_poses(dataset, ["map__query__photo"], "hloc", tmp_path / "e", tmp_path, None)
+    poses = read_named_poses(out / "poses.txt")
+    for frame in (4, 5):
+        np.testing.assert_allclose(invert(poses[image_name(frame)]), true_pose(frame), atol=1e-8)
+    again = build(model / "text", tmp_path / "again", queries=["night/*"], pairs=out / "pairs.txt")
+    first, second = (d.pair_set("map__query__photo").pairs for d in (dataset, again))
+    assert [p.key for p in first] == [p.key for p in second]
 
 
 @pytest.mark.parametrize("name", ["cameras", "images", "points3D"])

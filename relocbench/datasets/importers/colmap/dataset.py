@@ -21,12 +21,13 @@ from relocbench.datasets.core import images
 from relocbench.datasets.core.build import Build
 from relocbench.datasets.core.build_options import ImportOptions, PosedRecordingOptions
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.named_poses import read_named_poses
 from relocbench.datasets.core.names import write_names
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.datasets.importers.assembly import check_folder, open_writer, write_pairs
-from relocbench.datasets.importers.colmap.lists import listed_cameras, listed_pairs, listed_poses
+from relocbench.datasets.importers.colmap.lists import listed_cameras, listed_pairs
 from relocbench.datasets.importers.colmap.model import ColmapModel, read_model
 from relocbench.datasets.importers.colmap.points import Observations, keyframe_points
 from relocbench.datasets.pairs.posed_frames import relative_pose
@@ -169,7 +170,7 @@ def _photos(folder: Path, root: Path, model: ColmapModel, options: Options) -> t
     if options.query_list is None:
         return keyframes, queries
     cameras = listed_cameras(options.query_list)
-    poses = {} if options.query_poses is None else listed_poses(options.query_poses)
+    poses = {} if options.query_poses is None else read_named_poses(options.query_poses)
     for name in poses:
         if name not in cameras:
             raise DatasetError(

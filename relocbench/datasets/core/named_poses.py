@@ -1,0 +1,50 @@
+"""Poses of images by name, camera from world: the results of hloc and the submissions of visuallocalization.net."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from relocbench.arrays import Array
+from relocbench.errors import DatasetError, RelocbenchError, quoted
+from relocbench.files import lines_of, parse_floats, read_text, write_text
+from relocbench.geometry import transform_from_tq, transform_to_tq
+
+_POSE = "QW QX QY QZ TX TY TZ"
+
+
+def read_named_poses(path: Path, error: type[RelocbenchError] = DatasetError) -> dict[str, Array]:
+    """``T_cam_world`` (4, 4) by image name, from lines ``name qw qx qy qz tx ty tz``, as hloc writes its results.
+
+    Raises:
+        RelocbenchError: (as ``error``) with file and line.
+    """
+    found: dict[str, Array] = {}
+    for line, fields in read_words(path, "poses (name qw qx qy qz tx ty tz)", error):
+        qw, qx, qy, qz, *translation = parse_floats(fields[1:], path, line, _POSE, error)
+        norm = float(np.linalg.norm([qw, qx, qy, qz]))
+        if not abs(norm - 1.0) <= 1e-3:
+            raise error(f"the quaternion has norm {norm:.6g}, expected 1", path, line)
+        if fields[0] in found:
+            raise error(f"image {quoted(fields[0])} occurs again", path, line)
+        found[fields[0]] = transform_from_tq(translation, (qx, qy, qz, qw))
+    return found
+
+
+def write_named_poses(path: Path, poses: Mapping[str, Array]) -> None:
+    """Write ``T_cam_world`` (4, 4) by image name, in the order of the names."""
+    lines = []
+    for name, T_cam_world in sorted(poses.items()):
+        translation, (qx, qy, qz, qw) = transform_to_tq(T_cam_world)
+        numbers = " ".join(repr(float(value)) for value in (qw, qx, qy, qz, *translation))
+        lines.append(f"{name} {numbers}\n")
+    write_text(path, "".join(lines))
+
+
+def read_words(path: Path, what: str, error: type[RelocbenchError]) -> Iterator[tuple[int, list[str]]]:
+    """Line number and words of each line that is neither empty nor a comment. Names may hold commas."""
+    for number, line in enumerate(lines_of(read_text(path, what, error)), start=1):
+        if fields := line.split("#", 1)[0].split():
+            yield number, fields
