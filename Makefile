@@ -62,7 +62,7 @@ leaderboard: setup ## make the published results again (RECORDINGS=folder of kit
 	tools/publish_leaderboard.sh $(RECORDINGS)
 
 leaderboard-weather: setup ## make the published results across weathers again (renders and evaluates for hours)
-	$(RUN)/python benchmarks/publish/cross_weather.py --out leaderboard/weather
+	$(RUN)/python benchmarks/publish/cross_weather.py --out leaderboard/weather --errors leaderboard/weather/errors
 
 leaderboard-retrieval: setup ## make the published results of retrieval across views again (trains for hours; SAMPLE=folder of real pairs)
 	tools/publish_retrieval.sh $(or $(SCRATCH),retrieval-scratch) $(SAMPLE)

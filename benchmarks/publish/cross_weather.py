@@ -12,10 +12,13 @@ wrong answers; and how many pairs of different places each answered, which nothi
 and so do the pair sets of a district, which are one series by the step of the drive; intervals are at least as wide as
 the spread of the districts demands (``docs/statistics.md``).
 
-Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made, and with
-``--only-print`` nothing.
+Datasets and results are kept in ``--scratch``; when it is run again, only what is missing is made. With ``--errors``
+the errors of every pair are also packed into a folder, an archive for each method in each district, and what has one is
+not asked again. ``--only-print`` makes nothing and prints what is there: the published page follows from the published
+errors.
 
     python benchmarks/publish/cross_weather.py --scratch S [--out leaderboard/weather] [--workers N] [-m METHOD ...]
+    python benchmarks/publish/cross_weather.py --only-print --errors leaderboard/weather/errors
 
 The last line is JSON.
 """
@@ -24,8 +27,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import lzma
 import subprocess
 import sys
+import tarfile
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -123,15 +128,23 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         scratch = options.scratch or Path(temporary)
         for district in () if options.only_print else districts(options.phrase, options.districts):
+            left = [m for m in options.methods if not packed(options.errors, district, m.split("=")[0]).exists()]
+            if not left:
+                continue
             dataset = _build(scratch, district, options)
-            methods = [word for method in options.methods for word in ("-m", method)]
-            settings = [word for setting in options.settings for word in ("--set", setting)]
+            methods = [word for method in left for word in ("-m", method)]
+            labels = [method.split("=")[0] for method in left]
+            settings = [word for text in options.settings if text.split(".")[0] in labels for word in ("--set", text)]
             results = "--out", scratch / "results", "--split", options.split, "-j", options.workers, "-q"
             _run("evaluate", "-d", dataset, *results, *methods, *settings)
+            for label in labels if options.errors is not None else ():
+                pack(scratch / "results", dataset.name, label, packed(options.errors, district, label))
         methods = list(dict.fromkeys(method.split("=")[0] for method in options.methods))
-        rows = _scored(_errors(scratch / "results", methods))
-        elsewhere = _different_places(scratch / "results", methods)
-        far = _distances(scratch / "results")
+        with tempfile.TemporaryDirectory() as unpacked:
+            printed = scratch / "results" if options.errors is None else unpack(options.errors, Path(unpacked))
+            rows = _scored(_errors(printed, methods))
+            elsewhere = _different_places(printed, methods)
+            far = _distances(printed)
     together, single = _groups(rows)
     wrong = _wrong_table(together, methods)
     tables = "\n".join(
@@ -160,7 +173,8 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=STEPS, help="images of each drive")
     parser.add_argument("--elsewhere", type=int, default=ELSEWHERE, help="pairs of different places a pair set")
     parser.add_argument("--workers", "-j", type=int, default=2)
-    parser.add_argument("--only-print", action="store_true", help="render and ask nothing, print what --scratch holds")
+    parser.add_argument("--errors", type=Path, help="folder of the packed errors of each method in each district")
+    parser.add_argument("--only-print", action="store_true", help="render and ask nothing, print what there is")
     parser.add_argument("-m", dest="methods", action="append", help=f"default: {', '.join(METHODS)}")
     parser.add_argument("--set", dest="settings", action="append", help="method.key=value")
     options = parser.parse_args()
@@ -179,6 +193,38 @@ def _build(scratch: Path, district: District, options: argparse.Namespace) -> Pa
     words = "--name", name, "--conditions", ",".join(district.conditions), *drive, *asked, *apart
     _run("build-dataset", "synthetic", *words, "--out", out, "-j", options.workers, "-q")
     return out
+
+
+def packed(errors: Path | None, district: District, label: str) -> Path:
+    """The archive of a method's errors in a district; without a folder of them one that does not exist."""
+    return (errors or Path("nowhere")) / f"{district.number:02d}" / f"{label}.tar.xz"
+
+
+def pack(results: Path, dataset: str, label: str, out: Path) -> None:
+    """Pack the errors of every pair and the records of a method in a dataset; the same results give the same bytes."""
+    (folder,) = results.glob(f"{dataset}@*")
+    files = [folder / "dataset.yaml", *sorted((folder / label).glob("*.yaml"))]
+    files += sorted((folder / label).glob("*.errors.csv"))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    part = out.with_suffix(".part")
+    with lzma.open(part, "wb", preset=9) as stream, tarfile.open(fileobj=stream, mode="w") as archive:
+        for path in files:
+            entry = tarfile.TarInfo(path.relative_to(results).as_posix())
+            entry.size = path.stat().st_size
+            with path.open("rb") as content:
+                archive.addfile(entry, content)
+    part.rename(out)
+
+
+def unpack(errors: Path, to: Path) -> Path:
+    """The folder ``to`` with the results of all archives of a folder."""
+    found = sorted(errors.glob("*/*.tar.xz"))
+    if not found:
+        sys.exit(f"{errors}: holds no archive NN/METHOD.tar.xz of errors")
+    for path in found:
+        with tarfile.open(path) as archive:
+            archive.extractall(to, filter="data")
+    return to
 
 
 def _commit() -> str:
