@@ -34,11 +34,10 @@ def points_at(keyframe: Keyframe, uv: Array, reach: int = 1) -> Array:
     row_at = np.full((height + 2 * reach, width + 2 * reach), -1)
     u, v = np.rint(keyframe.uv).astype(int).T
     inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
-    order = np.nonzero(inside)[0][
-        np.argsort(-keyframe.depth[inside], kind="stable")
-    ]  # of one pixel the nearest is seen
+    farthest_first = np.argsort(-keyframe.depth[inside], kind="stable")  # of one pixel the nearest is seen
+    order = np.nonzero(inside)[0][farthest_first]
     row_at[v[order] + reach, u[order] + reach] = order
-    asked = np.isfinite(uv).all(axis=1)
+    asked: NDArray[np.bool_] = np.isfinite(uv).all(axis=1)
     at = np.rint(np.where(asked[:, None], uv, -9.0)).astype(int)
     asked &= (at >= 0).all(axis=1) & (at < [width, height]).all(axis=1)
     at[~asked] = 0
