@@ -13,10 +13,9 @@ relocbench writes                                                          the p
 ========================================================================= =======================================
 
 An answer carries the ``id`` of its question, so that a late one is never taken for the answer to another question.
-Only a program
-that has declared a ``batch`` above 1 is asked about several queries at once. ``docs/add-a-method.md`` describes the
-fields. Images and depth are files in a scratch folder that holds nothing
-else: the program sees no ground truth.
+Only a program that has declared a ``batch`` above 1 is asked about several queries at once. ``docs/add-a-method.md``
+describes the fields. Images and depth are files in a scratch folder that holds nothing else: the program sees no
+ground truth.
 """
 
 from __future__ import annotations
