@@ -20,6 +20,9 @@ from relocbench.geometry import Camera
 
 Array = NDArray[np.float64]
 
+MOST_QUERIES = 8
+"""queries of a keyframe about which an evaluation asks in one call"""
+
 
 @dataclass(frozen=True, eq=False)
 class KeyframePoints:
@@ -177,7 +180,10 @@ class SupportsPrepare(Protocol):
 
 @runtime_checkable
 class SupportsBatch(Protocol):
-    """Optional: answer several queries of one reference together."""
+    """Optional: answer several queries of one reference together.
+
+    An evaluation asks about up to :data:`MOST_QUERIES`; an attribute ``batch_size = N`` makes it at most N.
+    """
 
     def track_batch(
         self, reference: Any, queries: Sequence[Query], priors: Sequence[Array | None]

@@ -1,7 +1,8 @@
-"""SE(3), interpolation, camera models and projection. Needs nothing but NumPy."""
+"""SE(3), interpolation, camera models, projection and metric scale. Needs nothing but NumPy."""
 
 from relocbench.geometry.camera import Camera, CameraModel, camera_from_dict
 from relocbench.geometry.robust import robust_sigma
+from relocbench.geometry.scale import Scale, ScaleError, depth_scale, translation_scale
 from relocbench.geometry.se3 import (
     adjoint,
     apply,
@@ -27,10 +28,13 @@ from relocbench.geometry.se3 import (
 __all__ = [
     "Camera",
     "CameraModel",
+    "Scale",
+    "ScaleError",
     "adjoint",
     "apply",
     "camera_from_dict",
     "compose",
+    "depth_scale",
     "hat",
     "interpolate",
     "interpolate_trajectory",
@@ -48,4 +52,5 @@ __all__ = [
     "so3_log",
     "transform_from_tq",
     "transform_to_tq",
+    "translation_scale",
 ]

@@ -16,10 +16,10 @@ def robust_sigma(residuals: Array, weights: Array) -> float:
     It is the weighted median of the absolute residuals, scaled to the standard deviation of a normal distribution
     (Hampel, The influence curve and its role in robust estimation, JASA 1974).
     """
-    return _SIGMA_PER_MEDIAN * _weighted_median(np.abs(residuals), weights)
+    return _SIGMA_PER_MEDIAN * weighted_median(np.abs(residuals), weights)
 
 
-def _weighted_median(values: Array, weights: Array) -> float:
+def weighted_median(values: Array, weights: Array) -> float:
     """The value of (N,) below which half of the total weight (N,) lies; nan if there are none."""
     if not len(values):
         return float("nan")

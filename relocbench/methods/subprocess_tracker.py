@@ -5,23 +5,26 @@ The program reads one JSON object a line on standard input and answers each with
 ========================================================================= =======================================
 relocbench writes                                                          the program answers
 ========================================================================= =======================================
-``{"type": "start", "id", "protocol": 2}``                                 ``{"type": "ready", "id"}``
+``{"type": "start", "id", "protocol": 2}``                                 ``{"type": "ready", "id", "batch"}``
 ``{"type": "reference", "id", "key", "image", "camera", "depth", ...}``    ``{"type": "ready", "id"}``
 ``{"type": "query", "id", "key", "image", "camera", "prior"}``             ``{"type": "result", "id", "pose", ...}``
+``{"type": "queries", "id", "queries": [...]}``                            ``{"type": "results", "id", "results"}``
 ``{"type": "stop"}``                                                       (ends)
 ========================================================================= =======================================
 
 An answer carries the ``id`` of its question, so that a late one is never taken for the answer to another question.
-``docs/add-a-method.md`` describes the fields. Images and depth are files in a scratch folder that holds nothing
-else: the program sees no ground truth.
+Only a program that has declared a ``batch`` above 1 is asked about several queries at once. ``docs/add-a-method.md``
+describes the fields. Images and depth are files in a scratch folder that holds nothing else: the program sees no
+ground truth.
 """
 
 from __future__ import annotations
 
+import json
 import shlex
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -36,7 +39,7 @@ from relocbench.errors import MethodError, one_line
 from relocbench.execution import IN_A_ROW, ScratchFolder
 from relocbench.geometry import transform_from_tq, transform_to_tq
 from relocbench.methods.program import Program, ProgramFault
-from relocbench.tracking import Query, Reference, TrackResult
+from relocbench.tracking import MOST_QUERIES, Query, Reference, TrackResult
 
 PROTOCOL = 2
 
@@ -76,6 +79,13 @@ class SubprocessTracker:
         self._sent: _Sent | None = None
         self._lost_in_a_row = 0
         self._last_fault = ""
+        self._declared_batch = 1
+        self._most_at_once = MOST_QUERIES
+
+    @property
+    def batch_size(self) -> int:
+        """The number of queries that the program takes at once: 1 until it has started and declared another."""
+        return min(self._declared_batch, self._most_at_once)
 
     def prepare(self, reference: Reference) -> _Sent:
         """Write the keyframe to files that the program can read."""
@@ -105,22 +115,13 @@ class SubprocessTracker:
 
         Where it gave no answer to so many queries in a row that it is given up, it is not asked.
         """
-        if self._lost_in_a_row >= IN_A_ROW:
+        if self._given_up:
             return TrackResult.failure(
                 f"not asked: the program was given up when {IN_A_ROW} queries in a row had no answer "
                 f"({self._last_fault}); mend it or raise time_limit_s, and run it again with --overwrite always",
                 status="error",
             )
-        image = Path(reference.scratch.name) / "query.png"
-        write_image(image, query.image)
-        message = {
-            "type": "query",
-            "key": query.key,
-            **_time(query.timestamp_ns),
-            "image": str(image),
-            "camera": query.camera.to_dict(),
-            "prior": None if prior is None else np.concatenate(transform_to_tq(prior)).tolist(),
-        }
+        message = {"type": "query", **_question(reference, query, prior, "query")}
         try:
             answer = self._ready_program(reference).ask(message, "result", self.time_limit_s)
         except ProgramFault as bad:
@@ -131,6 +132,45 @@ class SubprocessTracker:
             return _result(answer)
         except ProgramFault as bad:
             return self._failure(bad)
+
+    def track_batch(
+        self, reference: _Sent, queries: Sequence[Query], priors: Sequence[NDArray[np.float64] | None]
+    ) -> list[TrackResult]:
+        """Ask the program about several queries of one keyframe, as many at once as it takes.
+
+        Where it breaks on several at once, it is asked about these one by one, so that only the query that breaks it is
+        lost; and it is given half as many from then on, since their number may have been what broke it.
+        """
+        results: list[TrackResult] = []
+        while len(results) < len(queries):
+            some = slice(len(results), len(results) + self.batch_size)
+            results += self._track_together(reference, queries[some], priors[some])
+        return results
+
+    def _track_together(
+        self, reference: _Sent, queries: Sequence[Query], priors: Sequence[NDArray[np.float64] | None]
+    ) -> list[TrackResult]:
+        if len(queries) > 1 and not self._given_up:
+            asked = [
+                _question(reference, query, prior, f"query-{place}")
+                for place, (query, prior) in enumerate(zip(queries, priors, strict=True))
+            ]
+            try:
+                answer = self._ready_program(reference).ask(
+                    {"type": "queries", "queries": asked}, "results", len(asked) * self.time_limit_s
+                )
+                found = _results(answer, len(asked))
+            except ProgramFault:
+                self._drop_program()
+                self._most_at_once = max(1, len(asked) // 2)
+            else:
+                self._lost_in_a_row = 0
+                return found
+        return [self.track(reference, query, prior) for query, prior in zip(queries, priors, strict=True)]
+
+    @property
+    def _given_up(self) -> bool:
+        return self._lost_in_a_row >= IN_A_ROW
 
     def _failure(self, bad: ProgramFault) -> TrackResult:
         self._drop_program()
@@ -149,7 +189,8 @@ class SubprocessTracker:
                 self._program = Program(self.words, self._home.environment())
             except OSError as bad:
                 raise ProgramFault(f"cannot start '{self.words[0]}' ({bad.strerror})") from None
-            self._program.ask({"type": "start", "protocol": PROTOCOL}, "ready", self.start_limit_s)
+            ready = self._program.ask({"type": "start", "protocol": PROTOCOL}, "ready", self.start_limit_s)
+            self._declared_batch = _batch(ready)
         if self._sent is not reference:
             self._program.ask(reference.message, "ready", self.time_limit_s)
             self._sent = reference
@@ -177,6 +218,39 @@ def subprocess_tracker(command: str) -> Callable[..., SubprocessTracker]:
 def _time(timestamp_ns: int | None) -> dict[str, int]:
     """The field of a time, which a message has only where the program is told times."""
     return {} if timestamp_ns is None else {"timestamp_ns": timestamp_ns}
+
+
+def _question(reference: _Sent, query: Query, prior: NDArray[np.float64] | None, name: str) -> dict[str, Any]:
+    """The fields of a query, whose image is written beside its keyframe."""
+    image = Path(reference.scratch.name) / f"{name}.png"
+    write_image(image, query.image)
+    return {
+        "key": query.key,
+        **_time(query.timestamp_ns),
+        "image": str(image),
+        "camera": query.camera.to_dict(),
+        "prior": None if prior is None else np.concatenate(transform_to_tq(prior)).tolist(),
+    }
+
+
+def _batch(ready: dict[str, Any]) -> int:
+    """The number of queries that a program takes at once, of its first ``ready``. Raises ProgramFault."""
+    told = ready.get("batch")
+    if told is None:
+        return 1
+    if type(told) is not int or told < 1:
+        raise ProgramFault(
+            f"answered 'start' with the batch {one_line(json.dumps(told), 40)}, expected an integer from 1"
+        )
+    return told
+
+
+def _results(answer: dict[str, Any], count: int) -> list[TrackResult]:
+    """The content of a ``results`` line for so many queries. Raises ProgramFault if it is not valid."""
+    results = answer.get("results")
+    if not isinstance(results, list) or len(results) != count or not all(isinstance(each, dict) for each in results):
+        raise ProgramFault(f"'results' must be a list of {count} objects")
+    return [_result(each) for each in results]
 
 
 def _result(answer: dict[str, Any]) -> TrackResult:

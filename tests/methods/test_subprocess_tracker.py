@@ -200,6 +200,104 @@ def test_the_documented_example_keeps_the_contract_and_is_scored(tmp_path: Path,
     assert max(r.translation_error_m for r in rows) < 1e-9  # frames are 0.15 m apart
 
 
+BATCHING = """
+import json, os, sys
+declared, breaks = json.loads({declared!r}), {breaks!r}
+def answer(query):
+    x = int(os.path.getsize(query["image"]))
+    return {{"pose": [x, 0, 0, 0, 0, 0, 1], "confidence": 2}}
+for line in sys.stdin:
+    m = json.loads(line)
+    if m["type"] in ("start", "reference"):
+        print(json.dumps({{"type": "ready", "id": m["id"], "batch": declared}}), flush=True)
+        continue
+    if m["type"] == "stop":
+        break
+    asked = m["queries"] if m["type"] == "queries" else [m]
+    open({log!r}, "a").write(str(len(asked)) + " ")
+    if eval(breaks):
+        os._exit(3)
+    results = [answer(query) for query in asked]
+    if m["type"] == "queries":
+        print(json.dumps({{"type": "results", "id": m["id"], "results": results}}), flush=True)
+    else:
+        print(json.dumps({{"type": "result", "id": m["id"], **results[0]}}), flush=True)
+"""
+
+
+def ask_together(
+    tmp_path: Path, dataset: Dataset, declared: object, breaks: str = "False"
+) -> tuple[list[TrackResult], list[int]]:
+    """Answers to nine queries in one call, after one alone, and how many at a time the program was asked about."""
+    tmp_path.mkdir(exist_ok=True)
+    log, script = tmp_path / "log", tmp_path / "batching.py"
+    script.write_text(BATCHING.format(declared=json.dumps(declared), breaks=breaks, log=str(log)))
+    tracker = SubprocessTracker(f"{sys.executable} {script}", time_limit_s=LONG_S, start_limit_s=LONG_S)
+    pair_set = dataset.pair_set(ACROSS)
+    prepared = tracker.prepare(dataset.reference(pair_set, pair_set.pairs[0]))
+    queries = [dataset.query(pair_set, pair) for pair in (*pair_set.pairs, *pair_set.pairs)][:9]
+    first = tracker.track(prepared, queries[0])
+    results = [first, *tracker.track_batch(prepared, queries, [None] * len(queries))]
+    tracker.close()
+    return results, [int(word) for word in log.read_text().split()]
+
+
+def poses(results: list[TrackResult]) -> list[float | None]:
+    return [None if result.T_query_ref is None else result.T_query_ref[0, 3] for result in results]
+
+
+@pytest.mark.parametrize(
+    ("declared", "asked"),
+    [
+        (None, [1] + [1] * 9),
+        (1, [1] + [1] * 9),
+        (4, [1, 4, 4, 1]),
+        (8, [1, 8, 1]),
+        (10**9, [1, 8, 1]),
+    ],
+)
+def test_a_program_is_asked_about_as_many_queries_at_once_as_it_declares(
+    tmp_path: Path, dataset: Dataset, declared: int | None, asked: list[int]
+) -> None:
+    results, sizes = ask_together(tmp_path, dataset, declared)
+    assert sizes == asked
+    alone, _ = ask_together(tmp_path / "alone", dataset, 1)
+    assert poses(results) == poses(alone)
+    assert None not in poses(results)
+
+
+def test_of_several_queries_only_the_one_that_breaks_the_program_is_lost(tmp_path: Path, dataset: Dataset) -> None:
+    alone = poses(ask_together(tmp_path / "alone", dataset, 1)[0])
+    bad = alone[3]
+    breaks = f"any(answer(query)['pose'][0] == {bad} for query in asked)"
+    results, sizes = ask_together(tmp_path, dataset, 4, breaks)
+    assert poses(results) == [None if pose == bad else pose for pose in alone]
+    assert "the program ended (exit status 3) when asked 'query'" in results[alone.index(bad)].message
+    assert sizes[:6] == [1, 4, 1, 1, 1, 1]
+
+
+def test_a_program_that_breaks_on_many_queries_at_once_gets_fewer(tmp_path: Path, dataset: Dataset) -> None:
+    results, sizes = ask_together(tmp_path, dataset, 8, "len(asked) > 3")
+    assert None not in poses(results)
+    assert sizes == [1, 8, *[1] * 8, 1]
+    tracker_sizes = ask_together(tmp_path / "four", dataset, 4, "len(asked) > 2")[1]
+    assert tracker_sizes == [1, 4, *[1] * 4, 2, 2, 1]
+
+
+@pytest.mark.parametrize("declared", [0, -1, True, 2.5, "8", [8]])
+def test_a_batch_that_is_no_count_costs_the_pair_and_says_why(
+    tmp_path: Path, dataset: Dataset, declared: object
+) -> None:
+    script = tmp_path / "batching.py"
+    script.write_text(BATCHING.format(declared=json.dumps(declared), breaks="False", log=str(tmp_path / "log")))
+    tracker = SubprocessTracker(f"{sys.executable} {script}", time_limit_s=LONG_S, start_limit_s=LONG_S)
+    pair_set = dataset.pair_set(ACROSS)
+    prepared = tracker.prepare(dataset.reference(pair_set, pair_set.pairs[0]))
+    result = tracker.track(prepared, dataset.query(pair_set, pair_set.pairs[0]))
+    tracker.close()
+    assert result.message == f"answered 'start' with the batch {json.dumps(declared)}, expected an integer from 1"
+
+
 def test_a_program_that_is_not_there_is_a_users_mistake() -> None:
     with pytest.raises(MethodError, match="no program"):
         SubprocessTracker("/no/such/program --flag")

@@ -86,6 +86,7 @@ def make_small_dataset(
     *,
     frames: int = 4,
     pairs: int | None = None,
+    keyframes_a_query: int = 2,
     seed: int = 0,
     name: str = "small",
     size: tuple[int, int] = (96, 72),
@@ -103,8 +104,9 @@ def make_small_dataset(
 
     Args:
         root: folder to write to.
-        pairs: at most so many accepted pairs a set; default: every query with its keyframe and the one before
+        pairs: at most so many accepted pairs a set; default: every query with its keyframe and those before
             (across), every frame with the next ones (within, groups ``step_1`` and ``step_2``).
+        keyframes_a_query: keyframes that each query is paired with across, as far as there are as many before it.
         size: width and height of the images.
         sparse: keyframe points instead of dense depth.
         query_depth: whether ``winter`` has depth too.
@@ -127,7 +129,7 @@ def make_small_dataset(
     }
     for traversal in places:
         _write_traversal(writer, traversal, camera, poses[traversal], seed, sparse, query_depth)
-    across = _across(poses["summer"], poses["winter"], sigma_translation_m)
+    across = _across(poses["summer"], poses["winter"], sigma_translation_m, keyframes_a_query)
     if pose_fault is not None:
         across = [_with_pose(p, pose_fault @ p.T_query_ref) for p in across if p.T_query_ref is not None]
     kept_across = across[rejected:][:pairs]
@@ -187,11 +189,11 @@ def _sparse_points(depth: NDArray[np.float32], rng: np.random.Generator, count: 
     return KeyframePoints(np.column_stack([u[rows], v[rows]]).astype(np.float64), 1.0 / z, 0.01 / z**2)
 
 
-def _across(references: dict[int, Array], queries: dict[int, Array], sigma: float | None) -> list[Pair]:
-    """Every query with the keyframe at its place, then with the one before."""
+def _across(references: dict[int, Array], queries: dict[int, Array], sigma: float | None, keyframes: int) -> list[Pair]:
+    """Every query with the keyframe at its place, then with the one before, and so on."""
     ref_times, query_times = list(references), list(queries)
     out = []
-    for back in (0, 1):
+    for back in range(keyframes):
         for i in range(back, len(query_times)):
             ref, query = ref_times[i - back], query_times[i]
             T_query_ref = invert(queries[query]) @ references[ref]

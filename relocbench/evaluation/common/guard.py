@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from relocbench.errors import one_line, raised
+from relocbench.tracking import MOST_QUERIES, SupportsBatch
 
 MOST_NEIGHBOURS = 100
 """frames on each side of a keyframe that a tracker may request"""
@@ -70,3 +71,19 @@ def neighbours_of(tracker: Any) -> tuple[int, str | None]:
         told = guarded(lambda: one_line(value, 100))[0]
         return 0, f"its attribute 'neighbours' is {told}, expected a whole number from 0 to {MOST_NEIGHBOURS}"
     return int(count), None
+
+
+def batch_of(tracker: Any) -> tuple[int, str | None]:
+    """The number of queries that a tracker answers in one call; and what is wrong with its ``batch_size``."""
+    if not implements(tracker, SupportsBatch):
+        return 1, None
+    value, broke = guarded(lambda: getattr(tracker, "batch_size", MOST_QUERIES))
+    if broke is not None:
+        return 1, f"its attribute 'batch_size' cannot be read: {broke}"
+    count, broke = guarded(lambda: operator.index(value))
+    if broke is not None or count < 1:
+        return (
+            1,
+            f"its attribute 'batch_size' is {guarded(lambda: one_line(value, 100))[0]}, expected a whole number from 1",
+        )
+    return min(int(count), MOST_QUERIES), None

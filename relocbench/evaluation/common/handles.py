@@ -13,9 +13,9 @@ from typing import Any, Protocol
 
 from relocbench.arrays import Array
 from relocbench.evaluation.common.answers import CheckedAnswer, ask, checked_pixels
-from relocbench.evaluation.common.guard import guarded, implements, neighbours_of
+from relocbench.evaluation.common.guard import batch_of, guarded, implements, neighbours_of
 from relocbench.evaluation.common.views import read_only
-from relocbench.tracking import Query, Reference, SupportsBatch, SupportsLevelMatching, SupportsPrepare
+from relocbench.tracking import Query, Reference, SupportsLevelMatching, SupportsPrepare
 
 _MOST_LEVELS = 32
 
@@ -24,21 +24,23 @@ _MOST_LEVELS = 32
 class Declared:
     """What a tracker object declares of itself."""
 
-    batches: bool = False
-    """it answers several queries in one call"""
+    batch: int = 1
+    """queries of a keyframe that it answers in one call"""
     levels: bool = False
     """it finds pixels on each level of its pyramid"""
     neighbours: int = 0
     """frames that it requests on each side of a keyframe"""
-    neighbours_fault: str = ""
-    """what is wrong with that request; empty if nothing is"""
+    fault: str = ""
+    """what is wrong with these numbers; empty if nothing is"""
 
 
 class TrackerHandle(Protocol):
     """A tracker that can be called. The queries of all calls belong to the keyframe that was prepared last."""
 
     @property
-    def declared(self) -> Declared: ...
+    def declared(self) -> Declared:
+        """What it declares; the batch of a program may change when it starts or breaks."""
+        ...
 
     def prepare(self, keyframe: Reference) -> str | None:
         """Show the tracker a keyframe; returns how it broke on it, if it did."""
@@ -65,13 +67,13 @@ class LocalTracker:
     def __init__(self, tracker: Any) -> None:
         self._tracker = tracker
         self._reference: Any = None
-        neighbours, fault = neighbours_of(tracker)
-        self.declared = Declared(
-            batches=implements(tracker, SupportsBatch),
-            levels=implements(tracker, SupportsLevelMatching),
-            neighbours=neighbours,
-            neighbours_fault=fault or "",
-        )
+        self._neighbours, self._neighbours_fault = neighbours_of(tracker)
+        self._levels = implements(tracker, SupportsLevelMatching)
+
+    @property
+    def declared(self) -> Declared:
+        batch, batch_fault = batch_of(self._tracker)
+        return Declared(batch, self._levels, self._neighbours, self._neighbours_fault or batch_fault or "")
 
     def prepare(self, keyframe: Reference) -> str | None:
         self._reference = keyframe

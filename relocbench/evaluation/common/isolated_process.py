@@ -12,6 +12,7 @@ import signal
 import socket
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -89,7 +90,7 @@ class Connection:
 
 def _made(spec: MethodSpec, connection: Connection) -> tuple[object, dict[str, Any]]:
     tracker = LocalTracker(spec.create())
-    return _Asked(tracker), vars(tracker.declared)
+    return _Asked(tracker), asdict(tracker.declared)
 
 
 class _Asked:

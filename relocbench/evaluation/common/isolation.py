@@ -13,7 +13,7 @@ from relocbench.evaluation.common.answers import CheckedAnswer, checked_answer, 
 from relocbench.evaluation.common.handles import Declared
 from relocbench.evaluation.common.method_process import FORGED, MethodProcess, broke_of
 from relocbench.methods import MethodSpec
-from relocbench.tracking import Query, Reference, TrackResult
+from relocbench.tracking import MOST_QUERIES, Query, Reference, TrackResult
 
 _MODULE = "relocbench.evaluation.common.isolated_process"
 
@@ -82,8 +82,7 @@ def _result(told: Any, poses: Any) -> object:
 def _declared(told: dict[str, Any]) -> Declared:
     try:
         declared = Declared(**told)
-        neighbours = max(0, int(declared.neighbours))
+        batch, neighbours = max(1, int(declared.batch)), max(0, int(declared.neighbours))
     except (TypeError, ValueError):
         raise MethodError(f"{FORGED} when it started") from None
-    fault = one_line(declared.neighbours_fault)
-    return Declared(bool(declared.batches), bool(declared.levels), neighbours, fault)
+    return Declared(min(batch, MOST_QUERIES), bool(declared.levels), neighbours, one_line(declared.fault))

@@ -103,8 +103,8 @@ def _rng(text: str) -> np.random.Generator:
 
 def show_keyframe(unit: Unit, tracker: TrackerHandle) -> str | None:
     """Show the tracker the unit's keyframe; returns how it broke on it, if it did. Raises DatasetError."""
-    if tracker.declared.neighbours_fault:
-        return tracker.declared.neighbours_fault
+    if tracker.declared.fault:
+        return tracker.declared.fault
     traversal = traversal_of(unit.dataset, unit.reference)
     # Where queries are of the keyframe's own drive, its posed neighbours are queries, or stand around one.
     neighbours = 0 if unit.reference == unit.query else tracker.declared.neighbours

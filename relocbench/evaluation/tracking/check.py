@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import DatasetError
 from relocbench.evaluation.common.answers import CheckedAnswer, ask, checked_answer, checked_pixels, error_answer
-from relocbench.evaluation.common.guard import guarded, implements, neighbours_of
+from relocbench.evaluation.common.guard import batch_of, guarded, implements, neighbours_of
 from relocbench.evaluation.common.info_text import INFO_CHARACTERS
 from relocbench.evaluation.common.views import shown_query, shown_reference
 from relocbench.execution import messages_to_stderr
@@ -73,9 +73,12 @@ def check(spec: MethodSpec, dataset: Path | None = None) -> list[Finding]:
         return [*findings, Finding("has track()", False, f"{type(tracker).__name__} has none")]
     times = guarded(lambda: bool(getattr(tracker, "uses_times", False)))[0] is True
     questions = [each.shown(times) for each in _made_up() + (_from_dataset(dataset) if dataset else [])]
-    _, fault = neighbours_of(tracker)
-    if fault is not None:
-        findings.append(Finding("says how many neighbours it wants", False, fault))
+    for name, (_, fault) in (
+        ("says how many neighbours it wants", neighbours_of(tracker)),
+        ("says how many queries it takes at once", batch_of(tracker)),
+    ):
+        if fault is not None:
+            findings.append(Finding(name, False, fault))
     answers = [_ask(tracker, question) for question in questions]
     for question, answer in zip(questions, answers, strict=True):
         findings.append(Finding(f"answers {question.name}", answer.status != "error", _words(answer)))

@@ -49,14 +49,13 @@ from relocbench.evaluation.common.worker import (
     write_entry,
 )
 from relocbench.evaluation.common.worker_losses import LossHandler, run_until_answered
-from relocbench.execution import MANY_TIMES, Run, chunks, default_workers, kept_workers, step
+from relocbench.execution import MANY_TIMES, Run, default_workers, kept_workers, step
 from relocbench.files import alone_in, read_rows, remove_parts, write_text
 from relocbench.methods import SUBPROCESS, MethodSpec, distribution_version
 from relocbench.progress import Reporter
 from relocbench.tracking import Query
 
 Overwrite = Literal["never", "failed", "always"]
-_BATCH = 8
 _TRACK = "track"
 
 
@@ -150,7 +149,7 @@ def _run_unit(unit: Unit) -> int:
     tracker = tracker_of(unit)
     broke = show_keyframe(unit, tracker)
     with open_journal(unit.journal) as stream:
-        for batch in chunks(unit.keys, _BATCH if tracker.declared.batches else 1):
+        for batch in _batches(unit.keys, tracker):
             views = [query_of(unit, key) for key in batch]
             seconds: float | None
             if broke is not None:
@@ -163,6 +162,15 @@ def _run_unit(unit: Unit) -> int:
             for key, answer in zip(batch, answered, strict=True):
                 write_entry(stream, _entry(key, answer, each))
     return len(unit.keys)
+
+
+def _batches(keys: Sequence[PairKey], tracker: TrackerHandle) -> Iterator[Sequence[PairKey]]:
+    """Yield the keys in order, as many at once as the tracker answers in one call when their turn comes."""
+    asked = 0
+    while asked < len(keys):
+        batch = keys[asked : asked + tracker.declared.batch]
+        asked += len(batch)
+        yield batch
 
 
 def _warm_up(tracker: TrackerHandle, view: Query, unit: Unit, keys: Sequence[PairKey]) -> None:

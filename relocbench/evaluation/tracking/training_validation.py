@@ -102,7 +102,7 @@ def _track(tracker: Tracker, asked: Sequence[_ValidationPair]) -> list[CheckedAn
     times = bool(getattr(tracker, "uses_times", False))
     handle = LocalTracker(tracker)
     keyframe = first.dataset.reference(first.pair_set, first.pair, handle.declared.neighbours)
-    broke = handle.declared.neighbours_fault or handle.prepare(shown_reference(keyframe, times))
+    broke = handle.declared.fault or handle.prepare(shown_reference(keyframe, times))
     if broke:
         return [error_answer(broke)] * len(asked)
     queries = (shown_query(each.dataset.query(each.pair_set, each.pair), times) for each in asked)

@@ -19,7 +19,8 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.errors import PredictionError, one_line
 from relocbench.evaluation.common.answers import ask, checked_answer, checked_pixels
 from relocbench.evaluation.common.error_table import read_errors
-from relocbench.evaluation.common.guard import guarded, neighbours_of
+from relocbench.evaluation.common.guard import batch_of, guarded, neighbours_of
+from relocbench.evaluation.common.handles import LocalTracker
 from relocbench.evaluation.common.info_text import INFO_CHARACTERS
 from relocbench.evaluation.common.matching_table import MATCHING_COLUMNS, read_matching
 from relocbench.evaluation.common.results import Answer, read_answers
@@ -35,7 +36,7 @@ from relocbench.methods import parse_method
 from relocbench.metrics import relevance_from_labels
 from relocbench.progress import Silent
 from relocbench.retrieval import ImageView, RetrievalTask
-from relocbench.tracking import TrackResult
+from relocbench.tracking import Query, Reference, TrackResult
 
 HERE = "misbehaving_trackers"
 
@@ -148,6 +149,38 @@ def test_a_batch_that_breaks_costs_the_queries_that_break_it(answer: str, broken
 def test_neighbours_that_are_no_number_are_told(what: str, words: str) -> None:
     count, fault = neighbours_of(Declaring(what))
     assert (count, words in (fault or "")) == (0, True), fault
+
+
+class Sized:
+    """Answers any number of queries at once, of which it says something."""
+
+    def __init__(self, batch_size: Any) -> None:
+        self.batch_size = batch_size
+
+    def track(self, reference: Reference, query: Query, prior: Any = None) -> TrackResult:
+        return TrackResult(np.eye(4))
+
+    def track_batch(self, reference: Reference, queries: Any, priors: Any) -> list[TrackResult]:
+        return [TrackResult(np.eye(4)) for _ in queries]
+
+
+@pytest.mark.parametrize(
+    ("told", "batch", "words"),
+    [
+        (3, 3, None),
+        (np.int64(8), 8, None),
+        (10**30, 8, None),
+        (0, 1, "'batch_size' is 0, expected a whole number from 1"),
+        ("many", 1, "'batch_size' is many, expected a whole number from 1"),
+        (2.5, 1, "'batch_size' is 2.5, expected a whole number from 1"),
+    ],
+)
+def test_a_batch_size_is_a_number_or_is_told(told: object, batch: int, words: str | None) -> None:
+    count, fault = batch_of(Sized(told))
+    assert count == batch
+    assert fault is None if words is None else words in (fault or "")
+    declared = LocalTracker(Sized(told)).declared
+    assert (declared.batch, declared.fault) == (count, fault or "")
 
 
 def test_a_declaration_that_is_no_number_costs_the_methods_pairs_alone(dataset: Dataset, tmp_path: Path) -> None:
