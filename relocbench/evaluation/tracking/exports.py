@@ -194,10 +194,10 @@ def export_hloc(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine]
     reference, query = dataset.traversal(chosen.reference), dataset.traversal(chosen.query)
     named = {_name_of(query, chosen.camera, p.query_timestamp_ns): invert(p.T_world_query) for p in poses}
     write_named_poses(out / "poses.txt", named)
-    lines = [
-        f"{_name_of(query, chosen.camera, p.query_timestamp_ns)} {_name_of(reference, chosen.camera, p.ref_timestamp_ns)}\n"
-        for p in sorted(chosen.pairs, key=lambda p: (p.query_timestamp_ns, p.ref_timestamp_ns))
-    ]
+    lines = []
+    for pair in sorted(chosen.pairs, key=lambda p: (p.query_timestamp_ns, p.ref_timestamp_ns)):
+        asked = _name_of(query, chosen.camera, pair.query_timestamp_ns)
+        lines.append(f"{asked} {_name_of(reference, chosen.camera, pair.ref_timestamp_ns)}\n")
     write_text(out / "pairs.txt", "".join(lines))
     return len(poses)
 

@@ -1,6 +1,7 @@
 """Predictions by image name: the absolute poses that hloc and visuallocalization.net write, against keyframes.
 
-An absolute pose becomes a relative one by the map's pose of the keyframe: ``T_query_ref = T_query_world @ T_world_ref``.
+An absolute pose becomes a relative one by the map's pose of the keyframe:
+``T_query_ref = T_query_world @ T_world_ref``.
 """
 
 from __future__ import annotations

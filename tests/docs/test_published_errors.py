@@ -1,0 +1,66 @@
+"""The page across weathers follows from the errors that are published beside it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from repository import ROOT
+
+sys.path.insert(0, str(ROOT / "benchmarks" / "publish"))
+import cross_weather
+from districts import District
+
+WEATHER = ROOT / "leaderboard" / "weather"
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
+
+
+def test_what_is_packed_is_unpacked_and_the_same_errors_give_the_same_bytes(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    method = results / "town-02@0123456789ab" / "orb-pnp"
+    method.mkdir(parents=True)
+    (method.parent / "dataset.yaml").write_text("name: town-02\n")
+    for name, text in (("run.yaml", "a"), ("scores.yaml", "b"), ("p.errors.csv", "c"), ("p.txt", "left out")):
+        (method / name).write_text(text)
+    district = District(2, 5, ("Rain",))
+    out = cross_weather.packed(tmp_path / "errors", district, "orb-pnp")
+    cross_weather.pack(results, "town-02", "orb-pnp", out)
+    first = out.read_bytes()
+    cross_weather.pack(results, "town-02", "orb-pnp", out)
+    assert out.read_bytes() == first
+    there = cross_weather.unpack(tmp_path / "errors", tmp_path / "there")
+    found = {p.relative_to(there).as_posix(): p.read_text() for p in there.rglob("*") if p.is_file()}
+    assert found == {
+        "town-02@0123456789ab/dataset.yaml": "name: town-02\n",
+        "town-02@0123456789ab/orb-pnp/run.yaml": "a",
+        "town-02@0123456789ab/orb-pnp/scores.yaml": "b",
+        "town-02@0123456789ab/orb-pnp/p.errors.csv": "c",
+    }
+    with pytest.raises(SystemExit, match="holds no archive"):
+        cross_weather.unpack(tmp_path / "none", tmp_path / "there")
+
+
+@pytest.mark.slow
+def test_the_page_is_printed_again_from_the_published_errors(tmp_path: Path) -> None:
+    page = (WEATHER / "cross_weather.md").read_text()
+    methods = (
+        next(line for line in page.splitlines() if line.startswith("| group | pairs |")).strip("| ").split(" | ")[2:]
+    )
+    given = {name.split("=")[0]: name for name in cross_weather.METHODS}
+    words = [word for method in methods for word in ("-m", given[method])]
+    script = ROOT / "benchmarks" / "publish" / "cross_weather.py"
+    asked = [sys.executable, script, "--only-print", "--errors", WEATHER / "errors", "--out", tmp_path, *words]
+    subprocess.run(asked, check=True, capture_output=True, cwd=ROOT)
+    again = (tmp_path / "cross_weather.md").read_text()
+
+    def tables(text: str) -> list[str]:
+        return [line for line in text.splitlines() if line.startswith(("|", "#"))]
+
+    for old, new in zip(tables(page), tables(again), strict=True):
+        # Processors differ in the last digits, and a number may be rounded to the other side.
+        assert NUMBER.sub("#", old) == NUMBER.sub("#", new)
+        apart = zip(NUMBER.findall(old), NUMBER.findall(new), strict=True)
+        assert all(abs(float(a) - float(b)) <= 0.11 for a, b in apart), (old, new)
