@@ -67,7 +67,8 @@ class Aliked:
         uv = (found.keypoints.double().cpu().numpy() + 0.5) * factor - 0.5
         response = found.keypoint_scores.double().cpu().numpy()
         scale = np.full(len(uv), max(float(factor.max()), 1.0))
-        features = Features(uv, scale, response, found.descriptors.float().cpu().numpy())
+        size = image.shape[1], image.shape[0]
+        features = Features(uv, scale, response, found.descriptors.float().cpu().numpy(), size)
         return features.take(np.lexsort((uv[:, 0], uv[:, 1], -response)))
 
 
