@@ -20,9 +20,10 @@ class XFeat(NetworkDetector):
     multiple: ClassVar[int] = 32
 
     def load(self, weights: Path) -> nn.Module:
-        net: nn.Module = from_kornia("XFeat", self.name)(top_k=self.features)
+        net = from_kornia("XFeat", self.name)(top_k=self.features)
         fill(net.net, read_weights(weights), weights)
-        return net.eval()
+        made: nn.Module = net.eval()
+        return made
 
     def find(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         (found,) = self.net.detectAndCompute(image)

@@ -95,7 +95,7 @@ def test_weights_of_another_network_are_refused_by_name(
     change(tensors)
     torch.save(tensors, tmp_path / "other.pth")
     with pytest.raises(MethodError, match=told) as bad:
-        Aliked(tmp_path / "other.pth", "t16", 200, 1280, "cpu")
+        Aliked(tmp_path / "other.pth", 200, 1280, "cpu", "t16")
     assert bad.value.path == tmp_path / "other.pth"
 
 
