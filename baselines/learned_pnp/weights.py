@@ -37,7 +37,7 @@ def find_weights(file: PublishedFile, given: Path | None, method: str, parameter
         MethodError: there is no such file.
     """
     if given is not None:
-        return given
+        return Path(given)
     cached = cache_of(file)
     if not cached.is_file():
         raise MethodError(
