@@ -30,14 +30,17 @@ class Features:
     response: Array
     """(N,) strength of the detector's response"""
     descriptors: NDArray[Any]
-    """(N, D) float32 (SIFT) or uint8 (ORB)"""
+    """(N, D) float32, or uint8 (ORB)"""
+    size: tuple[int, int]
+    """width and height of the image, pixels"""
 
     def __len__(self) -> int:
         return len(self.uv)
 
     def take(self, indices: Indices) -> Features:
         """The features at ``indices``, in that order."""
-        return Features(self.uv[indices], self.scale[indices], self.response[indices], self.descriptors[indices])
+        chosen = (self.uv[indices], self.scale[indices], self.response[indices], self.descriptors[indices])
+        return Features(*chosen, self.size)
 
 
 def to_grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -67,10 +70,11 @@ def detect(image: NDArray[np.uint8], kind: FeatureKind, budget: int) -> Features
             enable_precise_upscale=True,  # without it every keypoint is a quarter of a pixel off
         )
     keypoints, descriptors = detector.detectAndCompute(grey, None)
+    image_size = grey.shape[1], grey.shape[0]
     if not keypoints:
         width = detector.descriptorSize()
         dtype = np.uint8 if kind == "orb" else np.float32
-        return Features(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, width), dtype))
+        return Features(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, width), dtype), image_size)
     uv = np.array([k.pt for k in keypoints], dtype=np.float64)
     octave = np.array([k.octave for k in keypoints])
     response = np.array([k.response for k in keypoints], dtype=np.float64)
@@ -78,13 +82,13 @@ def detect(image: NDArray[np.uint8], kind: FeatureKind, budget: int) -> Features
         scale = _ORB_SCALE ** octave.astype(np.float64)
         # OpenCV multiplies level coordinates by the nominal scale. With pixel centres at integers, it should be
         # (u + 0.5) s - 0.5 with s from the level's rounded size: a difference of a pixel on the coarsest level.
-        size = np.array([grey.shape[1], grey.shape[0]], dtype=np.float64)
+        size = np.array(image_size, dtype=np.float64)
         level_size = np.rint(size / scale[:, None])
         uv = (uv / scale[:, None] + 0.5) * (size / level_size) - 0.5
     else:
         # The size of a SIFT keypoint is the diameter of its blur, 2 sigma_0 at the image's own resolution.
         scale = np.array([k.size for k in keypoints], dtype=np.float64) / (2 * _SIFT_SIGMA)
-    features = Features(uv, np.maximum(scale, 1.0), response, descriptors)
+    features = Features(uv, np.maximum(scale, 1.0), response, descriptors, image_size)
     # The detector's order may depend on its threads, this order does not.
     return features.take(np.lexsort((scale, uv[:, 0], uv[:, 1], -response)))
 

@@ -1,8 +1,11 @@
-"""The inverse depth of a keyframe at arbitrary pixels."""
+"""The inverse depth of a keyframe at arbitrary pixels, and the points that they see."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from relocbench.arrays import Floats
@@ -44,6 +47,30 @@ def inverse_depth_at(reference: Reference, uv: Array, radius_px: float | None = 
     if radius_px is None:
         radius_px = reach_of(points.uv[known], (reference.camera.width, reference.camera.height))
     return _sparse(KeyframePoints(points.uv[known], points.inverse_depth[known], points.sigma[known]), uv, radius_px)
+
+
+@dataclass(frozen=True, eq=False)
+class Lifted:
+    """The pixels of a keyframe that have a depth, as points of its frame."""
+
+    index: NDArray[np.intp]
+    """(N,) of these among the pixels that were asked for, ascending"""
+    points: Array
+    """(N, 3) metres, reference camera frame"""
+    depth_direction: Array
+    """(N, 3) metres; the displacement of the point by one standard deviation of its depth"""
+
+
+def lift(reference: Reference, uv: Array, radius_px: float | None = None) -> Lifted:
+    """The points that pixels (M, 2) of a keyframe see; see :func:`inverse_depth_at` for the arguments."""
+    inverse_depth, sigma = inverse_depth_at(reference, uv, radius_px)
+    rays, valid = reference.camera.unproject(uv)
+    # Depth is along z, so that rays parallel to the image or backwards have none.
+    index = np.flatnonzero(valid & (inverse_depth > 0) & (rays[:, 2] > 0))
+    inverse_depth, sigma, rays = inverse_depth[index], sigma[index], rays[index]
+    points = rays / inverse_depth[:, None]
+    # z = 1/rho, and therefore |dz| = z sigma_rho / rho.
+    return Lifted(index, points, points * (sigma / inverse_depth)[:, None])
 
 
 def reach_of(uv: Array, size: tuple[int, int]) -> float:

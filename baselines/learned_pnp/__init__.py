@@ -1,5 +1,16 @@
-"""Relocalization by learned local features: the networks come from kornia, the pose from ``feature_pnp``."""
+"""Relocalization by learned local features: most networks come from kornia, the pose from ``feature_pnp``."""
 
-from baselines.learned_pnp.trackers import AlikedPnp
+from baselines.learned_pnp.lightglue_trackers import AlikedLightGluePnp, DiskLightGluePnp, SuperPointLightGluePnp
+from baselines.learned_pnp.loftr_tracker import LoftrPnp
+from baselines.learned_pnp.trackers import AlikedPnp, DiskPnp, SuperPointPnp, XFeatPnp
 
-__all__ = ["AlikedPnp"]
+__all__ = [
+    "AlikedLightGluePnp",
+    "AlikedPnp",
+    "DiskLightGluePnp",
+    "DiskPnp",
+    "LoftrPnp",
+    "SuperPointLightGluePnp",
+    "SuperPointPnp",
+    "XFeatPnp",
+]

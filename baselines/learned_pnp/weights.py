@@ -11,30 +11,48 @@ from torch import Tensor, nn
 from baselines.torch_file import load_torch_file
 from baselines.weights_file import difference, read_tensors
 from relocbench.errors import MethodError
+from relocbench.weights import PublishedFile
 
 _SAFETENSORS = ".safetensors"
 
 
-def find_weights(name: str, given: Path | None, option: str) -> Path:
+def cache_of(file: PublishedFile) -> Path:
+    """Where torch and the libraries on it keep a published file: ``$TORCH_HOME/hub/checkpoints``."""
+    return Path(torch.hub.get_dir()) / "checkpoints" / file.name
+
+
+def by_place(*files: PublishedFile) -> dict[Path, PublishedFile]:
+    """Published files by where they are kept."""
+    return {cache_of(file): file for file in files}
+
+
+def find_weights(file: PublishedFile, given: Path | None, method: str, parameter: str = "weights") -> Path:
     """The file of a network's weights: the one that is given, else the one in the cache of torch.
 
     Args:
-        name: file name under which the authors publish the weights, such as ``aliked-n16.pth``.
-        option: what names another file, for the message, such as ``--set aliked-pnp.weights=FILE``.
+        file: as its authors publish it.
+        method, parameter: installed name of the method and its parameter for another file, for the message.
 
     Raises:
         MethodError: there is no such file.
     """
     if given is not None:
-        return given
-    cached = Path(torch.hub.get_dir()) / "checkpoints" / name
+        return Path(given)
+    cached = cache_of(file)
     if not cached.is_file():
-        raise MethodError(f"no weights here; put {name} of its authors there, or name a file: {option}", cached)
+        raise MethodError(
+            f"no weights here; put {file.name} of its authors there (relocbench fetch-weights {method}), "
+            f"or name a file: --set {method}.{parameter}=FILE",
+            cached,
+        )
     return cached
 
 
-def read_weights(path: Path) -> dict[str, Tensor]:
+def read_weights(path: Path, entry: str | None = None) -> dict[str, Tensor]:
     """The tensors of a file by ``torch.save`` or of safetensors, by name; no code of the file is run.
+
+    Args:
+        entry: of the file, if it has it, that the tensors are in.
 
     Raises:
         MethodError: the file is missing, damaged or holds something else.
@@ -47,6 +65,8 @@ def read_weights(path: Path) -> dict[str, Tensor]:
         found = load_torch_file(path)
     except ValueError as bad:
         raise MethodError(f"cannot be read as weights: {bad}", path) from bad
+    if entry is not None and isinstance(found, Mapping) and entry in found:
+        found = found[entry]
     if not isinstance(found, Mapping) or not all(isinstance(t, Tensor) for t in found.values()):
         raise MethodError("holds no tensors by name, which weights are", path)
     return {str(name): tensor for name, tensor in found.items()}

@@ -15,6 +15,7 @@ from relocbench.cli.evaluate import evaluate
 from relocbench.cli.evaluate_relocalization import evaluate_relocalization
 from relocbench.cli.evaluate_retrieval import evaluate_retrieval
 from relocbench.cli.export import export
+from relocbench.cli.fetch_weights import fetch_weights
 from relocbench.cli.inspect import inspect
 from relocbench.cli.leaderboard import leaderboard
 from relocbench.cli.methods import methods
@@ -63,6 +64,7 @@ app.command()(inspect)
 app.command()(validate)
 app.command()(methods)
 app.command("check-method")(check_method)
+app.command("fetch-weights")(fetch_weights)
 app.command()(export)
 
 

@@ -38,7 +38,10 @@ def test_help_and_version_import_nothing_heavy() -> None:
 
 @pytest.mark.parametrize(
     "command",
-    ["demo", "evaluate", "leaderboard", "inspect", "validate", "methods", "check-method", "export", "build-dataset"],
+    [
+        *("demo", "evaluate", "leaderboard", "inspect", "validate", "methods", "check-method", "export"),
+        *("build-dataset", "fetch-weights"),
+    ],
 )
 def test_every_command_explains_itself(command: str) -> None:
     shown = relocbench(command, "--help")

@@ -362,7 +362,7 @@ def test_the_reach_follows_the_density_of_the_map_and_the_size_of_the_image() ->
 
 def features_at(uv: Array, response: Array, descriptors: NDArray[np.float32] | None = None) -> Features:
     descriptors = np.zeros((len(uv), 4), np.float32) if descriptors is None else descriptors
-    return Features(uv, np.ones(len(uv)), response, descriptors)
+    return Features(uv, np.ones(len(uv)), response, descriptors, (640, 480))
 
 
 def test_every_cell_gives_its_strongest_before_any_gives_a_second() -> None:

@@ -1,0 +1,68 @@
+"""What all networks that detect and describe keypoints share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from baselines.device import to_device
+from baselines.feature_pnp.features import Features
+from baselines.learned_pnp.images import network_input
+
+
+class NetworkDetector(ABC):
+    """A network that finds keypoints in an image, with a descriptor of norm 1 for each.
+
+    Args:
+        weights: file of its authors, or the same tensors as safetensors.
+        features: largest number of keypoints.
+        longest_px: larger images are shrunk to this size of the longer side first.
+        device: where the network runs.
+
+    Raises:
+        MethodError: kornia is needed and not installed, or the weights are missing or of another network.
+    """
+
+    name: ClassVar[str]
+    channels: ClassVar[Literal[1, 3]] = 3
+    multiple: ClassVar[int] = 1
+    """both sides of an image are shrunk to multiples of so many pixels"""
+
+    def __init__(self, weights: Path, features: int, longest_px: int, device: str) -> None:
+        self.features = features
+        self.longest_px = longest_px
+        self.device = device
+        self.net: Any = to_device(self.load(weights), device)
+
+    @abstractmethod
+    def load(self, weights: Path) -> nn.Module:
+        """The network with its weights, on the CPU."""
+
+    @abstractmethod
+    def find(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Keypoints (N, 2), pixels with centres at integers, responses (N,) and descriptors (N, D) in an image
+        (1, channels, H, W)."""
+
+    @torch.inference_mode()
+    def __call__(self, image: NDArray[np.uint8]) -> Features:
+        """The features of a grey (H, W) or RGB (H, W, 3) image, strongest first.
+
+        Raises:
+            MethodError: the image is smaller than 64 pixels.
+        """
+        tensor, factor = network_input(
+            image, self.channels, self.longest_px, self.name, self.device, multiple=self.multiple
+        )
+        keypoints, scores, descriptors = self.find(tensor)
+        uv = (keypoints.double().cpu().numpy() + 0.5) * factor - 0.5
+        response = scores.double().cpu().numpy()
+        scale = np.full(len(uv), max(float(factor.max()), 1.0))
+        size = image.shape[1], image.shape[0]
+        features = Features(uv, scale, response, descriptors.float().cpu().numpy(), size)
+        return features.take(np.lexsort((uv[:, 0], uv[:, 1], -response)))

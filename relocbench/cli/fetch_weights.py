@@ -1,0 +1,75 @@
+"""``relocbench fetch-weights``: the files that a method needs and its authors publish."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from relocbench.cli.options import Quiet, Settings
+
+if TYPE_CHECKING:
+    from relocbench.weights import PublishedFile
+
+
+def fetch_weights(
+    name: Annotated[str, typer.Argument(help="The method: an installed name or package.module:Class.")],
+    settings: Settings = [],  # noqa: B006
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Fetch without asking.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Fetch the weights that a method needs, from those who publish them, to where the method looks for them.
+
+    What is fetched, under which licence, and where it goes is shown first, and asked about. Files that are there
+    already are never replaced. No other command downloads anything.
+
+    Example: relocbench fetch-weights disk-lightglue-pnp
+    """
+    from relocbench.cli.console import reporter
+    from relocbench.errors import MethodError
+    from relocbench.methods import kind_of, parse_method
+    from relocbench.methods.fetching import check_fetched, fetch, published_files
+
+    files = published_files(parse_method(name, settings, kind=kind_of(name)))
+    missing = {}
+    for path, file in files.items():
+        if path.exists() or path.is_symlink():
+            check_fetched(path, file)
+            typer.echo(f"{path}: is there already")
+        else:
+            missing[path] = file
+    if not missing:
+        return
+    for path, file in missing.items():
+        typer.echo(_shown(path, file))
+    if not yes and not _confirmed(len(missing)):
+        raise MethodError("nothing was fetched: it was not confirmed (--yes fetches without asking)")
+    for path, file in missing.items():
+        digest = fetch(file, path, reporter(quiet))
+        standing = "as published" if file.sha256 else "nobody states the one to expect"
+        typer.echo(f"{path}: fetched; its SHA-256 is {digest} ({standing})")
+
+
+def _shown(path: Path, file: PublishedFile) -> str:
+    size = "size unknown" if file.size_bytes is None else f"{file.size_bytes / 1e6:.1f} MB"
+    return "\n".join(
+        (
+            f"{file.name} ({size})",
+            f"  from       {file.address}",
+            f"  published  by {file.publisher}",
+            f"  licence    {file.licence}",
+            f"  SHA-256    {file.sha256 or 'unknown'}",
+            f"  goes to    {path}",
+        )
+    )
+
+
+def _confirmed(count: int) -> bool:
+    """Whether the user agrees; no answer, as at the end of the input, is none."""
+    typer.echo(f"Fetch {'it' if count == 1 else f'these {count} files'}? [y/N] ", nl=False)
+    try:
+        return input().strip().lower() in ("y", "yes")
+    except EOFError:
+        typer.echo()
+        return False
