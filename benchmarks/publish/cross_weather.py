@@ -360,7 +360,7 @@ def _confidence_table(together: list[Group], methods: Sequence[str]) -> list[str
     """How many answers have a confidence of 0.5 or more, and how many of these are right."""
     lines = [f"\n## Answers with a confidence of {CONFIDENT:g} or more\n", "| group | method | answers | right, % |"]
     lines.append("|---|---|---|---|")
-    for group in together:
+    for group in (*together, Group("both", pd.concat([group.rows for group in together]))):
         for method in methods:
             rows = group.rows[group.rows["method"] == method]
             sure = rows["confidence"].astype(np.float64).to_numpy() >= CONFIDENT
