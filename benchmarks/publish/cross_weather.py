@@ -153,6 +153,7 @@ def main() -> None:
             *_tables(together, single, methods),
             *wrong,
             *_confidence_table(together, methods),
+            *_by_district_table(together[-1], methods),
             *_elsewhere_table(elsewhere),
         ]
     )
@@ -367,6 +368,20 @@ def _confidence_table(together: list[Group], methods: Sequence[str]) -> list[str
             right = rows[METRICS[0]].to_numpy()[sure]
             share = f"{100 * np.mean(right):.1f}" if len(right) else ""
             lines.append(f"| {group.name} | {method} | {len(right)} | {share} |")
+    return lines
+
+
+def _by_district_table(within: Group, methods: Sequence[str]) -> list[str]:
+    """Of the answers within a condition that state a confidence of 0.5 or more, how many are wrong in each district."""
+    rows = within.rows[within.rows["confidence"].astype(np.float64) >= CONFIDENT]
+    names = sorted(within.rows["district"].unique())
+    lines = ["\n## Wrong ones of these answers within a condition, by district\n", f"| method | {' | '.join(names)} |"]
+    lines.append(f"|---|{'---|' * len(names)}")
+    for method in methods:
+        of = rows[rows["method"] == method]
+        wrong = of[of[METRICS[0]] == 0.0].groupby("district").size()
+        cells = [f"{wrong.get(name, 0)} of {np.sum(of['district'] == name)}" for name in names]
+        lines.append(f"| {method} | {' | '.join(cells)} |")
     return lines
 
 

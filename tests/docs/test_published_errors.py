@@ -52,8 +52,8 @@ def test_the_page_is_printed_again_from_the_published_errors(tmp_path: Path) -> 
     given = {name.split("=")[0]: name for name in cross_weather.METHODS}
     words = [word for method in methods for word in ("-m", given[method])]
     script = ROOT / "benchmarks" / "publish" / "cross_weather.py"
-    asked = [sys.executable, script, "--only-print", "--errors", WEATHER / "errors", "--out", tmp_path, *words]
-    subprocess.run(asked, check=True, capture_output=True, cwd=ROOT)
+    asked = [script, "--only-print", "--errors", WEATHER / "errors", "--out", tmp_path, *words]
+    subprocess.run([sys.executable, *map(str, asked)], check=True, capture_output=True, cwd=ROOT)
     again = (tmp_path / "cross_weather.md").read_text()
 
     def tables(text: str) -> list[str]:

@@ -113,7 +113,8 @@ def test_trackers_get_the_camera_of_the_image(tmp_path: Path) -> None:
 def test_poses_are_found_with_the_cameras_of_the_images(tmp_path: Path) -> None:
     dataset, _ = with_own_cameras(tmp_path / "d")
     tracker, pair_set = OrbPnp(features=500), dataset.pair_set(ACROSS)
-    right, mistaken = [], []
+    right: list[float] = []
+    mistaken: list[float] = []
     for pair in pair_set.pairs[1:3]:
         assert pair.T_query_ref is not None
         prepared, query = tracker.prepare(dataset.reference(pair_set, pair)), dataset.query(pair_set, pair)
@@ -121,7 +122,7 @@ def test_poses_are_found_with_the_cameras_of_the_images(tmp_path: Path) -> None:
         for asked, errors in ((query, right), (usual, mistaken)):
             answer = tracker.track(prepared, asked).T_query_ref
             assert answer is not None
-            errors.append(pose_errors(answer[None], pair.T_query_ref[None]).translation_error_m[0])
+            errors.append(float(pose_errors(answer[None], pair.T_query_ref[None]).translation_error_m[0]))
     assert max(right) < 0.1
     assert min(mistaken) > 0.3
 

@@ -20,7 +20,7 @@ PATTERNS = bake(5)
 STEP_M = 0.02
 
 
-@njit
+@njit(cache=False)
 def _paint(
     patterns: Patterns, layer: int, salt: int, u0: float, v0: float, step: float, columns: int, rows: int
 ) -> Array:
