@@ -408,7 +408,7 @@ def _confidence_table(together: list[Group], methods: Sequence[str]) -> list[str
 
 
 def _by_district_table(within: Group, methods: Sequence[str]) -> list[str]:
-    """Of the answers within a condition that state a confidence of 0.5 or more, how many are wrong in each district."""
+    """A table of wrong answers with a confidence of 0.5 or more: a row for each method, a column for each district."""
     rows = within.rows[within.rows["confidence"].astype(np.float64) >= CONFIDENT]
     names = sorted(within.rows["district"].unique())
     lines = [

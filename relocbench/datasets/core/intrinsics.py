@@ -7,7 +7,7 @@ of each image; images without a row have the camera of ``traversal.yaml``.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from relocbench.errors import DatasetError
@@ -26,18 +26,15 @@ def read_intrinsics(path: Path) -> dict[int, Camera]:
     """
     if not path.exists() and not path.is_symlink():
         return {}
-    return dict(intrinsics_of(read_table(path, INTRINSICS_COLUMNS, "intrinsics", DatasetError), path))
-
-
-def intrinsics_of(rows: Iterator[tuple[int, list[str]]], path: Path) -> Iterator[tuple[int, Camera]]:
-    """Time and camera of each row of the table, which comes with its line number. Raises as above."""
+    cameras: dict[int, Camera] = {}
     last: int | None = None
-    for number, row in rows:
+    for number, row in read_table(path, INTRINSICS_COLUMNS, "intrinsics", DatasetError):
         time, camera = intrinsics_row(row, path, number)
         if last is not None and time <= last:
             raise DatasetError(f"timestamp {time} does not come after {last}", path, number)
         last = time
-        yield time, camera
+        cameras[time] = camera
+    return cameras
 
 
 def intrinsics_row(row: list[str], path: Path, line: int) -> tuple[int, Camera]:

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -196,6 +197,11 @@ class _Depth:
     seen: Observations
     options: Options
 
+    @cached_property
+    def pinholes(self) -> dict[int, Camera]:
+        """The pinhole camera of each camera of the model."""
+        return {number: camera.pinhole() for number, camera in self.model.cameras.items()}
+
     def write(self, writer: DatasetWriter, traversal: str, photo: _Photo) -> None:
         """Write the depth image of a photo if there is one, else the model's points that it observes."""
         options = self.options
@@ -206,9 +212,8 @@ class _Depth:
                 depth = undistort(units, photo.camera, nearest=True) if photo.camera.distortion else units
                 writer.depth(traversal, CAMERA, photo.time, depth * options.metres_per_unit)
         elif photo.number is not None:
-            pinholes = {number: camera.pinhole() for number, camera in self.model.cameras.items()}
             how = options.min_track, options.noise_px, options.metres_per_unit
-            points = keyframe_points(self.model, self.seen, pinholes, photo.number, *how)
+            points = keyframe_points(self.model, self.seen, self.pinholes, photo.number, *how)
             if len(points):
                 writer.points(traversal, CAMERA, photo.time, points)
 
