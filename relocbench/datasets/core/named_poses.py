@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from relocbench.errors import DatasetError, RelocbenchError, quoted
 from relocbench.files import lines_of, parse_floats, read_text, write_text
 from relocbench.geometry import transform_from_tq, transform_to_tq
 
-_POSE = "QW QX QY QZ TX TY TZ"
+POSE_NUMBERS = "QW QX QY QZ TX TY TZ"
 
 
 def read_named_poses(path: Path, error: type[RelocbenchError] = DatasetError) -> dict[str, Array]:
@@ -23,22 +23,36 @@ def read_named_poses(path: Path, error: type[RelocbenchError] = DatasetError) ->
     """
     found: dict[str, Array] = {}
     for line, fields in read_words(path, "poses (name qw qx qy qz tx ty tz)", error):
-        qw, qx, qy, qz, *translation = parse_floats(fields[1:], path, line, _POSE, error)
-        norm = float(np.linalg.norm([qw, qx, qy, qz]))
-        if not abs(norm - 1.0) <= 1e-3:
-            raise error(f"the quaternion has norm {norm:.6g}, expected 1", path, line)
+        numbers = parse_floats(fields[1:], path, line, POSE_NUMBERS, error)
         if fields[0] in found:
             raise error(f"image {quoted(fields[0])} occurs again", path, line)
-        found[fields[0]] = transform_from_tq(translation, (qx, qy, qz, qw))
+        try:
+            found[fields[0]] = pose_of_numbers(numbers)
+        except ValueError as bad:
+            raise error(str(bad), path, line) from None
     return found
+
+
+def pose_of_numbers(numbers: Sequence[float]) -> Array:
+    """The pose (4, 4) of ``qw qx qy qz tx ty tz``. Raises ValueError if the quaternion's norm is not 1."""
+    qw, qx, qy, qz, *translation = numbers
+    norm = float(np.linalg.norm([qw, qx, qy, qz]))
+    if not abs(norm - 1.0) <= 1e-3:
+        raise ValueError(f"the quaternion has norm {norm:.6g}, expected 1")
+    return transform_from_tq(translation, (qx, qy, qz, qw))
+
+
+def numbers_of_pose(transform: Array) -> list[float]:
+    """``qw qx qy qz tx ty tz`` of a pose (4, 4)."""
+    translation, (qx, qy, qz, qw) = transform_to_tq(transform)
+    return [float(value) for value in (qw, qx, qy, qz, *translation)]
 
 
 def write_named_poses(path: Path, poses: Mapping[str, Array]) -> None:
     """Write ``T_cam_world`` (4, 4) by image name, in the order of the names."""
     lines = []
     for name, T_cam_world in sorted(poses.items()):
-        translation, (qx, qy, qz, qw) = transform_to_tq(T_cam_world)
-        numbers = " ".join(repr(float(value)) for value in (qw, qx, qy, qz, *translation))
+        numbers = " ".join(map(repr, numbers_of_pose(T_cam_world)))
         lines.append(f"{name} {numbers}\n")
     write_text(path, "".join(lines))
 

@@ -19,8 +19,9 @@ from relocbench.datasets.checks.validation import validate_dataset
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.named_poses import read_named_poses, write_named_poses
 from relocbench.datasets.importers.colmap import dataset as importer
-from relocbench.datasets.importers.colmap.model import camera_of, read_model
-from relocbench.datasets.importers.colmap.points import Observations, keyframe_points
+from relocbench.datasets.importers.colmap.model import read_model
+from relocbench.datasets.importers.photos.cameras import camera_of
+from relocbench.datasets.importers.photos.points import Observations, keyframe_points
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import ALL

@@ -1,12 +1,11 @@
-"""The lists of visuallocalization.net and hloc: queries with intrinsics, and pairs of images, by name."""
+"""The lists of queries with intrinsics of visuallocalization.net and hloc."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 from relocbench.datasets.core.named_poses import read_words
-from relocbench.datasets.importers.colmap.model import camera_of
+from relocbench.datasets.importers.photos.cameras import camera_of
 from relocbench.errors import DatasetError, quoted
 from relocbench.files import parse_floats, whole_number
 from relocbench.geometry import Camera
@@ -33,11 +32,3 @@ def listed_cameras(path: Path) -> dict[str, Camera]:
     if not found:
         raise DatasetError("holds no image; expected lines 'name MODEL width height params...'", path)
     return found
-
-
-def listed_pairs(path: Path) -> Iterator[tuple[int, tuple[str, str]]]:
-    """Line number and the names of query and keyframe of each line. Raises DatasetError with file and line."""
-    for line, fields in read_words(path, "pairs (query keyframe)", DatasetError):
-        if len(fields) != 2:
-            raise DatasetError(f"expected 2 names (query keyframe), found {len(fields)}", path, line)
-        yield line, (fields[0], fields[1])

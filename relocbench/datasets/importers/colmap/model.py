@@ -8,68 +8,25 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Array
+from relocbench.datasets.core.named_poses import pose_of_numbers
+from relocbench.datasets.importers.photos.cameras import PARAMETERS, camera_of
+from relocbench.datasets.importers.photos.model import ModelImage, SparseModel
 from relocbench.errors import DatasetError, quoted
 from relocbench.files import lines_of, parse_floats, read_bytes, read_text, whole_number
-from relocbench.geometry import Camera, transform_from_tq
+from relocbench.geometry import Camera
 
 MOST_BYTES = 8 << 30
 """of a file of a model; that of Aachen Day-Night has about one gigabyte"""
-_PARAMETERS = {
-    "SIMPLE_PINHOLE": 3,
-    "PINHOLE": 4,
-    "SIMPLE_RADIAL": 4,
-    "RADIAL": 5,
-    "OPENCV": 8,
-    "OPENCV_FISHEYE": 8,
-    "FULL_OPENCV": 12,
-    "FOV": 5,
-    "SIMPLE_RADIAL_FISHEYE": 4,
-    "RADIAL_FISHEYE": 5,
-    "THIN_PRISM_FISHEYE": 12,
-    "RAD_TAN_THIN_PRISM_FISHEYE": 16,
-}
-"""number of parameters of each model, in the order of their numbers in binary files"""
-_READ = tuple(name for name in _PARAMETERS if "PRISM" not in name and name != "FOV")
-_ONE_FOCAL_LENGTH = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
 _OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
 
 
-@dataclass(frozen=True, eq=False)
-class ColmapImage:
-    """An image with a pose."""
-
-    name: str
-    """path below the folder of images"""
-    camera: int
-    T_cam_world: Array
-    """(4, 4)"""
-    points: NDArray[np.int64]
-    """(K,) the points that it observes"""
-
-
-@dataclass(frozen=True, eq=False)
-class ColmapModel:
-    """A sparse model."""
-
-    cameras: Mapping[int, Camera]
-    images: Mapping[int, ColmapImage]
-    point_ids: NDArray[np.int64]
-    """(P,) increasing"""
-    xyz: Array
-    """(P, 3) in units of the model"""
-    error_px: Array
-    """(P,) mean reprojection error; NaN where the model does not say"""
-
-
-def read_model(folder: Path) -> ColmapModel:
+def read_model(folder: Path) -> SparseModel:
     """Read ``cameras``, ``images`` and ``points3D`` of a folder, all ``.bin`` or all ``.txt``.
 
     Raises:
@@ -94,36 +51,11 @@ def read_model(folder: Path) -> ColmapModel:
     values = np.array([point[1] for point in points], dtype=np.float64).reshape(-1, 4)
     _check_references(folder / f"images{suffix}", cameras, images, ids)
     error = np.where(values[:, 3] >= 0, values[:, 3], np.nan)
-    return ColmapModel(cameras, images, ids, values[:, :3].copy(), error)
-
-
-def camera_of(model: str, width: int, height: int, parameters: list[float]) -> Camera:
-    """The camera of a line of ``cameras.txt``.
-
-    Raises:
-        ValueError: the model is not one of those that OpenCV has too, or its numbers are not those of a camera.
-    """
-    if model not in _READ:
-        raise ValueError(f"camera model {quoted(model)} cannot be read; expected one of {', '.join(_READ)}")
-    if len(parameters) != _PARAMETERS[model]:
-        raise ValueError(f"{model} has {_PARAMETERS[model]} parameters, found {len(parameters)}")
-    if not np.all(np.isfinite(parameters)):
-        raise ValueError("a parameter is not finite")
-    if model in _ONE_FOCAL_LENGTH:
-        parameters = [parameters[0], *parameters]
-    fx, fy, cx, cy, *distortion = parameters
-    if min(width, height) < 1 or min(fx, fy) <= 0:
-        raise ValueError("size and focal lengths must be positive")
-    kind = "pinhole"
-    if "FISHEYE" in model:
-        kind, distortion = "equidistant", [*distortion, *[0.0] * (4 - len(distortion))]
-    elif distortion:
-        kind, distortion = "radtan", [*distortion, *[0.0] * (4 - len(distortion))]
-    return Camera(kind, width, height, fx, fy, cx - 0.5, cy - 0.5, tuple(distortion))  # type: ignore[arg-type]
+    return SparseModel(cameras, images, ids, values[:, :3].copy(), error)
 
 
 def _check_references(
-    path: Path, cameras: Mapping[int, Camera], images: Mapping[int, ColmapImage], ids: NDArray[np.int64]
+    path: Path, cameras: Mapping[int, Camera], images: Mapping[int, ModelImage], ids: NDArray[np.int64]
 ) -> None:
     names: set[str] = set()
     for image in images.values():
@@ -137,14 +69,9 @@ def _check_references(
         names.add(image.name)
 
 
-def _image(name: str, camera: int, numbers: list[float], points: NDArray[np.int64]) -> ColmapImage:
+def _image(name: str, camera: int, numbers: list[float], points: NDArray[np.int64]) -> ModelImage:
     """An image of its quaternion (w first), translation and points, -1 for keypoints without any. Raises ValueError."""
-    qw, qx, qy, qz, *translation = numbers
-    norm = float(np.linalg.norm(numbers[:4]))
-    if not abs(norm - 1.0) <= 1e-3:
-        raise ValueError(f"the quaternion has norm {norm:.6g}, expected 1")
-    T_cam_world = transform_from_tq(translation, (qx, qy, qz, qw))
-    return ColmapImage(name, camera, T_cam_world, np.unique(points[points >= 0]))
+    return ModelImage(name, camera, pose_of_numbers(numbers), np.unique(points[points >= 0]))
 
 
 # --- text ---
@@ -179,7 +106,7 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, Camera]]:
             raise DatasetError(str(bad), path, number) from None
 
 
-def _text_images(path: Path) -> Iterator[tuple[int, ColmapImage]]:
+def _text_images(path: Path) -> Iterator[tuple[int, ModelImage]]:
     lines = _text_lines(path, "COLMAP's images")
     for number, line in lines:
         fields = line.split(maxsplit=9)
@@ -268,17 +195,17 @@ class _Bytes:
 def _binary_cameras(file: _Bytes) -> Iterator[tuple[int, Camera]]:
     for _ in file.counted():
         camera, model, width, height = file.take("iiQQ")
-        if not 0 <= model < len(_PARAMETERS):
+        if not 0 <= model < len(PARAMETERS):
             raise file.fault(f"camera model {model} is unknown")
-        name = list(_PARAMETERS)[model]
-        numbers = list(file.take(f"{_PARAMETERS[name]}d"))
+        name = list(PARAMETERS)[model]
+        numbers = list(file.take(f"{PARAMETERS[name]}d"))
         try:
             yield camera, camera_of(name, width, height, numbers)
         except ValueError as bad:
             raise file.fault(str(bad)) from None
 
 
-def _binary_images(file: _Bytes) -> Iterator[tuple[int, ColmapImage]]:
+def _binary_images(file: _Bytes) -> Iterator[tuple[int, ModelImage]]:
     for _ in file.counted():
         number, *pose, camera = file.take("i7di")
         name = file.text()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Array
-from relocbench.datasets.importers.colmap.model import ColmapModel
+from relocbench.datasets.importers.photos.model import SparseModel
 from relocbench.geometry import Camera, apply, invert
 from relocbench.tracking import KeyframePoints
 
@@ -28,7 +28,7 @@ class Observations:
     """(P + 1,) where the observations of each point begin"""
 
     @classmethod
-    def of(cls, model: ColmapModel) -> Observations:
+    def of(cls, model: SparseModel) -> Observations:
         """The observations of all images of a model."""
         image = np.concatenate([np.full(len(i.points), number) for number, i in model.images.items()])
         point = np.searchsorted(model.point_ids, np.concatenate([i.points for i in model.images.values()]))
@@ -43,7 +43,7 @@ class Observations:
 
 
 def keyframe_points(
-    model: ColmapModel,
+    model: SparseModel,
     seen: Observations,
     pinholes: Mapping[int, Camera],
     image: int,
@@ -82,7 +82,7 @@ def keyframe_points(
 
 
 def _information(
-    model: ColmapModel, seen: Observations, pinholes: Mapping[int, Camera], image: int, rows: Rows, at: Array
+    model: SparseModel, seen: Observations, pinholes: Mapping[int, Camera], image: int, rows: Rows, at: Array
 ) -> Array:
     """``sum_j |d u_j / d rho|^2`` (N,) of the points ``rows`` at (N, 3) in the image, over the other observers j."""
     total = np.zeros(len(rows))

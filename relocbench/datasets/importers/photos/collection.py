@@ -1,0 +1,141 @@
+"""Writing a collection of photos as a traversal: images and depth, poses, a camera for each image, and their names."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+from relocbench.arrays import Array
+from relocbench.datasets.core import images
+from relocbench.datasets.core.build import Build
+from relocbench.datasets.core.names import write_names
+from relocbench.datasets.core.schema import CameraEntry, TraversalFile
+from relocbench.datasets.core.writer import DatasetWriter
+from relocbench.datasets.importers.photos.model import SparseModel
+from relocbench.datasets.importers.photos.options import PhotoOptions
+from relocbench.datasets.importers.photos.points import Observations, keyframe_points
+from relocbench.datasets.sensors.undistortion import undistort
+from relocbench.geometry import Camera, invert
+
+CAMERA = "photo"
+MAP, QUERY = "map", "query"
+STEP_NS = 1_000_000_000
+"""photos have no times that mean anything: the N-th is given that of N seconds"""
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """An image to import."""
+
+    name: str
+    time: int
+    """nanoseconds"""
+    path: Path
+    camera: Camera
+    T_cam_world: Array | None
+    """(4, 4) in metres; None if withheld"""
+    number: int | None
+    """the image's number in the model; None if it is not in one"""
+
+    @property
+    def size(self) -> images.ExpectedSize:
+        """The size that the image must have."""
+        return images.ExpectedSize(self.camera.size, f"the camera of {self.name}")
+
+
+class DepthSource(Protocol):
+    """Where the depth of photos comes from."""
+
+    def write(self, writer: DatasetWriter, traversal: str, photo: Photo) -> None:
+        """Write the depth of a photo, if there is any."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ModelPoints:
+    """The depth of a photo is that of the model's points that it observes."""
+
+    model: SparseModel
+    seen: Observations
+    options: PhotoOptions
+
+    @cached_property
+    def pinholes(self) -> dict[int, Camera]:
+        """The pinhole camera of each camera of the model."""
+        return {number: camera.pinhole() for number, camera in self.model.cameras.items()}
+
+    def write(self, writer: DatasetWriter, traversal: str, photo: Photo) -> None:
+        """Write the model's points that the photo observes, if there are any."""
+        if photo.number is None:
+            return
+        options = self.options
+        how = options.min_track, options.noise_px, options.metres_per_unit
+        points = keyframe_points(self.model, self.seen, self.pinholes, photo.number, *how)
+        if len(points):
+            writer.points(traversal, CAMERA, photo.time, points)
+
+
+def in_metres(T_cam_world: Array, metres_per_unit: float) -> Array:
+    """The pose (4, 4) with its translation in metres."""
+    scaled = T_cam_world.copy()
+    scaled[:3, 3] *= metres_per_unit
+    return scaled
+
+
+def write_traversal(
+    job: Build[PhotoOptions], name: str, photos: Sequence[Photo], depth: DepthSource, source: str
+) -> None:
+    """Write photos, at least one, as a traversal.
+
+    Args:
+        source: what they were imported from, in words.
+
+    Raises:
+        DatasetError: an image is missing, damaged or not of its camera's size; or its depth is.
+    """
+    writer, options = job.writer, job.options
+    pinholes = {photo.time: photo.camera.pinhole() for photo in photos}
+    usual = Counter(pinholes.values()).most_common(1)[0][0]
+    file = TraversalFile(
+        name=name,
+        condition=options.condition_of(name),
+        cameras={CAMERA: CameraEntry.of(usual)},
+        source=f"{source}, {len(photos)} images",
+    )
+    writer.traversal(file, {p.time: invert(p.T_cam_world) for p in photos if p.T_cam_world is not None})
+    write_names(writer.layout.traversal(name).names, {p.time: p.name for p in photos})
+    own = {time: camera for time, camera in pinholes.items() if camera != usual}
+    if own:
+        writer.intrinsics(name, CAMERA, own)
+    units = [_Unit(writer, name, photo, options.copy_images) for photo in photos]
+    job.work(f"images of {name}", _write_image, units)
+    with job.reporter.stage(f"depth of {name}", len(photos)) as advance:
+        for photo in photos:
+            depth.write(writer, name, photo)
+            advance(1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Unit:
+    """One image to import."""
+
+    writer: DatasetWriter
+    traversal: str
+    photo: Photo
+    copy: bool
+
+
+def _write_image(unit: _Unit) -> None:
+    """Link an image of a pinhole camera, undistort that of another."""
+    photo, writer = unit.photo, unit.writer
+    if not photo.camera.distortion:
+        images.read_image(photo.path, photo.size)
+        writer.link_image(unit.traversal, CAMERA, photo.time, photo.path, copy=unit.copy)
+    elif writer.needs_image(unit.traversal, CAMERA, photo.time):
+        writer.image(
+            unit.traversal, CAMERA, photo.time, undistort(images.read_image(photo.path, photo.size), photo.camera)
+        )

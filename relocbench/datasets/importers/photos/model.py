@@ -1,0 +1,39 @@
+"""A sparse model: posed images, points, and which image observes which point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relocbench.arrays import Array
+from relocbench.geometry import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class ModelImage:
+    """An image with a pose."""
+
+    name: str
+    """path below the folder of images"""
+    camera: int
+    T_cam_world: Array
+    """(4, 4)"""
+    points: NDArray[np.int64]
+    """(K,) the points that it observes, increasing"""
+
+
+@dataclass(frozen=True, eq=False)
+class SparseModel:
+    """A sparse model."""
+
+    cameras: Mapping[int, Camera]
+    images: Mapping[int, ModelImage]
+    point_ids: NDArray[np.int64]
+    """(P,) increasing"""
+    xyz: Array
+    """(P, 3) in units of the model"""
+    error_px: Array
+    """(P,) mean reprojection error; NaN where the model does not say"""
