@@ -38,6 +38,7 @@ _EXAMPLES = {
     "generic-lidar": "relocbench build-dataset generic-lidar summer winter --out D",
     "generic": "relocbench build-dataset generic summer winter --max-distance 3 --out D",
     "colmap": "relocbench build-dataset colmap sparse/0 --images images --queries 'night/*' --out D",
+    "kapture": "relocbench build-dataset kapture 7scenes/stairs/mapping 7scenes/stairs/query --out D",
     "synthetic": "relocbench build-dataset synthetic --preset demo --conditions Sunny,Rain,Snow --out D",
     "cross-view": "relocbench build-dataset cross-view --places 60 --drone-views 12 --conditions Sunny,Overcast,Rain "
     "--out D",
@@ -53,6 +54,7 @@ _SETS = {
     "generic-lidar": "query_distance: 2",
     "generic": "max_distance: 3",
     "colmap": "queries: ['night/*']",
+    "kapture": "max_distance: 3",
     "synthetic": "conditions: [Sunny, Rain]",
     "cross-view": "conditions: [Sunny, Rain]",
 }

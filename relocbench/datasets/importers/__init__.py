@@ -29,6 +29,7 @@ KINDS: dict[str, str] = {
     "generic-lidar": "the minimal folder with lidar: ground truth across drives from it",
     "generic": "a minimal documented folder: images, intrinsics, TUM poses, optional depth",
     "colmap": "a sparse model of COLMAP: photo collections with a camera for each image",
+    "kapture": "folders in the kapture format: map and queries, with rigs, depth maps or points",
     "synthetic": "a procedural town in any weather, ray-cast: districts, drives and exact truth from a seed",
     "cross-view": "buildings of procedural towns by drone, satellite and from the street, in University-1652's layout",
 }
@@ -43,6 +44,7 @@ _MODULES = {
     "generic-lidar": "generic.lidar_dataset",
     "generic": "generic.dataset",
     "colmap": "colmap.dataset",
+    "kapture": "kapture.dataset",
     "synthetic": "rendered.dataset",
     "cross-view": "rendered.cross_view",
 }

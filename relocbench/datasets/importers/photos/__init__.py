@@ -1,1 +1,1 @@
-"""Photo collections: images that are named rather than timed, each with a camera of its own, as COLMAP and kapture have."""
+"""Photo collections: images that are named rather than timed, each with a camera of its own."""

@@ -30,8 +30,9 @@ class Observations:
     @classmethod
     def of(cls, model: SparseModel) -> Observations:
         """The observations of all images of a model."""
-        image = np.concatenate([np.full(len(i.points), number) for number, i in model.images.items()])
-        point = np.searchsorted(model.point_ids, np.concatenate([i.points for i in model.images.values()]))
+        none = np.zeros(0, dtype=np.int64)
+        image = np.concatenate([none, *(np.full(len(i.points), number) for number, i in model.images.items())])
+        point = np.searchsorted(model.point_ids, np.concatenate([none, *(i.points for i in model.images.values())]))
         order = np.lexsort((image, point))
         first = np.searchsorted(point[order], np.arange(len(model.point_ids) + 1))
         return cls(image[order].astype(np.int64), point[order].astype(np.int64), first.astype(np.int64))

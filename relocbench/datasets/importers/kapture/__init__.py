@@ -1,0 +1,1 @@
+"""Folders in the kapture format of Naver Labs Europe."""
