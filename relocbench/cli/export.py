@@ -15,13 +15,13 @@ def export(
     dataset: DatasetPath,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="PATH", help="Folder to write; for mlad, the zip file.")],
     format: Annotated[
-        Literal["tum", "kitti", "colmap", "hloc", "mlad"],
+        Literal["tum", "kitti", "colmap", "kapture", "hloc", "mlad"],
         typer.Option(
             "--format",
             "-f",
             metavar="NAME",
-            help="tum (TUM trajectory), kitti (KITTI poses), colmap (COLMAP text model), hloc (named poses and "
-            "pairs) or mlad (MLAD submission).",
+            help="tum (TUM trajectory), kitti (KITTI poses), colmap (COLMAP text model), kapture (kapture "
+            "folders mapping and query), hloc (named poses and pairs) or mlad (MLAD submission).",
         ),
     ],
     results: Annotated[Path, typer.Option(metavar="FOLDER", help="Results folder that holds the predictions.")] = Path(
@@ -49,6 +49,7 @@ def export(
 
     Example: relocbench export -d D --method dso --format mlad --out submission.zip
     """
+    from relocbench.cli.console import reporter
     from relocbench.datasets.core.dataset import Dataset
     from relocbench.evaluation.common.opening import check_outside
     from relocbench.evaluation.tracking.exports import export_poses
@@ -59,7 +60,7 @@ def export(
     names = [opened.pair_set(name).name for name in pair_set] or opened.pair_set_names
     # The zip appears whole in one step: nothing is shared with whoever writes beside it.
     with nullcontext() if format == "mlad" else alone_writing_to(out):
-        written = export_poses(opened, names, format, out, results, method, relocalization_file)
+        written = export_poses(opened, names, format, out, results, method, relocalization_file, reporter(quiet))
     if not quiet:
         for path in written:
             typer.echo(str(path))

@@ -11,7 +11,7 @@ from command_line import relocbench
 from relocbench.datasets.importers import KINDS, options_of
 
 LIDAR = ("robotcar", "kitti-lidar", "generic-lidar")
-RECORDINGS = ("kitti", "tum-rgbd", "four-seasons", "generic", "colmap")
+RECORDINGS = ("kitti", "tum-rgbd", "four-seasons", "generic", "colmap", "kapture")
 RENDERED = ("synthetic", "cross-view")
 
 
@@ -39,7 +39,7 @@ def test_an_option_is_shown_by_the_kinds_that_use_it_alone(option: str, kinds: t
 def test_an_option_of_other_kinds_is_refused_with_their_names(
     tmp_path: Path, kind: str, option: str, value: str
 ) -> None:
-    those = "build-dataset kitti, tum-rgbd, four-seasons, generic, colmap and synthetic"
+    those = "build-dataset kitti, tum-rgbd, four-seasons, generic, colmap, kapture and synthetic"
     done = relocbench("build-dataset", kind, "a", "b", option, value, "--out", tmp_path / "o")
     assert done.status == 2
     assert f"No such option: {option}; it is an option of relocbench {those} (see" in done.complaint

@@ -232,7 +232,7 @@ def test_a_damaged_dataset_is_named_with_file_and_line(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("kind", ["tum", "kitti", "colmap", "mlad"])
+@pytest.mark.parametrize("kind", ["tum", "kitti", "colmap", "kapture", "mlad"])
 def test_predictions_and_truth_are_exported(dataset: Dataset, tmp_path: Path, kind: str) -> None:
     relocbench("evaluate", "-d", dataset.root, "-m", "identity", "--out", tmp_path / "r", "-j", "1", "-q")
     for method in ([], ["--method", "identity"]):

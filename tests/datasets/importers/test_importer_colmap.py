@@ -25,7 +25,8 @@ from relocbench.datasets.importers.photos.points import Observations, keyframe_p
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.evaluation.common.error_table import read_errors
 from relocbench.evaluation.common.matching_table import ALL
-from relocbench.evaluation.tracking.exports import colmap_camera, export_poses
+from relocbench.evaluation.tracking.colmap_export import colmap_camera
+from relocbench.evaluation.tracking.exports import export_poses
 from relocbench.execution import Run
 from relocbench.geometry import Camera, apply, invert, transform_to_tq
 from relocbench.metrics import pose_errors

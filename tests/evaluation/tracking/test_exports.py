@@ -17,17 +17,10 @@ from relocbench.datasets.core.schema import CameraEntry, TraversalFile
 from relocbench.datasets.core.writer import DatasetWriter
 from relocbench.errors import PredictionError
 from relocbench.evaluation.common.results import DatasetResults
+from relocbench.evaluation.tracking.absolute_poses import query_poses
+from relocbench.evaluation.tracking.colmap_export import colmap_camera, export_colmap
 from relocbench.evaluation.tracking.evaluate import EvaluateOptions, evaluate_methods
-from relocbench.evaluation.tracking.exports import (
-    colmap_camera,
-    export_colmap,
-    export_kitti,
-    export_mlad,
-    export_poses,
-    export_tum,
-    query_poses,
-    truth_lines,
-)
+from relocbench.evaluation.tracking.exports import export_kitti, export_mlad, export_poses, export_tum, truth_lines
 from relocbench.geometry import Camera, invert, make_transform, rotation_angle, so3_exp
 from relocbench.progress import Silent
 

@@ -109,9 +109,8 @@ def read_sensors(path: Path) -> dict[str, Sensor]:
         DatasetError: with file and line.
     """
     found: dict[str, Sensor] = {}
-    for line, (sensor, _, kind, *parameters) in read_fields(
-        path, "sensor_id, name, sensor_type, [sensor_params]+", 3, None
-    ):
+    form = "sensor_id, name, sensor_type, [sensor_params]+"
+    for line, (sensor, _, kind, *parameters) in read_fields(path, form, 3, None):
         if sensor in found:
             raise DatasetError(f"sensor {quoted(sensor)} occurs again", path, line)
         found[sensor] = Sensor(kind, line) if kind not in DEPTHS else _camera_sensor(kind, parameters, path, line)
