@@ -81,6 +81,17 @@ def render(camera: Camera, T_world_cam: Array, seed: int = 0) -> tuple[NDArray[n
     return np.rint(image).astype(np.uint8).reshape(shape), depth.astype(np.float32).reshape(shape)
 
 
+def photograph(camera: Camera, T_world_cam: Array) -> NDArray[np.uint8]:
+    """Image of a camera that may have distortion: each pixel takes what its ray sees in a wide pinhole image."""
+    if not camera.distortion:
+        return render(camera, T_world_cam)[0]
+    wide = Camera("pinhole", 320, 240, 160.0, 160.0, 159.5, 119.5)
+    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
+    rays, _ = camera.unproject(np.stack([u, v], axis=-1))
+    at = wide.project(rays)[0].astype(np.float32)
+    return np.asarray(cv2.remap(render(wide, T_world_cam)[0], at[..., 0], at[..., 1], cv2.INTER_LINEAR))
+
+
 def make_small_dataset(
     root: Path,
     *,

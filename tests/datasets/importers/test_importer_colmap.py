@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 from command_line import relocbench
-from small_dataset import render, small_pose
+from small_dataset import photograph, render, small_pose
 
 from baselines.feature_pnp import OrbPnp
-from relocbench.arrays import Array, Image
+from relocbench.arrays import Array
 from relocbench.datasets.checks.validation import validate_dataset
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.named_poses import read_named_poses, write_named_poses
@@ -50,17 +50,6 @@ def true_pose(frame: int) -> Array:
 
 def image_name(frame: int) -> str:
     return f"{'night' if frame >= 4 else 'day'}/{frame}.png"
-
-
-def seen_by(camera: Camera, T_world_cam: Array) -> Image:
-    """Image of a camera that may have distortion: each pixel takes what its ray sees in a wide pinhole image."""
-    if not camera.distortion:
-        return render(camera, T_world_cam)[0]
-    wide = Camera("pinhole", 320, 240, 160.0, 160.0, 159.5, 119.5)
-    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
-    rays, _ = camera.unproject(np.stack([u, v], axis=-1))
-    at = wide.project(rays)[0].astype(np.float32)
-    return np.asarray(cv2.remap(render(wide, T_world_cam)[0], at[..., 0], at[..., 1], cv2.INTER_LINEAR))
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +91,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
             tracks[row].add_element(frame + 1, index)
         path = root / "images" / image_name(frame)
         path.parent.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(path), seen_by(camera, true_pose(frame)))
+        cv2.imwrite(str(path), photograph(camera, true_pose(frame)))
     for point, track in zip(points, tracks, strict=True):
         if track.length():
             found.add_point3D(point, track)
