@@ -10,7 +10,8 @@ from pathlib import Path
 from fuzz.parser import Parser
 
 AREAS = tuple(
-    f"fuzz.{name}" for name in ("datasets", "sensors", "recordings", "places", "results", "records", "methods")
+    f"fuzz.{name}"
+    for name in ("datasets", "sensors", "recordings", "photos", "places", "results", "records", "methods")
 )
 """modules with ``SEEDS`` and ``PARSERS``"""
 

@@ -430,6 +430,11 @@ FAULTS: list[tuple[Callable[[Path], Path], int | None, str]] = [
     (added(f"{TABLES}/records_camera.txt", "10, left, a.png"), 9, "a second record of 'left' at 10"),
     (added(f"{TABLES}/records_camera.txt", "50, left, map/left/10.png"), 9, "'map/left/10.png' occurs again"),
     (added(f"{TABLES}/records_camera.txt", "50, left,"), 9, "expected a path, found none"),
+    (
+        added(f"{TABLES}/records_camera.txt", f"50, left, {'a' * 256}"),
+        9,
+        "is longer than a path; expected at most 1000",
+    ),
     (replaced(f"{TABLES}/records_camera.txt", "left/30.png", "left/31.png"), 4, "no image 'map/left/31.png' in"),
     (added(f"{TABLES}/records_depth.txt", "50, wifi, a.depth"), 5, "of type 'wifi', expected camera or depth"),
     (without(f"{TABLES}/records_data/map/left/10.depth"), None, "missing; expected a depth map"),

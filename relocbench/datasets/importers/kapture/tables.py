@@ -26,6 +26,8 @@ MOST_BYTES = 8 << 30
 """of a table; the observations of a city have about one gigabyte"""
 CAMERAS, DEPTHS = ("camera",), ("camera", "depth")
 """types of the sensors that records of images and of depth maps may have"""
+_LONGEST_PATH, _LONGEST_NAME = 1000, 255
+"""bytes of the path of a record and of its parts; file systems allow little more"""
 _VERSION = re.compile(r"#\s*kapture format\s*:\s*(\S+)\s*")
 
 Moment = tuple[int, str]
@@ -195,6 +197,9 @@ def read_records(path: Path, sensors: dict[str, Sensor], kinds: tuple[str, ...])
             raise DatasetError(f"a second record of {quoted(device)} at {moment[0]}", path, line)
         if not name or name in names:
             raise DatasetError(f"{quoted(name)} occurs again" if name else "expected a path, found none", path, line)
+        if len(name.encode()) > _LONGEST_PATH or any(len(part.encode()) > _LONGEST_NAME for part in name.split("/")):
+            told = f"{quoted(name)} is longer than a path; expected at most {_LONGEST_PATH} bytes"
+            raise DatasetError(f"{told}, {_LONGEST_NAME} between slashes", path, line)
         names.add(name)
         found[moment] = Record(*moment, name, line)
     return [found[moment] for moment in sorted(found)]
