@@ -1,4 +1,6 @@
-"""Importers: one folder per outside format, each of which turns recordings into a dataset; ``photos`` is what some share.
+"""Importers: one folder per outside format, each of which turns recordings into a dataset.
+
+``photos`` is what importers of collections of named images share, ``assembly`` what all do.
 
 An importer module has ``Options``, a subclass of :class:`ImportOptions` whose fields are command-line options and keys
 of a configuration file, and ``build(sources, options, out, reporter, run) -> Dataset``. Recordings are never changed,

@@ -57,6 +57,11 @@ class Options(PhotoOptions):
     cameras: tuple[str, ...] = Field(
         (), description="identifiers of the cameras to import, with * and ? as in file names; default: all"
     )
+    queries: tuple[str, ...] = Field(
+        (),
+        description="names of the images of a single folder that are queries and no keyframes, with * and ? as in file "
+        "names, such as 'query/*'; default: every image is both",
+    )
     query_poses: Path | None = Field(
         None,
         description="true poses of queries that have none, camera from world: lines 'name qw qx qy qz tx ty tz'; "
