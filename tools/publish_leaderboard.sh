@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # Reproduce the results in leaderboard/: datasets and predictions in a scratch folder, tables and curves in the repository.
 #   tools/publish_leaderboard.sh RECORDINGS [SCRATCH]
-# RECORDINGS holds kitti_odometry/ (official layout, sequence 06) and tum_rgbd/ (freiburg1_xyz, freiburg1_desk). Where it has
-# weights/aliked-n16.pth, aliked-pnp is run as well.
+# RECORDINGS holds kitti_odometry/ (official layout, sequences 00 and 06), tum_rgbd/ (freiburg1_xyz, freiburg1_desk) and
+# tilde_webcam/ (chamonix, courbevoie, mexico). Where it has weights/aliked-n16.pth, aliked-pnp is run as well, and gn-net's
+# alignment from its pose.
 set -euo pipefail
 recordings=$(realpath "${1:?usage: tools/publish_leaderboard.sh RECORDINGS [SCRATCH]}")
 scratch=${2:-$(mktemp -d)}
@@ -16,8 +17,14 @@ by_nc="CC BY-NC-SA 3.0 (KITTI)"
 by="CC BY 4.0 (TUM RGB-D)"
 
 relocbench build-dataset kitti "$kitti" --sequence 06 --pair-step 1,2,4,8 --licence "$by_nc" --out "$scratch/kitti_06" -q
+python tools/kitti_lidar_poses.py "$kitti" 00 "$scratch/kitti_00_posed"
+relocbench build-dataset kitti "$scratch/kitti_00_posed" --sequence 00 --depth velodyne --pair-step 1,2,3,4,5 --name kitti_00 --licence "$by_nc" --out "$scratch/kitti_00" -q
+relocbench build-dataset kitti "$scratch/kitti_00_posed" --sequence 00 --depth stereo --pair-step 1,2,3,4,5 --name kitti_00_stereo --licence "$by_nc" --out "$scratch/kitti_00_stereo" -q
 relocbench build-dataset tum-rgbd "$xyz" --pair-step 1,2,4 --name fr1_xyz --licence "$by" --out "$scratch/fr1_xyz" -q
+relocbench build-dataset tum-rgbd "$desk" --pair-step 1,2,4 --name fr1_desk --licence "$by" --out "$scratch/fr1_desk" -q
 relocbench build-dataset tum-rgbd "$xyz" "$desk" --name fr1_xyz_to_desk --licence "$by" --out "$scratch/fr1_xyz_to_desk" -q
+python tools/still_camera.py "$scratch/still" "$recordings/tilde_webcam/chamonix" "$recordings/tilde_webcam/courbevoie" "$recordings/tilde_webcam/mexico"
+relocbench build-dataset generic "$scratch/still/map" "$scratch/still/chamonix" "$scratch/still/courbevoie" "$scratch/still/mexico" --name webcams --licence "academic use only (AMOS, TILDE)" --out "$scratch/webcams" -q
 relocbench build-dataset synthetic --preset demo --name town_demo --out "$scratch/town_demo" -q
 
 learned=()
@@ -25,10 +32,10 @@ if [ -f "$recordings/weights/aliked-n16.pth" ]; then
   export TORCH_HOME=$scratch/torch # where the method looks: no path of this machine becomes a parameter
   mkdir -p "$TORCH_HOME/hub/checkpoints"
   ln -sf "$recordings/weights/aliked-n16.pth" "$TORCH_HOME/hub/checkpoints/"
-  learned=(-m aliked-pnp)
+  learned=(-m aliked-pnp -m gn-net-from-aliked-pnp=gn-net-from-prior --set gn-net-from-aliked-pnp.start=aliked-pnp)
 fi
 
-for dataset in kitti_06 fr1_xyz fr1_xyz_to_desk town_demo; do
+for dataset in kitti_06 kitti_00 kitti_00_stereo fr1_xyz fr1_desk fr1_xyz_to_desk webcams town_demo; do
   relocbench evaluate -d "$scratch/$dataset" --out "$scratch/results" --workers 1 --overwrite always --matching -q \
     -m identity -m orb-pnp -m sift-pnp -m dso -m dso-full-cutoff=dso --set dso-full-cutoff.cutoff_levels=16 \
     -m dso-multistart -m gn-net -m gn-net-from-prior -m gn-net-pnp -m clock \
@@ -36,3 +43,4 @@ for dataset in kitti_06 fr1_xyz fr1_xyz_to_desk town_demo; do
 done
 rm -rf leaderboard/curves leaderboard/*.csv leaderboard/leaderboard.md
 relocbench leaderboard "$scratch/results" --out leaderboard
+python benchmarks/publish/real.py --board leaderboard --out leaderboard/real

@@ -31,6 +31,19 @@ _TRACKERS = (
 _TRACKING = (*_EVALUATION, "relocbench/evaluation/tracking", "relocbench/methods")
 _TOWN = ("relocbench/datasets/synthetic", "relocbench/datasets/importers/rendered", "relocbench/datasets/pairs")
 _RETRIEVERS = ("baselines/lpn", "baselines/floors", "relocbench/evaluation/retrieval", "relocbench/retrieval.py")
+_SMALL_SETS = (
+    "tools/publish_leaderboard.sh",
+    "relocbench/datasets/importers/kitti",
+    "relocbench/datasets/importers/tum_rgbd",
+    "relocbench/datasets/importers/generic",
+    "relocbench/datasets/groundtruth/odometry",
+    "relocbench/leaderboard/tracking",
+    "tools/kitti_lidar_poses.py",
+    "tools/still_camera.py",
+    *_TOWN,
+    *_TRACKING,
+    *_TRACKERS,
+)
 
 
 @dataclass(frozen=True)
@@ -45,18 +58,11 @@ class Page:
 
 
 PAGES = (
+    Page("leaderboard/leaderboard.md", "make leaderboard RECORDINGS=FOLDER", _SMALL_SETS),
     Page(
-        "leaderboard/leaderboard.md",
+        "leaderboard/real/real.md",
         "make leaderboard RECORDINGS=FOLDER",
-        (
-            "tools/publish_leaderboard.sh",
-            "relocbench/datasets/importers/kitti",
-            "relocbench/datasets/importers/tum_rgbd",
-            "relocbench/leaderboard/tracking",
-            *_TOWN,
-            *_TRACKING,
-            *_TRACKERS,
-        ),
+        ("benchmarks/publish/real.py", *_SMALL_SETS),
     ),
     Page(
         "leaderboard/weather/cross_weather.md",

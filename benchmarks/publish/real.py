@@ -1,0 +1,160 @@
+"""Print one page of all trackers on all real recordings, from the numbers of the published leaderboard.
+
+For each set: how many answers are right (within 0.25 m and 2 degrees), with the interval of the leaderboard, median
+errors over all pairs, pairs that were refused, answers that are wrong, how many answers state a confidence of 0.5 or
+more, and how many of these are right.
+
+    python benchmarks/publish/real.py [--board leaderboard] [--out leaderboard/real]
+
+The last line is JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+RENDERED = ("town_demo",)
+"""sets of the leaderboard that are not recordings"""
+RIGHT = "recall@(0.25m,2deg)"
+WRONG = "wrong_of_answered@(0.25m,2deg)"
+SURE, SURE_RIGHT = "coverage_at_confidence_50", "precision_at_confidence_50@(0.25m,2deg)"
+PRECISE = "r_auc@0.5deg"
+FLOORS = ("clock", "identity")
+_KEY = ["dataset", "pair_set"]
+_HEAD = """# Real recordings
+
+Printed by `python benchmarks/publish/real.py --out leaderboard/real` from [leaderboard.csv](../leaderboard.csv). The
+networks of gn-net, lm-net and their variants have seen rendered towns only, ALIKED's its authors' photographs; nothing
+was tuned on these recordings but dso's cutoff, on KITTI 06. Right is an answer within 0.25 m and 2 degrees; shares and
+intervals are those of all pairs of a set, in percent. A refusal is a pair without an answer, and its error is infinite
+in the medians. Sure are answers with a confidence of 0.5 or more, for trackers that state one. Seconds are medians a
+pair, of one process; `benchmarks/speed/trackers.py` compares them.
+
+| set | what it is | truth |
+|---|---|---|
+| kitti_06 | KITTI odometry 06, frames 20 to 44, 1, 2, 4 and 8 frames (1.2 to 9.6 m) apart, depth by stereo | GNSS/INS |
+| kitti_00 | KITTI odometry 00, frames 0 to 5, 1 to 5 (0.7 to 3.6 m) apart, depth by lidar alone | its lidar scans |
+| kitti_00_stereo | the same from frame 0, depth by stereo | the same |
+| fr1_xyz, fr1_desk | TUM RGB-D, one desk, 1, 2 and 4 of the images at hand apart | motion capture |
+| fr1_xyz_to_desk | the second recording in the map of the first, six minutes later, 55 to 65 degrees aside | the same |
+| webcams | three cameras that never moved, from dawn to night and May to December; geometry and motion are made up: \
+a slanted plane 6 to 20 m away, up to 1 m and 6 degrees (`tools/still_camera.py`) | exact |
+"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A tracker on a set."""
+
+    method: str
+    right: float
+    low: float
+    high: float
+    precise: float
+    metres: float
+    degrees: float
+    pairs: int
+    refused: int
+    wrong: int
+    sure: int | None
+    sure_right: float
+    seconds: float
+
+    @classmethod
+    def of(cls, scores: Any) -> Row:
+        """The row of a line of the leaderboard."""
+        pairs, answered = int(scores["pairs"]), int(scores["answered"])
+        wrong = 0.0 if answered == 0 else float(scores[WRONG])
+        sure = float(scores[SURE])
+        return cls(
+            method=str(scores["method"]),
+            right=float(scores[RIGHT]),
+            low=float(scores[f"{RIGHT}_low"]),
+            high=float(scores[f"{RIGHT}_high"]),
+            precise=float(scores[PRECISE]),
+            metres=float(scores["median_translation_error_m"]),
+            degrees=float(scores["median_rotation_error_deg"]),
+            pairs=pairs,
+            refused=pairs - answered,
+            wrong=round(wrong * answered),
+            sure=None if pd.isna(sure) or not states_confidence(scores) else round(sure * pairs),
+            sure_right=float(scores[SURE_RIGHT]),
+            seconds=float(scores["median_seconds"]),
+        )
+
+
+def states_confidence(scores: Any) -> bool:
+    """Whether the tracker states how sure it is."""
+    return not pd.isna(scores["confidence_auc_pr@(0.25m,2deg)"])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--board", type=Path, default=Path("leaderboard"), help="folder with leaderboard.csv")
+    parser.add_argument("--out", type=Path, help="folder for real.md")
+    options = parser.parse_args()
+    found = sets(pd.read_csv(options.board / "leaderboard.csv"))
+    text = "\n".join([*overview(found), *(line for name, rows in found.items() for line in table(name, rows))])
+    print(text)
+    if options.out:
+        options.out.mkdir(parents=True, exist_ok=True)
+        (options.out / "real.md").write_text(f"{_HEAD}{text}\n")
+    shares = {name: {row.method: row.right for row in rows} for name, rows in found.items()}
+    print(json.dumps({"benchmark": "real", "right": shares}))
+
+
+def sets(board: pd.DataFrame) -> dict[str, list[Row]]:
+    """The rows of every real set, best first, floors last."""
+    of_all = board[(board["group"] == "all") & ~board["dataset"].isin(RENDERED) & board["pair_set"].str.contains("__")]
+    out = {}
+    for (dataset, pair_set), scores in of_all.groupby(_KEY, sort=True):
+        several = of_all.loc[of_all["dataset"] == dataset, "pair_set"].nunique() > 1
+        name = f"{dataset}: {pair_set.split('__')[1]}" if several else str(dataset)
+        rows = [Row.of(line) for _, line in scores.iterrows()]
+        out[name] = sorted(rows, key=lambda row: (row.method in FLOORS, -row.right, -row.precise, row.method))
+    return out
+
+
+def overview(found: dict[str, list[Row]]) -> list[str]:
+    """Shares that are right: a row for each tracker, a column for each set, and their mean."""
+    right = {name: {row.method: row.right for row in rows} for name, rows in found.items()}
+    methods = dict.fromkeys(row.method for rows in found.values() for row in rows)
+    means = {m: sum(of.get(m, float("nan")) for of in right.values()) / len(right) for m in methods}
+    order = sorted(methods, key=lambda m: (m in FLOORS, -means[m] if means[m] == means[m] else 1.0, m))
+    heads = [f"{name} ({rows[0].pairs})" for name, rows in found.items()]
+    lines = ["\n## Right answers, %\n", f"| tracker | {' | '.join(heads)} | mean of the sets |"]
+    lines.append(f"|---|{'---:|' * (len(heads) + 1)}")
+    for method in order:
+        cells = [percent(of.get(method, float("nan"))) for of in right.values()]
+        lines.append(f"| {method} | {' | '.join(cells)} | {percent(means[method])} |")
+    return lines
+
+
+def table(name: str, rows: list[Row]) -> list[str]:
+    """All numbers of one set."""
+    lines = [f"\n## {name}, {rows[0].pairs} pairs\n"]
+    heads = ("tracker", "right, %", "95 %", PRECISE, "median m", "median degrees", "refused", "wrong", "sure")
+    lines.append(f"| {' | '.join([*heads, 'sure and right, %', 'seconds'])} |")
+    lines.append(f"|---|{'---:|' * (len(heads) + 1)}")
+    for row in rows:
+        between = "" if pd.isna(row.low) else f"{percent(row.low)} to {percent(row.high)}"
+        sure = ("", "") if row.sure is None else (str(row.sure), percent(row.sure_right))
+        errors = f"{row.metres:.3f}", f"{row.degrees:.2f}"
+        cells = percent(row.right), between, percent(row.precise), *errors, str(row.refused), str(row.wrong), *sure
+        lines.append(f"| {' | '.join([row.method, *cells])} | {row.seconds:.2f} |")
+    return lines
+
+
+def percent(share: float) -> str:
+    """A share in percent, empty where there is none."""
+    return "" if pd.isna(share) else f"{100 * share:.1f}"
+
+
+if __name__ == "__main__":
+    main()
