@@ -146,8 +146,9 @@ def table(name: str, rows: list[Row]) -> list[str]:
         between = "" if pd.isna(row.low) else f"{percent(row.low)} to {percent(row.high)}"
         sure = ("", "") if row.sure is None else (str(row.sure), percent(row.sure_right))
         errors = f"{row.metres:.3f}", f"{row.degrees:.2f}"
+        seconds = "" if pd.isna(row.seconds) else f"{row.seconds:.2f}"
         cells = percent(row.right), between, percent(row.precise), *errors, str(row.refused), str(row.wrong), *sure
-        lines.append(f"| {' | '.join([row.method, *cells])} | {row.seconds:.2f} |")
+        lines.append(f"| {' | '.join([row.method, *cells])} | {seconds} |")
     return lines
 
 
