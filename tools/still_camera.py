@@ -3,7 +3,9 @@
 The scene is taken to be a slanted plane, 6 m away at the bottom of the image and 20 m at the top, as a street is. What
 a moved camera sees of a plane is a homography, so that every pose has its exact view of a real photograph. Each
 keyframe is the middle of an image; its query is the middle of an image of another day and hour, as seen after a drawn
-motion. Only light, weather, season and what stands in the scene are real; geometry and motion are made up.
+motion. Only light, weather, season and what stands in the scene are real; geometry and motion are made up. Marks of the
+camera itself, such as dirt on the lens or the blocks of compression, move with the scene, which they do not for a
+camera that moves.
 
     python tools/still_camera.py OUT FOLDER [FOLDER ...] [--pairs N] [--seed S]
 

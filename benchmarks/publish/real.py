@@ -45,6 +45,9 @@ pair, of one process; `benchmarks/speed/trackers.py` compares them.
 | fr1_xyz_to_desk | the second recording in the map of the first, six minutes later, 55 to 65 degrees aside | the same |
 | webcams | three cameras that never moved, from dawn to night and May to December; geometry and motion are made up: \
 a slanted plane 6 to 20 m away, up to 1 m and 6 degrees (`tools/still_camera.py`) | exact |
+
+Nothing hides anything else in `webcams`, nothing is seen from another side, and marks of the camera move with the
+scene: the set tells what light, weather and season do to a tracker, not what a drive does.
 """
 
 
