@@ -27,6 +27,7 @@ _TRACKERS = (
     "baselines/gn_net",
     "baselines/identity",
     "baselines/learned_pnp",
+    "baselines/published_weights.py",
 )
 _TRACKING = (*_EVALUATION, "relocbench/evaluation/tracking", "relocbench/methods")
 _TOWN = ("relocbench/datasets/synthetic", "relocbench/datasets/importers/rendered", "relocbench/datasets/pairs")

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from baselines.learned_pnp.detector import NetworkDetector
 from baselines.learned_pnp.kornia_networks import from_kornia
-from baselines.learned_pnp.weights import fill, read_weights
+from baselines.published_weights import fill, read_weights
 
 _ENTRY = "extractor"
 """of the authors' file, beside what training needs"""

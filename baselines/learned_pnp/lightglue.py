@@ -11,7 +11,7 @@ import torch
 from baselines.device import to_device
 from baselines.feature_pnp.features import Features, Indices
 from baselines.learned_pnp.kornia_networks import from_kornia
-from baselines.learned_pnp.weights import fill, read_weights
+from baselines.published_weights import fill, read_weights
 
 _LAYERS = 9
 

@@ -18,7 +18,7 @@ from baselines.learned_pnp.detector import NetworkDetector
 from baselines.learned_pnp.disk import Disk
 from baselines.learned_pnp.lightglue import LightGlue
 from baselines.learned_pnp.superpoint import SuperPoint
-from baselines.learned_pnp.weights import by_place, find_weights
+from baselines.published_weights import by_place, find_weights
 from relocbench.weights import PublishedFile
 
 

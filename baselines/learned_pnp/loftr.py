@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from baselines.device import to_device
 from baselines.learned_pnp.images import network_input
 from baselines.learned_pnp.kornia_networks import from_kornia
-from baselines.learned_pnp.weights import fill, read_weights
+from baselines.published_weights import fill, read_weights
 from relocbench.tracking import Array
 
 LoftrModel = Literal["outdoor", "indoor_new"]

@@ -15,7 +15,7 @@ from baselines.feature_pnp.pnp import Pnp, PreparedKeyframe, StrongPixels
 from baselines.feature_pnp.solve import Matches2D3D
 from baselines.learned_pnp import published
 from baselines.learned_pnp.loftr import Loftr, LoftrImage, LoftrModel
-from baselines.learned_pnp.weights import by_place, find_weights
+from baselines.published_weights import by_place, find_weights
 from relocbench.tracking import Query, Reference
 from relocbench.weights import PublishedFile
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from baselines.learned_pnp.detector import NetworkDetector
-from baselines.learned_pnp.weights import fill, read_weights
+from baselines.published_weights import fill, read_weights
 
 _CELL_PX = 8
 _THRESHOLD = 0.005

@@ -18,8 +18,8 @@ from baselines.learned_pnp.detector import NetworkDetector
 from baselines.learned_pnp.disk import Disk
 from baselines.learned_pnp.matching import mutual_nearest
 from baselines.learned_pnp.superpoint import SuperPoint
-from baselines.learned_pnp.weights import by_place, find_weights
 from baselines.learned_pnp.xfeat import XFeat
+from baselines.published_weights import by_place, find_weights
 from relocbench.weights import PublishedFile
 
 

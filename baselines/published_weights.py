@@ -48,11 +48,11 @@ def find_weights(file: PublishedFile, given: Path | None, method: str, parameter
     return cached
 
 
-def read_weights(path: Path, entry: str | None = None) -> dict[str, Tensor]:
+def read_weights(path: Path, *entries: str) -> dict[str, Tensor]:
     """The tensors of a file by ``torch.save`` or of safetensors, by name; no code of the file is run.
 
     Args:
-        entry: of the file, if it has it, that the tensors are in.
+        entries: of the file; if it has one of them, the tensors are in the first one that it has.
 
     Raises:
         MethodError: the file is missing, damaged or holds something else.
@@ -65,8 +65,8 @@ def read_weights(path: Path, entry: str | None = None) -> dict[str, Tensor]:
         found = load_torch_file(path)
     except ValueError as bad:
         raise MethodError(f"cannot be read as weights: {bad}", path) from bad
-    if entry is not None and isinstance(found, Mapping) and entry in found:
-        found = found[entry]
+    if isinstance(found, Mapping):
+        found = next((found[entry] for entry in entries if entry in found), found)
     if not isinstance(found, Mapping) or not all(isinstance(t, Tensor) for t in found.values()):
         raise MethodError("holds no tensors by name, which weights are", path)
     return {str(name): tensor for name, tensor in found.items()}
