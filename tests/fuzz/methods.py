@@ -79,6 +79,8 @@ def write_weights(root: Path) -> None:
     from baselines.lpn.options import NetworkOptions as LpnOptions
     from baselines.lpn.weights import About
     from baselines.lpn.weights import save_weights as save_lpn
+    from baselines.place_networks.dinov2 import VitShape
+    from baselines.place_networks.megaloc import MegaLocNetwork
     from baselines.training.checkpoint import Checkpoint, save_checkpoint
     from baselines.training.log import Table
 
@@ -93,6 +95,10 @@ def write_weights(root: Path) -> None:
     state = dict(NarrowResNet().state_dict())
     save_file(state, folder / "backbone.safetensors")
     torch.save(state, folder / "backbone.pth")
+    places = MegaLocNetwork(VitShape(64, 8, 1, 2, 3), hidden=8, clusters=2, features=4, token=4, dimensions=8)
+    drawn = {name: torch.randn(value.shape) for name, value in places.state_dict().items()}
+    save_file(drawn, folder / "megaloc.safetensors")
+    torch.save({"epoch": 1, "state_dict": drawn}, folder / "megaloc.pth")
     states = {name: tensor.clone() for name, tensor in small.state_dict().items()}
     optimiser = torch.optim.Adam(small.parameters()).state_dict()
     save_checkpoint(
@@ -187,10 +193,12 @@ def _weights(place: Place) -> None:
     from baselines.lpn.backbone import Backbone
     from baselines.lpn.backbone_weights import load_backbone
     from baselines.lpn.weights import load_weights as load_lpn
+    from baselines.place_networks.megaloc import load_megaloc
 
     readers: Mapping[str, Callable[[Path], object]] = {
         "gn": lambda path: (load_gn(path), read_card(path)),
         "lpn": load_lpn,
+        "megaloc": load_megaloc,
         "backbone": lambda path: load_backbone(path, Backbone("resnet18", 1, torch.Generator())),
     }
     with _narrow():
@@ -252,6 +260,7 @@ PARSERS = (
     ),
     Parser("weights", "weights", ("weights/gn*", "weights/lpn*"), _weights, brief=False),
     Parser("backbone", "weights", ("weights/backbone.*",), _weights, brief=False),
+    Parser("place-networks", "weights", ("weights/megaloc.*",), _weights, brief=False),
     Parser("checkpoint", "weights", ("weights/checkpoint.pt",), _checkpoint, brief=False),
     Parser("training-log", "weights", ("weights/log.csv",), _log, text=True, brief=False),
     Parser("program", "program", ("program/*",), _program, text=True),
