@@ -10,6 +10,8 @@ import typer
 
 from relocbench.cli.options import DatasetPath, Quiet
 
+_TOP = 20
+
 
 def export(
     dataset: DatasetPath,
@@ -21,17 +23,30 @@ def export(
             "-f",
             metavar="NAME",
             help="tum (TUM trajectory), kitti (KITTI poses), colmap (COLMAP text model), kapture (kapture "
-            "folders mapping and query), hloc (named poses and pairs) or mlad (MLAD submission).",
+            "folders mapping and query), hloc (named poses and pairs; with --retriever its lists) or mlad (MLAD submission).",
         ),
     ],
-    results: Annotated[Path, typer.Option(metavar="FOLDER", help="Results folder that holds the predictions.")] = Path(
-        "results"
-    ),
+    results: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Results folder that holds the predictions or rankings.")
+    ] = Path("results"),
     method: Annotated[
         str | None,
         typer.Option(
             "--method", "-m", metavar="LABEL", help="Method whose predictions are exported [default: the ground truth]."
         ),
+    ] = None,
+    retriever: Annotated[
+        str | None,
+        typer.Option(
+            "--retriever",
+            "-r",
+            metavar="LABEL",
+            help="With --format hloc: the retriever whose rankings are exported in place of poses.",
+        ),
+    ] = None,
+    top: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="Keyframes of each query in a retriever's list [default: 20]."),
     ] = None,
     pair_set: Annotated[
         list[str], typer.Option(metavar="NAME", help="Export only this pair set. Repeat for several.")
@@ -45,18 +60,34 @@ def export(
     ] = [],  # noqa: B006
     quiet: Quiet = False,
 ) -> None:
-    """Write predictions, or the ground truth, as other tools read them.
+    """Write predictions, the ground truth, or the rankings of a retriever, as other tools read them.
 
     Example: relocbench export -d D --method dso --format mlad --out submission.zip
     """
     from relocbench.cli.console import reporter
     from relocbench.datasets.core.dataset import Dataset
+    from relocbench.errors import ConfigError
     from relocbench.evaluation.common.opening import check_outside
+    from relocbench.evaluation.retrieval.exports import export_lists
     from relocbench.evaluation.tracking.exports import export_poses
     from relocbench.files import alone_writing_to
 
+    if retriever is None and top is not None:
+        raise ConfigError("--top is the length of a retriever's lists; name the retriever: --retriever LABEL")
+    if retriever is not None and (format != "hloc" or method is not None):
+        raise ConfigError("--retriever exports lists of images for hloc: give --format hloc and no --method")
     opened = Dataset(dataset)
     check_outside(out, dataset)
+    if retriever is not None:
+        asked = [opened.pair_set(name).name for name in pair_set]
+        with alone_writing_to(out):
+            lists = export_lists(opened, asked, out, results, retriever, _TOP if top is None else top)
+        for one in lists:
+            if not quiet:
+                typer.echo(str(one.path))
+            if one.unanswered:
+                typer.echo(f"{one.path}: {one.unanswered} of {one.queries} queries have no line", err=True)
+        return
     names = [opened.pair_set(name).name for name in pair_set] or opened.pair_set_names
     # The zip appears whole in one step: nothing is shared with whoever writes beside it.
     with nullcontext() if format == "mlad" else alone_writing_to(out):

@@ -199,10 +199,14 @@ def _check_one_world(pair_set: PairSet, reference: Traversal, query: Traversal) 
         )
 
 
-def _view(traversal: Traversal, camera: str, time: int) -> ImageView:
-    path = traversal.layout.find_image(camera, time) or traversal.layout.image(camera, time)
-    key = path.relative_to(traversal.layout.root.parent.parent).as_posix()
+def image_key(traversal: Traversal, camera: str, timestamp_ns: int) -> str:
+    """The key of an image in the tasks of its dataset, which is its path in the dataset."""
+    path = traversal.layout.find_image(camera, timestamp_ns) or traversal.layout.image(camera, timestamp_ns)
+    return path.relative_to(traversal.layout.root.parent.parent).as_posix()
 
+
+def _view(traversal: Traversal, camera: str, time: int) -> ImageView:
+    key = image_key(traversal, camera, time)
     return ImageView(key, VIEW, partial(_read, traversal.layout.root, camera, time))
 
 

@@ -67,12 +67,6 @@ def answered_lines(pair_set: PairSet, predictions: Sequence[PoseLine]) -> list[P
     return [line for line in predictions if line.T_query_ref is not None and not pair_set.by_key[line.key].is_elsewhere]
 
 
-def stored_name(traversal: Traversal, camera: str, time: int) -> str:
-    """The path of an image below the dataset's ``traversals``."""
-    path = traversal.layout.find_image(camera, time) or traversal.layout.image(camera, time)
-    return path.relative_to(traversal.layout.root.parent).as_posix()
-
-
 def points_in_world(traversal: Traversal, camera: str, time: int, T_world_cam: Array) -> tuple[Array, Array]:
     """The sparse points (N, 3) of a keyframe in the world, and their pixels (N, 2); none where depth is dense."""
     points = traversal.points(camera, time)

@@ -9,7 +9,8 @@ from relocbench.arrays import Array
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.pairfile import PoseLine
 from relocbench.datasets.core.traversal import Traversal
-from relocbench.evaluation.tracking.absolute_poses import digits, points_in_world, query_poses, stored_name
+from relocbench.evaluation.common.image_names import stored_name
+from relocbench.evaluation.tracking.absolute_poses import digits, points_in_world, query_poses
 from relocbench.files import write_text
 from relocbench.geometry import Camera, invert, transform_to_tq
 

@@ -11,10 +11,10 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.fingerprint import SHORT
 from relocbench.datasets.core.named_poses import write_named_poses
 from relocbench.datasets.core.pairfile import PairKey, PoseLine, pose_fields, pose_line_fields, read_pose_lines
-from relocbench.datasets.core.traversal import Traversal
 from relocbench.errors import DatasetError, PredictionError
+from relocbench.evaluation.common.image_names import listed_name
 from relocbench.evaluation.common.results import DatasetResults
-from relocbench.evaluation.tracking.absolute_poses import answered_lines, digits, query_poses, stored_name
+from relocbench.evaluation.tracking.absolute_poses import answered_lines, digits, query_poses
 from relocbench.evaluation.tracking.colmap_export import export_colmap
 from relocbench.evaluation.tracking.kapture_export import export_kapture
 from relocbench.evaluation.tracking.score import read_predictions
@@ -121,17 +121,17 @@ def export_hloc(dataset: Dataset, pair_set: str, predictions: Sequence[PoseLine]
     their path below the dataset's ``traversals``. Returns the number of poses.
 
     Raises:
-        PredictionError, DatasetError: see :func:`query_poses`.
+        PredictionError, DatasetError: see :func:`query_poses`; also a name with a blank or ``#``.
     """
     poses = query_poses(dataset, pair_set, predictions)
     chosen = dataset.pair_set(pair_set)
     reference, query = dataset.traversal(chosen.reference), dataset.traversal(chosen.query)
-    named = {_name_of(query, chosen.camera, p.query_timestamp_ns): invert(p.T_world_query) for p in poses}
+    named = {listed_name(query, chosen.camera, p.query_timestamp_ns): invert(p.T_world_query) for p in poses}
     write_named_poses(out / "poses.txt", named)
     lines = []
     for pair in sorted(chosen.pairs, key=lambda p: (p.query_timestamp_ns, p.ref_timestamp_ns)):
-        asked = _name_of(query, chosen.camera, pair.query_timestamp_ns)
-        lines.append(f"{asked} {_name_of(reference, chosen.camera, pair.ref_timestamp_ns)}\n")
+        asked = listed_name(query, chosen.camera, pair.query_timestamp_ns)
+        lines.append(f"{asked} {listed_name(reference, chosen.camera, pair.ref_timestamp_ns)}\n")
     write_text(out / "pairs.txt", "".join(lines))
     return len(poses)
 
@@ -174,11 +174,6 @@ def export_mlad(
             entry.external_attr = 0o644 << 16
             archive.writestr(entry, "".join(" ".join(pose_line_fields(line)) + "\n" for line in lines))
     return sum(map(len, texts.values()))
-
-
-def _name_of(traversal: Traversal, camera: str, time: int) -> str:
-    """The name of an image where it was imported from, or else :func:`stored_name`."""
-    return traversal.names.get(time) or stored_name(traversal, camera, time)
 
 
 def _seconds(timestamp_ns: int) -> str:

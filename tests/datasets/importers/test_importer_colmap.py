@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import relocbench
+from retrievers_for_tests import Thumbnail
 from small_dataset import photograph, render, small_pose
 
 from baselines.feature_pnp import OrbPnp
@@ -21,6 +22,7 @@ from relocbench.datasets.core.named_poses import read_named_poses, write_named_p
 from relocbench.datasets.importers.colmap import dataset as importer
 from relocbench.datasets.importers.colmap.model import read_model
 from relocbench.datasets.importers.photos.cameras import camera_of
+from relocbench.datasets.importers.photos.lists import listed_pairs
 from relocbench.datasets.importers.photos.points import Observations, keyframe_points
 from relocbench.errors import ConfigError, DatasetError
 from relocbench.evaluation.common.error_table import read_errors
@@ -293,6 +295,42 @@ def test_exports_for_hloc_are_read_back(model: Path, tmp_path: Path) -> None:
     again = build(model / "text", tmp_path / "again", queries=["night/*"], pairs=out / "pairs.txt")
     first, second = (d.pair_set("map__query__photo").pairs for d in (dataset, again))
     assert [p.key for p in first] == [p.key for p in second]
+
+
+def test_rankings_exported_for_hloc_are_read_back(model: Path, tmp_path: Path) -> None:
+    """The lists name images as the model does, keep the order of the ranking, and are pairs of a dataset again."""
+    dataset = build(model / "text", tmp_path / "d", queries=["night/*"])
+    ranked = relocbench(
+        "evaluate-retrieval", "-d", dataset.root, "-m", "t=retrievers_for_tests:Thumbnail", "-j", 0, "--positives",
+        "pairs", "-o", tmp_path / "r", "-q",
+    )  # fmt: skip
+    assert ranked.status == 0, ranked.err
+    words = ("export", "-d", dataset.root, "-f", "hloc", "-r", "t", "--top", 3, "--results", tmp_path / "r")
+    told = relocbench(*words, "-o", tmp_path / "e")
+    assert told.status == 0, told.err
+    path = tmp_path / "e" / "map__query__photo" / "pairs.txt"
+    assert told.out.split() == [str(path)]
+    pairs = [pair for _, pair in listed_pairs(path)]
+    seen = {
+        image_name(frame): Thumbnail().vector(cv2.cvtColor(dataset_image(dataset, frame), cv2.COLOR_GRAY2RGB))
+        for frame in range(FRAMES)
+    }
+    expected = [
+        (image_name(frame), image_name(near))
+        for frame in (4, 5)
+        for near in sorted(range(4), key=lambda k: -float(seen[image_name(k)] @ seen[image_name(frame)]))[:3]
+    ]
+    assert pairs == expected
+    again = build(model / "text", tmp_path / "again", queries=["night/*"], pairs=path)
+    names = {name: again.traversal(name).names for name in ("map", "query")}
+    found = again.pair_set("map__query__photo").pairs
+    assert {(names["query"][p.query_timestamp_ns], names["map"][p.ref_timestamp_ns]) for p in found} == set(expected)
+
+
+def dataset_image(dataset: Dataset, frame: int) -> Image:
+    traversal = dataset.traversal("query" if frame >= 4 else "map")
+    (time,) = (time for time, name in traversal.names.items() if name == image_name(frame))
+    return traversal.image("photo", time)
 
 
 @pytest.mark.parametrize("name", ["cameras", "images", "points3D"])

@@ -1,0 +1,121 @@
+"""Exporting rankings to hloc: for each query its first keyframes, best first, as lines ``query keyframe``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from relocbench.datasets.core.dataset import Dataset
+from relocbench.datasets.core.traversal import Traversal
+from relocbench.datasets.pairs.street_places import StreetPlaces, image_key
+from relocbench.errors import PredictionError, quoted
+from relocbench.evaluation.common.image_names import listed_name
+from relocbench.evaluation.retrieval.answers import read_answers, read_lists
+from relocbench.evaluation.retrieval.records import RetrieverResults, SetRecord, SetResults, all_sets
+from relocbench.files import write_text
+
+
+@dataclass(frozen=True)
+class ExportedList:
+    """The list of one pair set."""
+
+    path: Path
+    queries: int
+    """that the retriever was asked about"""
+    unanswered: int
+    """of these: without a line, since nothing was retrieved for them"""
+
+
+def export_lists(
+    dataset: Dataset, pair_sets: Sequence[str], out: Path, results: Path, retriever: str, top: int
+) -> list[ExportedList]:
+    """Write ``OUT/PAIRSET/pairs.txt`` with the first keyframes that a retriever ranked for each query.
+
+    Images have the names that exported poses have: those of where they were imported from, or else their paths below
+    the dataset's ``traversals``.
+
+    Args:
+        pair_sets: to export; none for all that the retriever ranked.
+        results: the results folder that holds the rankings, or the folder of one retrieval set in it.
+        retriever: the label of the rankings.
+        top: number of keyframes of each query, fewer where the map has not as many.
+
+    Raises:
+        PredictionError: there are no such rankings, more than one set of them, or lists that are shorter than ``top``.
+        DatasetError: an image has a name that a list cannot hold.
+    """
+    found, folder = _rankings(dataset, results, retriever)
+    tasks = found.record.tasks
+    there = [n for n in dataset.pair_set_names if n in tasks and folder.complete(n)]
+    for name in pair_sets:
+        if name not in there:
+            raise PredictionError(
+                f"no rankings of pair set '{name}'; there is {', '.join(there) or 'none'}", folder.root
+            )
+    keep = folder.run_record().keep
+    chosen = [name for name in there if not pair_sets or name in pair_sets]
+    if not chosen:
+        raise PredictionError("holds no rankings; relocbench evaluate-retrieval makes them", folder.root)
+    for name in chosen:
+        if keep is not None and keep < min(top, tasks[name].gallery):
+            raise PredictionError(
+                f"keeps {keep} images of each query, --top is {top}; `relocbench evaluate-retrieval --keep {top}` "
+                "keeps as many",
+                folder.run_yaml,
+            )
+    return [_export(dataset, name, folder, out / name / "pairs.txt", top) for name in chosen]
+
+
+def _export(dataset: Dataset, pair_set: str, folder: RetrieverResults, out: Path, top: int) -> ExportedList:
+    chosen = dataset.pair_set(pair_set)
+    reference, query = dataset.traversal(chosen.reference), dataset.traversal(chosen.query)
+    asked, gallery = _times(query, chosen.camera), _times(reference, chosen.camera)
+    keyframes = list(gallery.values())
+    lists = read_lists(folder.predictions(pair_set), asked, {key: index for index, key in enumerate(gallery)})
+    lines, unanswered, answers = [], 0, read_answers(folder.answers(pair_set))
+    for answer in answers:
+        if answer.query not in asked:
+            raise PredictionError(f"unknown query {quoted(answer.query)}", folder.answers(pair_set))
+        retrieved = lists[answer.query][:top]
+        unanswered += not retrieved
+        name = listed_name(query, chosen.camera, asked[answer.query])
+        lines += [f"{name} {listed_name(reference, chosen.camera, keyframes[index])}\n" for index in retrieved]
+    write_text(out, "".join(lines))
+    return ExportedList(out, len(answers), unanswered)
+
+
+def _times(traversal: Traversal, camera: str) -> dict[str, int]:
+    """The times of a camera's images, in nanoseconds, by their keys."""
+    return {image_key(traversal, camera, time): time for time in traversal.timestamps(camera)}
+
+
+def _rankings(dataset: Dataset, results: Path, retriever: str) -> tuple[SetResults, RetrieverResults]:
+    """The only retrieval set of this dataset that has a retriever's rankings, and these. Raises PredictionError."""
+    sets = [one for one in all_sets(results) if _is_of(dataset, one.record)]
+    labels = {one.root: [method.label for method in one.methods()] for one in sets}
+    having = [one for one in sets if retriever in labels[one.root]]
+    if not having:
+        known = sorted({label for of in labels.values() for label in of})
+        raise PredictionError(
+            f"no rankings of '{retriever}' on {dataset.name}@{dataset.fingerprint[:12]}; there are "
+            f"{', '.join(known) or 'none'}",
+            results,
+        )
+    if len(having) > 1:
+        raise PredictionError(
+            f"{len(having)} sets of rankings of '{retriever}'; name the folder of one: --results "
+            f"{' or '.join(str(one.root) for one in having)}",
+            results,
+        )
+    return having[0], having[0].method(retriever)
+
+
+def _is_of(dataset: Dataset, record: SetRecord) -> bool:
+    """Whether a retrieval set was made of this very dataset."""
+    radius, heading = (record.options.get(name) for name in ("radius", "heading"))
+    if record.options.get("positives") == "pairs":
+        return StreetPlaces(dataset, rule="pairs").fingerprint == record.fingerprint
+    if not isinstance(radius, int | float) or isinstance(heading, str):
+        return False
+    return StreetPlaces(dataset, radius, heading).fingerprint == record.fingerprint
