@@ -23,7 +23,8 @@ def export(
             "-f",
             metavar="NAME",
             help="tum (TUM trajectory), kitti (KITTI poses), colmap (COLMAP text model), kapture (kapture "
-            "folders mapping and query), hloc (named poses and pairs; with --retriever its lists) or mlad (MLAD submission).",
+            "folders mapping and query), hloc (named poses and pairs; with --retriever its lists) or mlad (MLAD "
+            "submission).",
         ),
     ],
     results: Annotated[

@@ -15,7 +15,7 @@ from retrievers_for_tests import Thumbnail
 from small_dataset import photograph, render, small_pose
 
 from baselines.feature_pnp import OrbPnp
-from relocbench.arrays import Array
+from relocbench.arrays import Array, Image
 from relocbench.datasets.checks.validation import validate_dataset
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.named_poses import read_named_poses, write_named_poses
