@@ -62,13 +62,14 @@ def test_a_query_shows_every_point_where_its_pose_and_the_depth_of_the_keyframe_
         for pair in pair_set.pairs:
             reference, query = dataset.reference(pair_set, pair), dataset.query(pair_set, pair)
             assert reference.depth is not None
+            assert pair.T_query_ref is not None
             v, u = np.mgrid[8:320:8, 8:480:8].reshape(2, -1)
             rays, _ = reference.camera.unproject(np.stack([u, v], axis=-1))
             points = rays * reference.depth[v, u][:, None]
             uv, valid = query.camera.project(points @ pair.T_query_ref[:3, :3].T + pair.T_query_ref[:3, 3])
             valid &= query.camera.contains(uv)
             at = uv[valid].astype(np.float32)[None]
-            shown = cv2.remap(query.image, at, None, cv2.INTER_LINEAR)[0].astype(float)
+            shown = cv2.remap(query.image, at[..., 0], at[..., 1], cv2.INTER_LINEAR)[0].astype(float)
             stood = reference.image[v, u][valid].astype(float)
             # The light of a day scales all grey values; the noise decorrelates over 8 pixels.
             assert np.corrcoef(shown.ravel(), stood.ravel())[0, 1] > 0.99

@@ -11,7 +11,7 @@ from small_dataset import ACROSS, CAMERA, WITHIN, make_small_dataset
 
 from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.names import write_names
-from relocbench.datasets.importers.colmap.lists import listed_pairs
+from relocbench.datasets.importers.photos.lists import listed_pairs
 
 METHOD = "t=retrievers_for_tests:Thumbnail"
 
