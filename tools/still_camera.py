@@ -1,11 +1,13 @@
-"""Make a recording with exact poses from images of a camera that never moved, such as a webcam through a year.
+"""Make a recording with exact poses from images of a camera that stays where it is, such as a webcam through a year.
 
 The scene is taken to be a slanted plane, 6 m away at the bottom of the image and 20 m at the top, as a street is. What
 a moved camera sees of a plane is a homography, so that every pose has its exact view of a real photograph. Each
 keyframe is the middle of an image; its query is the middle of an image of another day and hour, as seen after a drawn
-motion. Only light, weather, season and what stands in the scene are real; geometry and motion are made up. Marks of the
-camera itself, such as dirt on the lens or the blocks of compression, move with the scene, which they do not for a
-camera that moves.
+motion. Only light, weather, season and what stands in the scene are real; geometry and motion are made up. The poses
+are exact for the warp; what the camera itself shifts between two days comes on top. Marks of the camera, such as dirt
+on the lens or the blocks of compression, move with the scene, which they do not for a camera that moves.
+
+Every image belongs to one pair at most, and of images with the same content one is used.
 
     python tools/still_camera.py OUT FOLDER [FOLDER ...] [--pairs N] [--seed S]
 
@@ -17,7 +19,9 @@ from each other, and the queries. A folder that exists already is refused.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -56,32 +60,56 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("folders", type=Path, nargs="+", metavar="FOLDER")
-    parser.add_argument("--pairs", type=int, default=24, help="pairs of each camera")
+    parser.add_argument("--pairs", type=int, default=16, help="pairs of each camera")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     if options.out.exists():
         sys.exit(f"{options.out}: exists already; expected a folder that is to be made")
     rng = np.random.default_rng(options.seed)
-    write(options.out, {folder.name: draw(folder, options.pairs, rng) for folder in options.folders})
+    write(options.out, {name: draw(path, options.pairs, rng) for name, path in named(options.folders).items()})
 
 
 def draw(folder: Path, count: int, rng: np.random.Generator) -> list[Pair]:
-    """Pairs of images of one camera: no image is the keyframe of two pairs, or the query of two."""
-    files = sorted(path for path in folder.glob("*") if path.suffix in (".jpg", ".jpeg", ".png"))
-    if len(files) < max(2, count):
-        sys.exit(f"{folder}: holds {len(files)} images; expected at least {max(2, count)}")
-    around = rng.permutation(len(files))
-    pairs = []
-    for reference, query in zip(around[:count], np.roll(around, -1)[:count], strict=True):
-        margin = size_of(files[reference])
-        pairs.append(Pair(files[reference], files[query], drawn_motion(margin, rng)))
-    return pairs
+    """Pairs of images of one camera; no image is in two of them."""
+    if not folder.is_dir():
+        sys.exit(f"{folder}: no such folder; expected the images of one camera")
+    files = unlike([path for path in sorted(folder.glob("*")) if path.suffix.lower() in (".jpg", ".jpeg", ".png")])
+    if count < 1 or len(files) < 2 * count:
+        sys.exit(f"{folder}: holds {len(files)} different images; expected two for each of {count} pairs, 1 or more")
+    size = one_size(files)
+    chosen = rng.permutation(len(files))[: 2 * count].reshape(count, 2)
+    return [Pair(files[reference], files[query], drawn_motion(size, rng)) for reference, query in chosen]
 
 
-def size_of(path: Path) -> tuple[int, int]:
-    """Width and height of an image."""
-    height, width = read(path).shape[:2]
-    return width, height
+def named(folders: Sequence[Path]) -> dict[str, Path]:
+    """The folders by the name of their camera."""
+    found = {folder.resolve().name: folder for folder in folders}
+    if len(found) < len(folders) or "map" in found:
+        sys.exit(
+            f"folders are named {', '.join(folder.resolve().name for folder in folders)}; expected different names, "
+            "none of them 'map'"
+        )
+    return found
+
+
+def unlike(files: Sequence[Path]) -> list[Path]:
+    """The files without those whose content an earlier one has."""
+    first: dict[str, Path] = {}
+    for path in files:
+        first.setdefault(hashlib.sha256(path.read_bytes()).hexdigest(), path)
+    return list(first.values())
+
+
+def one_size(files: Sequence[Path]) -> tuple[int, int]:
+    """Width and height of all images."""
+    size: tuple[int, int] | None = None
+    for path in files:
+        height, width = read(path).shape[:2]
+        if size not in (None, (width, height)):
+            sys.exit(f"{path}: {width} x {height} pixels; expected {size[0]} x {size[1]} as {files[0].name}")
+        size = width, height
+    assert size is not None
+    return size
 
 
 def drawn_motion(size: tuple[int, int], rng: np.random.Generator) -> Array:

@@ -4,6 +4,8 @@ Each tracker is made anew and answers the first pairs of a dataset in turn; the 
 untimed. Timed is the wall clock of preparing the keyframe and of tracking the query, with as many threads as the
 libraries take by themselves. Without a dataset a short drive through the procedural town is rendered, 512x512 pixels.
 
+Trackers whose weights the user has to fetch, such as aliked-pnp, are named by ``-m``.
+
     python benchmarks/speed/trackers.py [DATASET] [--pairs N] [-m METHOD ...] [--set METHOD.key=value ...]
 
 The last line is JSON.
@@ -24,6 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from relocbench.datasets.core.dataset import Dataset
+from relocbench.errors import RelocbenchError
 from relocbench.methods import TRACKERS, MethodSpec, parse_methods
 from relocbench.tracking import Query, Reference
 
@@ -49,10 +52,15 @@ def main() -> None:
     parser.add_argument("--set", dest="settings", action="append", default=[], help="method.key=value")
     options = parser.parse_args()
     names = list(dict.fromkeys([REFERENCE, *(options.methods or METHODS)]))
-    specs = parse_methods(names, options.settings, 0, TRACKERS)
-    with tempfile.TemporaryDirectory() as folder:
-        pairs = first_pairs(options.dataset or rendered(Path(folder) / "drive"), options.pairs)
-        seconds = {spec.label: taken(spec, pairs) for spec in specs}
+    if options.pairs < 1:
+        parser.error(f"--pairs is {options.pairs}, expected 1 or more")
+    try:
+        specs = parse_methods(names, options.settings, 0, TRACKERS)
+        with tempfile.TemporaryDirectory() as folder:
+            pairs = first_pairs(options.dataset or rendered(Path(folder) / "drive"), options.pairs)
+            seconds = {spec.label: taken(spec, pairs) for spec in specs}
+    except RelocbenchError as bad:
+        sys.exit(str(bad))
     print(f"| tracker | median seconds a pair | times {REFERENCE} |\n|---|---:|---:|")
     for name, of in sorted(seconds.items(), key=lambda item: item[1]):
         print(f"| {name} | {of:.3f} | {of / seconds[REFERENCE]:.2f} |")

@@ -7,7 +7,8 @@ rendered.
 
 With ``--recording`` a sequence in KITTI's layout is built twice, with depth by stereo and with depth by its lidar, and
 both trackers are asked the pairs that both have. Printed is also how many pairs are right with stereo alone, and with
-lidar alone. ``--recording rendered`` renders a drive in that layout.
+lidar alone. ``--recording rendered`` renders a drive in that layout; ``tools/kitti_lidar_poses.py`` makes the poses of
+KITTI 00.
 
     python benchmarks/truth/sparse_depth.py [DATASET] [--rings 5,9]
     python benchmarks/truth/sparse_depth.py --recording ROOT --sequence 00 [--steps 1,2,3,4,5]
@@ -95,7 +96,9 @@ def _drive(out: Path) -> Path:
 
 
 def _build(*words: object) -> None:
-    subprocess.run([sys.executable, "-m", "relocbench", "build-dataset", *map(str, words), "-q"], check=True)
+    ended = subprocess.run([sys.executable, "-m", "relocbench", "build-dataset", *map(str, words), "-q"], check=False)
+    if ended.returncode:
+        sys.exit(ended.returncode)  # what was wrong has been said
 
 
 def _compare(root: Path, sequence: str, steps: str, temporary: Path) -> None:
@@ -110,6 +113,8 @@ def _compare(root: Path, sequence: str, steps: str, temporary: Path) -> None:
     for name, kind in TRACKERS.items():
         stereo, lidar = (_asked(dataset, kind(), 0) for dataset in datasets.values())
         both = stereo.keys() & lidar.keys()
+        if not both:
+            sys.exit(f"{root}: no pair has depth of both kinds; expected keyframes with right image and scan")
         for depth, answers, other in (("stereo", stereo, lidar), ("lidar", lidar, stereo)):
             row = _summary([answers[pair] for pair in both])
             row["alone"] = sum(answers[pair].right and not other[pair].right for pair in both)
