@@ -18,9 +18,11 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from relocbench.arrays import Array
+from relocbench.geometry import Camera
 from relocbench.progress import Reporter, Silent
 from relocbench.retrieval import PlaceData, Retriever
-from relocbench.tracking import Tracker
+from relocbench.tracking import KeyframePoints, Tracker
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,43 @@ class TrainingData(Protocol):
 
     def describe(self) -> Mapping[str, str]:
         """The names and fingerprints of the datasets that the data comes from."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class PosedPair:
+    """The true pose between the images of a training pair, which are named and not read."""
+
+    image_ref: str
+    """its name for :meth:`PosedTrainingData.view`; an image that belongs to several pairs has one name"""
+    image_query: str
+    T_query_ref: Array
+    """(4, 4)"""
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingView:
+    """One image of the training data with its camera."""
+
+    image: NDArray[np.uint8]
+    """(H, W, 3) RGB; a grey image has three equal channels"""
+    camera: Camera
+    points: KeyframePoints
+    """pixels with known depth; none where the image is no keyframe"""
+
+
+class PosedTrainingData(TrainingData, Protocol):
+    """Training data that also tells true poses and cameras, for trainers of what predicts poses.
+
+    Images can be read one by one, so that what is computed of an image can be kept for all of its pairs.
+    """
+
+    def posed(self, index: int) -> PosedPair:
+        """The true pose of a pair; no image is read."""
+        ...
+
+    def view(self, name: str) -> TrainingView:
+        """Read one image by the name that :meth:`posed` gives. Raises DatasetError."""
         ...
 
 
@@ -133,12 +172,12 @@ class Trainer(Protocol):
         ...
 
     def train(
-        self, data: TrainingData, validate: Validate | None, options: Mapping[str, Any], run: TrainingRun
+        self, data: PosedTrainingData, validate: Validate | None, options: Mapping[str, Any], run: TrainingRun
     ) -> TrainingReport:
         """Train, and keep the weights that validate best, or the last ones if there is no validation.
 
         Args:
-            data: pairs to learn from.
+            data: pairs to learn from. A trainer that needs no poses may ask for :class:`TrainingData` only.
             validate: see :data:`Validate`.
             options: nested as ``default_options``; missing options have their defaults.
             run: where and how to train.

@@ -66,22 +66,38 @@ class FeatureNet(nn.Module):
         Raises:
             ValueError: the shape is wrong, or the images have no pixel on the coarsest level.
         """
-        x = functional.pixel_unshuffle(self._padded(images), 1 << self.options.finest)
+        maps = self.stages(images)
         height, width = images.shape[-2:]
-        skips = []
-        for k, stage in enumerate(self.encoder):
-            x = stage(functional.avg_pool2d(x, 2) if k else x)
-            skips.append(x)
-        maps = [skips[-1]]
-        for k in reversed(range(len(skips) - 1)):
-            # 1x1 convolution before upsampling gives the same numbers as after it, at a quarter of the work.
-            up = functional.interpolate(self.reduce[k](maps[0]), scale_factor=2, mode="bilinear", align_corners=False)
-            maps.insert(0, self.decoder[k](up.add_(skips[k])))
         out = []
         for level, (head, of_level) in enumerate(zip(self.heads, maps, strict=False), start=self.options.finest):
             features = head(of_level)[..., : height >> level, : width >> level]
             out.append(functional.normalize(features, dim=1) if self.options.normalise == "unit" else features)
         return tuple(out)
+
+    def stages(self, images: Tensor, finest: int = 0) -> list[Tensor]:
+        """What the heads read: the decoder's maps from stage ``finest`` on, finest first; padding is not cut off.
+
+        Args:
+            images: as in :meth:`forward`.
+            finest: stages before this one are not computed.
+
+        Returns:
+            (B, widths[k], H', W') for each stage k, with H' and W' those of the padded images on level ``finest`` + k.
+
+        Raises:
+            ValueError: as in :meth:`forward`.
+        """
+        x = functional.pixel_unshuffle(self._padded(images), 1 << self.options.finest)
+        skips = []
+        for k, stage in enumerate(self.encoder):
+            x = stage(functional.avg_pool2d(x, 2) if k else x)
+            skips.append(x)
+        maps = [skips[-1]]
+        for k in reversed(range(finest, len(skips) - 1)):
+            # 1x1 convolution before upsampling gives the same numbers as after it, at a quarter of the work.
+            up = functional.interpolate(self.reduce[k](maps[0]), scale_factor=2, mode="bilinear", align_corners=False)
+            maps.insert(0, self.decoder[k](up.add_(skips[k])))
+        return maps
 
     @property
     def parameters_count(self) -> int:

@@ -102,7 +102,8 @@ class GnNet:
     usual_damping: ClassVar[Literal["dso", "lm-reloc"]] = "dso"
     usual_matched_start: ClassVar[bool] = True
     usual_min_agreement: ClassVar[float] = 0.025
-    calibration: ClassVar[Calibration] = GN_NET
+    calibration: ClassVar[Calibration | None] = GN_NET
+    """None where none was fitted: answers have no confidence then"""
 
     def __init__(
         self,
@@ -256,7 +257,8 @@ class GnNet:
                 f"{self.min_agreement:.1%} are needed",
                 **info,
             )
-        return TrackResult(T_query_ref, confidence=self.calibration.confidence(info), info=info)
+        confidence = None if self.calibration is None else self.calibration.confidence(info)
+        return TrackResult(T_query_ref, confidence=confidence, info=info)
 
     def _info(self, found: FeatureAlignment) -> dict[str, Any]:
         return {
@@ -324,3 +326,11 @@ class LmNet(GnNet):
     name = trainer = "lm-net"
     calibration = LM_NET
     usual_damping = "lm-reloc"
+
+
+class LmNetFromPrior(LmNet):
+    """As :class:`LmNet`, started from the prior or the identity alone. Answers have no confidence: none was fitted."""
+
+    name = "lm-net-from-prior"
+    usual_matched_start = False
+    calibration = None

@@ -157,6 +157,10 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
         """What is reported of a validation, line by line."""
         yield percentages(scores.together)
 
+    def written_options(self) -> dict[str, Any]:
+        """The options as ``config.yaml`` has them, which ``--config`` takes."""
+        return plain(self.options)
+
     def on_new_best(self) -> None:
         """Called when the weights have scored best so far."""
 
@@ -206,7 +210,7 @@ class TrainingLoop(ABC, Generic[Options, Network, Batch]):
         Raises:
             MethodError: the loss or its gradient is no longer finite.
         """
-        write_whole(self.run.out / "config.yaml", yaml.safe_dump(plain(self.options), sort_keys=False))
+        write_whole(self.run.out / "config.yaml", yaml.safe_dump(self.written_options(), sort_keys=False))
         since, left = time.monotonic() - self.seconds, self.steps - self.step
         if left:
             self.announce()

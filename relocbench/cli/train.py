@@ -14,7 +14,7 @@ from relocbench.cli.options import Json, Quiet, given
 if TYPE_CHECKING:
     from relocbench.progress import Reporter
     from relocbench.retrieval import PlaceData
-    from relocbench.training import TrainingData, TrainingReport, Validate, ValidateRetriever
+    from relocbench.training import PosedTrainingData, TrainingReport, Validate, ValidateRetriever
 
 
 _TRACKERS = "Only for trainers of trackers"
@@ -187,7 +187,7 @@ def _refuse_without_effect(
             raise ConfigError(f"--{option.replace('_', '-')} has no effect beside --no-validation; give one of them")
 
 
-def _pairs(roots: Sequence[Path], split: str, validation_pairs: int) -> tuple[TrainingData, Validate | None]:
+def _pairs(roots: Sequence[Path], split: str, validation_pairs: int) -> tuple[PosedTrainingData, Validate | None]:
     """What a tracker learns from and is tried on; no validation at 0."""
     from relocbench.datasets.learning.training_pairs import DatasetPairs, without_only_validation
     from relocbench.evaluation.tracking.training_validation import TrackerValidation

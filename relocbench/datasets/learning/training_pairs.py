@@ -14,11 +14,11 @@ from relocbench.datasets.core.dataset import Dataset
 from relocbench.datasets.core.images import as_rgb
 from relocbench.datasets.core.layout import DatasetLayout
 from relocbench.datasets.core.pair_set import PairSet
-from relocbench.datasets.core.pairfile import PairKey
+from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.pairs.correspondence_index import CorrespondenceIndex
 from relocbench.errors import ConfigError
-from relocbench.training import PairLabel, TrainingPair
+from relocbench.training import PairLabel, PosedPair, TrainingPair, TrainingView
 
 TEST_SPLIT = "test"
 VALIDATION_SPLIT = "validation"
@@ -35,7 +35,7 @@ class _Source:
 
 
 class DatasetPairs:
-    """``relocbench.training.TrainingData`` from dataset folders.
+    """``relocbench.training.PosedTrainingData`` from dataset folders.
 
     Args:
         datasets: dataset folders.
@@ -50,7 +50,8 @@ class DatasetPairs:
     def __init__(self, datasets: Sequence[Path], split: str = "train") -> None:
         self._fingerprints: dict[str, str] = {}
         self._sources: list[_Source] = []
-        self._entries: list[tuple[int, PairKey]] = []
+        self._entries: list[tuple[int, Pair]] = []
+        self._images: dict[str, tuple[int, str, int]] = {}
         self._open: dict[tuple[Path, str], Traversal] = {}
         for root in datasets:
             self._add(Dataset(root.resolve()), split)
@@ -70,8 +71,8 @@ class DatasetPairs:
 
     def load(self, index: int) -> TrainingPair:
         """See ``TrainingData``."""
-        number, key = self._entries[index]
-        source = self._sources[number]
+        number, pair = self._entries[index]
+        source, key = self._sources[number], pair.key
         u_ref, u_query, sigma = source.index.read_visible(key)
         return TrainingPair(
             label=source.label,
@@ -81,6 +82,21 @@ class DatasetPairs:
             u_query=u_query,
             sigma_px=sigma,
         )
+
+    def posed(self, index: int) -> PosedPair:
+        """See ``PosedTrainingData``."""
+        number, pair = self._entries[index]
+        label = self._sources[number].label
+        assert pair.T_query_ref is not None, "pairs with correspondences have a pose"
+        names = (_name(label, drive, time) for drive, time in zip(_drives(label), pair.key, strict=True))
+        return PosedPair(*names, pair.T_query_ref)
+
+    def view(self, name: str) -> TrainingView:
+        """See ``PosedTrainingData``."""
+        number, traversal, time = self._images[name]
+        source = self._sources[number]
+        keyframe = self._traversal(source, traversal).reference(source.camera, time)
+        return TrainingView(as_rgb(keyframe.image), keyframe.camera, keyframe.points)
 
     def _add(self, dataset: Dataset, split: str) -> None:
         refuse_test_split(dataset, split)
@@ -100,14 +116,30 @@ class DatasetPairs:
                 condition_ref=str(dataset.traversal(pair_set.reference).condition),
                 condition_query=str(dataset.traversal(pair_set.query).condition),
             )
-            self._entries += [(len(self._sources), pair.key) for pair in pair_set.pairs if pair.key in index]
+            kept = [pair for pair in pair_set.pairs if pair.key in index]
+            self._entries += [(len(self._sources), pair) for pair in kept]
+            for pair in kept:
+                for drive, time in zip(_drives(label), pair.key, strict=True):
+                    self._images[_name(label, drive, time)] = len(self._sources), drive, time
             self._sources.append(_Source(dataset.root, pair_set.camera, label, index))
 
     def _image(self, source: _Source, traversal: str, timestamp_ns: int) -> NDArray[np.uint8]:
-        at = (source.root, traversal)
+        return as_rgb(self._traversal(source, traversal).image(source.camera, timestamp_ns))
+
+    def _traversal(self, source: _Source, name: str) -> Traversal:
+        at = (source.root, name)
         if at not in self._open:
-            self._open[at] = Traversal(DatasetLayout(source.root).traversal(traversal))
-        return as_rgb(self._open[at].image(source.camera, timestamp_ns))
+            self._open[at] = Traversal(DatasetLayout(source.root).traversal(name))
+        return self._open[at]
+
+
+def _drives(label: PairLabel) -> tuple[str, str]:
+    return label.traversal_ref, label.traversal_query
+
+
+def _name(label: PairLabel, traversal: str, timestamp_ns: int) -> str:
+    """The name of an image of all datasets."""
+    return f"{label.dataset}/{traversal}/{label.camera}/{timestamp_ns}"
 
 
 def without_only_validation(datasets: Sequence[Path], split: str) -> list[Path]:

@@ -1,0 +1,1 @@
+"""LM-Reloc: a network that predicts the pose between two images, and the alignment of lm-net's features from there."""

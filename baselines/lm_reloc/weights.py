@@ -1,0 +1,61 @@
+"""The weights file of the pose network, with its options and its card; the encoder is in it too."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from baselines.lm_reloc.network import PoseNetwork
+from baselines.lm_reloc.options import PoseNetOptions
+from baselines.options import options_from_dict, options_to_dict
+from baselines.weights_file import check_enough, fill_network, read_network, write_network
+from relocbench.errors import ConfigError, MethodError
+
+_KIND = "pose-net"
+
+
+def save_weights(path: Path, net: PoseNetwork, card: Mapping[str, str]) -> None:
+    """Write weights, options and card, whole or not at all; equal networks and cards give equal bytes.
+
+    Args:
+        path: must end in ``.safetensors``; an existing file is replaced.
+        net: as it is trained, not a copy ``for_tracking``.
+        card: what a reader should know, such as data, seed and scores; text.
+    """
+    write_network(path, _KIND, net, {"options": options_to_dict(net.options), "card": dict(card)})
+
+
+def load_weights(path: Path) -> PoseNetwork:
+    """The network of a weights file, on the CPU, in evaluation mode.
+
+    Raises:
+        MethodError: the file is missing, damaged, of another kind, or does not fit the network that it describes.
+    """
+    about, tensors = _read(path)
+    try:
+        options = options_from_dict(PoseNetOptions, about["options"])
+    except ConfigError as bad:
+        raise MethodError(f"the network's options are not understood ({bad})", path) from bad
+    check_enough(tensors, options.least_parameters, path)
+    net = PoseNetwork(options)
+    fill_network(net, tensors, path)
+    return net.eval()
+
+
+def read_card(path: Path) -> dict[str, str]:
+    """The card in a weights file.
+
+    Raises:
+        MethodError: the file is missing, damaged or of another kind.
+    """
+    return {str(key): str(value) for key, value in _read(path)[0]["card"].items()}
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    about, tensors = read_network(path, _KIND)
+    if not isinstance(about.get("options"), dict) or not isinstance(about.get("card"), dict):
+        raise MethodError("the metadata has no options or no card", path)
+    return about, tensors
