@@ -1,9 +1,9 @@
 """What the pose network adds to the alignment of lm-net: from the identity, from its pose, and from matches.
 
 Validation districts that no training read are rendered as those of ``cross_weather.py``: 512x512 pixels, three
-conditions, each of which is the map for queries of all three; their seeds follow from a phrase of their own. ``relocbench
-evaluate`` runs ``identity``, ``pose-net``, ``lm-net-from-prior`` (started from the identity), ``lm-reloc`` (from
-pose-net's pose alone), ``lm-net`` (from matches and the identity) and ``lm-net-and-pose-net`` (from matches and
+conditions, each of which is the map for queries of all three; their seeds follow from a phrase of their own.
+``relocbench evaluate`` runs ``identity``, ``pose-net``, ``lm-net-from-prior`` (started from the identity), ``lm-reloc``
+(from pose-net's pose alone), ``lm-net`` (from matches and the identity) and ``lm-net-and-pose-net`` (from matches and
 pose-net's pose). For pairs within a condition, and across conditions with a keyframe within a metre and farther off, it
 prints the medians of both errors, recall and r_auc with their 95 % intervals, and the differences of lm-reloc to the
 other alignments. Districts count alike, and a district is one series by the step of the drive (``docs/statistics.md``).
