@@ -106,7 +106,7 @@ class PosedTrainingData(TrainingData, Protocol):
     """
 
     def posed(self, index: int) -> PosedPair:
-        """The true pose of a pair; no image is read."""
+        """The true pose of a pair; no image is read. Raises DatasetError where poses are withheld."""
         ...
 
     def view(self, name: str) -> TrainingView:

@@ -75,6 +75,29 @@ def test_pairs_of_a_split_hold_what_both_images_see(dataset: Dataset) -> None:
     assert list(data.describe().values()) == [dataset.fingerprint]
 
 
+def test_poses_and_single_images_are_told_to_trainers_that_ask_for_them(dataset: Dataset) -> None:
+    data = DatasetPairs([dataset.root])
+    pair_set = dataset.pair_set(ACROSS)
+    first, again = data.posed(0), data.posed(1)
+    assert np.array_equal(first.T_query_ref, pair_set.pairs[0].T_query_ref)
+    assert first.image_ref != first.image_query
+    within = [data.posed(index) for index in range(len(data)) if data.label(index).traversal_query == "summer"]
+    assert {first.image_ref, again.image_ref} & {name for pair in within for name in (pair.image_ref, pair.image_query)}
+    view, loaded = data.view(first.image_query), data.load(0)
+    assert np.array_equal(view.image, loaded.image_query)
+    reference = dataset.reference(pair_set, pair_set.pairs[0])
+    keyframe = data.view(first.image_ref)
+    assert keyframe.camera == reference.camera
+    assert np.array_equal(keyframe.points.inverse_depth, reference.points.inverse_depth)
+    assert len(keyframe.points) > 1000
+
+
+def test_withheld_poses_are_named(tmp_path: Path) -> None:
+    withheld = make_small_dataset(tmp_path / "d", correspondences=50, splits={"train": [ACROSS]}, truth=False)
+    with pytest.raises(DatasetError, match="the poses of its pairs are withheld"):
+        DatasetPairs([withheld.root]).posed(0)
+
+
 def test_the_test_split_is_never_learnt_from(tmp_path: Path) -> None:
     both = make_small_dataset(tmp_path / "d", correspondences=50, splits={"train": [WITHIN], "test": [ACROSS]})
     with pytest.raises(ConfigError, match="the test split must not be learnt from"):

@@ -17,7 +17,7 @@ from relocbench.datasets.core.pair_set import PairSet
 from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.pairs.correspondence_index import CorrespondenceIndex
-from relocbench.errors import ConfigError
+from relocbench.errors import ConfigError, DatasetError
 from relocbench.training import PairLabel, PosedPair, TrainingPair, TrainingView
 
 TEST_SPLIT = "test"
@@ -86,8 +86,12 @@ class DatasetPairs:
     def posed(self, index: int) -> PosedPair:
         """See ``PosedTrainingData``."""
         number, pair = self._entries[index]
-        label = self._sources[number].label
-        assert pair.T_query_ref is not None, "pairs with correspondences have a pose"
+        source = self._sources[number]
+        label = source.label
+        if pair.T_query_ref is None:
+            raise DatasetError(
+                "the poses of its pairs are withheld, and are what this trainer learns from", source.root
+            )
         names = (_name(label, drive, time) for drive, time in zip(_drives(label), pair.key, strict=True))
         return PosedPair(*names, pair.T_query_ref)
 

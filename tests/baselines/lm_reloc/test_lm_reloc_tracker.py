@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from made_views import POSES, TINY_POSE_NET, keyframe, query, tiny_encoder
+from repository import ROOT
 from small_dataset import render, small_camera
 
 from baselines.gn_net.tracker import LmNet, LmNetFromPrior
@@ -18,11 +20,13 @@ from baselines.gn_net.weights import load_weights as load_encoder
 from baselines.lm_reloc.network import PoseNetwork
 from baselines.lm_reloc.options import PoseNetOptions
 from baselines.lm_reloc.tracker import SHIPPED, LmReloc, PoseNet
+from baselines.lm_reloc.training.trainer import PoseNetTrainer
 from baselines.lm_reloc.weights import read_card, save_weights
 from baselines.options import options_from_dict, plain
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera, invert
 from relocbench.methods import parse_method
+from relocbench.methods.lookup import load_dotted
 from relocbench.tracking import Query, Tracker
 
 LARGEST_BYTES = 10_000_000
@@ -115,6 +119,21 @@ def test_wrong_weights_are_one_line(tmp_path: Path) -> None:
         LmReloc(pose_weights=path)
     with pytest.raises(MethodError, match="no such file of weights"):
         PoseNet(tmp_path / "none.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("group", "name", "found"),
+    [
+        ("methods", "pose-net", PoseNet),
+        ("methods", "lm-reloc", LmReloc),
+        ("methods", "lm-net-from-prior", LmNetFromPrior),
+        ("trainers", "pose-net", PoseNetTrainer),
+    ],
+)
+def test_the_names_of_the_package_lead_to_its_classes(group: str, name: str, found: type) -> None:
+    """Read from the project's description: what is installed may be older."""
+    points = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
+    assert load_dotted(points[f"relocbench.{group}"][name], "method") is found
 
 
 def test_the_shipped_weights_are_small_and_their_card_says_how_to_make_them_again() -> None:
