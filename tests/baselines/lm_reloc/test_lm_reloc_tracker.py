@@ -88,6 +88,7 @@ def test_lm_reloc_is_lm_net_from_the_pose_of_pose_net(weights: Path) -> None:
     settings = [f"mine.start={DOTTED}", f"mine.start.weights={weights}", "mine.min_agreement=0"]
     spec = parse_method(label, settings)
     started = answer(spec.create())
+    assert direct.answered
     assert started.info["start"] == "found"
     assert np.array_equal(direct.T_query_ref, started.T_query_ref)
     assert direct.info == {key: value for key, value in started.info.items() if key != "start"}

