@@ -324,7 +324,7 @@ class LmNet(GnNet):
     """As :class:`GnNet`, with weights trained by LM-Reloc's descent loss, and its damping."""
 
     name = trainer = "lm-net"
-    calibration = LM_NET
+    calibration: ClassVar[Calibration | None] = LM_NET
     usual_damping = "lm-reloc"
 
 

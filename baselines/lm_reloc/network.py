@@ -107,7 +107,7 @@ class PoseNetwork(nn.Module):
                 if of.bias is not None:
                     nn.init.zeros_(of.bias)
         with torch.no_grad():
-            cast(Tensor, self.last.weight).mul_(0.1)
+            self.last.weight.mul_(0.1)
 
 
 class _Shrinking(nn.Module):

@@ -79,7 +79,9 @@ def test_poses_and_single_images_are_told_to_trainers_that_ask_for_them(dataset:
     data = DatasetPairs([dataset.root])
     pair_set = dataset.pair_set(ACROSS)
     first, again = data.posed(0), data.posed(1)
-    assert np.array_equal(first.T_query_ref, pair_set.pairs[0].T_query_ref)
+    truth = pair_set.pairs[0].T_query_ref
+    assert truth is not None
+    assert np.array_equal(first.T_query_ref, truth)
     assert first.image_ref != first.image_query
     within = [data.posed(index) for index in range(len(data)) if data.label(index).traversal_query == "summer"]
     assert {first.image_ref, again.image_ref} & {name for pair in within for name in (pair.image_ref, pair.image_query)}

@@ -92,8 +92,8 @@ class DatasetPairs:
             raise DatasetError(
                 "the poses of its pairs are withheld, and are what this trainer learns from", source.root
             )
-        names = (_name(label, drive, time) for drive, time in zip(_drives(label), pair.key, strict=True))
-        return PosedPair(*names, pair.T_query_ref)
+        ref, query = (_name(label, drive, time) for drive, time in zip(_drives(label), pair.key, strict=True))
+        return PosedPair(ref, query, pair.T_query_ref)
 
     def view(self, name: str) -> TrainingView:
         """See ``PosedTrainingData``."""

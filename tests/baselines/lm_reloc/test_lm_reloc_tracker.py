@@ -70,8 +70,12 @@ def test_inverse_depth_is_used_only_where_the_weights_ask_for_it(tmp_path: Path,
     flat = replace(keyframe(CAMERA), depth=np.full((72, 96), 3.0, np.float32))
     for path, used in ((weights, False), (drawn_pose_net(tmp_path, depth=True), True)):
         tracker = PoseNet(path)
-        poses = [tracker.track(tracker.prepare(ref), query(CAMERA)).T_query_ref for ref in (keyframe(CAMERA), flat)]
-        assert np.array_equal(*poses) is not used
+        first, second = (
+            tracker.track(tracker.prepare(ref), query(CAMERA)).T_query_ref for ref in (keyframe(CAMERA), flat)
+        )
+        assert first is not None
+        assert second is not None
+        assert np.array_equal(first, second) is not used
 
 
 def test_an_image_that_fills_next_to_nothing_of_the_view_is_a_failure_that_says_so(weights: Path) -> None:
@@ -101,11 +105,10 @@ def test_lm_reloc_is_lm_net_from_the_pose_of_pose_net(weights: Path) -> None:
 def test_lm_reloc_passes_pixels_and_features_on_to_lm_net(weights: Path) -> None:
     mine, net = LmReloc(pose_weights=weights), LmNet()
     uv = np.array([[30.0, 40.0], [50.0, 30.0]])
-    ends = [tracker.match(tracker.prepare(keyframe(CAMERA)), query(CAMERA), uv, uv) for tracker in (mine, net)]  # type: ignore[attr-defined]
-    assert np.array_equal(*ends, equal_nan=True)
+    ends = mine.match(mine.prepare(keyframe(CAMERA)), query(CAMERA), uv, uv)
+    assert np.array_equal(ends, net.match(net.prepare(keyframe(CAMERA)), query(CAMERA), uv, uv), equal_nan=True)
     image = keyframe(CAMERA).image
-    maps = [tracker.features(image, CAMERA).levels[1].map for tracker in (mine, net)]  # type: ignore[attr-defined]
-    assert np.array_equal(*maps)
+    assert np.array_equal(mine.features(image, CAMERA).levels[1].map, net.features(image, CAMERA).levels[1].map)
 
 
 def test_files_that_decide_the_answers_are_named(weights: Path) -> None:

@@ -20,6 +20,7 @@ from baselines.lm_reloc.training.trainer import PoseNetTrainer
 from baselines.lm_reloc.weights import load_weights, read_card
 from relocbench.errors import ConfigError, MethodError
 from relocbench.methods.trainers import chosen_options, trainer_named
+from relocbench.tracking import Tracker
 from relocbench.training import Trainer, TrainingReport, TrainingRun, ValidationScores
 
 CUT_SHORT = "the power went"
@@ -55,7 +56,8 @@ def rows(path: Path) -> list[dict[str, str]]:
         return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(stream)]
 
 
-def validated(tracker: PoseNet) -> ValidationScores:
+def validated(tracker: Tracker) -> ValidationScores:
+    assert isinstance(tracker, PoseNet)
     scores = {"t_auc@0.5m": 0.25}
     return ValidationScores(scores, {"dry -> dry": scores}, {"dry -> dry": 3})
 
