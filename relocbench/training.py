@@ -165,7 +165,11 @@ class TrainingReport:
 
 @runtime_checkable
 class Trainer(Protocol):
-    """A method that learns."""
+    """A method that learns.
+
+    A trainer that learns from poses and images alone declares so by an attribute ``needs_correspondences = False``: its
+    pairs are all that have a true pose, and the datasets need no correspondences.
+    """
 
     def default_options(self) -> dict[str, Any]:
         """All options, nested, as plain values for YAML."""

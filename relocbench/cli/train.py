@@ -165,7 +165,9 @@ def train(
             share = 0.0 if no_validation else validation_places
             report = trainer.train_places(*_places(dataset, share, options, run.reporter), options, run)
         else:
-            report = trainer.train(*_pairs(dataset, split, 0 if no_validation else validation_pairs), options, run)
+            matched = getattr(trainer, "needs_correspondences", True)
+            tried = 0 if no_validation else validation_pairs
+            report = trainer.train(*_pairs(dataset, split, tried, matched), options, run)
     if json:
         print_json(_plain(report))
     elif not quiet:
@@ -187,15 +189,17 @@ def _refuse_without_effect(
             raise ConfigError(f"--{option.replace('_', '-')} has no effect beside --no-validation; give one of them")
 
 
-def _pairs(roots: Sequence[Path], split: str, validation_pairs: int) -> tuple[PosedTrainingData, Validate | None]:
+def _pairs(
+    roots: Sequence[Path], split: str, validation_pairs: int, matched: bool
+) -> tuple[PosedTrainingData, Validate | None]:
     """What a tracker learns from and is tried on; no validation at 0."""
     from relocbench.datasets.learning.training_pairs import DatasetPairs, without_only_validation
     from relocbench.evaluation.tracking.training_validation import TrackerValidation
     from relocbench.progress import Silent
 
     if not validation_pairs:
-        return DatasetPairs(roots, split), None
-    data = DatasetPairs(without_only_validation(roots, split), split)
+        return DatasetPairs(roots, split, correspondences=matched), None
+    data = DatasetPairs(without_only_validation(roots, split), split, correspondences=matched)
     # Two bars do not show at once: validation goes without.
     return data, TrackerValidation(roots, validation_pairs, seed=0, reporter=Silent())
 

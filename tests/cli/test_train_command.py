@@ -95,6 +95,18 @@ def test_poses_and_single_images_are_told_to_trainers_that_ask_for_them(dataset:
     assert len(keyframe.points) > 1000
 
 
+def test_who_learns_from_poses_needs_no_correspondences(tmp_path: Path) -> None:
+    bare = make_small_dataset(tmp_path / "d", splits={"train": [ACROSS]})
+    with pytest.raises(DatasetError, match="missing; expected correspondences"):
+        DatasetPairs([bare.root])
+    data = DatasetPairs([bare.root], correspondences=False)
+    assert len(data) == len(bare.pair_set(ACROSS).pairs)
+    assert data.load(0).u_ref.shape == (0, 2)
+    withheld = make_small_dataset(tmp_path / "withheld", splits={"train": [ACROSS]}, truth=False)
+    with pytest.raises(ConfigError, match="split 'train' has no pair with a true pose to learn from"):
+        DatasetPairs([withheld.root], correspondences=False)
+
+
 def test_withheld_poses_are_named(dataset: Dataset) -> None:
     data = DatasetPairs([dataset.root])
     number, pair = data._entries[0]

@@ -18,6 +18,8 @@ from relocbench.training import PosedTrainingData, TrainingReport, TrainingRun, 
 class PoseNetTrainer:
     """Trains the pose network on the frozen features of another training."""
 
+    needs_correspondences = False
+
     def default_options(self) -> dict[str, Any]:
         """See ``relocbench.training.Trainer``. The encoder's shape is not among them, as its weights decide it."""
         values = plain(TrainOptions())

@@ -1,4 +1,4 @@
-"""Training pairs: all pairs with correspondences in a split of one or several datasets."""
+"""Training pairs: all pairs of a split of one or several datasets that have correspondences, or a true pose."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ class _Source:
     root: Path
     camera: str
     label: PairLabel
-    index: CorrespondenceIndex
+    index: CorrespondenceIndex | None
+    """None where poses alone are learnt from"""
 
 
 class DatasetPairs:
@@ -40,14 +41,17 @@ class DatasetPairs:
     Args:
         datasets: dataset folders.
         split: the split to learn from.
+        correspondences: whether only pairs that have some are learnt from; otherwise all that have a pose are, and none
+            is read.
 
     Raises:
         ConfigError: a dataset is given twice, the split is or shares a traversal with the test split, or it has no
-            pairs with correspondences.
+            such pairs.
         DatasetError: a dataset is bad, or has no such split or no correspondences.
     """
 
-    def __init__(self, datasets: Sequence[Path], split: str = "train") -> None:
+    def __init__(self, datasets: Sequence[Path], split: str = "train", *, correspondences: bool = True) -> None:
+        self._correspondences = correspondences
         self._fingerprints: dict[str, str] = {}
         self._sources: list[_Source] = []
         self._entries: list[tuple[int, Pair]] = []
@@ -56,7 +60,8 @@ class DatasetPairs:
         for root in datasets:
             self._add(Dataset(root.resolve()), split)
         if not self._entries:
-            raise ConfigError(f"split '{split}' has no pair with correspondences to learn from", datasets[0])
+            lacking = "correspondences" if correspondences else "a true pose"
+            raise ConfigError(f"split '{split}' has no pair with {lacking} to learn from", datasets[0])
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -73,7 +78,8 @@ class DatasetPairs:
         """See ``TrainingData``."""
         number, pair = self._entries[index]
         source, key = self._sources[number], pair.key
-        u_ref, u_query, sigma = source.index.read_visible(key)
+        none = np.zeros((0, 2), dtype=np.float32)
+        u_ref, u_query, sigma = source.index.read_visible(key) if source.index else (none, none, None)
         return TrainingPair(
             label=source.label,
             image_ref=self._image(source, source.label.traversal_ref, key[0]),
@@ -111,7 +117,9 @@ class DatasetPairs:
             raise ConfigError("this dataset is given twice", dataset.root)
         self._fingerprints[name] = dataset.fingerprint
         for pair_set in dataset.pair_sets(split):
-            index = CorrespondenceIndex(dataset.layout.correspondence_file(pair_set.name))
+            index = None
+            if self._correspondences:
+                index = CorrespondenceIndex(dataset.layout.correspondence_file(pair_set.name))
             label = PairLabel(
                 dataset=name,
                 traversal_ref=pair_set.reference,
@@ -120,7 +128,11 @@ class DatasetPairs:
                 condition_ref=str(dataset.traversal(pair_set.reference).condition),
                 condition_query=str(dataset.traversal(pair_set.query).condition),
             )
-            kept = [pair for pair in pair_set.pairs if pair.key in index]
+            kept = [
+                pair
+                for pair in pair_set.pairs
+                if (pair.T_query_ref is not None if index is None else pair.key in index)
+            ]
             self._entries += [(len(self._sources), pair) for pair in kept]
             for pair in kept:
                 for drive, time in zip(_drives(label), pair.key, strict=True):
