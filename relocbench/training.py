@@ -96,7 +96,7 @@ class TrainingView:
     """(H, W, 3) RGB; a grey image has three equal channels"""
     camera: Camera
     points: KeyframePoints
-    """pixels with known depth; none where the image is no keyframe"""
+    """pixels with known depth; none where the image is no keyframe, or depth was not asked for"""
 
 
 class PosedTrainingData(TrainingData, Protocol):
@@ -109,8 +109,8 @@ class PosedTrainingData(TrainingData, Protocol):
         """The true pose of a pair; no image is read. Raises DatasetError where poses are withheld."""
         ...
 
-    def view(self, name: str) -> TrainingView:
-        """Read one image by the name that :meth:`posed` gives. Raises DatasetError."""
+    def view(self, name: str, *, depth: bool) -> TrainingView:
+        """Read one image by the name that :meth:`posed` gives, with or without depth. Raises DatasetError."""
         ...
 
 

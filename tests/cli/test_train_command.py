@@ -86,10 +86,11 @@ def test_poses_and_single_images_are_told_to_trainers_that_ask_for_them(dataset:
     assert first.image_ref != first.image_query
     within = [data.posed(index) for index in range(len(data)) if data.label(index).traversal_query == "summer"]
     assert {first.image_ref, again.image_ref} & {name for pair in within for name in (pair.image_ref, pair.image_query)}
-    view, loaded = data.view(first.image_query), data.load(0)
+    view, loaded = data.view(first.image_query, depth=False), data.load(0)
     assert np.array_equal(view.image, loaded.image_query)
+    assert len(view.points) == 0
     reference = dataset.reference(pair_set, pair_set.pairs[0])
-    keyframe = data.view(first.image_ref)
+    keyframe = data.view(first.image_ref, depth=True)
     assert keyframe.camera == reference.camera
     assert np.array_equal(keyframe.points.inverse_depth, reference.points.inverse_depth)
     assert len(keyframe.points) > 1000

@@ -13,7 +13,7 @@ from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
 from baselines.gn_net.weights import save_weights
 from relocbench.geometry import Camera, invert
-from relocbench.tracking import Query, Reference
+from relocbench.tracking import KeyframePoints, Query, Reference
 from relocbench.training import PairLabel, PosedPair, TrainingPair, TrainingView
 
 TINY_POSE_NET: dict[str, Any] = {
@@ -80,10 +80,11 @@ class MadeViews:
         ref, query = self._pairs[index]
         return PosedPair(str(ref), str(query), invert(POSES[query]) @ POSES[ref])
 
-    def view(self, name: str) -> TrainingView:
+    def view(self, name: str, *, depth: bool) -> TrainingView:
         self.reads.append(name)
         reference = keyframe(self.camera, int(name))
-        return TrainingView(np.repeat(reference.image[..., None], 3, axis=-1), self.camera, reference.points)
+        points = reference.points if depth else KeyframePoints(np.zeros((0, 2)), *np.zeros((2, 0)))
+        return TrainingView(np.repeat(reference.image[..., None], 3, axis=-1), self.camera, points)
 
     def load(self, index: int) -> TrainingPair:
         raise AssertionError("a trainer of poses reads images one by one")

@@ -89,7 +89,8 @@ class Views:
 
     def _made(self, name: str, turn: int, mirrored: bool) -> MapsOfView:
         options = self._options.network
-        taken = _mirrored(self._data.view(name)) if mirrored else self._data.view(name)
+        taken = self._data.view(name, depth=options.depth)
+        taken = _mirrored(taken) if mirrored else taken
         R = self.T_view_camera(name, turn, mirrored)[:3, :3]
         view = view_of(taken.image, taken.camera, self._camera, R)
         with _one_thread(), torch.inference_mode():

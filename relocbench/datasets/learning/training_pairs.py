@@ -18,6 +18,7 @@ from relocbench.datasets.core.pairfile import Pair
 from relocbench.datasets.core.traversal import Traversal
 from relocbench.datasets.pairs.correspondence_index import CorrespondenceIndex
 from relocbench.errors import ConfigError, DatasetError
+from relocbench.tracking import KeyframePoints
 from relocbench.training import PairLabel, PosedPair, TrainingPair, TrainingView
 
 TEST_SPLIT = "test"
@@ -101,12 +102,13 @@ class DatasetPairs:
         ref, query = (_name(label, drive, time) for drive, time in zip(_drives(label), pair.key, strict=True))
         return PosedPair(ref, query, pair.T_query_ref)
 
-    def view(self, name: str) -> TrainingView:
+    def view(self, name: str, *, depth: bool) -> TrainingView:
         """See ``PosedTrainingData``."""
         number, traversal, time = self._images[name]
         source = self._sources[number]
-        keyframe = self._traversal(source, traversal).reference(source.camera, time)
-        return TrainingView(as_rgb(keyframe.image), keyframe.camera, keyframe.points)
+        drive, camera = self._traversal(source, traversal), source.camera
+        points = drive.reference(camera, time).points if depth else KeyframePoints(np.zeros((0, 2)), *np.zeros((2, 0)))
+        return TrainingView(self._image(source, traversal, time), drive.camera(camera, time), points)
 
     def _add(self, dataset: Dataset, split: str) -> None:
         refuse_test_split(dataset, split)

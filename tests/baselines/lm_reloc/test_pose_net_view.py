@@ -20,6 +20,7 @@ from baselines.options import options_from_dict
 from relocbench.errors import MethodError
 from relocbench.geometry import Camera, apply, invert, make_transform, rotation_angle, so3_exp
 from relocbench.tracking import KeyframePoints
+from relocbench.training import TrainingView
 
 SEEN_BY = network_camera(32, 20.0)
 
@@ -154,8 +155,8 @@ def test_views_are_computed_once_and_do_not_depend_on_what_is_kept(views: Views)
 
 def test_an_image_with_distortion_is_not_mirrored(views: Views) -> None:
     class Distorted(MadeViews):
-        def view(self, name: str):  # type: ignore[no-untyped-def]
-            view = super().view(name)
+        def view(self, name: str, *, depth: bool) -> TrainingView:
+            view = super().view(name, depth=depth)
             return replace(view, camera=replace(view.camera, model="radtan", distortion=(0.1, 0.0, 0.0, 0.0)))
 
     made = Views(Distorted(), views._options, views._network)
