@@ -19,12 +19,12 @@ class TrainOptions(Options):
     encoder_weights: str = ""
     """a file of ``relocbench train lm-net`` (or gn-net) whose network encodes the images and is not trained; by default
     the weights of lm-net that come with the package"""
-    steps: int = 3000
-    batch: int = 32
+    steps: int = 1600
+    batch: int = 16
     """pairs in each step, each in both directions"""
     turns: int = 2
     """views of each image and of its mirror image: the first as it is, the others turned at random, which is exact"""
-    turn_deg: tuple[float, float, float] = (3.0, 8.0, 3.0)
+    turn_deg: tuple[float, float, float] = (2.0, 6.0, 2.0)
     """largest pitch, yaw and roll of a turned view, degrees"""
     mirror: float = 0.5
     """probability that both images are mirrored left to right"""
@@ -49,10 +49,10 @@ class TrainOptions(Options):
     """run the network in bfloat16; null: only on a GPU"""
     seed: int = 0
     """of initial weights, pairs and turns"""
-    log_every: int = 50
-    validate_every: int = 1000
+    log_every: int = 20
+    validate_every: int = 400
     """steps; weights are also validated after the last step"""
-    checkpoint_every: int = 250
+    checkpoint_every: int = 100
     """steps; checkpoints are also written after each validation"""
     network: PoseNetOptions = field(default_factory=PoseNetOptions)
 
