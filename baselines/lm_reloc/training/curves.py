@@ -34,5 +34,5 @@ def draw_curves(path: Path, log: Sequence[Row], validation: Sequence[Row]) -> No
     together = [row for row in validation if row["conditions"] == "all"]
     for name in [name for name in (together[-1] if together else {}) if "@" in name]:
         panels[-1].plot(*column(together, name), marker=".", label=name)
-    finish_panel(panels[-1], "validation of pose-net alone", if_empty="no validation")
+    finish_panel(panels[-1], "validation as the start of lm-reloc", if_empty="no validation")
     save_figure(figure, path)

@@ -14,7 +14,7 @@ from torch import Tensor
 from baselines.gn_net.network import FeatureNet
 from baselines.lm_reloc.loss import pose_loss
 from baselines.lm_reloc.network import PoseNetwork
-from baselines.lm_reloc.tracker import PoseNet
+from baselines.lm_reloc.tracker import LmReloc
 from baselines.lm_reloc.training.batches import Batch, Batches
 from baselines.lm_reloc.training.curves import draw_curves
 from baselines.lm_reloc.training.options import TrainOptions
@@ -122,8 +122,9 @@ class Training(TrainingLoop[TrainOptions, PoseNetwork, Batch]):
         assert self.best is not None
         self.save_weights(self.weights, self.kept_network, self.best.step, self.best.scores)
 
-    def method_with(self, weights: Path) -> PoseNet:
-        return PoseNet(weights=weights, device=str(self.device))
+    def method_with(self, weights: Path) -> LmReloc:
+        """The alignment that starts from the prediction: what a prediction is worth is whether that converges."""
+        return LmReloc(pose_weights=weights, device=str(self.device))
 
     def draw_curves(self, path: Path, log: Sequence[Row], validation: Sequence[Row]) -> None:
         draw_curves(path, log, validation)
@@ -141,6 +142,7 @@ class Training(TrainingLoop[TrainOptions, PoseNetwork, Batch]):
             facts={"encoder": f"weights with SHA-256 `{self._encoder_digest}`, not trained"},
             steps=f"{options.steps}, of {options.batch} pairs in both directions",
             groups="reference -> query | pairs",
+            validated_by="The scores are those of `lm-reloc`, which aligns features from the predicted pose.",
         )
 
     def _new_network(self, options: TrainOptions) -> PoseNetwork:

@@ -15,7 +15,7 @@ from made_views import TINY_POSE_NET, MadeViews, tiny_encoder
 
 from baselines.gn_net.weights import load_weights as load_encoder
 from baselines.lm_reloc.euler import pose_of
-from baselines.lm_reloc.tracker import PoseNet
+from baselines.lm_reloc.tracker import LmReloc
 from baselines.lm_reloc.training.trainer import PoseNetTrainer
 from baselines.lm_reloc.weights import load_weights, read_card
 from relocbench.errors import ConfigError, MethodError
@@ -57,7 +57,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def validated(tracker: Tracker) -> ValidationScores:
-    assert isinstance(tracker, PoseNet)
+    assert isinstance(tracker, LmReloc)
     scores = {"t_auc@0.5m": 0.25}
     return ValidationScores(scores, {"dry -> dry": scores}, {"dry -> dry": 3})
 
