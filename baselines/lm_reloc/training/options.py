@@ -19,7 +19,7 @@ class TrainOptions(Options):
     encoder_weights: str = ""
     """a file of ``relocbench train lm-net`` (or gn-net) whose network encodes the images and is not trained; by default
     the weights of lm-net that come with the package"""
-    steps: int = 3000
+    steps: int = 1600
     batch: int = 16
     """pairs in each step, each in both directions"""
     turns: int = 2
@@ -50,7 +50,7 @@ class TrainOptions(Options):
     seed: int = 0
     """of initial weights, pairs and turns"""
     log_every: int = 20
-    validate_every: int = 1000
+    validate_every: int = 1600
     """steps; weights are also validated after the last step"""
     checkpoint_every: int = 100
     """steps; checkpoints are also written after each validation"""
