@@ -63,7 +63,7 @@ def main() -> None:
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, help="folder that keeps datasets and results; default: a temporary one")
-    parser.add_argument("--districts", type=int, default=2, help="number of districts")
+    parser.add_argument("--districts", type=int, default=3, help="number of districts")
     parser.add_argument("--steps", type=int, default=24, help="images of each drive")
     parser.add_argument("--workers", "-j", type=int, default=1)
     parser.add_argument("--pose-weights", type=Path, action="append", default=[], help="other weights of pose-net")
@@ -129,7 +129,8 @@ def _print_group(name: str, rows: pd.DataFrame, methods: Sequence[str]) -> Mappi
         metres, degrees = (float(of[c].median()) for c in ("translation_error_m", "rotation_error_deg"))
         cells = [f"{metres:.2f}", f"{degrees:.2f}", *(_share(_by_step(of, metric)) for metric in METRICS)]
         print(f"| {method} | {' | '.join(cells)} |")
-        told[method] = {"m": metres, "deg": degrees, **{m: 100 * _mean(_by_step(of, m)) for m in METRICS}}
+        shares = {metric: 100 * _mean(_by_step(of, metric)) for metric in METRICS}
+        told[method] = shares | {name: value for name, value in (("m", metres), ("deg", degrees)) if np.isfinite(value)}
     print(f"\n| {SUBJECT} less | {' | '.join(METRICS)} |\n|---|{'---|' * len(METRICS)}")
     for other in ALIGNED:
         cells = [_ahead(*(_by_step(rows[rows["method"] == m], metric) for m in (SUBJECT, other))) for metric in METRICS]
