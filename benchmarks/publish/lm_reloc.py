@@ -50,9 +50,10 @@ def main() -> None:
         scratch = options.scratch or Path(temporary)
         built = [_build(scratch, district, options) for district in districts(PHRASE, options.districts)]
         results = scratch / "results"
-        named = [word for folder in built for word in ("-d", folder)] + [word for m in methods for word in ("-m", m)]
-        chosen = [word for text in settings for word in ("--set", text)]
-        _run("evaluate", *named, *chosen, "--split", "validation", "--out", results, "-j", options.workers, "-q")
+        named = [word for m in methods for word in ("-m", m)] + [word for text in settings for word in ("--set", text)]
+        how = "--split", "validation", "--out", results, "-j", options.workers, "-q"
+        for folder in built:
+            _run("evaluate", "-d", folder, *named, *how)
         rows = _scored(rb.read_errors(results, split="validation", datasets=built))
     told = {}
     for name, group in _groups(rows).items():
