@@ -8,7 +8,8 @@ conditions with a keyframe within a metre and farther off, it prints the medians
 their 95 % intervals, and the differences of lm-reloc to the other alignments. Districts count alike, and a district is
 one series by the step of the drive (``docs/statistics.md``).
 
-    python benchmarks/publish/lm_reloc.py --scratch S [--districts N] [--steps N] [--pose-weights FILE ...]
+    python benchmarks/publish/lm_reloc.py --scratch S [--districts N | --district K] [--steps N]
+        [--pose-weights FILE ...]
 
 Each file of ``--pose-weights`` adds the rows ``pose-net-K`` and ``lm-reloc-K``. Datasets and results are kept in
 ``--scratch``; when it is run again, only what is missing is made. The last line is JSON.
@@ -48,7 +49,10 @@ def main() -> None:
     methods, settings = _asked(options.pose_weights)
     with tempfile.TemporaryDirectory() as temporary:
         scratch = options.scratch or Path(temporary)
-        built = [_build(scratch, district, options) for district in districts(PHRASE, options.districts)]
+        chosen = list(districts(PHRASE, max(options.districts, options.district or 0)))
+        if options.district:
+            chosen = [district for district in chosen if district.number == options.district]
+        built = [_build(scratch, district, options) for district in chosen]
         results = scratch / "results"
         named = [word for m in methods for word in ("-m", m)] + [word for text in settings for word in ("--set", text)]
         how = "--split", "validation", "--out", results, "-j", options.workers, "-q"
@@ -65,6 +69,7 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, help="folder that keeps datasets and results; default: a temporary one")
     parser.add_argument("--districts", type=int, default=3, help="number of districts")
+    parser.add_argument("--district", type=int, choices=range(1, 100), metavar="K", help="district K alone")
     parser.add_argument("--steps", type=int, default=24, help="images of each drive")
     parser.add_argument("--workers", "-j", type=int, default=1)
     parser.add_argument("--pose-weights", type=Path, action="append", default=[], help="other weights of pose-net")

@@ -50,9 +50,10 @@ a slanted plane 6 to 20 m away, up to 1 m and 6 degrees (`tools/still_camera.py`
 0.1 degrees for the cameras |
 
 What `webcams` cannot tell: nothing hides anything else and nothing is seen from another side. The cameras themselves
-shift by about a pixel from day to day, 0.12 degrees, so that smaller rotation errors and their order tell of the truth.
-Marks of the camera move with the scene, among them the blocks of 8 pixels of two cameras' JPEG files. The set tells
-what light and weather do to a tracker, not what a drive does, and none of its images is of night or snow.
+shift from day to day by 0.3 to 1.1 pixels in the median, by the notes on the data; a pixel is 0.12 degrees, so that
+smaller rotation errors and their order tell of the truth. Marks of the camera move with the scene, among them the
+blocks of 8 pixels of two cameras' JPEG files. The set tells what light and weather do to a tracker, not what a drive
+does, and none of its images is of night or snow.
 """
 
 
@@ -108,7 +109,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for real.md")
     options = parser.parse_args()
     found = sets(pd.read_csv(options.board / "leaderboard.csv"))
-    text = "\n".join([*overview(found), *(line for name, rows in found.items() for line in table(name, rows))])
+    text = "\n".join(
+        [*overview(found), *together(found), *(line for name, rows in found.items() for line in table(name, rows))]
+    )
     print(text)
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -139,6 +142,23 @@ def overview(found: dict[str, list[Row]]) -> list[str]:
     for method in sorted(methods, key=lambda method: (method in FLOORS, method)):
         cells = [percent(of.get(method, float("nan"))) for of in right.values()]
         lines.append(f"| {method} | {' | '.join(cells)} |")
+    return lines
+
+
+def together(found: dict[str, list[Row]]) -> list[str]:
+    """Numbers of all pairs together: right ones, and how many answers are sure and right."""
+    lines = ["\n## All pairs together\n", "| tracker | pairs | right | webcams | right | sure | sure and right |"]
+    lines.append(f"|---|{'---:|' * 6}")
+    everything = [(name, row) for name, rows in found.items() for row in rows]
+    for method in sorted({row.method for _, row in everything if row.method not in FLOORS}):
+        rows = [row for _, row in everything if row.method == method]
+        webcams = [row for name, row in everything if row.method == method and name.startswith("webcams")]
+        counts = (sum(row.pairs for row in of) for of in (rows, webcams))
+        right = (sum(round(row.right * row.pairs) for row in of) for of in (rows, webcams))
+        sure = [row for row in rows if row.sure]
+        cells = [number for pair in zip(counts, right, strict=True) for number in pair]
+        cells += [sum(row.sure or 0 for row in sure), sum(round(row.sure_right * (row.sure or 0)) for row in sure)]
+        lines.append(f"| {method} | {' | '.join(map(str, cells))} |")
     return lines
 
 

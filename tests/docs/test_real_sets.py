@@ -182,3 +182,4 @@ def test_the_published_page_is_what_the_published_leaderboard_gives() -> None:
     for name, rows in found.items():
         assert "\n".join(real.table(name, rows)) in page.read_text()
     assert "\n".join(real.overview(found)) in page.read_text()
+    assert "\n".join(real.together(found)) in page.read_text()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from baselines.training.ema import EmaNetwork
 from baselines.training.log import Row
 from baselines.training.loop import TrainingLoop
 from baselines.training.random_streams import generator
+from baselines.training.schedule import warmed_cosine
 from relocbench.pages import render
 from relocbench.training import PosedTrainingData, TrainingRun, Validate
 
@@ -74,13 +74,9 @@ class Training(TrainingLoop[TrainOptions, PoseNetwork, Batch]):
         self.ema = EmaNetwork(self.network, options.ema) if options.ema > 0 else None
 
     def learning_rate(self, step: int) -> float:
-        """The learning rate of a step, counted from 0: a linear rise, then half a cosine."""
-        options = self.options
-        if step < options.warm_up:
-            return options.learning_rate * (step + 1) / options.warm_up
-        done = (step - options.warm_up) / max(options.steps - 1 - options.warm_up, 1)
-        low = options.final_rate
-        return options.learning_rate * (low + (1 - low) * 0.5 * (1 + math.cos(math.pi * done)))
+        """The learning rate of a step, counted from 0."""
+        o = self.options
+        return warmed_cosine(step, o.steps, o.warm_up, o.learning_rate, o.final_rate)
 
     def set_rates(self) -> dict[str, float]:
         rate = self.learning_rate(self.step)

@@ -199,7 +199,7 @@ def cubic_ramp(at: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def test_positions_are_read_between_those_of_the_learnt_grid() -> None:
-    """Of a ramp along rows and one along columns, which must not be exchanged."""
+    """A ramp along rows and one along columns are interpolated, and must not be exchanged."""
     shape = VitShape(64, 8, 1, 14, 12)
     network = DinoV2(shape)
     row, column = torch.meshgrid(torch.arange(12.0), torch.arange(12.0), indexing="ij")

@@ -249,7 +249,7 @@ def test_map_and_queries_become_a_dataset(made: Path, tmp_path: Path) -> None:
 
 
 def test_keyframe_depth_is_where_the_query_sees_the_same_surface(made: Path, tmp_path: Path) -> None:
-    """Of depth maps and of points alike, by the pair's pose alone."""
+    """Depth maps and points alike are moved into the query by the pair's pose alone."""
     dataset = build(made, tmp_path / "d")
     pair_set = dataset.pair_set("mapping__query__photo")
     asked = {at: name for name, at in times_of(dataset, "query").items()}
