@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from baselines.calibration import Calibration
+from baselines.calibration import ALIKED_PNP, Calibration
 from baselines.feature_pnp.features import Features, Indices
 from baselines.feature_pnp.tracker import FeaturePnp
 from baselines.learned_pnp import published
@@ -103,8 +103,6 @@ class NearestPnp(FeaturePnp):
 class AlikedPnp(FeaturePnp):
     """ALIKED (Zhao et al., IEEE TIM 2023), mutual nearest neighbours, MAGSAC perspective-n-point, robust refinement.
 
-    Answers have no confidence: no calibration was fitted yet.
-
     Args:
         weights: file of the network's weights, as its authors publish it or as safetensors; by default
             ``aliked-MODEL.pth`` in torch's cache, ``$TORCH_HOME/hub/checkpoints``.
@@ -126,7 +124,7 @@ class AlikedPnp(FeaturePnp):
         MethodError: kornia is not installed, or the weights are missing or of another network.
     """
 
-    calibration: ClassVar[Calibration | None] = None
+    calibration: ClassVar[Calibration | None] = ALIKED_PNP
     name: ClassVar[str] = "aliked-pnp"
 
     def __init__(
