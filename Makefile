@@ -5,8 +5,8 @@ RECORDINGS ?= ../shared/data
 .PHONY: help setup test test-busy test-processors kills fuzz lint format demo bench prove docs light constraints image clean
 .PHONY: leaderboard leaderboard-weather leaderboard-retrieval leaderboard-relocalization
 
-PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --extra registration --extra learned --python-version 3.11 \
-  --custom-compile-command "make constraints"
+PIN := $(RUN)/uv pip compile -q pyproject.toml --extra dev --extra cluster --extra registration --extra learned \
+  --extra pretrained --python-version 3.11 --custom-compile-command "make constraints"
 
 help:            ## list the targets
 	@grep -hE '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 24

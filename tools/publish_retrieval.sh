@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Reproduce the results in leaderboard/retrieval/: datasets and trainings in a scratch folder, tables in the repository.
 #   tools/publish_retrieval.sh SCRATCH [SAMPLE]
-# SAMPLE holds sample_drone.jpg and sample_satellite.jpg. It takes hours on two cores; a second run does what is missing.
+# SAMPLE holds sample_drone.jpg and sample_satellite.jpg. It takes more than an hour on two cores; a second run does
+# what is missing.
 set -euo pipefail
 mkdir -p "${1:?usage: tools/publish_retrieval.sh SCRATCH [SAMPLE]}"
 scratch=$(realpath "$1")
@@ -14,24 +15,14 @@ cd "$scratch" # cards and pages name files relative to this folder
 
 views=(--drone-views 12 --size 128 --conditions Sunny,Sunny,Overcast,Rain,Snow)
 relocbench build-dataset cross-view --split train --places 240 "${views[@]}" --out train -q
-relocbench build-dataset cross-view --split train --places 720 "${views[@]}" --name cross-view-backbone --out backbone-train -q
 relocbench build-dataset cross-view --split test --places 90 --distractors 30 --drone-views 6 --size 128 \
   --conditions Sunny,Overcast,Rain,Snow --out test -q
 
-# In place of ImageNet weights, one long training gives all systems their backbone: first on few places, since with 720
-# classes random weights start to learn late, then on three times as many. If this favours any system, it is
-# global-average, which is trained in this way itself.
-network=(--set network.backbone=resnet18 --set mixed_precision=true)
-backbone=("${network[@]}" --set size=96 --set batch=16 --set rate=1e-2 --set warm_up=100 --set network.dropout=0.2)
-relocbench train lpn --dataset train --config global-average "${backbone[@]}" --set backbone_rate=1e-2 \
-  --set epochs.all=330 --set steps_per_epoch=15 --set validate_every=40 --out backbone-first
-relocbench train lpn --dataset backbone-train --config global-average "${backbone[@]}" --set backbone_rate=5e-3 \
-  --backbone-weights backbone-first/weights.safetensors --set epochs.all=90 --set steps_per_epoch=30 --no-validation --out backbone
-
 python "$repository/benchmarks/publish/lpn_configurations.py" --train train --test test ${sample:+"$sample"} --scratch systems \
   --out "$repository/leaderboard/retrieval" ${sample:+"$repository/leaderboard/retrieval/real"} \
-  --backbone-weights backbone/weights.safetensors "${network[@]}" --set size=128 --set backbone_rate=1e-3 --set rate=3e-3 \
-  --set network.dropout=0.25 --set epochs.all=8 --set epochs.classifier=2 --set epochs.refined=4 --set epochs.heatmap=4 \
+  --backbone-weights imagenet --set network.backbone=efficientnet-lite0 --set size=128 --set backbone_rate=1e-3 \
+  --set rate=1e-2 --set network.dropout=0.25 --set epochs.all=12 --set epochs.classifier=2 --set epochs.refined=6 \
+  --set epochs.heatmap=6 \
   --jobs 2 --workers 0
 
 if [ -n "$sample" ]; then

