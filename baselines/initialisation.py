@@ -1,12 +1,13 @@
-"""Initial weights of convolutions and batch normalisations, from a given generator."""
+"""Convolutions and batch normalisations: initial weights from a given generator, and folding for inference."""
 
 from __future__ import annotations
 
-from typing import Literal, cast
+from typing import Literal, Protocol, cast, runtime_checkable
 
 import torch
 from torch import nn
 from torch.nn.utils import skip_init
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 
 def convolution(inside: int, outside: int, size: int, *, groups: int = 1, bias: bool = True) -> nn.Conv2d:
@@ -24,3 +25,18 @@ def draw_weights(module: nn.Module, generator: torch.Generator, fan: Literal["fa
                 nn.init.zeros_(each.bias)
         elif isinstance(each, nn.BatchNorm2d):
             each.reset_parameters()
+
+
+@runtime_checkable
+class Foldable(Protocol):
+    """A module whose batch normalisation can be folded into its convolution."""
+
+    def fold(self) -> None:
+        """Fold it, in evaluation mode."""
+
+
+def folded(conv: nn.Conv2d, norm: nn.Module) -> tuple[nn.Conv2d, nn.Module]:
+    """A convolution that contains its batch normalisation, and the identity; without one, both as they are."""
+    if isinstance(norm, nn.BatchNorm2d):
+        return fuse_conv_bn_eval(conv, norm), nn.Identity()
+    return conv, norm

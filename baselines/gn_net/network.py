@@ -3,14 +3,12 @@
 Layout, with widths w_0 .. w_n and the finest level f (GN-Net, von Stumberg et al., RA-L 2020, uses a Siamese U-Net:
 reference and query pass the same weights):
 
-    stem      the 2^f x 2^f image pixels that a pixel of level f covers become its channels
-    encoder   stage 0: 3x3, 3x3    stage k: 2x2 mean, 3x3, 3x3
+    encoder   stage k: w_k channels on level f + k (:mod:`baselines.gn_net.encoder`)
     decoder   stage n: as encoded   stage k: 1x1 of the coarser stage, upsampled, plus the encoder's stage k, 3x3
     head      1x1 to D channels, on each of the finest ``levels`` stages
 
-Features stay aligned with their pixels: convolutions are odd and centred, downsampling is the mean of 2x2 pixels, and
-upsampling is bilinear about the same centres. Stage k is level l = f + k, and its pixel i is at pixel
-2^l (i + 0.5) - 0.5 of the image.
+Features stay aligned with their pixels: convolutions are odd and centred, and upsampling is bilinear about the same
+centres. Stage k is level l = f + k, and its pixel i is at pixel 2^l (i + 0.5) - 0.5 of the image.
 """
 
 from __future__ import annotations
@@ -23,13 +21,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.nn.utils.fusion import fuse_conv_bn_eval
 
+from baselines.gn_net.encoder import Filter, make_encoder
 from baselines.gn_net.options import NetworkOptions
-from baselines.initialisation import convolution
-
-_MEAN, _SPREAD = 0.45, 0.25
-"""approximate mean and deviation of street images in [0, 1], by which the input is normalised"""
+from baselines.initialisation import Foldable, convolution
 
 
 class FeatureNet(nn.Module):
@@ -44,11 +39,9 @@ class FeatureNet(nn.Module):
         super().__init__()
         self.options = options or NetworkOptions()
         widths, levels, norm = self.options.widths, self.options.levels, self.options.norm == "batch"
-        self.encoder = nn.ModuleList()
-        for inside, outside in zip((3 << (2 * self.options.finest), *widths), widths, strict=False):
-            self.encoder.append(nn.Sequential(_Filter(inside, outside, norm), _Filter(outside, outside, norm)))
+        self.encoder = make_encoder(self.options)
         self.reduce = nn.ModuleList(convolution(widths[k + 1], widths[k], 1) for k in range(len(widths) - 1))
-        self.decoder = nn.ModuleList(_Filter(widths[k], widths[k], norm) for k in range(len(widths) - 1))
+        self.decoder = nn.ModuleList(Filter(widths[k], widths[k], norm) for k in range(len(widths) - 1))
         self.heads = nn.ModuleList(convolution(widths[k], self.options.dim, 1) for k in range(levels))
         self._draw_weights(generator or torch.Generator().manual_seed(0))
 
@@ -87,11 +80,7 @@ class FeatureNet(nn.Module):
         Raises:
             ValueError: as in :meth:`forward`.
         """
-        x = functional.pixel_unshuffle(self._padded(images), 1 << self.options.finest)
-        skips = []
-        for k, stage in enumerate(self.encoder):
-            x = stage(functional.avg_pool2d(x, 2) if k else x)
-            skips.append(x)
+        skips = cast(list[Tensor], self.encoder(self._padded(images)))
         maps = [skips[-1]]
         for k in reversed(range(finest, len(skips) - 1)):
             # 1x1 convolution before upsampling gives the same numbers as after it, at a quarter of the work.
@@ -108,7 +97,7 @@ class FeatureNet(nn.Module):
         """A copy for inference, with batch normalisation folded into the convolutions."""
         net = copy.deepcopy(self).eval().requires_grad_(False)
         for module in net.modules():
-            if isinstance(module, _Filter):
+            if isinstance(module, Foldable):
                 module.fold()
         return net.to(memory_format=torch.channels_last)
 
@@ -119,7 +108,7 @@ class FeatureNet(nn.Module):
         smallest = self.options.smallest_side
         if min(height, width) < smallest:
             raise ValueError(f"images are {height}x{width}: the coarsest level needs {smallest}x{smallest}")
-        x = (images.expand(-1, 3, -1, -1) - _MEAN) / _SPREAD
+        x = images.expand(-1, 3, -1, -1)
         stride = self.options.stride
         missing = (0, -width % stride, 0, -height % stride)
         return functional.pad(x, missing, mode="replicate") if any(missing) else x
@@ -133,23 +122,6 @@ class FeatureNet(nn.Module):
                     nn.init.zeros_(module.bias)
         for head in self.heads:
             nn.init.xavier_normal_(cast(Tensor, head.weight), gain=self.options.dim**-0.5, generator=generator)
-
-
-class _Filter(nn.Module):
-    """3x3 convolution, normalisation, ReLU."""
-
-    def __init__(self, inside: int, outside: int, norm: bool) -> None:
-        super().__init__()
-        self.conv = convolution(inside, outside, 3, bias=not norm)
-        self.norm: nn.Module = nn.BatchNorm2d(outside) if norm else nn.Identity()
-
-    def forward(self, x: Tensor) -> Tensor:
-        return functional.relu(self.norm(self.conv(x)), inplace=True)
-
-    def fold(self) -> None:
-        if isinstance(self.norm, nn.BatchNorm2d):
-            self.conv = fuse_conv_bn_eval(self.conv, self.norm)
-            self.norm = nn.Identity()
 
 
 def image_tensor(image: NDArray[np.uint8]) -> Tensor:

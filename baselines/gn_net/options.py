@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from baselines.options import Options, one_of, require
 
+EncoderName = Literal["plain", "efficientnet-lite0"]
+
+LAST_STAGES = (0, 1, 2, 4, 5)
+"""the last stages of EfficientNet-Lite0 with 1/2, 1/4 .. 1/32 of the image's size; the seventh, of 1/32 too, is left
+out"""
 _MOST_WIDTHS, _MOST_CHANNELS, _COARSEST = 12, 8192, 6
 """far beyond any network that is trained; a weights file that asks for more is not genuine"""
 
@@ -20,7 +25,7 @@ class NetworkOptions(Options):
     """
 
     widths: tuple[int, ...] = (32, 48, 64, 96, 128)
-    """channels of the encoder's stages, finest resolution first; each stage halves the resolution"""
+    """channels of the stages, finest resolution first; each stage halves the resolution"""
     finest: int = 1
     """level of the finest feature map and of the encoder's first stage: 0 is the image's own resolution, 1 half of it;
     the pixels of a 2^finest square enter the network as channels of one pixel"""
@@ -34,6 +39,8 @@ class NetworkOptions(Options):
     normalise: Literal["none", "unit"] = "none"
     """``unit``: the D features of each pixel are divided by their norm, and residuals and derivatives are taken from
     the normalised map; features that are all zero stay zero"""
+    encoder: EncoderName = "plain"
+    """``plain``: two 3x3 convolutions a stage; ``efficientnet-lite0``: its stages, for which ImageNet weights exist"""
 
     def __post_init__(self) -> None:
         require(self, "widths", lambda widths: widths and min(widths) >= 1, "at least one, all positive")
@@ -49,11 +56,18 @@ class NetworkOptions(Options):
         most = len(self.widths)
         require(self, "levels", lambda levels: 1 <= levels <= most, f"1 to {most}, the number of widths")
         one_of(self, "norm", "batch", "none")
+        one_of(self, "encoder", *get_args(EncoderName))
+        if self.encoder == "efficientnet-lite0":
+            require(self, "finest", lambda finest: finest == 1, "1 with this encoder")
+            require(self, "norm", lambda norm: norm == "batch", "batch with this encoder")
+            require(self, "widths", lambda widths: len(widths) <= len(LAST_STAGES), f"at most {len(LAST_STAGES)}")
         one_of(self, "normalise", "none", "unit")
 
     @property
     def least_parameters(self) -> int:
-        """A lower bound of the number of parameters: those of the encoder's 3x3 convolutions."""
+        """A lower bound of the number of parameters: those of 3x3 convolutions of the encoder or of the decoder."""
+        if self.encoder != "plain":
+            return sum(9 * width * width for width in self.widths[:-1])
         inputs = (3 << (2 * self.finest), *self.widths)
         return sum(9 * (inside + outside) * outside for inside, outside in zip(inputs, self.widths, strict=False))
 

