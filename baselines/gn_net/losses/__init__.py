@@ -3,7 +3,7 @@
 from baselines.gn_net.losses.contrastive import ContrastiveOptions
 from baselines.gn_net.losses.descent import DescentOptions
 from baselines.gn_net.losses.gauss_newton import GaussNewtonOptions
-from baselines.gn_net.losses.total import LossOptions, LossValue, total_loss
+from baselines.gn_net.losses.total import LossOptions, LossValue, pose_loss, total_loss
 
 __all__ = [
     "ContrastiveOptions",
@@ -11,5 +11,6 @@ __all__ = [
     "GaussNewtonOptions",
     "LossOptions",
     "LossValue",
+    "pose_loss",
     "total_loss",
 ]

@@ -22,11 +22,12 @@ from baselines.gn_net.losses.gauss_newton_affine import affine_gauss_newton_term
 from baselines.gn_net.losses.gauss_newton_integrated import integrated_gauss_newton_terms
 from baselines.gn_net.losses.infonce import InfoNceOptions, infonce_terms
 from baselines.gn_net.losses.negatives import hard_negatives, random_negatives
+from baselines.gn_net.losses.pose import PoseOptions, SeenPoints, draw_start_poses, pose_terms
 from baselines.gn_net.losses.reduce import masked_mean
 from baselines.gn_net.sampling import level_coordinates, sample
 from baselines.options import OptionError, Options, require
 
-_LOSSES = ("contrastive", "infonce", "gauss_newton", "descent", "ascent")
+_LOSSES = ("contrastive", "infonce", "gauss_newton", "descent", "ascent", "pose")
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class LossOptions(Options):
     gauss_newton: GaussNewtonOptions = field(default_factory=GaussNewtonOptions)
     descent: DescentOptions = field(default_factory=DescentOptions)
     ascent: AscentOptions = field(default_factory=AscentOptions)
+    pose: PoseOptions = field(default_factory=PoseOptions)
     level_weights: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     """one weight for each level of the network, finest first"""
     infonce: InfoNceOptions = field(default_factory=InfoNceOptions)
@@ -134,6 +136,42 @@ class _Level(NamedTuple):
     u_query: Tensor
     u_still: Tensor
     mask: Tensor
+
+
+def pose_loss(
+    features_ref: Sequence[Tensor],
+    features_query: Sequence[Tensor],
+    seen: SeenPoints,
+    options: LossOptions,
+    finest: int,
+    generator: torch.Generator,
+) -> LossValue:
+    """The weighted pose loss over levels, which comes on top of :func:`total_loss`.
+
+    Args:
+        features_ref, features_query, finest: as of :func:`baselines.gn_net.losses.pose.pose_terms`.
+        seen: points, cameras and true poses of the batch.
+        options: see there.
+        generator: on the CPU; the source of starts.
+
+    Returns:
+        The loss, and its parts by ``level/part``: ``pose``, ``start_px`` and ``end_px`` (mean errors of the points
+        before and after the level's steps, in its pixels), all over pairs for which the level is in reach; ``reached``
+        (the share of such pairs).
+    """
+    start = draw_start_poses(seen.T_query_ref, options.pose, generator)
+    terms = pose_terms(features_ref, features_query, seen, start, options.pose, finest)
+    total = torch.zeros((), dtype=torch.float64, device=start.device)
+    parts: dict[str, Tensor] = {}
+    for level, weight in enumerate(options.level_weights):
+        cost, valid = terms.cost[level], terms.valid[level]
+        mean = masked_mean(cost, valid)
+        total = total + weight * options.pose.weight * mean
+        named = {"pose": mean, "start_px": terms.before[level], "end_px": terms.after[level], "reached": valid.double()}
+        for name, value in named.items():
+            each = value if value.ndim == 0 else value.mean() if name == "reached" else masked_mean(value, valid)
+            parts[f"{level}/{name}"] = each.detach()
+    return LossValue(total, parts)
 
 
 def _level_loss(one: _Level, options: LossOptions, generator: torch.Generator) -> tuple[Tensor, dict[str, Tensor]]:

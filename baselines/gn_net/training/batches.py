@@ -17,6 +17,7 @@ from baselines.gn_net.training.augmentation import augment
 from baselines.gn_net.training.crops import Pixels, cut_pair, mirrored
 from baselines.gn_net.training.drawing import EvenDraw
 from baselines.gn_net.training.options import TrainOptions
+from baselines.gn_net.training.posed import cut_posed, mirrored_pose, not_posed, posed_pair
 from relocbench.arrays import Image
 from relocbench.training import TrainingData, TrainingPair
 
@@ -38,6 +39,14 @@ class Batch(NamedTuple):
     """(B, N, 2): where the query would show the points if its camera had not moved"""
     mask: Tensor
     """(B, N) bool: rows that hold a correspondence, of which a pair may have fewer than N"""
+    X_ref: Tensor
+    """(B, N, 3) float32: the points in the first image's camera, metres; without pose loss all ones"""
+    known: Tensor
+    """(B, N) bool: rows whose depth is known; without pose loss none is"""
+    intrinsics: Tensor
+    """(B, 4) float32: fx, fy, cx, cy of the query's crop, pixels"""
+    T_query_ref: Tensor
+    """(B, 4, 4) float32: the true pose"""
 
     def to(self, device: torch.device) -> Batch:
         """The batch on another device."""
@@ -71,9 +80,13 @@ class Batches(Dataset[Batch]):
             return np.random.default_rng([options.seed, step, place, what])
 
         rng = random(_CUT)
-        pair = _accurate(self._data.load(self._draw[step * options.batch + place]), options.max_sigma)
-        image_ref, image_query, u_ref, u_query = _swapped(pair, rng.random() < options.swap)
+        index = self._draw[step * options.batch + place]
+        pair = _accurate(self._data.load(index), options.max_sigma)
+        swapped = bool(rng.random() < options.swap)
+        image_ref, image_query, u_ref, u_query = _swapped(pair, swapped)
+        posed = posed_pair(self._data, index, u_ref, swapped) if options.loss.pose.weight > 0 else not_posed(len(u_ref))
         if rng.random() < options.mirror:
+            posed = mirrored_pose(posed, image_query.shape[1])
             (image_ref, u_ref), (image_query, u_query) = mirrored(image_ref, u_ref), mirrored(image_query, u_query)
         cut = cut_pair(image_ref, image_query, u_ref, u_query, options.crop, options.scale, options.apart, rng)
         images = [
@@ -85,8 +98,12 @@ class Batches(Dataset[Batch]):
         for row, pixels in zip(u, (cut.u_ref, cut.u_query, cut.u_still), strict=True):
             row[: len(chosen)] = pixels[chosen]
         mask = torch.arange(options.points) < len(chosen)
+        posed = cut_posed(posed, cut)
+        X_ref, known = np.ones((options.points, 3), dtype=np.float32), np.zeros(options.points, dtype=bool)
+        X_ref[: len(chosen)], known[: len(chosen)] = posed.X_ref[chosen], posed.known[chosen]
+        geometry = (X_ref, known, posed.intrinsics.astype(np.float32), posed.T_query_ref.astype(np.float32))
         first, second = (torch.from_numpy(np.ascontiguousarray(x.transpose(2, 0, 1))) for x in images)
-        return first, second, *torch.from_numpy(u), mask
+        return first, second, *torch.from_numpy(u), mask, *map(torch.from_numpy, geometry)
 
 
 def _accurate(pair: TrainingPair, max_sigma: float) -> TrainingPair:

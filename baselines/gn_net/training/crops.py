@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from relocbench.arrays import Floats, Image, Mask
+from relocbench.arrays import Array, Floats, Image, Mask
 
 Pixels = Floats
 
@@ -29,6 +29,12 @@ class Cut(NamedTuple):
     """(N, 2)"""
     u_still: Pixels
     """(N, 2) pixels of the query's crop, or beside it, that are at the place of ``u_ref`` in the whole image"""
+    kept: Mask
+    """(M,) bool: which of the given correspondences both crops hold"""
+    scale_query: Array
+    """(2,) by which the query was scaled along u and v"""
+    corner_query: NDArray[np.int64]
+    """(2,) pixel of the scaled query at the crop's first pixel"""
 
 
 def cut_pair(
@@ -58,6 +64,7 @@ def cut_pair(
         rng: source of the factor and the positions.
     """
     factor = float(rng.uniform(*scale))
+    size_query = np.array(image_query.shape[1::-1])
     image_ref, u_ref = scaled(image_ref, u_ref, factor)
     image_query, u_query = scaled(image_query, u_query, factor)
     centre = u_ref[rng.integers(len(u_ref))] if len(u_ref) else np.array(image_ref.shape[1::-1]) / 2
@@ -72,6 +79,9 @@ def cut_pair(
         in_ref[kept].astype(np.float32),
         in_query[kept].astype(np.float32),
         (u_ref[kept] - corner_query).astype(np.float32),
+        kept,
+        np.array(image_query.shape[1::-1]) / size_query,
+        corner_query,
     )
 
 

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from baselines.efficientnet_lite import IMAGENET_WEIGHTS, EfficientNetLite0, load_imagenet
 from baselines.gn_net.encoder import EfficientNetEncoder
-from baselines.gn_net.losses import total_loss
+from baselines.gn_net.losses import pose_loss, total_loss
+from baselines.gn_net.losses.pose import SeenPoints
 from baselines.gn_net.network import FeatureNet
 from baselines.gn_net.sampling import level_coordinates
 from baselines.gn_net.tracker import GnNet
@@ -29,7 +30,7 @@ from baselines.training.schedule import warmed_cosine
 from relocbench.pages import render
 from relocbench.training import TrainingData, TrainingRun, Validate
 
-_INITIAL_WEIGHTS, _LOSS = range(2)
+_INITIAL_WEIGHTS, _LOSS, _START_POSES = range(3)
 
 
 class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
@@ -107,9 +108,10 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
             maps = self.network(images)
         pairs, finest = len(batch.mask), self.options.network.finest
         features = [m.float() for m in maps]
+        ref, query = [m[:pairs] for m in features], [m[pairs:] for m in features]
         value = total_loss(
-            [m[:pairs] for m in features],
-            [m[pairs:] for m in features],
+            ref,
+            query,
             level_coordinates(batch.u_ref, finest),
             level_coordinates(batch.u_query, finest),
             batch.mask,
@@ -117,7 +119,14 @@ class Training(TrainingLoop[TrainOptions, FeatureNet, Batch]):
             generator(self.options.seed, _LOSS, self.step),
             level_coordinates(batch.u_still, finest),
         )
-        return value.total, value.parts
+        if self.options.loss.pose.weight == 0:
+            return value.total, value.parts
+        known = batch.mask & batch.known
+        seen = SeenPoints(batch.X_ref, batch.u_ref, batch.u_query, known, batch.intrinsics, batch.T_query_ref)
+        posed = pose_loss(
+            ref, query, seen, self.options.loss, finest, generator(self.options.seed, _START_POSES, self.step)
+        )
+        return value.total + posed.total, {**value.parts, **posed.parts}
 
     @property
     def remedy(self) -> str:

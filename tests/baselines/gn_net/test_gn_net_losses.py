@@ -568,7 +568,9 @@ def test_levels_must_agree() -> None:
             {"contrastive": {"weight": 0}, "gauss_newton": {"weight": 0}},
             "contrastive.weight is 0.0, expected more than 0",
         ),
-        ({"pose": {}}, "pose"),
+        ({"ascent": {"margin": 0}}, "margin"),
+        ({"pose": {"reach": -1}}, "reach"),
+        ({"poses": {}}, "poses"),
     ],
 )
 def test_options_that_make_no_sense_are_named(values: dict[str, object], said: str) -> None:
