@@ -82,6 +82,9 @@ class GnNet:
         per_channel: apply the robust loss to each channel instead of the norm over all channels.
         damping: the Levenberg-Marquardt schedule, that of DSO's tracker or one for features trained by LM-Reloc's loss;
             by default the one that the weights of this method are trained for.
+        prior_level: the level at which alignment from the prior begins, 0 the finest map; by default the coarsest one.
+            From a prior that is accurate to some pixels, such as another tracker's pose, coarse levels can only lead
+            away. Without a prior the identity starts on the coarsest level all the same.
         matched_start: also start from the pose that the matched landmarks give; the lowest final energy wins. The
             default is that of the method.
         multistart: also start from 26 small rotations; the lowest final energy wins.
@@ -114,6 +117,7 @@ class GnNet:
         cutoff_levels: Annotated[int, Field(ge=1)] = 1,
         per_channel: bool = False,
         damping: Literal["dso", "lm-reloc"] | None = None,
+        prior_level: Annotated[int, Field(ge=0)] | None = None,
         matched_start: bool | None = None,
         multistart: bool = False,
         min_points: Annotated[int, Field(ge=8)] = 30,
@@ -129,6 +133,7 @@ class GnNet:
             damping=LM_RELOC_DAMPING if (damping or self.usual_damping) == "lm-reloc" else DSO_DAMPING,
         )
         self.points = points
+        self.prior_level = prior_level
         self.start = StartSettings()
         self.matched_start = self.usual_matched_start if matched_start is None else matched_start
         self.multistart = multistart
@@ -170,7 +175,8 @@ class GnNet:
             )
         features = self._query_features(query)
         matched = find_landmarks(reference.landmarks, features, self.start)
-        return self._find(reference, features, matched, np.eye(4) if prior is None else np.asarray(prior, np.float64))
+        first = Start(np.eye(4)) if prior is None else Start(np.asarray(prior, np.float64), self.prior_level)
+        return self._find(reference, features, matched, first)
 
     def match(self, reference: GnNetReference, query: Query, uv_ref: Array, uv_start: Array) -> Array:
         """Find single pixels of the keyframe in the query, by Gauss-Newton on features from given starts.
@@ -213,12 +219,12 @@ class GnNet:
         return FeaturePyramid.from_maps([m[0].permute(1, 2, 0).float().cpu().numpy() for m in maps], of_finest)
 
     def _find(
-        self, reference: GnNetReference, features: FeaturePyramid, matched: MatchedLandmarks, first: Array
+        self, reference: GnNetReference, features: FeaturePyramid, matched: MatchedLandmarks, first: Start
     ) -> TrackResult:
         """Align from every start, of which ``first`` is the prior or the identity."""
-        starts = [Start(first)]
+        starts = [first]
         if self.multistart:
-            starts += [Start(turn @ first) for turn in small_rotations()]
+            starts += [Start(turn @ first.T_query_ref) for turn in small_rotations()]
         pose = matched.pose(self.seed) if self.matched_start else None
         if pose is not None:
             # This start goes first, as it usually wins; the others are then given up early.
@@ -303,7 +309,7 @@ class GnNetPnp(GnNet):
     uses_prior = False
 
     def _find(
-        self, reference: GnNetReference, features: FeaturePyramid, matched: MatchedLandmarks, first: Array
+        self, reference: GnNetReference, features: FeaturePyramid, matched: MatchedLandmarks, first: Start
     ) -> TrackResult:
         pose = matched.pose(self.seed)
         if pose is None:

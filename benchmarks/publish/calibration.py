@@ -122,7 +122,7 @@ def main() -> None:
         answers: dict[str, dict[str, list[Answered]]] = {"fit": {}, "report": {}}
         for role, districts in seeds.items():
             for seed in districts:
-                _build(scratch, seed, options.workers)
+                build_district(scratch, seed, options.workers)
             for method, seed in itertools.product(options.methods, districts):
                 of_method = answers[role].setdefault(method, [])
                 of_method += _answers(scratch, method, seed, neighbour(seed, districts), options)
@@ -160,7 +160,8 @@ def neighbour(seed: int, seeds: Sequence[int]) -> int:
     return seeds[at - 1] if at else seeds[1]
 
 
-def _build(scratch: Path, seed: int, workers: int) -> None:
+def build_district(scratch: Path, seed: int, workers: int) -> Dataset:
+    """A validation district, rendered unless it is there."""
     split = "test" if seed in FORMER_TESTS else "validation"
     words = (
         "build-dataset", "synthetic", "--name", f"d{seed}", "--conditions", ",".join(VALIDATION[seed]),
@@ -168,6 +169,7 @@ def _build(scratch: Path, seed: int, workers: int) -> None:
         "--split", split, "--seed", seed, "--correspondences", 0, "--out", _data(scratch, seed), "-j", workers, "-q",
     )  # fmt: skip
     subprocess.run([sys.executable, "-m", "relocbench", *map(str, words)], check=True)
+    return Dataset(_data(scratch, seed))
 
 
 def _data(scratch: Path, seed: int) -> Path:
