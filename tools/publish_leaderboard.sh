@@ -32,7 +32,8 @@ if [ -f "$recordings/weights/aliked-n16.pth" ]; then
   export TORCH_HOME=$scratch/torch # where the method looks: no path of this machine becomes a parameter
   mkdir -p "$TORCH_HOME/hub/checkpoints"
   ln -sf "$recordings/weights/aliked-n16.pth" "$TORCH_HOME/hub/checkpoints/"
-  learned=(-m aliked-pnp -m gn-net-from-aliked-pnp=gn-net-from-prior --set gn-net-from-aliked-pnp.start=aliked-pnp)
+  learned=(-m aliked-pnp -m gn-net-from-aliked-pnp=gn-net-from-prior --set gn-net-from-aliked-pnp.start=aliked-pnp \
+    --set gn-net-from-aliked-pnp.prior_level=0 --set gn-net-from-aliked-pnp.min_agreement=0)
 fi
 
 for dataset in kitti_06 kitti_00 kitti_00_stereo fr1_xyz fr1_desk fr1_xyz_to_desk webcams town_demo; do

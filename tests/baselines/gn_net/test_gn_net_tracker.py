@@ -121,6 +121,21 @@ def test_the_prior_is_where_the_alignment_starts(weights: Path) -> None:
     assert np.abs(found.T_query_ref - np.eye(4)).max() < 1e-3
 
 
+def test_from_a_prior_coarse_levels_can_be_left_out(weights: Path) -> None:
+    reference_and_query = a_reference(), a_query(small_pose(1))
+    prior = make_transform(so3_exp([0.0, 0.01, 0.0]), [0.02, 0.0, 0.0])
+    levels = {}
+    for prior_level in (None, 1, 0):
+        tracker = GnNetFromPrior(weights=weights, prior_level=prior_level, min_agreement=0.0)
+        reference = tracker.prepare(reference_and_query[0])
+        for given in (None, prior):
+            info = tracker.track(reference, reference_and_query[1], given).info
+            levels[prior_level, given is None] = info["levels"]
+    assert levels[None, False] == levels[None, True] == levels[0, True] == levels[1, True] == [2, 1, 0]
+    assert levels[1, False] == [1, 0]
+    assert levels[0, False] == [0]
+
+
 def test_single_pixels_are_found_again(weights: Path) -> None:
     tracker = GnNet(weights=weights)
     assert isinstance(tracker, SupportsMatching)
