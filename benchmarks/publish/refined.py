@@ -78,10 +78,11 @@ def main() -> None:
     torch.set_num_threads(1)
     seeds = [int(part) for part in options.districts.split(",")]
     answers = {seed: answers_of(options.scratch, options.start, seed, options) for seed in seeds}
-    told = {
-        name: table(name, {seed: [a for a in of_seed if chosen(a)] for seed, of_seed in answers.items()})
-        for name, chosen in GROUPS.items()
-    }
+    told = {}
+    for name, chosen in GROUPS.items():
+        of_group = {seed: [a for a in of_seed if chosen(a)] for seed, of_seed in answers.items()}
+        if any(of_group.values()):
+            told[name] = table(name, of_group)
     print(json.dumps({"benchmark": "refined", "start": options.start, **told}))
 
 
@@ -89,7 +90,7 @@ GROUPS: Mapping[str, Callable[[Answer], bool]] = {
     "all pairs": lambda answer: True,
     "one drive": lambda answer: answer.same_drive,
     "different drives": lambda answer: not answer.same_drive,
-    "night on one side": lambda answer: not answer.same_drive and "Night" in answer.conditions,
+    "night on one side": lambda answer: not answer.same_drive and any("night" in each for each in answer.conditions),
 }
 
 
@@ -130,9 +131,8 @@ def ask(start: Any, dataset: Dataset, count: int, seed: int) -> Iterator[Answer]
 def table(name: str, answers: Mapping[int, Sequence[Answer]]) -> dict[str, Any]:
     """Print the rows of a group of pairs; the same as a mapping."""
     rows = (ALONE, *LEVELS)
-    by_row = {row: [[a for a in of_seed if a.row == row] for of_seed in answers.values()] for row in rows}
     seeds = [seed for seed, of_seed in answers.items() if of_seed]
-    by_row = {row: [of_seed for of_seed in districts if of_seed] for row, districts in by_row.items()}
+    by_row = {row: [[a for a in answers[seed] if a.row == row] for seed in seeds] for row in rows}
     pairs = sum(map(len, by_row[ALONE]))
     print(f"\n## {name}: {pairs} pairs of {len(seeds)} districts\n")
     print(
