@@ -8,6 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relocbench.arrays import Floats
+from relocbench.datasets.synthetic.camera.drops import add_lens_drops
+from relocbench.datasets.synthetic.camera.motion_blur import motion_blur
+from relocbench.datasets.synthetic.camera.photograph import exposure_ev, grey_levels, through_lens
+from relocbench.datasets.synthetic.camera.shot import Shot
 from relocbench.datasets.synthetic.conditions.condition import Factors
 from relocbench.datasets.synthetic.renderer import lamps as lighting
 from relocbench.datasets.synthetic.renderer import reflections, shading, shadows, surfaces
@@ -22,13 +26,13 @@ from relocbench.datasets.synthetic.renderer.edges import (
 from relocbench.datasets.synthetic.renderer.lamps import Beam
 from relocbench.datasets.synthetic.renderer.materials import make_looks
 from relocbench.datasets.synthetic.renderer.raycast import NOTHING, Scene
-from relocbench.datasets.synthetic.renderer.response import apply_response
+from relocbench.datasets.synthetic.renderer.response import apply_response, exposure_gain
 from relocbench.datasets.synthetic.renderer.samples import PIXEL_OFFSETS, Samples, View, direct_samples
 from relocbench.datasets.synthetic.renderer.sky import Sky, make_sky
 from relocbench.datasets.synthetic.renderer.skylight import Skylight, make_skylight, with_moving_cars
 from relocbench.datasets.synthetic.renderer.surfaces import Hits, Setting
 from relocbench.datasets.synthetic.renderer.textures import bake
-from relocbench.datasets.synthetic.renderer.weather import add_lens_drops, draw_precipitation, falling_extinction
+from relocbench.datasets.synthetic.renderer.weather import draw_precipitation, falling_extinction
 from relocbench.datasets.synthetic.town.mesh import Mesh
 from relocbench.errors import ConfigError
 from relocbench.geometry import Camera
@@ -119,6 +123,7 @@ class Renderer:
         T_world_cam: NDArray[np.float64],
         frame_seed: int,
         T_world_vehicle: NDArray[np.float64] | None = None,
+        shot: Shot | None = None,
     ) -> Frame:
         """Render the image of a pinhole camera; the same arguments give the same bytes.
 
@@ -127,6 +132,7 @@ class Renderer:
             frame_seed: seed of what differs between images: noise, falling rain and snow, drops on the lens.
             T_world_vehicle: (4, 4) pose of the car with the headlights; default: they are below the camera and point
                 where it looks.
+            shot: the drive's own camera; default: the ideal camera of the factors.
 
         Raises:
             ConfigError: the camera is not a pinhole camera.
@@ -146,7 +152,7 @@ class Renderer:
 
         image = light.reshape(*shape, 3)
         depth = hits.depth.astype(np.float32).reshape(shape)
-        rgb = self._develop(image, depth, camera, pose, frame_seed)
+        rgb = self._develop(image, depth, camera, pose, frame_seed, shot)
         instance, semantic = surfaces.objects(self._geometry, samples.triangle)
         return Frame(rgb, depth, hits.normal.reshape(*shape, 3), instance.reshape(shape), semantic.reshape(shape))
 
@@ -238,11 +244,22 @@ class Renderer:
         return blend_edges(light, edges, known, own, index)
 
     def _develop(
-        self, image: Floats, depth: Floats, camera: Camera, pose: NDArray[np.float64], frame_seed: int
+        self,
+        image: Floats,
+        depth: Floats,
+        camera: Camera,
+        pose: NDArray[np.float64],
+        frame_seed: int,
+        shot: Shot | None,
     ) -> NDArray[np.uint8]:
-        """Apply the weather between scene and lens, then the camera's response, each with its own random stream."""
+        """Apply the weather between scene and lens, then the camera, each with its own random stream.
+
+        The weather is drawn into light that is blurred already, since its streaks are those of an exposure.
+        """
         f = self.factors
         falling, drops, noise = (np.random.default_rng([frame_seed & (2**64 - 1), k]) for k in range(3))
+        if shot is not None:
+            image = motion_blur(image, depth, camera, shot.twist, shot.imaging.exposure_ms / 1e3)
         if f.rain_mm_h > 0 or f.snowfall_mm_h > 0:
             down = pose[2, :2] * -1.0
             size = float(np.hypot(*down))
@@ -260,7 +277,11 @@ class Renderer:
             )
         if f.lens_drops > 0:
             image = add_lens_drops(image, f.lens_drops, drops)
-        return apply_response(image, f, noise)
+        if shot is None:
+            return apply_response(image, f, noise)
+        image = through_lens(image, shot)
+        gain = exposure_gain(image, f) * 2.0 ** exposure_ev(shot)
+        return grey_levels(image * np.float32(gain), shot, noise)
 
 
 def _headlights(pose: NDArray[np.float64], of_camera: bool) -> Beam:

@@ -1,11 +1,10 @@
-"""Weather between the scene and the sensor: falling rain and snow, and drops on the lens.
+"""Weather between the scene and the camera: falling rain and snow.
 
 Images are in linear light; all randomness comes from the generators that are passed.
 """
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from relocbench.arrays import Floats
@@ -21,9 +20,6 @@ _STREAK_M = 0.0032
 _RAIN_OPACITY, _SNOW_OPACITY = 0.15, 0.35
 """opacity of a streak: a drop brightens a pixel for a tenth of the exposure (Garg and Nayar, CVPR 2004)"""
 _FLAKES_PER_MM_H = 2.2
-_MOST_DROPS = 60
-_DROP_SHARE = 0.06
-"""share of the lens that drops cover in the worst case"""
 
 
 def falling_extinction(rain_mm_h: float, snow_mm_h: float) -> float:
@@ -106,42 +102,3 @@ def _streaks(
                 if a > 0.0:
                     for c in range(3):
                         image[y, x, c] += a * (light[c] - image[y, x, c])
-
-
-def add_lens_drops(image: Floats, amount: float, rng: np.random.Generator) -> Floats:
-    """The image (H, W, 3) through a lens with drops, each of which shows the scene upside down, small and defocused."""
-    height, width = image.shape[:2]
-    count = int(rng.binomial(_MOST_DROPS, amount))
-    if count == 0:
-        return image
-    typical = np.sqrt(_DROP_SHARE * width * height / (_MOST_DROPS * np.pi * 1.3))
-    radius = (typical * rng.lognormal(-0.1, 0.5, count)).clip(1.5, 0.09 * width).astype(np.float32)
-    centre = np.stack([rng.uniform(0, width, count), rng.uniform(0, height, count)], 1).astype(np.float32)
-    stretch = rng.uniform(0.85, 1.3, count).astype(np.float32)
-    quarter = cv2.resize(image, (max(1, width // 4), max(1, height // 4)), interpolation=cv2.INTER_AREA)
-    blurred = cv2.resize(cv2.GaussianBlur(quarter, (0, 0), 1.5), (width, height), interpolation=cv2.INTER_LINEAR)
-    out = image.copy()
-    _refract(out, np.ascontiguousarray(blurred), centre, radius, stretch)
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _refract(out: Floats, blurred: Floats, centre: Floats, radius: Floats, stretch: Floats) -> None:
-    height, width, _ = out.shape
-    for k in range(len(centre)):
-        r, s = radius[k], stretch[k]
-        top, bottom = int(centre[k, 1] - 1.3 * r * s - 2), int(centre[k, 1] + 1.3 * r * s + 3)
-        for y in range(max(0, top), min(height, bottom)):
-            for x in range(max(0, int(centre[k, 0] - 1.3 * r - 2)), min(width, int(centre[k, 0] + 1.3 * r + 3))):
-                p, q = (x - centre[k, 0]) / r, (y - centre[k, 1]) / (r * s)
-                e = np.sqrt(p * p + q * q)
-                # The camera is focused at a distance, so the rim of a drop is blurred.
-                a = min(max((1.15 - e) / 0.4, 0.0), 1.0)
-                if a <= 0.0:
-                    continue
-                a = 0.85 * a * a * (3 - 2 * a)
-                sx = min(max(int(centre[k, 0] - 4.0 * r * p), 0), width - 1)
-                sy = min(max(int(centre[k, 1] - 4.0 * r * q), 0), height - 1)
-                dim = 1.1 - 0.45 * min(e, 1.0) ** 3
-                for c in range(3):
-                    out[y, x, c] += a * (dim * blurred[sy, sx, c] - out[y, x, c])
